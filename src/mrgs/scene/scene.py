@@ -1,0 +1,58 @@
+"""A scene: its views, its start points, and its temperature scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from mrgs.scene.temperature import TemperatureRange
+from mrgs.scene.view import View
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Start points of the Gaussians: positions in world coordinates [N, 3] and RGB in [0, 1] [N, 3]."""
+
+    positions: Float32[Tensor, "n 3"]
+    colors: Float32[Tensor, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What training and evaluation need to know about a capture.
+
+    Attributes:
+        name: the folder's name.
+        train: views to learn from; never empty.
+        eval: views held out; may be empty.
+        points: start points.
+        temperature: scale of the thermal values; None if the capture has no known °C.
+        notes: what the reader mended or decided, one sentence each, for the user and the report.
+    """
+
+    name: str
+    train: tuple[View, ...]
+    eval: tuple[View, ...]
+    points: PointCloud
+    temperature: TemperatureRange | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def extent(self) -> float:
+        """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in scene units."""
+        positions = torch.stack([camera.position for view in self.train for camera in view.cameras])
+        radius = (positions - positions.mean(dim=0)).norm(dim=1).max().item()
+        return max(1.1 * radius, 1e-6)
+
+    @property
+    def has_rgb(self) -> bool:
+        """Whether any training view has a colour image."""
+        return any(view.rgb is not None for view in self.train)
+
+    @property
+    def has_thermal(self) -> bool:
+        """Whether any training view has a thermal image."""
+        return any(view.thermal is not None for view in self.train)
