@@ -1,0 +1,103 @@
+"""What every rasterizer of this room takes and returns.
+
+The image model, for the Gaussian i, the pixel centre x' and a layer with opacities o:
+
+    α_i = min(0.999, o_i · exp(−½ (x' − μ'_i)ᵀ Σ'_i⁻¹ (x' − μ'_i)))        (the paper's alpha-blending equations)
+    w_i = α_i · T_i,  T_i = Π_{j<i} (1 − α_j)                              front to back in z-depth, ties by index
+    image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i,  alpha = 1 − T_end
+
+μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I the EWA projection (px²). A Gaussian is left out of a
+pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that brings T below still counts).
+The depth is not divided by alpha, as in the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from jaxtyping import Float
+from torch import Tensor
+
+NEAR_PLANE = 0.01
+"""Gaussians whose centre is closer to the image plane are left out (scene units)."""
+
+COVARIANCE_DILATION_PX2 = 0.3
+"""Added to the diagonal of the projected covariance: a Gaussian is never thinner than a pixel."""
+
+ALPHA_MAX = 0.999
+ALPHA_MIN = 1.0 / 255.0
+TRANSMITTANCE_MIN = 1e-4
+
+FRUSTUM_MARGIN = 0.3
+"""x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of view."""
+
+
+class Layer(NamedTuple):
+    """One modality to be blended: its own opacities over the shared geometry.
+
+    Attributes:
+        opacities: o in (0, 1), [N].
+        features: what is blended: RGB (C = 3) or normalised temperature (C = 1), [N, C].
+        background: what is seen where nothing blocks the view, [C].
+    """
+
+    opacities: Float[Tensor, "n"]
+    features: Float[Tensor, "n c"]
+    background: Float[Tensor, "c"]
+
+
+class Blend(NamedTuple):
+    """The images of one layer: image [H, W, C], z-depth [H, W] in scene units, accumulated alpha [H, W]."""
+
+    image: Float[Tensor, "h w c"]
+    depth: Float[Tensor, "h w"]
+    alpha: Float[Tensor, "h w"]
+
+
+class Raster(NamedTuple):
+    """What a rasterizer returns.
+
+    Attributes:
+        blends: one Blend per layer, in the order of the layers.
+        radii: [N], the largest distance in pixels from the centre at which α reaches 1/255 in any layer; 0 for
+            Gaussians that are left out. Carries no gradient.
+    """
+
+    blends: tuple[Blend, ...]
+    radii: Float[Tensor, "n"]
+
+
+class Rasterizer(Protocol):
+    """The signature shared by the oracle and the kernels.
+
+    Differentiable in means, quats, scales, means2d_offset and every tensor of every layer.
+    """
+
+    def __call__(
+        self,
+        means: Float[Tensor, "n 3"],
+        quats: Float[Tensor, "n 4"],
+        scales: Float[Tensor, "n 3"],
+        layers: Sequence[Layer],
+        viewmat: Float[Tensor, "4 4"],
+        K: Float[Tensor, "3 3"],
+        width: int,
+        height: int,
+        means2d_offset: Float[Tensor, "n 2"] | None = None,
+    ) -> Raster:
+        """Render the layers from one camera.
+
+        Args:
+            means: centres in world coordinates, [N, 3].
+            quats: rotations wxyz, normalised inside, [N, 4].
+            scales: standard deviations, [N, 3].
+            layers: one layer, or two that share the walk over the Gaussians.
+            viewmat: world to camera (OpenCV axes), [4, 4].
+            K: intrinsics in pixels, [3, 3]; pixel centres lie at +0.5.
+            width: pixels.
+            height: pixels.
+            means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the screen-space
+                gradient that densification reads.
+        """
+        ...
