@@ -1,0 +1,182 @@
+"""Depth order and tile lists.
+
+The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it, in depth order. The
+Gaussians are sorted by depth once; then the lists are counted and filled in that order, so that no (tile, depth) keys
+need sorting. Results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrgs.rasterizer.cpu import splat
+from mrgs.rasterizer.cpu.jit import kernel, parallel_kernel
+from mrgs.rasterizer.cpu.simd import LANES
+
+TILE_WIDTH = LANES
+TILE_HEIGHT = 16
+CHUNKS = 16
+"""Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the thread count."""
+
+_SLACK_PX = 1e-3
+"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a pixel."""
+
+_RADIX_BITS = 11
+_RADIX = 1 << _RADIX_BITS
+
+
+@kernel()
+def depth_order(depths, visible):
+    """Indices of the visible Gaussians, nearest first, ties by index: a stable radix sort of the positive floats' bits.
+
+    Args:
+        depths: float32 [N], positive where visible.
+        visible: bool [N].
+    """
+    keys = depths.view(np.uint32)
+    count = 0
+    for i in range(visible.size):
+        count += visible[i]
+    order = np.empty(count, np.int32)
+    filled = 0
+    for i in range(visible.size):
+        if visible[i]:
+            order[filled] = i
+            filled += 1
+    target = np.empty(count, np.int32)
+    for shift in range(0, 32, _RADIX_BITS):
+        starts = np.zeros(_RADIX + 1, np.int64)
+        for k in range(count):
+            starts[((keys[order[k]] >> np.uint32(shift)) & np.uint32(_RADIX - 1)) + 1] += 1
+        for digit in range(_RADIX):
+            starts[digit + 1] += starts[digit]
+        for k in range(count):
+            digit = (keys[order[k]] >> np.uint32(shift)) & np.uint32(_RADIX - 1)
+            target[starts[digit]] = order[k]
+            starts[digit] += 1
+        order, target = target, order
+    return order
+
+
+@parallel_kernel()
+def gather_rows(rows, order):
+    """rows[order], in parallel."""
+    gathered = np.empty((order.size, rows.shape[1]), rows.dtype)
+    for k in prange(order.size):
+        gathered[k] = rows[order[k]]
+    return gathered
+
+
+@kernel()
+def _tile_rows(record, tiles_y):
+    """First and last row of tiles that the splat reaches (first > last if none)."""
+    top = record[splat.MEAN_Y] - record[splat.EXTENT_Y] - _SLACK_PX
+    bottom = record[splat.MEAN_Y] + record[splat.EXTENT_Y] + _SLACK_PX
+    first = math.ceil(max(top - 0.5, 0.0))
+    last = math.floor(min(bottom - 0.5, tiles_y * TILE_HEIGHT - 1.0))
+    return int(first) // TILE_HEIGHT, (int(last) // TILE_HEIGHT if last >= first else -1)
+
+
+@kernel()
+def _half_width_at(record, dy):
+    relative = dy / record[splat.EXTENT_Y]
+    return record[splat.HALF_WIDTH] * math.sqrt(max(0.0, 1.0 - relative * relative))
+
+
+@kernel()
+def _tile_columns(record, tile_row, tiles_x):
+    """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if none).
+
+    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own rightmost point,
+    or at the band's edge nearest to it; likewise on the left, where that point is mirrored.
+    """
+    band_top = tile_row * TILE_HEIGHT + 0.5 - record[splat.MEAN_Y]
+    band_bottom = band_top + TILE_HEIGHT - 1.0
+    sheared = record[splat.SHEAR] * record[splat.EXTENT_Y]
+    reach = math.sqrt(record[splat.HALF_WIDTH] ** 2 + sheared * sheared)
+    dy_rightmost = sheared * record[splat.EXTENT_Y] / reach
+    dy = min(max(dy_rightmost, band_top), band_bottom)
+    right = record[splat.MEAN_X] + record[splat.SHEAR] * dy + _half_width_at(record, dy) + _SLACK_PX
+    dy = min(max(-dy_rightmost, band_top), band_bottom)
+    left = record[splat.MEAN_X] + record[splat.SHEAR] * dy - _half_width_at(record, dy) - _SLACK_PX
+    first = math.ceil(max(left - 0.5, 0.0))
+    last = math.floor(min(right - 0.5, tiles_x * TILE_WIDTH - 1.0))
+    return int(first) // TILE_WIDTH, (int(last) // TILE_WIDTH if last >= first else -1)
+
+
+@parallel_kernel()
+def _count(splats, tiles_x, tiles_y, chunk_counts, splat_counts):
+    """Pairs per (chunk, tile) and per splat."""
+    count = splats.shape[0]
+    for chunk in prange(CHUNKS):
+        for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
+            record = splats[rank]
+            pairs = 0
+            first_row, last_row = _tile_rows(record, tiles_y)
+            for row in range(first_row, last_row + 1):
+                first, last = _tile_columns(record, row, tiles_x)
+                for column in range(first, last + 1):
+                    chunk_counts[chunk, row * tiles_x + column] += 1
+                    pairs += 1
+            splat_counts[rank] = pairs
+
+
+@kernel()
+def _prefix_sums(chunk_counts, splat_counts):
+    """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks in depth order."""
+    tiles = chunk_counts.shape[1]
+    tile_starts = np.empty(tiles + 1, np.int64)
+    total = 0
+    for tile in range(tiles):
+        tile_starts[tile] = total
+        for chunk in range(CHUNKS):
+            pairs = chunk_counts[chunk, tile]
+            chunk_counts[chunk, tile] = total
+            total += pairs
+    tile_starts[tiles] = total
+    pair_starts = np.zeros(splat_counts.size + 1, np.int64)
+    for rank in range(splat_counts.size):
+        pair_starts[rank + 1] = pair_starts[rank] + splat_counts[rank]
+    return tile_starts, pair_starts
+
+
+@parallel_kernel()
+def _fill(splats, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
+    """Write the lists, and for each splat where its pairs stand in them."""
+    count = splats.shape[0]
+    for chunk in prange(CHUNKS):
+        for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
+            record = splats[rank]
+            pair = pair_starts[rank]
+            first_row, last_row = _tile_rows(record, tiles_y)
+            for row in range(first_row, last_row + 1):
+                first, last = _tile_columns(record, row, tiles_x)
+                for column in range(first, last + 1):
+                    position = next_position[chunk, row * tiles_x + column]
+                    next_position[chunk, row * tiles_x + column] += 1
+                    tile_splats[position] = rank
+                    pair_positions[pair] = position
+                    pair += 1
+
+
+def tile_lists(splats, width: int, height: int):
+    """The tile lists of the splats, which are given in depth order.
+
+    Returns:
+        tile_splats: splats of all tiles one after the other, int32 [P].
+        tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64 [tiles + 1].
+        pair_positions: positions in tile_splats of each splat, one splat after the other, int32 [P].
+        pair_starts: the positions of splat r are pair_positions[pair_starts[r]:pair_starts[r + 1]], int64 [V + 1].
+    """
+    tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
+    chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
+    splat_counts = np.empty(splats.shape[0], np.int64)
+    _count(splats, tiles_x, tiles_y, chunk_counts, splat_counts)
+    tile_starts, pair_starts = _prefix_sums(chunk_counts, splat_counts)
+    tile_splats = np.empty(tile_starts[-1], np.int32)
+    pair_positions = np.empty(tile_starts[-1], np.int32)
+    _fill(splats, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)
+    return tile_splats, tile_starts, pair_positions, pair_starts
