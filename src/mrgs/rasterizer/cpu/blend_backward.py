@@ -16,176 +16,189 @@ from mrgs.rasterizer.cpu.blend import (
     ALL_ROWS,
     ALPHA_MAX,
     ALPHA_MIN,
-    IMAGE_ALPHA_RGB,
-    IMAGE_ALPHA_THERMAL,
-    IMAGE_DEPTH_RGB,
-    IMAGE_DEPTH_THERMAL,
+    DEPTH,
+    FEATURES,
+    ONE,
     TILE_PIXELS,
+    TRANSMITTANCE,
     TRANSMITTANCE_MIN,
-    TRANSMITTANCE_RGB,
-    TRANSMITTANCE_THERMAL,
+    ZERO,
     interleaved,
+    log2_gaussian,
     open_transmittance,
     row_range,
 )
-from mrgs.rasterizer.cpu.jit import kernel, parallel_kernel
-from mrgs.rasterizer.cpu.simd import any_lane, exp2, lane_indices, load, minimum, select, store, sum_lanes
-from mrgs.rasterizer.cpu.simd import splat as spread
+from mrgs.rasterizer.cpu.jit import inlined_kernel, kernel, parallel_kernel
+from mrgs.rasterizer.cpu.simd import (
+    any_lane,
+    broadcast,
+    exp2,
+    lane_indices,
+    load,
+    minimum,
+    select,
+    store,
+    sum_lanes,
+)
 from mrgs.rasterizer.cpu.tiles import TILE_HEIGHT, TILE_WIDTH
 
-# Offsets of the tile's planes behind the two transmittances.
-_GRAD_RED = 2 * TILE_PIXELS
-_GRAD_GREEN = 3 * TILE_PIXELS
-_GRAD_BLUE = 4 * TILE_PIXELS
-_GRAD_DEPTH_RGB = 5 * TILE_PIXELS
-_GRAD_TEMPERATURE = 6 * TILE_PIXELS
-_GRAD_DEPTH_THERMAL = 7 * TILE_PIXELS
-_BEHIND_RGB = 8 * TILE_PIXELS
-_BEHIND_THERMAL = 9 * TILE_PIXELS
+# A layer's planes: T, then the gradients of depth and features where ``blend`` keeps depth and features, then R.
+_RGB = 0
+_BEHIND_RGB = 5 * TILE_PIXELS
+_THERMAL = 6 * TILE_PIXELS
+_BEHIND_THERMAL = 3 * TILE_PIXELS
 _PLANES = 10
 
 
 @kernel()
-def _read_tile(planes, image, grad_image, x0, y0):
-    """Gradients of the pixels into planes, and R at its start."""
+def _read_layer(planes, layer, behind, image, depth, alpha, grad_image, grad_depth, grad_alpha, x0, y0):
+    """The gradients of a layer's pixels into planes, and R at its start."""
     for row in range(min(TILE_HEIGHT, image.shape[0] - y0)):
         for column in range(min(TILE_WIDTH, image.shape[1] - x0)):
-            at = row * TILE_WIDTH + column
-            pixel, g = image[y0 + row, x0 + column], grad_image[y0 + row, x0 + column]
-            planes[_GRAD_RED + at] = g[0]
-            planes[_GRAD_GREEN + at] = g[1]
-            planes[_GRAD_BLUE + at] = g[2]
-            planes[_GRAD_TEMPERATURE + at] = g[3]
-            planes[_GRAD_DEPTH_RGB + at] = g[IMAGE_DEPTH_RGB]
-            planes[_GRAD_DEPTH_THERMAL + at] = g[IMAGE_DEPTH_THERMAL]
-            behind = g[0] * pixel[0] + g[1] * pixel[1] + g[2] * pixel[2] + g[IMAGE_DEPTH_RGB] * pixel[IMAGE_DEPTH_RGB]
-            behind -= (np.float32(1.0) - pixel[IMAGE_ALPHA_RGB]) * g[IMAGE_ALPHA_RGB]
-            planes[_BEHIND_RGB + at] = behind
-            behind = g[3] * pixel[3] + g[IMAGE_DEPTH_THERMAL] * pixel[IMAGE_DEPTH_THERMAL]
-            behind -= (np.float32(1.0) - pixel[IMAGE_ALPHA_THERMAL]) * g[IMAGE_ALPHA_THERMAL]
-            planes[_BEHIND_THERMAL + at] = behind
+            at = layer + row * TILE_WIDTH + column
+            y, x = y0 + row, x0 + column
+            total = grad_depth[y, x] * depth[y, x] - (ONE - alpha[y, x]) * grad_alpha[y, x]
+            planes[at + DEPTH] = grad_depth[y, x]
+            for channel in range(image.shape[2]):
+                total += grad_image[y, x, channel] * image[y, x, channel]
+                planes[at + FEATURES + channel * TILE_PIXELS] = grad_image[y, x, channel]
+            planes[at + behind] = total
+
+
+@inlined_kernel()
+def _backward_layer(planes, at, behind, record, layer, channels, gaussian, sums):
+    """One layer of a splat in a row: α ∂L/∂α at its pixels, the row's transmittance behind it, and the new sums.
+
+    Args:
+        at: offset of the row in the layer's first plane; ``behind``: of the plane of R from there.
+        layer: the layer's part of the record.
+        channels: 3 or 1.
+        sums: over the rows so far, of α ∂L/∂α and of the gradients of the depth and of three features.
+    """
+    transmittance = load(planes, at + TRANSMITTANCE)
+    grad_alpha = broadcast(ZERO)
+    unclamped = broadcast(record[layer]) * gaussian
+    alpha = minimum(unclamped, broadcast(ALPHA_MAX))
+    blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
+    if any_lane(blends):
+        sum_alpha, sum_depth, sum_0, sum_1, sum_2 = sums
+        weight = select(blends, alpha * transmittance, broadcast(ZERO))
+        transmittance = transmittance - weight
+        store(planes, at + TRANSMITTANCE, transmittance)
+        grad = load(planes, at + DEPTH)
+        own = grad * broadcast(record[splat.DEPTH])
+        sum_depth = sum_depth + weight * grad
+        grad = load(planes, at + FEATURES)
+        own = own + grad * broadcast(record[layer + 1])
+        sum_0 = sum_0 + weight * grad
+        if channels == 3:
+            grad = load(planes, at + FEATURES + TILE_PIXELS)
+            own = own + grad * broadcast(record[layer + 2])
+            sum_1 = sum_1 + weight * grad
+            grad = load(planes, at + FEATURES + 2 * TILE_PIXELS)
+            own = own + grad * broadcast(record[layer + 3])
+            sum_2 = sum_2 + weight * grad
+        own = weight * own
+        rest = load(planes, at + behind) - own
+        store(planes, at + behind, rest)
+        grad_alpha = own - rest * (alpha / (broadcast(ONE) - alpha))
+        grad_alpha = select(blends & (unclamped < broadcast(ALPHA_MAX)), grad_alpha, broadcast(ZERO))
+        sums = (sum_alpha + grad_alpha, sum_depth, sum_0, sum_1, sum_2)
+    return grad_alpha, transmittance, sums
+
+
+@inlined_kernel()
+def _add_geometry(moments, grad_exponent, dx, dy):
+    """Moments of α ∂L/∂α over the pixels' offsets from μ', in the order GRAD_DX to GRAD_DYDY."""
+    grad_dx, grad_dy = grad_exponent * dx, grad_exponent * dy
+    return (
+        moments[0] + grad_dx,
+        moments[1] + grad_dy,
+        moments[2] + grad_dx * dx,
+        moments[3] + grad_dx * dy,
+        moments[4] + grad_dy * dy,
+    )
+
+
+@inlined_kernel()
+def _write_moments(moments, geometry, rgb, thermal):
+    """The sums of one (tile, splat) pair into its record."""
+    for moment in range(5):
+        moments[moment] = sum_lanes(geometry[moment])
+    moments[splat.GRAD_DEPTH] = sum_lanes(rgb[1] + thermal[1])
+    moments[splat.GRAD_RGB] = sum_lanes(rgb[0])
+    for channel in range(3):
+        moments[splat.GRAD_RGB + 1 + channel] = sum_lanes(rgb[2 + channel])
+    moments[splat.GRAD_THERMAL] = sum_lanes(thermal[0])
+    moments[splat.GRAD_THERMAL + 1] = sum_lanes(thermal[2])
 
 
 @kernel()
 def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads):
     """The walk of ``blend._blend_tile`` again, summing the moments of every splat of the list."""
-    one_over_255 = spread(ALPHA_MIN)
-    alpha_max = spread(ALPHA_MAX)
-    nearly_opaque = spread(TRANSMITTANCE_MIN)
-    zero = spread(np.float32(0.0))
-    one = spread(np.float32(1.0))
-    centres_x = lane_indices() + spread(np.float32(x0 + 0.5))
+    nearly_opaque = broadcast(TRANSMITTANCE_MIN)
+    zero = broadcast(ZERO)
+    centres_x = lane_indices() + broadcast(np.float32(x0 + 0.5))
     live_rows = ALL_ROWS
     for position in range(first, last):
         record = splats[tile_splats[position]]
-        sum_rgb, sum_thermal = zero, zero
-        sum_dx, sum_dy, sum_dxdx, sum_dxdy, sum_dydy = zero, zero, zero, zero, zero
-        sum_red, sum_green, sum_blue, sum_temperature, sum_depth = zero, zero, zero, zero, zero
-        dx = centres_x - spread(record[splat.MEAN_X])
-        quadratic = spread(record[splat.CONIC_XX]) * dx
-        threshold = spread(record[splat.THRESHOLD])
+        geometry = (zero, zero, zero, zero, zero)
+        rgb = (zero, zero, zero, zero, zero)
+        thermal = (zero, zero, zero, zero, zero)
+        dx = centres_x - broadcast(record[splat.MEAN_X])
+        threshold = broadcast(record[splat.THRESHOLD])
         first_row, last_row = row_range(record, y0)
         for row in range(first_row, last_row + 1):
             if not (live_rows >> row) & 1:
                 continue
             dy = np.float32(y0 + row + 0.5) - record[splat.MEAN_Y]
-            linear = spread(record[splat.CONIC_XY] * dy)
-            log2_gaussian = (quadratic + linear) * dx + spread(record[splat.CONIC_YY] * dy * dy)
-            if not any_lane(log2_gaussian >= threshold):
+            exponent = log2_gaussian(record, dx, dy)
+            if not any_lane(exponent >= threshold):
                 continue
-            gaussian = exp2(log2_gaussian)
+            gaussian = exp2(exponent)
             at = row * TILE_WIDTH
-            transmittance_rgb = load(planes, TRANSMITTANCE_RGB + at)
-            transmittance_thermal = load(planes, TRANSMITTANCE_THERMAL + at)
-            grad_exponent = zero
-
-            unclamped = spread(record[splat.OPACITY_RGB]) * gaussian
-            alpha = minimum(unclamped, alpha_max)
-            blends = (alpha >= one_over_255) & (transmittance_rgb >= nearly_opaque)
-            if any_lane(blends):
-                weight = select(blends, alpha * transmittance_rgb, zero)
-                transmittance_rgb = transmittance_rgb - weight
-                store(planes, TRANSMITTANCE_RGB + at, transmittance_rgb)
-                grad_red, grad_green = load(planes, _GRAD_RED + at), load(planes, _GRAD_GREEN + at)
-                grad_blue, grad_depth = load(planes, _GRAD_BLUE + at), load(planes, _GRAD_DEPTH_RGB + at)
-                own = grad_red * spread(record[splat.RED]) + grad_green * spread(record[splat.GREEN])
-                own = own + grad_blue * spread(record[splat.BLUE]) + grad_depth * spread(record[splat.DEPTH])
-                own = weight * own
-                behind = load(planes, _BEHIND_RGB + at) - own
-                store(planes, _BEHIND_RGB + at, behind)
-                grad_alpha = own - behind * (alpha / (one - alpha))
-                grad_alpha = select(blends & (unclamped < alpha_max), grad_alpha, zero)
-                sum_rgb = sum_rgb + grad_alpha
-                grad_exponent = grad_alpha
-                sum_red = sum_red + weight * grad_red
-                sum_green = sum_green + weight * grad_green
-                sum_blue = sum_blue + weight * grad_blue
-                sum_depth = sum_depth + weight * grad_depth
-
-            unclamped = spread(record[splat.OPACITY_THERMAL]) * gaussian
-            alpha = minimum(unclamped, alpha_max)
-            blends = (alpha >= one_over_255) & (transmittance_thermal >= nearly_opaque)
-            if any_lane(blends):
-                weight = select(blends, alpha * transmittance_thermal, zero)
-                transmittance_thermal = transmittance_thermal - weight
-                store(planes, TRANSMITTANCE_THERMAL + at, transmittance_thermal)
-                grad_temperature = load(planes, _GRAD_TEMPERATURE + at)
-                grad_depth = load(planes, _GRAD_DEPTH_THERMAL + at)
-                own = grad_temperature * spread(record[splat.TEMPERATURE]) + grad_depth * spread(record[splat.DEPTH])
-                own = weight * own
-                behind = load(planes, _BEHIND_THERMAL + at) - own
-                store(planes, _BEHIND_THERMAL + at, behind)
-                grad_alpha = own - behind * (alpha / (one - alpha))
-                grad_alpha = select(blends & (unclamped < alpha_max), grad_alpha, zero)
-                sum_thermal = sum_thermal + grad_alpha
-                grad_exponent = grad_exponent + grad_alpha
-                sum_temperature = sum_temperature + weight * grad_temperature
-                sum_depth = sum_depth + weight * grad_depth
-
-            if not any_lane((transmittance_rgb >= nearly_opaque) | (transmittance_thermal >= nearly_opaque)):
+            grad_rgb, behind_rgb, rgb = _backward_layer(
+                planes, _RGB + at, _BEHIND_RGB, record, splat.RGB, 3, gaussian, rgb
+            )
+            grad_thermal, behind_thermal, thermal = _backward_layer(
+                planes, _THERMAL + at, _BEHIND_THERMAL, record, splat.THERMAL, 1, gaussian, thermal
+            )
+            geometry = _add_geometry(geometry, grad_rgb + grad_thermal, dx, broadcast(dy))
+            if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
                 live_rows &= ~(1 << row)
-            grad_dx = grad_exponent * dx
-            grad_dy = grad_exponent * spread(dy)
-            sum_dx = sum_dx + grad_dx
-            sum_dy = sum_dy + grad_dy
-            sum_dxdx = sum_dxdx + grad_dx * dx
-            sum_dxdy = sum_dxdy + grad_dx * spread(dy)
-            sum_dydy = sum_dydy + grad_dy * spread(dy)
-        moments = pair_grads[position]
-        moments[splat.GRAD_ALPHA_RGB] = sum_lanes(sum_rgb)
-        moments[splat.GRAD_ALPHA_THERMAL] = sum_lanes(sum_thermal)
-        moments[splat.GRAD_DX] = sum_lanes(sum_dx)
-        moments[splat.GRAD_DY] = sum_lanes(sum_dy)
-        moments[splat.GRAD_DXDX] = sum_lanes(sum_dxdx)
-        moments[splat.GRAD_DXDY] = sum_lanes(sum_dxdy)
-        moments[splat.GRAD_DYDY] = sum_lanes(sum_dydy)
-        moments[splat.GRAD_RED] = sum_lanes(sum_red)
-        moments[splat.GRAD_GREEN] = sum_lanes(sum_green)
-        moments[splat.GRAD_BLUE] = sum_lanes(sum_blue)
-        moments[splat.GRAD_TEMPERATURE] = sum_lanes(sum_temperature)
-        moments[splat.GRAD_DEPTH] = sum_lanes(sum_depth)
+        _write_moments(pair_grads[position], geometry, rgb, thermal)
         if live_rows == 0:
-            pair_grads[position + 1 : last] = np.float32(0.0)
+            pair_grads[position + 1 : last] = ZERO
             break
 
 
 @parallel_kernel()
-def blend_backward(splats, tile_splats, tile_starts, image, grad_image, pair_grads):
+def blend_backward(
+    splats, tile_splats, tile_starts, rgb, depth_rgb, alpha_rgb, thermal, depth_thermal, alpha_thermal, grad_rgb,
+    grad_depth_rgb, grad_alpha_rgb, grad_thermal, grad_depth_thermal, grad_alpha_thermal, pair_grads,
+):  # fmt: skip
     """Fill ``pair_grads`` [P, 12], the gradient moments of every (tile, splat) pair.
 
     Args:
         splats: records in depth order, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
-        image: what ``blend`` wrote, [H, W, 8].
-        grad_image: ∂L/∂image, [H, W, 8].
+        rgb, depth_rgb, alpha_rgb, thermal, depth_thermal, alpha_thermal: what ``blend`` wrote.
+        grad_*: the gradients of these.
     """
-    height, width = image.shape[0], image.shape[1]
+    height, width = alpha_rgb.shape
     tiles_x = (width + TILE_WIDTH - 1) // TILE_WIDTH
     tiles = tile_starts.size - 1
     for index in prange(tiles):
         tile = interleaved(index, tiles)
         x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
         planes = np.zeros(_PLANES * TILE_PIXELS, np.float32)
-        open_transmittance(planes, x0, y0, width, height)
-        _read_tile(planes, image, grad_image, x0, y0)
+        open_transmittance(planes, _RGB, x0, y0, width, height)
+        open_transmittance(planes, _THERMAL, x0, y0, width, height)
+        _read_layer(
+            planes, _RGB, _BEHIND_RGB, rgb, depth_rgb, alpha_rgb, grad_rgb, grad_depth_rgb, grad_alpha_rgb, x0, y0
+        )
+        _read_layer(
+            planes, _THERMAL, _BEHIND_THERMAL, thermal, depth_thermal, alpha_thermal, grad_thermal,
+            grad_depth_thermal, grad_alpha_thermal, x0, y0,
+        )  # fmt: skip
         _backward_tile(planes, splats, tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0, pair_grads)

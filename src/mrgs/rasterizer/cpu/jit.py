@@ -8,3 +8,4 @@ from numba import njit
 
 kernel = partial(njit, cache=True, error_model="numpy")
 parallel_kernel = partial(njit, cache=True, error_model="numpy", parallel=True)
+inlined_kernel = partial(njit, cache=True, error_model="numpy", forceinline=True)

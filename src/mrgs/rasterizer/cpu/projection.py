@@ -138,11 +138,12 @@ def project(means, quats, scales, opacities, features, viewmat, K, width, height
         splats[i, splat.CONIC_XY] = LOG2_E * xy / determinant
         splats[i, splat.CONIC_YY] = -0.5 * LOG2_E * xx / determinant
         splats[i, splat.THRESHOLD] = -0.5 * LOG2_E * reach
-        splats[i, splat.OPACITY_RGB] = opacities[i, 0]
-        splats[i, splat.OPACITY_THERMAL] = opacities[i, 1]
         splats[i, splat.DEPTH] = point[2]
-        for channel in range(4):
-            splats[i, splat.RED + channel] = features[i, channel]
+        splats[i, splat.RGB] = opacities[i, 0]
+        for channel in range(3):
+            splats[i, splat.RGB + 1 + channel] = features[i, channel]
+        splats[i, splat.THERMAL] = opacities[i, 1]
+        splats[i, splat.THERMAL + 1] = features[i, 3]
         splats[i, splat.EXTENT_Y] = extent_y
         splats[i, splat.SHEAR] = xy / yy
         splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
@@ -234,14 +235,13 @@ def _geometry_gradient(
 
 
 @kernel()
-def _sum_over_tiles(pair_grads, pair_positions, first, last):
+def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
     """The moments of one splat, summed over its tiles in tile order."""
-    total = np.zeros(splat.GRAD_FLOATS)
+    total[:] = 0.0
     for pair in range(first, last):
         position = pair_positions[pair]
         for k in range(splat.GRAD_FLOATS):
             total[k] += pair_grads[position, k]
-    return total
 
 
 @parallel_kernel()
@@ -258,9 +258,11 @@ def project_backward(
         pair_positions, pair_starts: the pairs of splat r are pair_positions[pair_starts[r]:pair_starts[r + 1]].
         grad_*: filled for the Gaussians in ``order``; the rows of all others are left as they are.
     """
+    splat_grads = np.empty((order.shape[0], splat.GRAD_FLOATS))
     for rank in prange(order.shape[0]):
         i = order[rank]
-        g = _sum_over_tiles(pair_grads, pair_positions, pair_starts[rank], pair_starts[rank + 1])
+        g = splat_grads[rank]
+        _sum_over_tiles(pair_grads, pair_positions, pair_starts[rank], pair_starts[rank + 1], g)
         a = splats[rank, splat.CONIC_XX] * (-2.0 / LOG2_E)
         b = splats[rank, splat.CONIC_XY] * (-1.0 / LOG2_E)
         c = splats[rank, splat.CONIC_YY] * (-2.0 / LOG2_E)
@@ -270,9 +272,10 @@ def project_backward(
         grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
         for layer in range(2):
             if opacities[i, layer] > 0.0:
-                grad_opacities[i, layer] = g[splat.GRAD_ALPHA_RGB + layer] / opacities[i, layer]
-        for channel in range(4):
-            grad_features[i, channel] = g[splat.GRAD_RED + channel]
+                grad_opacities[i, layer] = g[splat.GRAD_LAYERS[layer]] / opacities[i, layer]
+        for channel in range(3):
+            grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
+        grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
         _geometry_gradient(
             i, means, quats, scales, viewmat, K, width, height, grad_conic, grad_mean, g[splat.GRAD_DEPTH],
             grad_means, grad_quats, grad_scales,

@@ -76,7 +76,7 @@ _define_operator(operator.and_, Mask8, Mask8, lambda b, x, y: b.and_(x, y))
 _define_operator(operator.or_, Mask8, Mask8, lambda b, x, y: b.or_(x, y))
 
 
-def _splat(builder: Any, scalar: Any, vector_type: ir.VectorType = _VECTOR) -> Any:
+def _broadcast(builder: Any, scalar: Any, vector_type: ir.VectorType = _VECTOR) -> Any:
     undefined = ir.Constant(vector_type, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(_I32, 0))
     lanes = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
@@ -94,12 +94,12 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any
 
 
 @intrinsic
-def splat(typingctx: Any, value: Any) -> Any:
+def broadcast(typingctx: Any, value: Any) -> Any:
     """float32 -> all lanes."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         scalar = context.cast(builder, args[0], sig.args[0], types.float32)
-        return _splat(builder, scalar)
+        return _broadcast(builder, scalar)
 
     return Float32x8(value), codegen
 

@@ -14,37 +14,37 @@ CONIC_YY = 4
 THRESHOLD = 5
 """log2 of the Gaussian at which α reaches 1/255 in the more opaque layer."""
 
-OPACITY_RGB = 6
-OPACITY_THERMAL = 7
-DEPTH = 8
-RED = 9
-GREEN = 10
-BLUE = 11
-TEMPERATURE = 12
-
-EXTENT_Y = 13
+EXTENT_Y = 6
 """Half the height in pixels of the ellipse α >= 1/255."""
 
-SHEAR = 14
+SHEAR = 7
 """dx of the ellipse's midline per dy."""
 
-HALF_WIDTH = 15
+HALF_WIDTH = 8
 """Half the width of the ellipse along the line dy = 0, in pixels."""
 
+DEPTH = 9
+
+RGB = 10
+THERMAL = 14
+"""Each layer's part of the record: its opacity, then its features."""
+
+LAYERS = (RGB, THERMAL)
+CHANNELS = (3, 1)
 SPLAT_FLOATS = 16
 
-# Gradients with respect to the record, summed over the pixels of one tile, dx and dy being pixel centre − μ' and
-# v = α ∂L/∂α of both layers together: everything else follows from these moments.
-GRAD_ALPHA_RGB = 0
-GRAD_ALPHA_THERMAL = 1
-GRAD_DX = 2
-GRAD_DY = 3
-GRAD_DXDX = 4
-GRAD_DXDY = 5
-GRAD_DYDY = 6
-GRAD_RED = 7
-GRAD_GREEN = 8
-GRAD_BLUE = 9
-GRAD_TEMPERATURE = 10
-GRAD_DEPTH = 11
+# Gradients with respect to the record, summed over the pixels of one tile. dx and dy run from μ' to the pixel's centre
+# and v = α ∂L/∂α of both layers together: the gradients of μ' and Σ' follow from these moments.
+GRAD_DX = 0
+GRAD_DY = 1
+GRAD_DXDX = 2
+GRAD_DXDY = 3
+GRAD_DYDY = 4
+GRAD_DEPTH = 5
+
+GRAD_RGB = 6
+GRAD_THERMAL = 10
+"""Each layer's part: Σ α ∂L/∂α of that layer alone, then the gradients of its features."""
+
+GRAD_LAYERS = (GRAD_RGB, GRAD_THERMAL)
 GRAD_FLOATS = 12

@@ -8,6 +8,7 @@ need sorting. Results do not depend on the number of threads.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
@@ -162,15 +163,24 @@ def _fill(splats, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pai
                     pair += 1
 
 
-def tile_lists(splats, width: int, height: int):
-    """The tile lists of the splats, which are given in depth order.
+class TileLists(NamedTuple):
+    """Which splats each tile draws, and where each splat is drawn (P pairs of a tile and a splat).
 
-    Returns:
+    Attributes:
         tile_splats: splats of all tiles one after the other, int32 [P].
         tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64 [tiles + 1].
-        pair_positions: positions in tile_splats of each splat, one splat after the other, int32 [P].
+        pair_positions: positions in tile_splats of each splat's pairs, one splat after the other, int32 [P].
         pair_starts: the positions of splat r are pair_positions[pair_starts[r]:pair_starts[r + 1]], int64 [V + 1].
     """
+
+    tile_splats: np.ndarray
+    tile_starts: np.ndarray
+    pair_positions: np.ndarray
+    pair_starts: np.ndarray
+
+
+def tile_lists(splats: np.ndarray, width: int, height: int) -> TileLists:
+    """The tile lists of the splats [V, 16], which are given in depth order."""
     tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
     splat_counts = np.empty(splats.shape[0], np.int64)
@@ -179,4 +189,4 @@ def tile_lists(splats, width: int, height: int):
     tile_splats = np.empty(tile_starts[-1], np.int32)
     pair_positions = np.empty(tile_starts[-1], np.int32)
     _fill(splats, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)
-    return tile_splats, tile_starts, pair_positions, pair_starts
+    return TileLists(tile_splats, tile_starts, pair_positions, pair_starts)
