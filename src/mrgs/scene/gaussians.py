@@ -17,8 +17,8 @@ class Gaussians:
         means: centres μ in world coordinates, [N, 3].
         quats: rotations as quaternions wxyz, not necessarily normalised, [N, 4].
         log_scales: natural logarithm of the standard deviations along the rotated axes, [N, 3].
-        opacity_rgb_logit: logit of o_c, [N].
-        opacity_thermal_logit: logit of o_t, [N].
+        opacity_rgb_logit: logit of o_c, [N, 1].
+        opacity_thermal_logit: logit of o_t, [N, 1]; [N, 0] if both modalities share o_c (3DGS_RGB-T).
         sh_dc: spherical-harmonics coefficient of degree 0 per colour channel, [N, 1, 3].
         sh_rest: coefficients of degrees 1 to 3, [N, 15, 3].
         temperature_dc: the same for the normalised temperature t_i, degree 0, [N, 1, 1].
@@ -30,8 +30,8 @@ class Gaussians:
     means: Float[Tensor, "n 3"]
     quats: Float[Tensor, "n 4"]
     log_scales: Float[Tensor, "n 3"]
-    opacity_rgb_logit: Float[Tensor, "n"]
-    opacity_thermal_logit: Float[Tensor, "n"]
+    opacity_rgb_logit: Float[Tensor, "n 1"]
+    opacity_thermal_logit: Float[Tensor, "n s"]
     sh_dc: Float[Tensor, "n 1 3"]
     sh_rest: Float[Tensor, "n 15 3"]
     temperature_dc: Float[Tensor, "n 1 1"]
@@ -49,12 +49,13 @@ class Gaussians:
     @property
     def opacity_rgb(self) -> Float[Tensor, "n"]:
         """o_c in (0, 1)."""
-        return self.opacity_rgb_logit.sigmoid()
+        return self.opacity_rgb_logit[:, 0].sigmoid()
 
     @property
     def opacity_thermal(self) -> Float[Tensor, "n"]:
         """o_t in (0, 1)."""
-        return self.opacity_thermal_logit.sigmoid()
+        shares_opacity = self.opacity_thermal_logit.shape[1] == 0
+        return self.opacity_rgb if shares_opacity else self.opacity_thermal_logit[:, 0].sigmoid()
 
     @property
     def sh(self) -> Float[Tensor, "n 16 3"]:

@@ -1,0 +1,78 @@
+"""Real spherical harmonics up to degree 3, with the signs and order that 3DGS stores.
+
+Band l holds m = −l … l: √2 Im Y_l^|m| for m < 0, Y_l^0, √2 Re Y_l^m for m > 0, where Y carries the Condon-Shortley
+phase (hence the minus signs of the odd m).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+MAX_DEGREE = 3
+
+C0 = math.sqrt(1 / (4 * math.pi))
+"""The constant function of degree 0: a plain value v is stored as (v − 0.5) / C0."""
+
+
+def evaluate_sh(
+    dc: Float[Tensor, "n 1 c"], rest: Float[Tensor, "n b c"], directions: Float[Tensor, "n 3"], degree: int
+) -> Float[Tensor, "n c"]:
+    """Sum of coefficients times basis functions; the offset of 0.5 is left to the caller.
+
+    Args:
+        dc: coefficients of degree 0.
+        rest: coefficients of the higher degrees; those it does not hold count as zero (B = 0, 3, 8 or 15).
+        directions: unit vectors from the camera to the Gaussians; not read when only degree 0 counts.
+        degree: highest degree that counts, 0 to 3.
+    """
+    bands = min((degree + 1) ** 2 - 1, rest.shape[1])
+    constant = C0 * dc[:, 0]
+    if bands == 0:
+        return constant
+    basis = torch.stack(_basis(directions, bands), dim=1)
+    return constant + torch.einsum("nb,nbc->nc", basis, rest[:, :bands])
+
+
+def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, "n"]]:
+    """The basis functions of degree 1 and higher, as many as ``bands`` (3, 8 or 15)."""
+    x, y, z = directions.unbind(dim=1)
+    c1 = math.sqrt(3 / (4 * math.pi))
+    functions = [-c1 * y, c1 * z, -c1 * x]
+    if bands >= 8:
+        functions += _degree_two(x, y, z)
+    if bands >= 15:
+        functions += _degree_three(x, y, z)
+    return functions
+
+
+def _degree_two(x: Float[Tensor, "n"], y: Float[Tensor, "n"], z: Float[Tensor, "n"]) -> list[Float[Tensor, "n"]]:
+    c = math.sqrt(15 / (4 * math.pi))
+    c_zonal = math.sqrt(5 / (16 * math.pi))
+    return [
+        c * x * y,
+        -c * y * z,
+        c_zonal * (2 * z * z - x * x - y * y),
+        -c * x * z,
+        0.5 * c * (x * x - y * y),
+    ]
+
+
+def _degree_three(x: Float[Tensor, "n"], y: Float[Tensor, "n"], z: Float[Tensor, "n"]) -> list[Float[Tensor, "n"]]:
+    c3 = math.sqrt(35 / (32 * math.pi))
+    c2 = math.sqrt(105 / (4 * math.pi))
+    c1 = math.sqrt(21 / (32 * math.pi))
+    c_zonal = math.sqrt(7 / (16 * math.pi))
+    xx, yy, zz = x * x, y * y, z * z
+    return [
+        -c3 * y * (3 * xx - yy),
+        c2 * x * y * z,
+        -c1 * y * (4 * zz - xx - yy),
+        c_zonal * z * (2 * zz - 3 * xx - 3 * yy),
+        -c1 * x * (4 * zz - xx - yy),
+        0.5 * c2 * z * (xx - yy),
+        -c3 * x * (xx - 3 * yy),
+    ]

@@ -1,0 +1,126 @@
+"""A model and a camera in, images out: the field gives colours and temperatures, the rasterizer blends them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from mrgs.field import RadianceField
+from mrgs.rasterizer import Blend, Layer, Raster, rasterize
+from mrgs.scene import Camera, Gaussians, View
+
+
+@dataclass
+class Model:
+    """Everything that an image is rendered from.
+
+    Attributes:
+        gaussians: the shared Gaussians.
+        field: what turns their parameters into colours and temperatures.
+        neighbours: of each Gaussian, for the heat transformation, [N, K]; None if the field has none.
+        sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
+        background_rgb: colour seen where nothing is, the same for all channels.
+        background_thermal: normalised temperature seen there.
+    """
+
+    gaussians: Gaussians
+    field: RadianceField
+    neighbours: Int64[Tensor, "n k"] | None
+    sh_degree: int = 3
+    background_rgb: float = 0.0
+    background_thermal: float = 0.0
+
+
+class Rendering(NamedTuple):
+    """What a model shows from one view; None for a modality without a camera.
+
+    Attributes:
+        rgb: image [H, W, 3] (not clamped), depth and alpha [H, W], from the RGB camera.
+        thermal: normalised temperature [H', W', 1] (not clamped), depth and alpha, from the thermal camera.
+    """
+
+    rgb: Blend | None
+    thermal: Blend | None
+
+
+class ScreenPoints(NamedTuple):
+    """The projected centres of one pass, for densification.
+
+    Attributes:
+        offset: zeros, [N, 2]; after the backward pass its gradient is that of the projected centres, in 1/px.
+        radii: [N], 0 where the pass does not draw the Gaussian.
+        size: width and height of the image in pixels.
+    """
+
+    offset: Float[Tensor, "n 2"]
+    radii: Float[Tensor, "n"]
+    size: tuple[int, int]
+
+
+def render_view(model: Model, view: View) -> Rendering:
+    """Render a view from its own cameras; no gradients are kept."""
+    rgb_camera = view.rgb.camera if view.rgb else None
+    thermal_camera = view.thermal.camera if view.thermal else None
+    with torch.no_grad():
+        return render(model, rgb_camera, thermal_camera)[0]
+
+
+def render(
+    model: Model, rgb_camera: Camera | None, thermal_camera: Camera | None
+) -> tuple[Rendering, list[ScreenPoints]]:
+    """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in one pass each.
+
+    Differentiable in the Gaussians' parameters and the field's.
+
+    Returns:
+        the images, and the projected centres of each pass.
+    """
+    if rgb_camera is not None and thermal_camera is not None and rgb_camera.coincides_with(thermal_camera):
+        layers = [_rgb_layer(model, rgb_camera), _thermal_layer(model, rgb_camera)]
+        raster, points = _pass(model, layers, rgb_camera)
+        return Rendering(*raster.blends), [points]
+    blends: dict[str, Blend] = {}
+    passes = []
+    for name, camera, make_layer in (("rgb", rgb_camera, _rgb_layer), ("thermal", thermal_camera, _thermal_layer)):
+        if camera is not None:
+            raster, points = _pass(model, [make_layer(model, camera)], camera)
+            blends[name] = raster.blends[0]
+            passes.append(points)
+    return Rendering(blends.get("rgb"), blends.get("thermal")), passes
+
+
+def _rgb_layer(model: Model, camera: Camera) -> Layer:
+    """o_c and c + ĉ."""
+    gaussians = model.gaussians
+    colors = model.field.colors(gaussians, camera.position.to(gaussians.means), model.sh_degree)
+    return Layer(gaussians.opacity_rgb, colors, colors.new_full((3,), model.background_rgb))
+
+
+def _thermal_layer(model: Model, camera: Camera) -> Layer:
+    """o_t and t + t̂."""
+    gaussians = model.gaussians
+    position = camera.position.to(gaussians.means)
+    temperatures = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree)
+    return Layer(gaussians.opacity_thermal, temperatures, temperatures.new_full((1,), model.background_thermal))
+
+
+def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, ScreenPoints]:
+    gaussians = model.gaussians
+    means = gaussians.means
+    offset = torch.zeros(len(gaussians), 2, dtype=means.dtype, device=means.device, requires_grad=torch.is_grad_enabled())
+    raster = rasterize(
+        means,
+        gaussians.quats,
+        gaussians.scales,
+        layers,
+        camera.viewmat.to(means.device),
+        camera.K.to(means.device),
+        camera.width,
+        camera.height,
+        offset,
+    )
+    return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))

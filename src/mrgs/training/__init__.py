@@ -1,0 +1,7 @@
+"""From a scene folder to a trained run: losses, radiation, optimizers, densification, checkpoints, the loop."""
+
+from mrgs.training.config import METHODS, PRESETS, TrainConfig, make_config
+from mrgs.training.step import StepStatistics
+from mrgs.training.trainer import train
+
+__all__ = ["METHODS", "PRESETS", "StepStatistics", "TrainConfig", "make_config", "train"]

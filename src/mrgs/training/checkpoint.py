@@ -1,0 +1,221 @@
+"""Checkpoints: tensors in safetensors, the rest as JSON in its header. Nothing that is read is ever executed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import safetensors.torch
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from mrgs.atomic import replacing
+from mrgs.errors import RunError
+from mrgs.field import RadianceField
+from mrgs.render import Model
+from mrgs.scene import Gaussians, TemperatureRange
+from mrgs.training.config import TrainConfig
+from mrgs.training.densification import ScreenStatistics
+from mrgs.training.optimizer import GaussianOptimizer
+from mrgs.training.radiation import DepthUncertainty
+from mrgs.training.step import TrainingState
+from mrgs.training.views import ViewSampler
+
+FORMAT = 1
+"""Raised whenever older files can no longer be read."""
+
+
+class CheckpointFacts(NamedTuple):
+    """What a checkpoint says about its run besides the tensors.
+
+    Attributes:
+        step: steps done.
+        scene: absolute path of the scene's folder.
+        extent: of the scene.
+        temperature: the scene's scale; None without known °C.
+        train_seconds: time spent in training so far.
+        peak_memory_bytes: largest memory of the process so far.
+        skipped_steps: steps skipped so far because of values that were not finite.
+    """
+
+    step: int
+    scene: str
+    extent: float
+    temperature: TemperatureRange | None
+    train_seconds: float
+    peak_memory_bytes: int
+    skipped_steps: int
+
+
+def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
+    """Write everything that training needs to go on exactly, in one file that is either whole or not there.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    tensors = {f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()}
+    tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
+    tensors |= {f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()}
+    tensors |= {f"layer_optimizer.{name}": tensor for name, tensor in _layer_moments(state.layer_optimizer).items()}
+    tensors["statistics.gradient_sum"] = state.statistics.gradient_sum
+    tensors["statistics.views"] = state.statistics.views
+    tensors["sampler.waiting"] = state.sampler.state()
+    tensors["generator"] = state.generator.get_state()
+    if state.model.neighbours is not None:
+        tensors["neighbours"] = state.model.neighbours
+    temperature = facts.temperature
+    header = {
+        **facts._asdict(),
+        "format": FORMAT,
+        "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
+        "skipped_in_a_row": state.skipped_in_a_row,
+    }
+    content = safetensors.torch.save(
+        {name: tensor.detach().contiguous() for name, tensor in tensors.items()}, {"mrgs": json.dumps(header)}
+    )
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def load_facts(path: Path) -> CheckpointFacts:
+    """The facts of a checkpoint, without its tensors.
+
+    Raises:
+        RunError: not a whole checkpoint of this format.
+    """
+    return _facts(_read(path, with_tensors=False)[1])
+
+
+def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]:
+    """The model of a checkpoint, to render with.
+
+    Raises:
+        RunError: not a whole checkpoint of this format, or not of this configuration.
+    """
+    tensors, header = _read(path)
+    try:
+        return _model(tensors, config, _facts(header).step), _facts(header)
+    except (KeyError, RuntimeError, TypeError) as error:
+        raise _mismatch(path) from error
+
+
+def load_state(path: Path, config: TrainConfig, view_count: int) -> tuple[TrainingState, CheckpointFacts]:
+    """The whole state of a checkpoint, to train on.
+
+    Args:
+        path: the checkpoint.
+        config: the run's configuration.
+        view_count: number of training views of the scene.
+
+    Raises:
+        RunError: not a whole checkpoint of this format, or not of this configuration.
+    """
+    tensors, header = _read(path)
+    facts = _facts(header)
+    try:
+        model = _model(tensors, config, facts.step)
+        uncertainty = DepthUncertainty()
+        uncertainty.load_state_dict(_below(tensors, "uncertainty."))
+        generator = torch.Generator()
+        generator.set_state(tensors["generator"])
+        state = make_state(model, uncertainty, config, facts.extent, view_count, generator)
+        state.gaussian_optimizer.load_moments(_below(tensors, "gaussians."))
+        _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
+        state.statistics = ScreenStatistics(tensors["statistics.gradient_sum"], tensors["statistics.views"])
+        state.sampler.load(tensors["sampler.waiting"])
+    except (KeyError, RuntimeError, TypeError) as error:
+        raise _mismatch(path) from error
+    state.step = facts.step
+    state.skipped_in_a_row = header["skipped_in_a_row"]
+    return state, facts
+
+
+def make_state(
+    model: Model,
+    uncertainty: DepthUncertainty,
+    config: TrainConfig,
+    extent: float,
+    view_count: int,
+    generator: torch.Generator,
+) -> TrainingState:
+    """A state at step 0: fresh optimizers around a model."""
+    gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, extent)
+    model.gaussians = gaussian_optimizer.gaussians
+    groups = [{"params": list(uncertainty.parameters()), "lr": config.optimizer.uncertainty}]
+    layers = list(model.field.parameters())
+    if layers:
+        groups.append({"params": layers, "lr": config.optimizer.heads})
+    return TrainingState(
+        step=0,
+        model=model,
+        uncertainty=uncertainty,
+        gaussian_optimizer=gaussian_optimizer,
+        layer_optimizer=torch.optim.Adam(groups, fused=True),
+        statistics=ScreenStatistics.empty(len(model.gaussians)),
+        sampler=ViewSampler(view_count, generator),
+        generator=generator,
+    )
+
+
+def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and header of a checkpoint file."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads((file.metadata() or {})["mrgs"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()} if with_tensors else {}  # noqa: SIM118
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise RunError(f"{path} is not a whole checkpoint: delete it and resume from the one before") from error
+    if header.get("format") != FORMAT:
+        raise RunError(f"{path} has checkpoint format {header.get('format')}, this program reads {FORMAT}: train anew")
+    return tensors, header
+
+
+def _facts(header: dict[str, Any]) -> CheckpointFacts:
+    values = {name: header[name] for name in CheckpointFacts._fields}
+    bounds = values["temperature"]
+    return CheckpointFacts(**{**values, "temperature": None if bounds is None else TemperatureRange(*bounds)})
+
+
+def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
+    parameters = _below(tensors, "gaussians.")
+    gaussians = Gaussians(**{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")})
+    field = RadianceField(config.field)
+    field.load_state_dict(_below(tensors, "field."))
+    return Model(
+        gaussians=gaussians,
+        field=field,
+        neighbours=tensors.get("neighbours"),
+        sh_degree=config.sh_degree_at(step),
+        background_rgb=config.background_rgb,
+        background_thermal=config.background_thermal,
+    )
+
+
+def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _layer_parameters(optimizer: torch.optim.Adam) -> list[nn.Parameter]:
+    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
+
+
+def _layer_moments(optimizer: torch.optim.Adam) -> dict[str, Tensor]:
+    """Moments by the place of their parameter."""
+    return {
+        f"{place}.{key}": value
+        for place, parameter in enumerate(_layer_parameters(optimizer))
+        for key, value in optimizer.state.get(parameter, {}).items()
+    }
+
+
+def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor]) -> None:
+    for place, parameter in enumerate(_layer_parameters(optimizer)):
+        state = _below(tensors, f"{place}.")
+        if state:
+            optimizer.state[parameter] = state
+
+
+def _mismatch(path: Path) -> RunError:
+    return RunError(f"{path} does not fit the run's config.yaml: restore the configuration it was trained with")

@@ -1,0 +1,64 @@
+"""The Gaussians that training starts from."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field.spherical_harmonics import C0
+from mrgs.scene import Gaussians, PointCloud
+
+INITIAL_OPACITY = 0.1
+INITIAL_SCALE_NEIGHBOURS = 3
+SMALLEST_DISTANCE = 1e-7
+"""Coincident points still become Gaussians of some size (scene units)."""
+
+
+def initial_gaussians(
+    points: PointCloud,
+    field: RadianceField,
+    shares_opacity: bool,
+    temperature_degree: int,
+    max_gaussians: int,
+    generator: torch.Generator,
+) -> Gaussians:
+    """One isotropic Gaussian per start point, as large as the mean distance to its three nearest points (3DGS).
+
+    Args:
+        points: start points; a random subset if there are more than ``max_gaussians``.
+        field: its frame is set from the points, and it gives e_m its start.
+        shares_opacity: whether both modalities are blended with o_c.
+        temperature_degree: degree of the temperature's spherical harmonics, 0 or 3.
+        max_gaussians: the cap.
+        generator: of the subset.
+    """
+    means, colors = points.positions.clone(), points.colors
+    if len(means) > max_gaussians:
+        chosen = torch.randperm(len(means), generator=generator)[:max_gaussians].sort().values
+        means, colors = means[chosen], colors[chosen]
+    field.set_frame(means)
+    count = len(means)
+    opacity = torch.full((count, 1), math.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)))
+    return Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        log_scales=_spacing(means).log()[:, None].repeat(1, 3),
+        opacity_rgb_logit=opacity,
+        opacity_thermal_logit=opacity[:, :0].clone() if shares_opacity else opacity.clone(),
+        sh_dc=((colors - 0.5) / C0)[:, None],
+        sh_rest=torch.zeros(count, 15, 3),
+        temperature_dc=torch.zeros(count, 1, 1),
+        temperature_rest=torch.zeros(count, (temperature_degree + 1) ** 2 - 1, 1),
+        embedding=field.initial_embedding(means),
+    )
+
+
+def _spacing(means: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+    """Root mean square distance to the nearest points."""
+    neighbours = nearest_neighbours(means, INITIAL_SCALE_NEIGHBOURS)
+    squared = (means[neighbours] - means[:, None]).square().sum(dim=2).mean(dim=1)
+    return squared.sqrt().clamp_min(SMALLEST_DISTANCE)

@@ -1,0 +1,50 @@
+"""How much memory a run will need, and how much the process has used."""
+
+from __future__ import annotations
+
+import sys
+
+from mrgs.scene import Scene
+from mrgs.training.config import TrainConfig
+from mrgs.training.views import CACHE_BYTES
+
+_FLOAT = 4
+_ADAM_COPIES = 4
+"""Parameter, gradient and two moments."""
+
+_BASE_BYTES = 450 * 2**20
+"""Interpreter, torch, Numba and the compiled kernels."""
+
+_RASTER_FLOATS_PER_GAUSSIAN = 160
+"""Projected records and about six tiles per Gaussian with their gradient moments."""
+
+_PIXEL_FLOATS = 150
+"""Images, gradients and SSIM's local moments per pixel."""
+
+
+def estimate_bytes(scene: Scene, config: TrainConfig) -> int:
+    """Peak memory that training will need once the cap on the Gaussians is reached, roughly."""
+    field = config.field
+    parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_degree + 1) ** 2
+    activations = 0
+    if field.residuals:
+        parameters += field.embedding_width
+        inputs = 2 * field.embedding_width + 6 * (field.direction_frequencies + field.position_frequencies)
+        activations = 2 * (inputs + 3 * field.hidden_width + field.thermal_feature_width + 4 * field.neighbours_k)
+    per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
+    count = max(config.densification.max_gaussians, 1)
+    if config.densification.start >= config.max_steps:
+        count = min(count, len(scene.points.positions))
+    pixels = max(sum(camera.width * camera.height for camera in view.cameras) for view in scene.train)
+    photos = sum(4 * _FLOAT * camera.width * camera.height for view in scene.train for camera in view.cameras)
+    return _BASE_BYTES + count * per_gaussian + pixels * _PIXEL_FLOATS * _FLOAT + min(photos, CACHE_BYTES)
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident memory of this process so far; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

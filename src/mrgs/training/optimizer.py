@@ -1,0 +1,142 @@
+"""Adam over the Gaussians. Rows are added and removed here alone, so that parameters and moments stay together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from mrgs.scene import Gaussians
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """Learning rates; those of the Gaussians are 3DGS's.
+
+    Attributes:
+        means: at the first step, in scene extents; decays log-linearly to ``means_final`` at the last step.
+        means_final: at the last step, in scene extents.
+        quats: of the rotations.
+        log_scales: of the logarithms of the scales.
+        opacities: of both opacity logits.
+        sh_dc: of the colour coefficient of degree 0.
+        sh_rest: of the colour coefficients of higher degrees.
+        temperature_dc: of the temperature.
+        temperature_rest: of its higher degrees, where the method has them.
+        embedding: of e_m.
+        heads: of the field's layers.
+        uncertainty: of ψ.
+    """
+
+    means: float = 1.6e-4
+    means_final: float = 1.6e-6
+    quats: float = 1e-3
+    log_scales: float = 5e-3
+    opacities: float = 0.05
+    sh_dc: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+    temperature_dc: float = 2.5e-3
+    temperature_rest: float = 1.25e-4
+    embedding: float = 5e-3
+    heads: float = 5e-4
+    uncertainty: float = 1e-3
+
+    def means_at(self, progress: float) -> float:
+        """Learning rate of the means after this share of the training, in scene extents."""
+        return math.exp((1 - progress) * math.log(self.means) + progress * math.log(self.means_final))
+
+    def of(self, parameter: str) -> float:
+        """Learning rate of a field of ``Gaussians``."""
+        rate: float = getattr(self, "opacities" if parameter.startswith("opacity_") else parameter)
+        return rate
+
+
+class GaussianOptimizer:
+    """Adam over the parameters of the Gaussians.
+
+    Args:
+        gaussians: the start; its tensors become the parameters.
+        config: learning rates.
+        extent: of the scene; multiplies the learning rate of the means.
+    """
+
+    def __init__(self, gaussians: Gaussians, config: OptimizerConfig, extent: float) -> None:
+        self._config = config
+        self._extent = extent
+        self.gaussians = Gaussians(**{name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()})
+        self._adam = torch.optim.Adam(
+            [
+                {"params": [tensor], "lr": config.of(name), "name": name}
+                for name, tensor in self.gaussians.tensors().items()
+                if tensor.numel() > 0
+            ],
+            lr=0.0,
+            eps=1e-15,
+            fused=True,
+        )
+
+    def step(self, progress: float) -> None:
+        """One Adam step from the gradients, which are then cleared; ``progress`` is the share of the training done."""
+        self._group("means")["lr"] = self._config.means_at(progress) * self._extent
+        self._adam.step()
+        self.zero_grad()
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        self._adam.zero_grad(set_to_none=True)
+
+    def gradients_are_finite(self) -> bool:
+        """Whether no gradient holds a NaN or an infinity."""
+        gradients = [tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None]
+        return all(bool(gradient.sum().isfinite()) for gradient in gradients)
+
+    def replace_rows(self, keep: Int64[Tensor, "k"], added: Gaussians) -> None:
+        """Keep these rows, in this order, and append new ones; the new rows' moments start at 0."""
+        for name, addition in added.tensors().items():
+            old = getattr(self.gaussians, name)
+            new = torch.cat([old.detach()[keep], addition.detach()]).requires_grad_()
+            setattr(self.gaussians, name, new)
+            if old.numel() == 0:
+                continue
+            self._group(name)["params"] = [new]
+            state = self._adam.state.pop(old, None)
+            if state is None:
+                continue
+            for moment in _MOMENTS:
+                state[moment] = torch.cat([state[moment][keep], torch.zeros_like(addition)])
+            self._adam.state[new] = state
+
+    @torch.no_grad()
+    def limit_opacities(self, maximum: float) -> None:
+        """3DGS's opacity reset: bring every opacity down to ``maximum`` and clear its moments."""
+        limit = math.log(maximum / (1 - maximum))
+        for name in ("opacity_rgb_logit", "opacity_thermal_logit"):
+            logits = getattr(self.gaussians, name)
+            logits.clamp_(max=limit)
+            for moment in _MOMENTS:
+                if moment in self._adam.state.get(logits, {}):
+                    self._adam.state[logits][moment].zero_()
+
+    def state(self) -> dict[str, Tensor]:
+        """Parameters and moments by name, for a checkpoint."""
+        tensors = {name: tensor.detach() for name, tensor in self.gaussians.tensors().items()}
+        for group in self._adam.param_groups:
+            for key, value in self._adam.state.get(group["params"][0], {}).items():
+                tensors[f"adam.{group['name']}.{key}"] = value
+        return tensors
+
+    def load_moments(self, tensors: dict[str, Tensor]) -> None:
+        """Take the moments of ``state()``; the parameters are those that the optimizer was made with."""
+        for group in self._adam.param_groups:
+            prefix = f"adam.{group['name']}."
+            state = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
+            if state:
+                self._adam.state[group["params"][0]] = state
+
+    def _group(self, name: str) -> dict:
+        return next(group for group in self._adam.param_groups if group["name"] == name)

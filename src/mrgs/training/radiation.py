@@ -1,0 +1,131 @@
+"""Depth-aware thermal radiation and the uncertainty-aware loss (Sec. Learning Depth-aware Thermal Radiation)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from mrgs.errors import ConfigError
+from mrgs.scene.temperature import TemperatureRange
+from mrgs.training.losses import masked_mean
+from mrgs.training.ssim import structural_similarity
+
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""The paper's τ, in W m⁻² K⁻⁴."""
+
+DEPTH_FLOOR = 1e-3
+"""Smallest depth that divides, as a share of the scene's extent."""
+
+
+@dataclass(frozen=True)
+class RadiationConfig:
+    """The weight λ_boltz over the steps (Sec. Implementation Details: decayed from 0.05 to 0.01 during densification).
+
+    Attributes:
+        start: λ_boltz up to ``decay_from``.
+        end: λ_boltz from ``decay_until`` on.
+        decay_from: the step at which the decay starts.
+        decay_until: the step at which it ends.
+    """
+
+    start: float = 0.05
+    end: float = 0.01
+    decay_from: int = 500
+    decay_until: int = 15_000
+
+    def __post_init__(self) -> None:
+        if not (self.start > 0 and self.end > 0):
+            raise ConfigError(f"the weights of L_boltz must be positive, not {self.start} and {self.end}")
+        if not 0 <= self.decay_from < self.decay_until:
+            raise ConfigError(f"L_boltz cannot decay from step {self.decay_from} to step {self.decay_until}")
+
+
+def boltzmann_weight(step: int, config: RadiationConfig) -> float:
+    """λ_boltz of Eq. 20 (final_loss) at a step: log-linear between its two ends, constant outside."""
+    progress = (step - config.decay_from) / (config.decay_until - config.decay_from)
+    if progress <= 0:
+        return config.start
+    if progress >= 1:
+        return config.end
+    return math.exp((1 - progress) * math.log(config.start) + progress * math.log(config.end))
+
+
+def thermal_radiation(
+    target: Float[Tensor, "h w"],
+    depth: Float[Tensor, "h w"],
+    extent: float,
+    temperature: TemperatureRange | None,
+) -> Float[Tensor, "h w"]:
+    """E_r, the radiation that arrives at the camera, up to a constant.
+
+    Eq. 13 (stefan_boltzmann), Sec. Depth-aware Thermal Radiation: τ t_GT⁴ / D_t². Differentiable in the depth where it
+    exceeds its floor of 1e-3 extents.
+
+    Args:
+        target: normalised temperatures of the photo.
+        depth: rendered thermal depth D_t in scene units.
+        extent: the scene's extent in scene units.
+        temperature: turns the target into kelvin; without it the normalised values stand for t_GT, which is not
+            physics: warn the user.
+    """
+    kelvin = target if temperature is None else temperature.to_kelvin(target)
+    return STEFAN_BOLTZMANN * kelvin**4 / depth.clamp_min(DEPTH_FLOOR * extent) ** 2
+
+
+def normalise_radiation(
+    radiation: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None = None
+) -> Float[Tensor, "h w"]:
+    """E_r brought to [0, 1] by its least and largest value, as S-SSIM needs it to have the scale of I_t.
+
+    The two statistics carry no gradient, and come from the valid pixels alone. A flat map becomes 0.
+    """
+    counted = radiation.detach() if valid is None else radiation.detach()[valid]
+    if counted.numel() == 0:
+        return torch.zeros_like(radiation)
+    low, high = counted.min(), counted.max()
+    span = high - low
+    is_flat = span <= 1e-6 * high
+    return torch.where(is_flat, 0, (radiation - low) / torch.where(is_flat, 1, span))
+
+
+class DepthUncertainty(nn.Module):
+    """u(D_t), where the rendered depth is not to be trusted.
+
+    Eq. 15 (uncertainty), Sec. Uncertainty-aware S-SSIM: u = σ(ψ(D_t)) with a 3 × 3 convolution ψ, here on the depth in
+    units of the scene's extent.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.psi = nn.Conv2d(1, 1, kernel_size=3, padding=1)
+
+    def forward(self, depth: Float[Tensor, "h w"], extent: float) -> Float[Tensor, "h w"]:
+        """u in (0, 1) of each pixel; depth and extent in scene units."""
+        response: Tensor = self.psi(depth[None] / extent)
+        return response[0].sigmoid()
+
+
+def boltzmann_loss(
+    thermal: Float[Tensor, "h w"],
+    radiation: Float[Tensor, "h w"],
+    uncertainty: Float[Tensor, "h w"],
+    valid: Bool[Tensor, "h w"] | None = None,
+) -> Float[Tensor, ""]:
+    """L_boltz, the mean over the pixels of (1 − S-SSIM(I_t, E_r)) / exp(u) + u.
+
+    Eq. 16 (L_boltz), Sec. Uncertainty-aware S-SSIM.
+
+    Args:
+        thermal: the rendered thermal image I_t, normalised temperatures.
+        radiation: E_r from ``normalise_radiation``.
+        uncertainty: u(D_t) from ``DepthUncertainty``.
+        valid: pixels that count, all if None; the others are 0 in both maps.
+    """
+    if valid is not None:
+        thermal, radiation = torch.where(valid, thermal, 0), torch.where(valid, radiation, 0)
+    dissimilarity = 1 - structural_similarity(thermal[None], radiation[None])
+    return masked_mean(dissimilarity / uncertainty.exp() + uncertainty, valid)

@@ -1,0 +1,149 @@
+"""The folder of a run: its layout, its lock, its log."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from mrgs.atomic import replacing
+from mrgs.errors import ConfigError, RunError
+from mrgs.training.config import TrainConfig, from_yaml, to_yaml
+
+CHECKPOINTS_KEPT = 2
+
+
+class RunFolder:
+    """``config.yaml``, ``log.jsonl``, ``checkpoints/step_NNNNNN.safetensors``; scores and pictures go beside them."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    @property
+    def config_file(self) -> Path:
+        """The run's whole configuration."""
+        return self.path / "config.yaml"
+
+    @property
+    def log_file(self) -> Path:
+        """One JSON object per logged step."""
+        return self.path / "log.jsonl"
+
+    def checkpoint_file(self, step: int) -> Path:
+        """Where the checkpoint of a step stands."""
+        return self.path / "checkpoints" / f"step_{step:06d}.safetensors"
+
+    def checkpoints(self) -> list[Path]:
+        """All checkpoints, oldest first."""
+        return sorted((self.path / "checkpoints").glob("step_*.safetensors"), key=lambda path: (len(path.name), path))
+
+    def newest_checkpoint(self) -> Path:
+        """The checkpoint to continue or to use.
+
+        Raises:
+            RunError: the folder is not a run, or has no checkpoint yet.
+        """
+        if not self.config_file.is_file():
+            raise RunError(f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` wrote")
+        found = self.checkpoints()
+        if not found:
+            raise RunError(f"{self.path} has no checkpoint yet: train it first")
+        return found[-1]
+
+    def drop_old_checkpoints(self) -> None:
+        """Keep the newest two."""
+        for path in self.checkpoints()[:-CHECKPOINTS_KEPT]:
+            path.unlink()
+
+    def start(self, config: TrainConfig) -> None:
+        """Make a new run of an empty or missing folder.
+
+        Raises:
+            RunError: the folder holds a run, or cannot be written.
+        """
+        if self.config_file.exists():
+            raise RunError(f"{self.path} already holds a run: continue it with --resume, or choose another --output")
+        with replacing(self.config_file) as temporary:
+            temporary.write_text(to_yaml(config), encoding="utf-8")
+
+    def read_config(self) -> TrainConfig:
+        """The run's configuration.
+
+        Raises:
+            RunError: the folder is not a run, or its configuration cannot be used.
+        """
+        try:
+            return from_yaml(self.config_file.read_text(encoding="utf-8"), str(self.config_file))
+        except (OSError, UnicodeDecodeError) as error:
+            raise RunError(
+                f"{self.path} is not a run: its config.yaml cannot be read; name a folder that `mrgs train` wrote"
+            ) from error
+        except ConfigError as error:
+            raise RunError(f"{error}; mend the file or train anew") from error
+
+    def append_log(self, entry: dict[str, Any]) -> None:
+        """Add a line to the log."""
+        with self.log_file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry) + "\n")
+
+    def cut_log(self, step: int) -> None:
+        """Drop the lines behind a step, which a resumed run writes again."""
+        if not self.log_file.exists():
+            return
+        lines = self.log_file.read_text(encoding="utf-8").splitlines()
+        kept = [line for line in lines if _step_of(line) <= step]
+        with replacing(self.log_file) as temporary:
+            temporary.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the folder for this process.
+
+        Raises:
+            RunError: another process that is still alive holds it.
+        """
+        lock = self.path / ".lock"
+        self.path.mkdir(parents=True, exist_ok=True)
+        for _ in range(2):
+            try:
+                descriptor = os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+                break
+            except FileExistsError:
+                holder = _holder_of(lock)
+                if holder is not None:
+                    raise RunError(
+                        f"{self.path} is in use by another run (process {holder}): "
+                        "wait for it, or choose another --output"
+                    ) from None
+                with suppress(FileNotFoundError):
+                    lock.unlink()
+        else:
+            raise RunError(f"{self.path} is in use by another run: wait for it, or choose another --output")
+        with os.fdopen(descriptor, "w") as file:
+            file.write(str(os.getpid()))
+        try:
+            yield
+        finally:
+            with suppress(FileNotFoundError):
+                lock.unlink()
+
+
+def _step_of(line: str) -> int:
+    """The step of a log line; a torn last line counts as behind everything."""
+    try:
+        return int(json.loads(line)["step"])
+    except (ValueError, KeyError, TypeError):
+        return 2**62
+
+
+def _holder_of(lock: Path) -> int | None:
+    """The living process that holds a lock; None if it has died."""
+    try:
+        process = int(lock.read_text())
+        os.kill(process, 0)
+    except (OSError, ValueError) as error:
+        return process if isinstance(error, PermissionError) else None
+    return process

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
+from mrgs.field.spherical_harmonics import C0, evaluate_sh
+from mrgs.scene import Gaussians
+
+CAMERA = torch.tensor([0.0, 0.0, -4.0], dtype=torch.float64)
+
+
+def make_gaussians(field: RadianceField, count: int = 40, temperature_bands: int = 0) -> Gaussians:
+    generator = torch.Generator().manual_seed(1)
+
+    def random(*shape: int) -> torch.Tensor:
+        return torch.randn(count, *shape, generator=generator)
+
+    means = random(3)
+    field.set_frame(means)
+    return Gaussians(
+        means=means,
+        quats=random(4),
+        log_scales=random(3),
+        opacity_rgb_logit=random(1),
+        opacity_thermal_logit=random(1),
+        sh_dc=random(1, 3),
+        sh_rest=random(15, 3),
+        temperature_dc=random(1, 1),
+        temperature_rest=random(temperature_bands, 1),
+        embedding=field.initial_embedding(means),
+    )
+
+
+def make_field(**options) -> RadianceField:
+    torch.manual_seed(0)
+    return RadianceField(FieldConfig(**options))
+
+
+@pytest.mark.parametrize("residuals", [True, False])
+def test_colors_are_clamped_harmonics_plus_the_residual(residuals):
+    field = make_field(residuals=residuals)
+    gaussians = make_gaussians(field)
+    directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
+    expected = (evaluate_sh(gaussians.sh_dc, gaussians.sh_rest, directions, 2) + 0.5).clamp_min(0)
+    if residuals:
+        expected = expected + field.color_head(gaussians.embedding, directions)
+    torch.testing.assert_close(field.colors(gaussians, CAMERA, 2), expected)
+
+
+def test_temperatures_are_the_papers_chain():
+    field = make_field()
+    gaussians = make_gaussians(field)
+    neighbours = nearest_neighbours(gaussians.means, 8)
+    e_t = field.extraction(gaussians.embedding, gaussians.sh)
+    features = field.thermal_head(e_t, (gaussians.means - field.center) / field.scale)
+    refined = field.heat(features, gaussians.opacity_thermal, neighbours)
+    expected = C0 * gaussians.temperature_dc[:, 0] + 0.5 + 0.01 * field.temperature_output(refined)
+    torch.testing.assert_close(field.temperatures(gaussians, neighbours, CAMERA, 3), expected)
+
+
+def test_temperatures_do_not_depend_on_the_view():
+    field = make_field()
+    gaussians = make_gaussians(field)
+    neighbours = nearest_neighbours(gaussians.means, 8)
+    here = field.temperatures(gaussians, neighbours, CAMERA, 3)
+    assert torch.equal(here, field.temperatures(gaussians, neighbours, -2 * CAMERA, 0))
+    assert not torch.allclose(field.colors(gaussians, CAMERA, 3), field.colors(gaussians, -2 * CAMERA, 3))
+
+
+def test_baseline_treats_temperature_like_a_colour():
+    field = make_field(residuals=False)
+    gaussians = make_gaussians(field, temperature_bands=15)
+    directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
+    sh = evaluate_sh(gaussians.temperature_dc, gaussians.temperature_rest, directions, 3)
+    torch.testing.assert_close(field.temperatures(gaussians, None, CAMERA, 3), (sh + 0.5).clamp_min(0))
+    assert gaussians.embedding.shape == (40, 0)
+    assert not list(field.parameters())
+
+
+@pytest.mark.parametrize(
+    "options", [{"neighbours_n": 3}, {"neighbours_n": 1}, {"neighbours_n": 2, "fourier": False}, {"residuals": False}]
+)
+def test_rows_give_the_same_values_as_all(options):
+    field = make_field(**options)
+    gaussians = make_gaussians(field)
+    k = field.config.neighbours_k
+    neighbours = nearest_neighbours(gaussians.means, k) if k else None
+    rows = torch.tensor([7, 3, 39, 20])
+    torch.testing.assert_close(field.colors(gaussians, CAMERA, 3, rows), field.colors(gaussians, CAMERA, 3)[rows])
+    torch.testing.assert_close(
+        field.temperatures(gaussians, neighbours, CAMERA, 3, rows),
+        field.temperatures(gaussians, neighbours, CAMERA, 3)[rows],
+    )
+
+
+def test_every_parameter_and_the_thermal_inputs_get_a_gradient():
+    field = make_field()
+    gaussians = make_gaussians(field)
+    for tensor in gaussians.tensors().values():
+        tensor.requires_grad_()
+    neighbours = nearest_neighbours(gaussians.means, 8)
+    temperatures = field.temperatures(gaussians, neighbours, CAMERA, 3)
+    (field.colors(gaussians, CAMERA, 3).square().sum() + temperatures.square().sum()).backward()
+    for name, parameter in field.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.abs().sum() > 0, name
+    for name in ("means", "opacity_thermal_logit", "sh_dc", "sh_rest", "temperature_dc", "embedding"):
+        assert getattr(gaussians, name).grad.abs().sum() > 0, name
+
+
+def test_start_is_close_to_the_plain_values():
+    field = make_field()
+    gaussians = make_gaussians(field)
+    plain = make_field(residuals=False)
+    difference = field.colors(gaussians, CAMERA, 3) - plain.colors(gaussians, CAMERA, 3)
+    assert difference.abs().max() < 0.02
+
+
+def test_the_same_seed_gives_the_same_field_and_state_restores_it():
+    field, twin = make_field(), make_field()
+    make_gaussians(field)
+    for name, parameter in field.named_parameters():
+        assert torch.equal(parameter, twin.get_parameter(name))
+    twin.load_state_dict(field.state_dict())
+    assert torch.equal(field.center, twin.center)
+    assert torch.equal(field.scale, twin.scale)
+
+
+def test_missing_neighbours_are_named():
+    field = make_field()
+    with pytest.raises(ValueError, match="the heat transformation needs the 8 nearest neighbours"):
+        field.temperatures(make_gaussians(field), None, CAMERA, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "k"),
+    [({}, 8), ({"neighbours_n": 1}, 0), ({"neighbours_n": 5}, 24), ({"fourier": False}, 0), ({"residuals": False}, 0)],
+)
+def test_number_of_neighbours(options, k):
+    assert FieldConfig(**options).neighbours_k == k
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"embedding_width": 20}, "embedding_width must be a positive multiple of 6, not 20"),
+        ({"position_frequencies": -1}, "position_frequencies must be 0 or more, not -1"),
+        ({"neighbours_n": 0}, "neighbours_n must be 1 or more, not 0"),
+    ],
+)
+def test_impossible_configurations_are_named(options, message):
+    with pytest.raises(ConfigError, match=message):
+        dataclasses.replace(FieldConfig(), **options)

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.training.losses import LossConfig, photometric_loss, smoothness_loss, total_loss, total_variation
+from mrgs.training.ssim import ssim_map
+
+
+def image(height: int, width: int, channels: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(height, width, channels, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_photometric_loss_is_l1_and_dssim(channels):
+    render, target = image(20, 25, channels), image(20, 25, channels, seed=1)
+    dissimilarity = 1 - ssim_map(render.permute(2, 0, 1), target.permute(2, 0, 1)).mean()
+    expected = 0.8 * (render - target).abs().mean() + 0.2 * dissimilarity
+    torch.testing.assert_close(photometric_loss(render, target, None, 0.2), expected)
+    torch.testing.assert_close(photometric_loss(render, target, None, 0.0), (render - target).abs().mean())
+
+
+def test_equal_images_cost_nothing():
+    target = image(20, 25, 3)
+    assert photometric_loss(target, target, None, 0.2).abs() < 1e-12
+
+
+def test_all_pixels_valid_is_the_same_as_no_mask():
+    render, target = image(20, 25, 3), image(20, 25, 3, seed=1)
+    everywhere = torch.ones(20, 25, dtype=torch.bool)
+    torch.testing.assert_close(
+        photometric_loss(render, target, everywhere, 0.2), photometric_loss(render, target, None, 0.2)
+    )
+
+
+def test_invalid_pixels_neither_cost_nor_pull():
+    target = image(20, 25, 3, seed=1)
+    valid = torch.zeros(20, 25, dtype=torch.bool)
+    valid[:, :10] = True
+    render = torch.where(valid[:, :, None], target, torch.tensor(9.0, dtype=torch.float64)).requires_grad_()
+    loss = photometric_loss(render, target, valid, 0.2)
+    assert loss.abs() < 1e-12
+
+    shifted = (target + 0.1).requires_grad_()
+    (gradient,) = torch.autograd.grad(photometric_loss(shifted, target, valid, 0.2), shifted)
+    assert (gradient[~valid] == 0).all()
+    assert (gradient[valid] != 0).all()
+
+
+def test_nothing_valid_costs_nothing():
+    render = image(12, 12, 1).requires_grad_()
+    loss = photometric_loss(render, image(12, 12, 1, seed=1), torch.zeros(12, 12, dtype=torch.bool), 0.2)
+    assert loss == 0
+    (gradient,) = torch.autograd.grad(loss, render)
+    assert (gradient == 0).all()
+
+
+def test_photometric_gradient():
+    render, target = image(6, 7, 2).requires_grad_(), image(6, 7, 2, seed=1)
+    assert torch.autograd.gradcheck(lambda render: photometric_loss(render, target, None, 0.2), render)
+
+
+def test_constants_are_smooth():
+    constant, depth = torch.full((8, 9, 3), 0.4), torch.full((8, 9), 5.0)
+    assert smoothness_loss(constant, depth, constant, 2.0, LossConfig()) == 0
+
+
+def test_smoothness_is_the_mean_of_first_differences():
+    ramp = 0.1 * torch.arange(6, dtype=torch.float64).expand(5, 6)
+    depth = 4 * torch.arange(5, dtype=torch.float64)[:, None].expand(5, 6)
+    config = LossConfig(smooth_image=2.0, smooth_depth=0.5)
+    loss = smoothness_loss(ramp[:, :, None], depth, ramp[:, :, None], 8.0, config)
+    assert loss.item() == pytest.approx(2.0 * 0.1 + 0.5 * 4 / 8)
+
+
+def test_edges_of_the_photo_cut_the_weight():
+    step = torch.zeros(4, 4, 1, dtype=torch.float64)
+    step[:, 2:] = 1.0
+    depth = step[:, :, 0]
+    plain = smoothness_loss(step, depth, step, 1.0, LossConfig())
+    aware = smoothness_loss(step, depth, step, 1.0, LossConfig(edge_aware=True, beta=3.0))
+    assert aware.item() == pytest.approx(plain.item() * math.exp(-3.0))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 6), (1, 6, 1)])
+def test_thin_images_have_a_finite_variation(shape):
+    assert total_variation(torch.rand(shape)).isfinite()
+
+
+def test_total_loss_weighs_its_terms():
+    values = {"rgb": 1.0, "thermal": 2.0, "smooth": 3.0, "boltzmann": 4.0}
+    terms = {name: torch.tensor(value) for name, value in values.items()}
+    assert total_loss(terms, 0.6, 0.05).item() == pytest.approx(1 + 2 + 0.6 * 3 + 0.05 * 4)
+    assert total_loss({"thermal": torch.tensor(2.0)}, 0.6, 0.05).item() == 2
+
+
+def test_total_loss_refuses_what_it_does_not_know():
+    with pytest.raises(KeyError, match="tempreature"):
+        total_loss({"tempreature": torch.tensor(1.0)}, 0.6, 0.05)
+    with pytest.raises(ValueError, match="a loss needs at least one term"):
+        total_loss({}, 0.6, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dssim": 1.5}, "dssim must lie between 0 and 1, not 1.5"),
+        ({"smooth": -1.0}, "smooth must be 0 or more, not -1.0"),
+        ({"beta": float("nan")}, "beta must be 0 or more, not nan"),
+    ],
+)
+def test_impossible_weights_are_named(options, message):
+    with pytest.raises(ConfigError, match=message):
+        LossConfig(**options)

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.scene import TemperatureRange
+from mrgs.training.radiation import (
+    STEFAN_BOLTZMANN,
+    DepthUncertainty,
+    RadiationConfig,
+    boltzmann_loss,
+    boltzmann_weight,
+    normalise_radiation,
+    thermal_radiation,
+)
+
+RANGE = TemperatureRange(min_c=-10.0, max_c=50.0)
+
+
+def plane(height: int = 14, width: int = 16, seed: int = 0) -> torch.Tensor:
+    return torch.rand(height, width, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def test_radiation_is_that_of_a_black_body_seen_from_a_distance():
+    target = torch.tensor([[0.5]], dtype=torch.float64)
+    depth = torch.tensor([[2.0]], dtype=torch.float64)
+    kelvin = 20 + 273.15
+    assert thermal_radiation(target, depth, 1.0, RANGE).item() == pytest.approx(5.670374419e-8 * kelvin**4 / 4)
+    assert thermal_radiation(target, depth, 1.0, None).item() == pytest.approx(STEFAN_BOLTZMANN * 0.5**4 / 4)
+
+
+def test_depth_has_a_floor():
+    target, depth = plane(2, 2), torch.zeros(2, 2, dtype=torch.float64)
+    assert torch.equal(
+        thermal_radiation(target, depth, 4.0, RANGE), thermal_radiation(target, depth + 0.004, 4.0, RANGE)
+    )
+
+
+def test_gradients():
+    target, depth = plane(), (1 + plane(seed=1)).requires_grad_()
+    radiation = thermal_radiation(target, depth, 1.0, RANGE).detach().requires_grad_()
+    uncertainty = plane(seed=2).requires_grad_()
+    thermal = plane(seed=3).requires_grad_()
+    assert torch.autograd.gradcheck(lambda depth: thermal_radiation(target, depth, 1.0, RANGE), depth)
+    scaled = normalise_radiation(radiation).detach().requires_grad_()
+    assert torch.autograd.gradcheck(boltzmann_loss, (thermal, scaled, uncertainty))
+
+
+def test_normalised_radiation_spans_zero_to_one_and_its_statistics_carry_no_gradient():
+    radiation = (100 + 50 * plane()).requires_grad_()
+    scaled = normalise_radiation(radiation)
+    assert scaled.min() == 0
+    assert scaled.max() == 1
+    (gradient,) = torch.autograd.grad(scaled.sum(), radiation)
+    span = (radiation.max() - radiation.min()).detach()
+    torch.testing.assert_close(gradient, torch.ones_like(radiation) / span)
+
+
+def test_normalisation_looks_at_valid_pixels_alone():
+    radiation = 1 + plane()
+    radiation[0, 0] = 1e9
+    valid = torch.ones_like(radiation, dtype=torch.bool)
+    valid[0, 0] = False
+    assert normalise_radiation(radiation, valid)[valid].max() == 1
+    assert (normalise_radiation(radiation, torch.zeros_like(valid)) == 0).all()
+
+
+@pytest.mark.parametrize("temperature", [RANGE, None])
+@pytest.mark.parametrize("depth", [torch.zeros(12, 12), torch.full((12, 12), 3.0)], ids=["no depth", "flat depth"])
+@pytest.mark.parametrize("level", [0.0, 0.5])
+def test_degenerate_inputs_have_finite_values_and_gradients(temperature, depth, level):
+    torch.manual_seed(0)
+    depth = depth.clone().requires_grad_()
+    thermal = torch.full((12, 12), level, requires_grad=True)
+    radiation = normalise_radiation(thermal_radiation(thermal.detach(), depth, 5.0, temperature))
+    loss = boltzmann_loss(thermal, radiation, DepthUncertainty()(depth, 5.0))
+    assert loss.isfinite()
+    for gradient in torch.autograd.grad(loss, (depth, thermal)):
+        assert gradient.isfinite().all()
+
+
+def test_uncertainty_is_a_convolution_of_the_scaled_depth():
+    torch.manual_seed(0)
+    module = DepthUncertainty().double()
+    depth = plane(9, 10)
+    expected = torch.nn.functional.conv2d(depth[None, None] / 3, module.psi.weight, module.psi.bias, padding=1)
+    torch.testing.assert_close(module(depth, 3.0), expected[0, 0].sigmoid())
+
+
+def test_agreement_costs_the_uncertainty_alone():
+    thermal = plane()
+    loss = boltzmann_loss(thermal, thermal, torch.full_like(thermal, 0.3))
+    assert loss.item() == pytest.approx(0.3)
+
+
+def test_uncertainty_forgives_disagreement():
+    thermal = plane()
+    disagreement = boltzmann_loss(thermal, 1 - thermal, torch.zeros_like(thermal)).item()
+    assert disagreement > 1
+    forgiven = boltzmann_loss(thermal, 1 - thermal, torch.full_like(thermal, 0.5)).item()
+    assert forgiven == pytest.approx(disagreement / math.exp(0.5) + 0.5)
+
+
+def test_invalid_pixels_do_not_count():
+    thermal, radiation, uncertainty = plane(), plane(seed=1), plane(seed=2)
+    valid = plane(seed=3) > 0.3
+    spoilt = torch.where(valid, radiation, 1e6)
+    torch.testing.assert_close(
+        boltzmann_loss(thermal, spoilt, uncertainty, valid), boltzmann_loss(thermal, radiation, uncertainty, valid)
+    )
+
+
+def test_weight_decays_between_its_ends():
+    config = RadiationConfig()
+    for step, weight in ((0, 0.05), (500, 0.05), (7750, math.sqrt(0.05 * 0.01)), (15_000, 0.01), (30_000, 0.01)):
+        assert boltzmann_weight(step, config) == pytest.approx(weight)
+
+
+def test_impossible_schedules_are_named():
+    with pytest.raises(ConfigError, match=r"the weights of L_boltz must be positive, not 0\.0 and 0\.01"):
+        RadiationConfig(start=0.0)
+    with pytest.raises(ConfigError, match="L_boltz cannot decay from step 500 to step 500"):
+        RadiationConfig(decay_until=500)
