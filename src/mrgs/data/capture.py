@@ -1,0 +1,90 @@
+"""What a layout's reader hands on: images with lenses and poses, before splitting, undistortion and decoding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.data.lens import Lens
+from mrgs.scene import PointCloud
+
+
+class Notes:
+    """Collects what the reader decided or mended, one sentence each.
+
+    Attributes:
+        all: every sentence in order, for ``Scene.notes``.
+        mended: those that the user should also be warned of: something in the files was wrong.
+    """
+
+    def __init__(self) -> None:
+        self.all: list[str] = []
+        self.mended: list[str] = []
+
+    def decide(self, text: str) -> None:
+        """Record a decision."""
+        self.all.append(text)
+
+    def mend(self, text: str) -> None:
+        """Record a repair."""
+        self.all.append(text)
+        self.mended.append(text)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSource:
+    """An image file with its lens and pose.
+
+    Attributes:
+        path: the image.
+        lens: intrinsics and distortion in pixels of the file.
+        viewmat: world to camera, OpenCV axes, [4, 4].
+        mask: an image of the same size, black where pixels are to be ignored; None if all count.
+    """
+
+    path: Path
+    lens: Lens
+    viewmat: Float64[Tensor, "4 4"]
+    mask: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What becomes a view. ``key`` is the path of its images without extension; it decides the name and the split."""
+
+    key: str
+    rgb: ImageSource | None
+    thermal: ImageSource | None
+
+
+@dataclass(frozen=True)
+class FilenameLists:
+    """The explicit split of nerfstudio: keys of the training and of the evaluation images; None where not given."""
+
+    train: frozenset[str] | None = None
+    eval: frozenset[str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A scene folder, understood but not decoded.
+
+    Attributes:
+        root: the folder, resolved.
+        source: the file that names the images, for messages.
+        shots: in the file's order; never empty.
+        points: start points from the files; None if there are none.
+        lists: the explicit split, if the files give one.
+        notes: what was decided and mended on the way.
+    """
+
+    root: Path
+    source: Path
+    shots: Sequence[Shot]
+    points: PointCloud | None
+    notes: Notes
+    lists: FilenameLists = field(default_factory=FilenameLists)

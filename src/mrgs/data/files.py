@@ -1,0 +1,147 @@
+"""Opening files that strangers wrote: bounded, and never outside the scene's folder."""
+
+from __future__ import annotations
+
+import json
+import reprlib
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from mrgs.errors import SceneError
+
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+MAX_FILE_BYTES = 4 * 2**30
+MAX_JSON_BYTES = 256 * 2**20
+MAX_MAGNITUDE = 1e7
+"""Larger positions, pixel counts and focal lengths are taken for damage: float32 could not tell their places apart."""
+
+
+def scene_error(file: Path | str, problem: str) -> SceneError:
+    """An error of one line that names the file first."""
+    return SceneError(f"{file}: {problem}".replace("\n", " "))
+
+
+def shown(value: object) -> str:
+    """A stranger's value, shortened and on one line, to be quoted in a message."""
+    return reprlib.repr(value)
+
+
+def contained(root: Path, relative: str, named_in: Path | str) -> Path:
+    """The path ``relative`` below ``root`` (already resolved), which need not exist.
+
+    Raises:
+        SceneError: the path is absolute or leaves the folder, by ``..`` or by a symbolic link.
+    """
+    try:
+        path = root / relative.replace("\\", "/")
+        outside = not path.resolve().is_relative_to(root) or Path(relative).is_absolute()
+    except (ValueError, OSError, RuntimeError):  # a null byte, a name that is too long, a loop of links
+        raise scene_error(named_in, f"{shown(relative)} is not a usable path; correct it") from None
+    if outside:
+        raise scene_error(
+            named_in,
+            f"the path {shown(relative)} leaves the scene folder; put the file inside, and name it relative to it",
+        )
+    return path
+
+
+def is_file(path: Path) -> bool:
+    """``Path.is_file``, False for names that the file system refuses."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
+    """The file's content.
+
+    Raises:
+        SceneError: the file cannot be read, is not a regular file, or is larger than ``limit`` bytes.
+    """
+    try:
+        if path.exists() and not path.is_file():  # reading a pipe would wait forever
+            raise scene_error(path, "is not a file; check that the path is right")
+        size = path.stat().st_size
+        if size > limit:
+            raise scene_error(path, f"is {size} bytes long, more than the limit of {limit}; this cannot be right")
+        return path.read_bytes()
+    except OSError as error:
+        raise scene_error(path, f"cannot be read ({error.strerror}); check that it exists and is readable") from None
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+        SceneError: the file cannot be read, is not JSON, or holds something other than an object.
+    """
+    try:
+        content = json.loads(read_bytes(path, MAX_JSON_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise scene_error(path, f"is not valid JSON ({error}); repair or export it again") from None
+    if not isinstance(content, dict):
+        raise scene_error(path, f"holds {shown(content)} where a JSON object {{...}} is expected; export it again")
+    return content
+
+
+def finite_number(value: object, name: str, file: Path | str) -> float:
+    """A number from a JSON file as a float.
+
+    Raises:
+        SceneError: not a number, not finite, or larger in magnitude than any real capture needs.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise scene_error(file, f"{name} is {shown(value)}, not a number; correct it")
+    if not abs(value) <= MAX_MAGNITUDE:  # false for NaN too; an integer need not fit into a float
+        raise scene_error(file, f"{name} is {shown(value)}, not a plausible number; correct it")
+    return float(value)
+
+
+def without_image_suffix(name: str) -> str:
+    """A name or a path without its image extension; other dots in it are kept."""
+    suffix = PurePosixPath(name).suffix
+    return name[: -len(suffix)] if suffix.lower() in IMAGE_SUFFIXES else name
+
+
+class ImageFinder:
+    """Finds image files in the scene's folder by stem; each folder is listed once."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._listings: dict[Path, dict[str, list[Path]]] = {}
+
+    def find(self, relative: str, named_in: Path | str) -> Path | None:
+        """The image ``relative``, or the one in the same folder that differs in the extension only; None if absent.
+
+        Raises:
+            SceneError: the path leaves the scene's folder.
+        """
+        path = contained(self._root, relative, named_in)
+        if path.suffix.lower() in IMAGE_SUFFIXES and is_file(path):
+            return path
+        matches = self._listing(path.parent).get(without_image_suffix(path.name), [])
+        return contained(self._root, str(matches[0].relative_to(self._root)), named_in) if matches else None
+
+    def find_mask(self, folder: str, image: str, named_in: Path | str) -> Path | None:
+        """The mask of an image in a folder: of the same stem, or named like COLMAP's, ``image.jpg.png``."""
+        return self.find(f"{folder}/{image}", named_in) or self.find(f"{folder}/{image}.png", named_in)
+
+    def tree(self, folder: Path) -> dict[str, Path]:
+        """Images in ``folder`` and its direct subfolders: path below ``folder`` without extension -> file, sorted."""
+        if not folder.is_dir():
+            return {}
+        found: dict[str, Path] = {}
+        for directory in [folder, *sorted(child for child in folder.iterdir() if child.is_dir())]:
+            for stem, paths in self._listing(directory).items():
+                found[(directory.relative_to(folder) / stem).as_posix()] = paths[0]
+        return {key: contained(self._root, str(found[key].relative_to(self._root)), folder) for key in sorted(found)}
+
+    def _listing(self, folder: Path) -> dict[str, list[Path]]:
+        if folder not in self._listings:
+            listing: dict[str, list[Path]] = {}
+            for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+                if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+                    listing.setdefault(without_image_suffix(path.name), []).append(path)
+            self._listings[folder] = listing
+        return self._listings[folder]

@@ -1,0 +1,134 @@
+"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and nothing larger than 80 megapixels.
+
+The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32
+from PIL import Image
+from torch import Tensor
+
+from mrgs.data.files import scene_error
+from mrgs.errors import SceneError
+
+MAX_PIXELS = 80_000_000
+"""Larger images are refused unread. Below Pillow's own limit, so that its global setting need not be touched."""
+
+Kind = Literal["grey", "colour", "float"]
+"""One channel of integers, three channels of integers, or one channel of floats (a TIFF in °C)."""
+
+
+@dataclass(frozen=True)
+class ImageInfo:
+    """What the header of an image file says."""
+
+    width: int
+    height: int
+    kind: Kind
+
+
+def probe(path: Path) -> ImageInfo:
+    """Size and kind of an image, from its header alone.
+
+    Raises:
+        SceneError: not an image, too large, or pixels of a type that is not supported.
+    """
+    with _opened(path) as image:
+        return ImageInfo(image.width, image.height, _kind(image, path))
+
+
+class Decoded(NamedTuple):
+    """The pixels of an image file.
+
+    Attributes:
+        values: [H, W, C]; integers scaled to [0, 1] by the largest value of their type (8 or 16 bit), floats as they
+            are; C = 1 for grey and float images, 3 for colour.
+        valid: [H, W], False where a pixel is transparent (alpha under one half) or not finite (its value is then 0);
+            None if all are usable.
+        kind: what the file holds.
+    """
+
+    values: Float32[Tensor, "h w c"]
+    valid: Bool[Tensor, "h w"] | None
+    kind: Kind
+
+
+def decode(path: Path) -> Decoded:
+    """The pixels of an image.
+
+    Raises:
+        SceneError: the file cannot be decoded: damaged, cut off, or refused by ``probe``.
+    """
+    with _opened(path) as image:
+        kind = _kind(image, path)
+        if kind == "float":
+            values = np.array(image, dtype=np.float32)
+            finite = np.isfinite(values)
+            return Decoded(torch.from_numpy(np.where(finite, values, np.float32(0))[..., None]), _mask(finite), kind)
+        if image.mode.startswith("I"):
+            return Decoded(torch.from_numpy(np.array(image, dtype=np.float32)[..., None] / 65535), None, kind)
+        converted = image.convert(_eight_bit_mode(image, kind))
+        pixels = np.asarray(converted, dtype=np.uint8)
+    pixels = pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
+    channels = 1 if kind == "grey" else 3
+    valid = _mask(pixels[..., channels] >= 128) if pixels.shape[2] > channels else None
+    return Decoded(torch.from_numpy(pixels[..., :channels].astype(np.float32) / 255), valid, kind)
+
+
+def decode_mask(path: Path) -> Bool[Tensor, "h w"]:
+    """A mask image: False where it is black.
+
+    Raises:
+        SceneError: see ``decode``.
+    """
+    return (decode(path).values > 0).any(dim=-1)
+
+
+def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
+    return None if usable.all() else torch.from_numpy(usable)
+
+
+def _kind(image: Image.Image, path: Path) -> Kind:
+    mode = image.mode
+    if mode == "F":
+        return "float"
+    # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose range is unknown.
+    if mode in {"1", "L", "LA", "La"} or mode.startswith("I;16") or (mode == "I" and image.format == "PNG"):
+        return "grey"
+    if mode in {"P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV"}:
+        return "colour"
+    raise scene_error(path, f"has pixels of type {mode}; save it with 8 or 16 bits per channel, or as 32-bit float")
+
+
+def _eight_bit_mode(image: Image.Image, kind: Kind) -> str:
+    has_alpha = image.mode.endswith(("A", "a")) or "transparency" in image.info
+    if kind == "grey":
+        return "LA" if has_alpha else "L"
+    return "RGBA" if has_alpha else "RGB"
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """Pillow's image, with every failure of opening or decoding it turned into a SceneError."""
+    too_large = f"has more than {MAX_PIXELS // 10**6} megapixels; reduce it before use"
+    try:
+        with Image.open(path, formats=("PNG", "JPEG", "TIFF")) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise scene_error(path, too_large)
+            yield image
+    except SceneError:
+        raise
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+        raise scene_error(path, too_large) from None
+    # Damaged files make Pillow's plugins raise almost anything: OSError, SyntaxError, ValueError, struct.error, ...
+    except Exception as error:
+        raise scene_error(path, f"cannot be decoded as an image ({error}); replace the file") from None

@@ -1,0 +1,141 @@
+"""Open a scene folder: recognise its layout, check it, and describe it as a Scene."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from mrgs.data.capture import Capture, Shot
+from mrgs.data.colmap import read_colmap
+from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
+from mrgs.data.files import scene_error
+from mrgs.data.nerfstudio import find_transforms, read_transforms
+from mrgs.data.points import RANDOM_POINTS, random_points
+from mrgs.data.posed import check_files, decode_rgb, posed_image
+from mrgs.data.splits import Split, assign_splits
+from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
+from mrgs.errors import ConfigError, MrgsWarning
+from mrgs.scene import Scene, TemperatureRange, View
+
+
+def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
+    """Read a scene folder.
+
+    Understood are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`) and, where there is
+    none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see :mod:`mrgs.data.colmap`). All headers are
+    checked here; pixels are decoded, undistorted to a pinhole (:func:`mrgs.data.undistort.pinhole_of`) and reduced
+    only when ``PosedImage.load`` is called. Masks come from the file's ``mask_path`` and ``thermal_mask_path``, or from
+    the folders ``masks/`` and ``thermal_masks/``: black pixels are not valid.
+
+    Args:
+        path: the folder, or its transforms file.
+        resolution: images wider than this many pixels are reduced to this width, each for itself; None keeps them.
+        seed: for the start points, where the files hold none.
+
+    Raises:
+        SceneError: the folder cannot be used; one line that names the file and says what to do.
+        ConfigError: ``resolution`` is not positive.
+
+    Warns:
+        MrgsWarning: something in the files was mended. Decisions are in ``Scene.notes`` only.
+    """
+    if resolution is not None and resolution < 1:
+        raise ConfigError(f"resolution is {resolution}; it is a width in pixels and must be at least 1")
+    try:
+        capture = _recognise(Path(path))
+        scene = _assemble(capture, resolution, seed)
+    except OSError as error:  # a folder that may not be listed, a disk that failed
+        raise scene_error(error.filename or path, f"cannot be read ({error.strerror}); check its permissions") from None
+    for text in capture.notes.mended:
+        warnings.warn(f"{capture.root.name}: {text}", MrgsWarning, stacklevel=2)
+    return scene
+
+
+def _recognise(path: Path) -> Capture:
+    if path.suffix == ".json" and path.is_file():
+        root, transforms = path.parent.resolve(), path.parent.resolve() / path.name
+        return read_transforms(root, transforms)
+    if not path.is_dir():
+        raise scene_error(path, "is not a folder; give the folder that holds the scene")
+    root = path.resolve()
+    if file := find_transforms(root):
+        return read_transforms(root, file)
+    if model := find_model(root):
+        return read_colmap(root, model)
+    looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
+    raise scene_error(root, f"no scene found; looked for transforms.json, transforms_thermal.json, {looked_for}")
+
+
+def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
+    thermal_kinds = []
+    for shot in capture.shots:
+        if shot.rgb is not None:
+            check_files(shot.rgb)
+        if shot.thermal is not None:
+            thermal_kinds.append((shot.thermal.path, check_files(shot.thermal).kind))
+    splits = assign_splits([shot.key for shot in capture.shots], capture.lists, capture.notes)
+    if "train" not in splits:
+        raise scene_error(capture.source, "no view is left for training; check the split lists and the file names")
+    temperature = None
+    if thermal_kinds:
+        temperature = read_bounds(capture.root, capture.notes)
+        kind = check_kinds(thermal_kinds, temperature is not None, capture.notes)
+        if kind == "float" and temperature is None:
+            temperature = _measured_range(capture, splits)
+    names = _unique_names([shot.key for shot in capture.shots])
+    views = [_view(name, shot, temperature, resolution) for name, shot in zip(names, capture.shots, strict=True)]
+    train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
+    points = capture.points
+    if points is None:
+        capture.notes.decide(f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras.")
+        points = random_points([camera for view in train for camera in view.cameras], seed)
+    return Scene(
+        name=capture.root.name,
+        train=train,
+        eval=tuple(view for view, split in zip(views, splits, strict=True) if split == "eval"),
+        points=points,
+        temperature=temperature,
+        notes=tuple(capture.notes.all),
+    )
+
+
+def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRange:
+    """The range of the training images, which hold °C."""
+    pairs = zip(capture.shots, splits, strict=True)
+    paths = [shot.thermal.path for shot, split in pairs if split == "train" and shot.thermal is not None]
+    if not paths:
+        raise scene_error(capture.source, "no training view has a thermal image; add temperature_bounds.json")
+    temperature = bounds_of_images(paths)
+    capture.notes.decide(
+        "There is no temperature_bounds.json: the training images' range is used, "
+        f"{temperature.min_c:g} °C to {temperature.max_c:g} °C."
+    )
+    return temperature
+
+
+def _view(name: str, shot: Shot, temperature: TemperatureRange | None, resolution: int | None) -> View:
+    rgb = None if shot.rgb is None else posed_image(shot.rgb, decode_rgb, resolution)
+    decoder = partial(decode_thermal, temperature=temperature)
+    thermal = None if shot.thermal is None else posed_image(shot.thermal, decoder, resolution)
+    return View(name, rgb, thermal)
+
+
+def _unique_names(keys: Sequence[str]) -> list[str]:
+    """File stems; where two are equal, with their folders in front; where that fails too, with a number behind."""
+    stems = [key.rpartition("/")[2] for key in keys]
+    shared = {stem for stem, count in Counter(stems).items() if count > 1}
+    names: list[str] = []
+    taken: set[str] = set()
+    for key, stem in zip(keys, stems, strict=True):
+        base = key.replace("/", "_") if stem in shared else stem
+        name = base
+        number = 2
+        while name in taken:
+            name = f"{base}_{number}"
+            number += 1
+        taken.add(name)
+        names.append(name)
+    return names

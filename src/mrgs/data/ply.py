@@ -1,0 +1,145 @@
+"""Points from a PLY file: ASCII, or binary of either byte order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrgs.data.files import read_bytes, scene_error, shown
+from mrgs.errors import SceneError
+
+MAX_HEADER_BYTES = 64 * 1024
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_COLOR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: dict[str, str]
+    has_lists: bool = False
+
+    @property
+    def dtype(self) -> np.dtype:
+        return np.dtype(list(self.properties.items()))
+
+
+def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Positions [N, 3] as they stand in the file, and colours [N, 3] in [0, 1] (None if it has none).
+
+    No more memory is used than the file's own size warrants, whatever its header claims.
+
+    Raises:
+        SceneError: not a PLY file with vertices x, y, z, or shorter than its header says.
+    """
+    data = read_bytes(path)
+    lines, body = _split_header(data, path)
+    ascii_text, elements = _parse_header(lines, path)
+    before: list[_Element] = []
+    for element in elements:
+        if element.name == "vertex":
+            break
+        before.append(element)
+    else:
+        raise scene_error(path, "has no element vertex; export it as a point cloud")
+    if element.has_lists or any(other.has_lists for other in before):
+        raise scene_error(path, "has lists in or before its vertices; export it as a point cloud")
+    if not {"x", "y", "z"} <= set(element.properties):
+        raise scene_error(path, "has vertices without x, y and z; export it as a point cloud")
+    read = _ascii_vertices if ascii_text else _binary_vertices
+    vertices = read(data[body:], element, before, path)
+    positions = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    return positions, _colors(vertices)
+
+
+def _split_header(data: bytes, path: Path) -> tuple[list[str], int]:
+    """The header's lines after the magic word, and the offset of what follows it."""
+    end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
+    newline = data.find(b"\n", end, end + 16) if end >= 0 else -1
+    if not data.startswith(b"ply") or newline < 0:
+        raise scene_error(path, "is not a PLY file (no header found); export the points again")
+    return data[:end].decode("latin-1").splitlines()[1:], newline + 1
+
+
+def _parse_header(lines: list[str], path: Path) -> tuple[bool, list[_Element]]:
+    """Whether the body is text, and the elements in order, with NumPy's type of each property."""
+    order: str | None = None
+    elements: list[_Element] = []
+    for line in lines:
+        match line.split():
+            case [] | ["comment" | "obj_info", *_]:
+                continue
+            case ["format", name, "1.0"] if name in _BYTE_ORDERS:
+                order = name
+            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
+                elements.append(_Element(name, int(count), {}))
+            case ["property", "list", _, _, _] if elements:
+                elements[-1].has_lists = True
+            case ["property", kind, name] if (
+                order and elements and kind in _TYPES and name not in elements[-1].properties
+            ):
+                elements[-1].properties[name] = _BYTE_ORDERS[order] + _TYPES[kind]
+            case _:
+                raise scene_error(path, f"has the header line {shown(line)}, which is not PLY; export the points again")
+    if order is None:
+        raise scene_error(path, "has no format line in its header; export the points again")
+    return order == "ascii", elements
+
+
+def _binary_vertices(body: bytes, vertex: _Element, before: list[_Element], path: Path) -> np.ndarray:
+    offset = sum(element.count * element.dtype.itemsize for element in before)
+    if offset + vertex.count * vertex.dtype.itemsize > len(body):
+        raise _too_short(path, vertex.count)
+    return np.frombuffer(body, vertex.dtype, vertex.count, offset)
+
+
+def _ascii_vertices(body: bytes, vertex: _Element, before: list[_Element], path: Path) -> np.ndarray:
+    skipped = sum(element.count * len(element.properties) for element in before)
+    columns = len(vertex.properties)
+    wanted = vertex.count * columns
+    if 2 * (skipped + wanted) > len(body) + 1:  # a number and a separator each
+        raise _too_short(path, vertex.count)
+    tokens = body.split(maxsplit=skipped + wanted)
+    try:
+        numbers = np.fromiter((float(token) for token in islice(tokens, skipped, skipped + wanted)), np.float64)
+    except ValueError as error:
+        raise scene_error(path, f"holds something that is not a number ({error}); export the points again") from None
+    if numbers.size < wanted:
+        raise _too_short(path, vertex.count)
+    table = numbers.reshape(vertex.count, columns)
+    vertices = np.empty(vertex.count, dtype=vertex.dtype)
+    with np.errstate(all="ignore"):
+        for column, name in enumerate(vertex.properties):
+            vertices[name] = table[:, column]
+    return vertices
+
+
+def _too_short(path: Path, count: int) -> SceneError:
+    return scene_error(path, f"is shorter than the {count} vertices that its header promises; export the points again")
+
+
+def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:
+    available = vertices.dtype.names or ()
+    names = next((names for names in _COLOR_NAMES if set(names) <= set(available)), None)
+    if names is None:
+        return None
+    colors = np.stack([vertices[name].astype(np.float64) for name in names], axis=1)
+    if vertices.dtype[names[0]].kind != "f":
+        colors /= 65535 if vertices.dtype[names[0]].itemsize == 2 else 255
+    return np.clip(np.nan_to_num(colors, nan=0.5), 0.0, 1.0)

@@ -1,0 +1,91 @@
+"""From an image file with a lens to the pixels of a pinhole camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float32
+from torch import Tensor
+
+from mrgs.data.capture import ImageSource
+from mrgs.data.files import scene_error
+from mrgs.data.images import ImageInfo, decode, decode_mask, probe
+from mrgs.data.lens import Lens
+from mrgs.data.undistort import pinhole_of, resize, undistort
+from mrgs.scene import Camera, Pixels, PosedImage
+
+Decoder = Callable[[Path], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
+
+
+def check_files(source: ImageSource) -> ImageInfo:
+    """Compare the headers of the image and its mask with the intrinsics; nothing is decoded.
+
+    Raises:
+        SceneError: a file is missing, unreadable, or of another size than the lens says.
+    """
+    info = probe(source.path)
+    _check_size((info.width, info.height), source.lens, source.path)
+    if source.mask is not None:
+        mask = probe(source.mask)
+        _check_size((mask.width, mask.height), source.lens, source.mask)
+    return info
+
+
+def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -> PosedImage:
+    """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is called.
+
+    Args:
+        source: the file, its lens and its pose.
+        decoder: gives the values and the mask of usable pixels of a file.
+        resolution: largest width in pixels; None keeps the file's.
+
+    Raises:
+        SceneError: the distortion leaves nothing of the image.
+    """
+    try:
+        pinhole = pinhole_of(source.lens)
+    except ValueError as error:
+        raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
+    K = torch.tensor(
+        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]], dtype=torch.float64
+    )
+    camera = Camera(K, source.viewmat, pinhole.width, pinhole.height)
+    if resolution is not None and resolution < camera.width:
+        camera = camera.resized(resolution, max(1, round(camera.height * resolution / camera.width)))
+    return PosedImage(camera, partial(_load, source, decoder, camera.width, camera.height))
+
+
+def decode_rgb(path: Path) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
+    """Colours in [0, 1] and the mask of usable pixels (None if all are); grey images get three equal channels.
+
+    Raises:
+        SceneError: the file cannot be decoded, or holds floats.
+    """
+    values, valid, kind = decode(path)
+    if kind == "float":
+        raise scene_error(path, "holds floats where a colour image is expected; save it with 8 bits per channel")
+    return values.expand(-1, -1, 3), valid
+
+
+def _load(source: ImageSource, decoder: Decoder, width: int, height: int) -> Pixels:
+    values, valid = decoder(source.path)
+    _check_size((values.shape[1], values.shape[0]), source.lens, source.path)
+    if source.mask is not None:
+        mask = decode_mask(source.mask)
+        _check_size((mask.shape[1], mask.shape[0]), source.lens, source.mask)
+        valid = mask if valid is None else valid & mask
+    values, valid = undistort(values, valid, source.lens)
+    values, valid = resize(values, valid, width, height)
+    return Pixels(values.contiguous(), valid)
+
+
+def _check_size(size: tuple[int, int], lens: Lens, path: Path) -> None:
+    if size != (lens.width, lens.height):
+        raise scene_error(
+            path,
+            f"is {size[0]}×{size[1]} px, but its intrinsics are for {lens.width}×{lens.height} px; "
+            "resize the image or correct the intrinsics",
+        )

@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.data import load_scene
+from mrgs.errors import SceneError
+
+
+def rgbt(writer) -> list[str]:
+    names = [f"{split}/{i:03d}.jpg" for split in ("train", "test") for i in range(3)]
+    for index, name in enumerate(names):
+        writer.image(f"rgb/{name}", seed=index)
+        writer.image(f"thermal/{name}", seed=10 + index)
+    return names
+
+
+@pytest.mark.parametrize("folder", ["sparse/0", "colmap/sparse/0", "sparse"])
+def test_text_and_binary_give_the_same_scene(writer, folder):
+    names = rgbt(writer)
+    writer.colmap(names, binary=False, folder=folder)
+    from_text = load_scene(writer.root)
+    for path in (writer.root / folder).iterdir():
+        path.unlink()
+    writer.colmap(names, binary=True, folder=folder)
+    from_binary = load_scene(writer.root)
+    assert torch.equal(from_text.points.positions, from_binary.points.positions)
+    assert torch.equal(from_text.points.colors, from_binary.points.colors)
+    for one, other in zip(from_text.train + from_text.eval, from_binary.train + from_binary.eval, strict=True):
+        assert one.name == other.name
+        assert one.rgb.camera.coincides_with(other.rgb.camera)
+        assert torch.equal(one.thermal.load().values, other.thermal.load().values)
+
+
+def test_rgbt_scenes(writer):
+    writer.colmap(rgbt(writer), binary=True)
+    scene = load_scene(writer.root)
+    assert [view.name for view in scene.train] == ["train_000", "train_001", "train_002"]
+    assert [view.name for view in scene.eval] == ["test_000", "test_001", "test_002"]
+    assert all(view.shares_camera for view in scene.train)
+    assert scene.points.positions[2].tolist() == [-80, 1, 0]  # a far point is real
+    assert any("luminance" in note for note in scene.notes)
+
+
+def test_names_in_the_model_may_be_bare_stems(writer):
+    for index in range(4):
+        writer.image(f"rgb/{('train', 'test')[index % 2]}/{index}.png", seed=index)
+    writer.colmap([f"{index}.jpg" for index in range(4)], binary=True)
+    scene = load_scene(writer.root)
+    assert [view.name for view in scene.train] == ["0", "2"]
+    assert [view.name for view in scene.eval] == ["1", "3"]
+
+
+def test_the_pose_is_world_to_camera(writer):
+    writer.image("images/a.png")
+    writer.colmap(["a.png"], binary=False)
+    writer.root.joinpath("sparse/0/images.txt").write_text(
+        "1 0.7071067811865476 0 0 0.7071067811865476 1 2 3 1 a.png\n\n"
+    )
+    camera = load_scene(writer.root).train[0].rgb.camera
+    np.testing.assert_allclose(camera.viewmat[:3], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("mode", "suffix"), [("L", "png"), ("I;16", "png"), ("F", "tiff")])
+def test_images_of_one_channel_alone_are_thermal(writer, mode, suffix):
+    names = [f"{index:04d}.{suffix}" for index in range(17)]
+    for index, name in enumerate(names):
+        writer.image(f"images/{name}", mode, seed=index)
+    writer.colmap(names, binary=True)
+    scene = load_scene(writer.root)
+    assert not scene.has_rgb
+    assert [view.name for view in scene.eval] == ["0000", "0008", "0016"]
+    assert len(scene.train) == 14
+    assert any("taken for thermal" in note for note in scene.notes)
+
+
+def test_bounds_make_the_only_images_thermal(writer):
+    writer.image("images/a.png")
+    writer.bounds(0.0, 50.0)
+    writer.colmap(["a.png"], binary=True)
+    scene = load_scene(writer.root)
+    assert scene.has_thermal
+    assert not scene.has_rgb
+    assert scene.temperature.max_c == 50.0
+
+
+def test_a_thermal_folder_alone(writer):
+    writer.image("thermal/a.png", "L")
+    writer.colmap(["a.png"], binary=True)
+    assert not load_scene(writer.root).has_rgb
+
+
+def test_colour_images_alone_are_rgb(writer):
+    writer.image("images/a.png")
+    writer.image("images/b.png")
+    writer.colmap(["a.png"], binary=True)
+    scene = load_scene(writer.root)
+    assert not scene.has_thermal
+    assert any("1 images were not registered" in note for note in scene.notes)
+
+
+def test_both_images_of_a_pair_may_be_registered(writer):
+    for name in ("images/a.png", "thermal/a.png"):
+        writer.image(name)
+    writer.colmap(["images/a.png", "thermal/a.png"], binary=True)
+    (view,) = load_scene(writer.root).train
+    assert not view.shares_camera
+    assert not torch.equal(view.rgb.camera.viewmat, view.thermal.camera.viewmat)
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters", "K"),
+    [
+        ("SIMPLE_PINHOLE", (20.0, 12.0, 8.0), (20, 20, 12, 8)),
+        ("PINHOLE", (20.0, 21.0, 12.0, 8.0), (20, 21, 12, 8)),
+        ("SIMPLE_RADIAL", (20.0, 12.0, 8.0, 0.0), (20, 20, 12, 8)),
+        ("RADIAL", (20.0, 12.0, 8.0, 0.0, 0.0), (20, 20, 12, 8)),
+        ("OPENCV", (20.0, 21.0, 12.0, 8.0, 0.0, 0.0, 0.0, 0.0), (20, 21, 12, 8)),
+    ],
+)
+@pytest.mark.parametrize("binary", [True, False])
+def test_camera_models(writer, model, parameters, K, binary):
+    writer.image("images/a.png")
+    writer.colmap(["a.png"], binary, model, parameters)
+    got = load_scene(writer.root).train[0].rgb.camera.K
+    assert (got[0, 0], got[1, 1], got[0, 2], got[1, 2]) == K
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters"),
+    [
+        ("SIMPLE_RADIAL", (20.0, 12.0, 8.0, -0.1)),
+        ("RADIAL", (20.0, 12.0, 8.0, 0.0, 0.1)),
+        ("OPENCV_FISHEYE", (20.0, 20.0, 12.0, 8.0, 0.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_distorting_camera_models_are_undistorted(writer, model, parameters):
+    writer.image("images/a.png")
+    writer.colmap(["a.png"], True, model, parameters)
+    image = load_scene(writer.root).train[0].rgb
+    assert image.camera.K[0, 0] != 20
+    assert image.load().valid is None
+
+
+def damage_text(name, text):
+    return lambda folder: (folder / name).write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (damage_text("cameras.txt", "1 OPENCV 24\n"), "cameras.txt: line 1 is damaged"),
+        (damage_text("cameras.txt", "1 FOV 24 16 1 1 1 1 1\n"), "has the model 'FOV'; undistort"),
+        (damage_text("cameras.txt", "1 PINHOLE 24 16 20 20 12\n"), "3 parameters where PINHOLE has 4"),
+        (damage_text("cameras.txt", "1 PINHOLE 24 16 0 20 12 8\n"), "must be positive"),
+        (damage_text("cameras.txt", "1 PINHOLE 24 16 nan 20 12 8\n"), "NaN, infinity or a huge"),
+        (damage_text("images.txt", "1 1 0 0 x 0 0 0 1 a.png\n\n"), "images.txt: line 1 is damaged"),
+        (damage_text("images.txt", "1 2 0 0 0 0 0 0 1 a.png\n\n"), "has length 2, not 1"),
+        (damage_text("images.txt", "1 1 0 0 0 nan 0 0 1 a.png\n\n"), "NaN, infinity or a huge"),
+        (damage_text("images.txt", "1 1 0 0 0 0 0 0 9 a.png\n\n"), "uses camera 9, which is not there"),
+        (damage_text("images.txt", "1 1 0 0 0 0 0 0 1 b.png\n\n"), "registered image 'b.png' is missing"),
+        (damage_text("images.txt", "# none\n"), "no registered image"),
+        (damage_text("points3D.txt", "1 0 0\n"), "points3D.txt: line 1 is damaged"),
+    ],
+)
+def test_damaged_text(writer, damage, message):
+    writer.image("images/a.png")
+    damage(writer.colmap(["a.png"], binary=False))
+    with pytest.raises(SceneError, match=message):
+        load_scene(writer.root)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("kept", [0, 5, -1, "count"])
+def test_cut_off_binary(writer, name, kept):
+    writer.image("images/a.png")
+    path = writer.colmap(["a.png"], binary=True) / name
+    data = path.read_bytes()
+    path.write_bytes(b"\xff" * 8 + data[8:] if kept == "count" else data[:kept])
+    with pytest.raises(SceneError, match=f"{name}: is cut off"):
+        load_scene(writer.root)

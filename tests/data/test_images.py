@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import struct
+import warnings
+import zlib
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.data.images import decode, decode_mask, probe
+from mrgs.errors import SceneError
+
+
+def save(path, pixels, **options):
+    Image.fromarray(pixels).save(path, **options)
+    return path
+
+
+def test_eight_bit_grey(tmp_path):
+    pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    values, valid, kind = decode(save(tmp_path / "a.png", pixels))
+    np.testing.assert_array_equal(values[..., 0], pixels.astype(np.float32) / 255)
+    assert (valid, kind) == (None, "grey")
+
+
+def test_sixteen_bit_grey_keeps_every_level(tmp_path):
+    pixels = (np.arange(12) * 5461).astype(np.uint16).reshape(3, 4)
+    for name in ("a.png", "a.tif"):
+        values, valid, kind = decode(save(tmp_path / name, pixels))
+        np.testing.assert_array_equal(values[..., 0], pixels.astype(np.float32) / 65535)
+        assert (valid, kind) == (None, "grey")
+
+
+def test_floats_are_kept_and_what_is_not_finite_is_masked(tmp_path):
+    pixels = np.array([[-12.25, 80.5], [np.nan, np.inf]], dtype=np.float32)
+    values, valid, kind = decode(save(tmp_path / "a.tiff", pixels))
+    assert values[..., 0].tolist() == [[-12.25, 80.5], [0, 0]]
+    assert valid.tolist() == [[True, True], [False, False]]
+    assert kind == "float"
+
+
+@pytest.mark.parametrize("mode", ["RGB", "P", "CMYK"])
+def test_colour(tmp_path, mode):
+    path = tmp_path / ("a.jpg" if mode == "CMYK" else "a.png")
+    Image.new("RGB", (4, 3), (255, 0, 0)).convert(mode).save(path)
+    values, valid, kind = decode(path)
+    np.testing.assert_allclose(values[1, 1], [1, 0, 0], atol=0.02)
+    assert (valid, kind, values.shape) == (None, "colour", (3, 4, 3))
+
+
+@pytest.mark.parametrize(("colour", "channels"), [((9, 8, 7), 3), ((9,), 1)])
+def test_transparent_pixels_are_not_valid(tmp_path, colour, channels):
+    pixels = np.full((2, 2, channels + 1), 255, dtype=np.uint8)
+    pixels[0, 1] = (*colour, 0)
+    values, valid, _ = decode(save(tmp_path / "a.png", pixels))
+    assert values.shape == (2, 2, channels)
+    assert valid.tolist() == [[True, False], [True, True]]
+
+
+def test_black_is_masked(tmp_path):
+    pixels = np.array([[0, 1], [255, 128]], dtype=np.uint8)
+    assert decode_mask(save(tmp_path / "a.png", pixels)).tolist() == [[False, True], [True, True]]
+
+
+def test_the_exif_orientation_is_ignored(tmp_path):
+    image = Image.new("RGB", (6, 4))
+    exif = image.getexif()
+    exif[0x0112] = 6
+    image.save(tmp_path / "a.jpg", exif=exif)
+    assert (probe(tmp_path / "a.jpg").width, probe(tmp_path / "a.jpg").height) == (6, 4)
+    assert decode(tmp_path / "a.jpg").values.shape == (4, 6, 3)
+
+
+def png_header(width: int, height: int) -> bytes:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("side", [8_950, 10_000, 60_000])
+def test_decompression_bombs_are_refused_from_the_header(tmp_path, side):
+    (tmp_path / "bomb.png").write_bytes(png_header(side, side))
+    limit = Image.MAX_IMAGE_PIXELS
+    with pytest.raises(SceneError, match=r"bomb\.png: has more than 80 megapixels"):
+        probe(tmp_path / "bomb.png")
+    assert limit == Image.MAX_IMAGE_PIXELS
+
+
+def test_truncated_and_foreign_files(tmp_path):
+    rng = np.random.default_rng(0)
+    whole = save(tmp_path / "whole.png", rng.integers(0, 255, (40, 40), dtype=np.uint8)).read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.png").write_text("not an image")
+    (tmp_path / "empty.jpg").write_bytes(b"")
+    Image.new("RGB", (4, 4)).save(tmp_path / "a.gif")
+    for name in ("cut.png", "text.png", "empty.jpg", "a.gif", "missing.png"):
+        with pytest.raises(SceneError, match=f"{name}: cannot be decoded as an image") as caught:
+            decode(tmp_path / name)
+        assert "\n" not in str(caught.value)
+
+
+def test_thirty_two_bit_integers_are_refused(tmp_path):
+    path = save(tmp_path / "a.tif", np.zeros((2, 2), dtype=np.int32))
+    with pytest.raises(SceneError, match="pixels of type I; save it with 8 or 16 bits"):
+        probe(path)
+
+
+def test_mutated_images_give_pixels_or_a_scene_error(tmp_path):
+    rng = np.random.default_rng(1)
+    for name in ("a.png", "a.jpg", "a.tiff"):
+        whole = bytearray(save(tmp_path / name, rng.integers(0, 255, (16, 16), dtype=np.uint8)).read_bytes())
+        for _ in range(60):
+            mutated = whole.copy()
+            for position in rng.integers(0, len(whole), 4):
+                mutated[position] = rng.integers(0, 256)
+            (tmp_path / f"mutated-{name}").write_bytes(mutated)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                try:
+                    values = decode(tmp_path / f"mutated-{name}").values
+                except SceneError:
+                    continue
+            assert torch.isfinite(values).all()

@@ -1,0 +1,326 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.data import load_scene
+from mrgs.errors import MrgsWarning, SceneError
+from mrgs.scene import TemperatureRange
+
+
+def test_thermoscenes(writer):
+    content = writer.thermoscenes()
+    writer.transforms(content)
+    writer.bounds(10.0, 30.0, "thermal/temperature_bounds.json")
+    scene = load_scene(writer.root)
+
+    assert [view.name for view in scene.train] == [f"frame_train_{i:05d}" for i in range(4)]
+    assert [view.name for view in scene.eval] == ["frame_eval_00000", "frame_eval_00001"]
+    assert scene.temperature == TemperatureRange(10.0, 30.0)
+    assert scene.points.positions.shape == (20_000, 3)
+    view = scene.train[1]
+    assert view.shares_camera
+    assert torch.equal(view.rgb.camera.K, torch.tensor([[20.0, 0, 12.5], [0, 22.0, 7.5], [0, 0, 1]]).double())
+    c2w = np.array(content["frames"][1]["transform_matrix"])
+    np.testing.assert_allclose(view.rgb.camera.position, c2w[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(view.rgb.camera.forward, -c2w[:3, 2], atol=1e-12)
+    thermal = view.thermal.load()
+    stored = np.asarray(Image.open(writer.root / "thermal/frame_train_00001.PNG"))
+    np.testing.assert_array_equal(thermal.values[..., 0], stored.astype(np.float32) / 255)
+    assert thermal.valid is None
+    assert view.rgb.load().values.shape == (16, 24, 3)
+
+
+def test_older_scenes_have_transforms_thermal_json(writer):
+    writer.json("transforms_thermal.json", writer.thermoscenes())
+    assert len(load_scene(writer.root).train) == 4
+
+
+def test_the_transforms_file_itself_may_be_given(writer):
+    assert len(load_scene(writer.json("transforms_3.json", writer.thermoscenes())).train) == 4
+
+
+def test_swapped_bounds_are_mended_with_a_warning(writer):
+    writer.transforms(writer.thermoscenes())
+    writer.bounds(30.0, 10.0)
+    with pytest.warns(MrgsWarning, match="swapped"):
+        scene = load_scene(writer.root)
+    assert scene.temperature == TemperatureRange(10.0, 30.0)
+    assert any("swapped" in note for note in scene.notes)
+
+
+def test_missing_bounds_are_noted(writer):
+    writer.transforms(writer.thermoscenes())
+    scene = load_scene(writer.root)
+    assert scene.temperature is None
+    assert any("temperature_bounds.json" in note for note in scene.notes)
+
+
+def test_plain_nerfstudio_without_thermal(writer):
+    content = writer.thermoscenes()
+    for frame in content["frames"]:
+        del frame["thermal_file_path"]
+    for path in (writer.root / "thermal").iterdir():
+        path.unlink()
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert scene.has_rgb
+    assert not scene.has_thermal
+    assert scene.temperature is None
+
+
+def test_thermal_images_are_found_by_stem_where_the_file_does_not_name_them(writer):
+    content = writer.thermoscenes()
+    for frame in content["frames"]:
+        del frame["thermal_file_path"]
+    (writer.root / "thermal/frame_train_00002.PNG").unlink()
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert [view.thermal is not None for view in scene.train] == [True, True, False, True]
+    assert any("1 of 6 frames have no thermal image" in note for note in scene.notes)
+
+
+def test_thermal_alone(writer):
+    content = writer.thermoscenes()
+    for frame in content["frames"]:
+        frame["file_path"] = frame.pop("thermal_file_path")
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert scene.has_thermal
+    assert not scene.has_rgb
+    assert len(scene.eval) == 2
+
+
+def test_a_frame_may_have_its_own_intrinsics(writer):
+    content = writer.thermoscenes()
+    content["frames"][0].update(fl_x=30.0, k1=0.1)
+    writer.transforms(content)
+    first, second = load_scene(writer.root).train[:2]
+    assert first.rgb.camera.K[0, 0] != second.rgb.camera.K[0, 0] == 20.0
+    assert first.shares_camera
+
+
+def test_two_cameras(writer):
+    content = writer.thermoscenes()
+    content["thermal_camera"] = {"camera_model": "OPENCV", "w": 12, "h": 10, "fl_x": 9.0, "fl_y": 9.5, "cx": 6, "cy": 5}
+    content["k1"] = -0.1
+    for index, frame in enumerate(content["frames"]):
+        writer.image(frame["thermal_file_path"].replace(".png", ".PNG"), "L", (12, 10), index)
+        pose = np.array(frame["transform_matrix"])
+        pose[0, 3] += 0.25
+        frame["thermal_transform_matrix"] = pose.tolist()
+    writer.transforms(content)
+    view = load_scene(writer.root).train[0]
+    assert not view.shares_camera
+    assert (view.thermal.camera.width, view.thermal.camera.height) == (12, 10)
+    assert view.thermal.camera.K[0, 0] == 9.0  # k1 belongs to the RGB camera alone
+    assert view.rgb.camera.K[0, 0] != 20.0
+    np.testing.assert_allclose(view.thermal.camera.position - view.rgb.camera.position, [0.25, 0, 0], atol=1e-12)
+    assert view.thermal.load().values.shape == (10, 12, 1)
+
+
+def test_distorted_pairs_stay_on_one_grid_at_any_resolution(writer):
+    content = writer.thermoscenes()
+    content.update(k1=-0.2, p2=0.02)
+    writer.transforms(content)
+    view = load_scene(writer.root, resolution=12).train[0]
+    assert view.shares_camera
+    assert (view.rgb.camera.width, view.rgb.camera.height) == (12, 8)
+    assert view.rgb.load().values.shape == (8, 12, 3)
+    assert view.thermal.load().values.shape == (8, 12, 1)
+
+
+def test_masks_from_the_file_and_from_the_folder(writer):
+    content = writer.thermoscenes()
+    mask = np.full((16, 24), 255, dtype=np.uint8)
+    mask[:, :6] = 0
+    for name in ("own.png", "masks/frame_train_00001.png", "thermal_masks/frame_train_00001.jpg.png"):
+        (writer.root / name).parent.mkdir(exist_ok=True)
+        Image.fromarray(mask).save(writer.root / name)
+    content["frames"][0]["thermal_mask_path"] = "own.png"
+    writer.transforms(content)
+    first, second = load_scene(writer.root).train[:2]
+    assert first.rgb.load().valid is None
+    assert torch.equal(first.thermal.load().valid, torch.from_numpy(mask > 0))
+    assert torch.equal(second.rgb.load().valid, torch.from_numpy(mask > 0))
+
+
+def test_explicit_lists_win_over_names(writer):
+    content = writer.thermoscenes()
+    paths = [frame["file_path"] for frame in content["frames"]]
+    content["train_filenames"] = [path.replace(".png", ".JPG") for path in paths[2:]]
+    content["val_filenames"], content["test_filenames"] = [paths[0]], ["./" + paths[0]]
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert [view.name for view in scene.eval] == ["frame_train_00000"]
+    assert len(scene.train) == 4
+    assert any("1 frames are in none" in note for note in scene.notes)
+
+
+PLY = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+
+
+@pytest.mark.parametrize("name", ["sparse_pc.ply", "clouds/mine.ply"])
+def test_points_of_a_ply_are_scaled_but_not_turned(writer, name):
+    content = writer.thermoscenes()
+    content["applied_transform"] = [[0, 1, 0, 5], [1, 0, 0, 0], [0, 0, -1, 0]]
+    content["applied_scale"] = 2.0
+    if name != "sparse_pc.ply":
+        content["ply_file_path"] = name
+    path = writer.root / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(PLY + "1 2 3\n-75 0 0.5\n")
+    writer.transforms(content)
+    assert load_scene(writer.root).points.positions.tolist() == [[2, 4, 6], [-150, 0, 1]]
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_points_of_colmap_are_turned_and_scaled(writer, binary):
+    content = writer.thermoscenes()
+    writer.colmap(["a.png"], binary, folder="colmap/sparse/0")
+    content["applied_transform"] = [[0, 1, 0, 5], [1, 0, 0, 0], [0, 0, -1, 0]]
+    content["applied_scale"] = 2.0
+    writer.transforms(content)
+    points = load_scene(writer.root).points
+    assert points.positions.tolist() == [[9.5, 1.0, -0.25], [14, 2, -6], [12, -160, 0]]
+    np.testing.assert_allclose(points.colors[0], [1, 0, 0.2], atol=1e-6)
+    del content["applied_transform"]
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert scene.points.positions[0].tolist() == [-0.5, 1.0, -0.25]
+    assert any("no applied_transform" in note for note in scene.notes)
+
+
+def test_points_that_are_not_finite_are_dropped_with_a_warning(writer):
+    writer.transforms(writer.thermoscenes())
+    (writer.root / "sparse_pc.ply").write_text(PLY + "1 2 nan\n1 2 3\n")
+    with pytest.warns(MrgsWarning, match="1 start points are not finite"):
+        assert load_scene(writer.root).points.positions.tolist() == [[1, 2, 3]]
+
+
+def set_pose(entry):
+    def change(content):
+        content["frames"][1]["transform_matrix"][0][0] = entry
+
+    return change
+
+
+def put(**values):
+    return lambda content: content.update(values)
+
+
+def put_frame(**values):
+    return lambda content: content["frames"][1].update(values)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (put(frames={}), '"frames" is {}, not a list'),
+        (put(frames=[]), '"frames" is \\[\\], not a list'),
+        (put(frames=[3]), "frame 0 is 3, not an object"),
+        (put(frames=[{}]), "frame 0 has no file_path"),
+        (put_frame(file_path=7), "file_path of frame 1 is 7, not a path"),
+        (put_frame(file_path="images/none.png"), "'images/none.png' of frame 1 is missing"),
+        (put_frame(thermal_file_path="thermal/none.png"), "'thermal/none.png' of frame 1 is missing"),
+        (put_frame(mask_path="none.png"), "'none.png' of frame 1 .* is missing"),
+        (put_frame(file_path="/etc/passwd"), "leaves the scene folder"),
+        (put_frame(file_path="../outside.png"), "leaves the scene folder"),
+        (put_frame(file_path="images/link.png"), "leaves the scene folder"),
+        (put_frame(file_path="a\0b"), "not a usable path"),
+        (put_frame(file_path="x" * 5000), "is missing|not a usable path"),
+        (put(ply_file_path="../points.ply"), "leaves the scene folder"),
+        (put(ply_file_path="none.ply"), "none.ply: cannot be read"),
+        (put(ply_file_path=[]), "ply_file_path is \\[\\], not a path"),
+        (put_frame(transform_matrix=[[1, 0, 0], [0, 1, 0]]), "not a 3×4 or 4×4 matrix"),
+        (put_frame(transform_matrix=None), "not a 3×4 or 4×4 matrix"),
+        (put_frame(transform_matrix=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]), "last row"),
+        (set_pose("1.0"), "not a number"),
+        (set_pose(math.nan), "NaN, infinity or a huge number"),
+        (set_pose(10**400), "NaN, infinity or a huge number"),
+        (set_pose(3.0), "not a rotation"),
+        (put_frame(thermal_transform_matrix=np.diag([1.0, 1, -1, 1]).tolist()), "not a rotation"),
+        (put(fl_x="20"), "fl_x of frame 0 .* is '20', not a number"),
+        (put(fl_x=None), "fl_x of frame 0 .* is None, not a number"),
+        (put(fl_x=True), "fl_x of frame 0 .* is True, not a number"),
+        (put(fl_x=math.nan), "fl_x of frame 0 .* not a plausible number"),
+        (put(fl_y=10**400), "fl_y of frame 0 .* not a plausible number"),
+        (put(fl_y=0), "focal length .* must be positive"),
+        (put(fl_x=-20.0), "focal length .* must be positive"),
+        (put(w=24.5), "is not whole"),
+        (put(h=0), "image size .* is not possible"),
+        (put(w=48), "is 24×16 px, but its intrinsics are for 48×16 px"),
+        (put(camera_model="EQUIRECTANGULAR"), "camera_model is 'EQUIRECTANGULAR'; undistort"),
+        (put(camera_model=["OPENCV"]), "camera_model is"),
+        (put(thermal_camera=3), "thermal_camera is 3, not an object"),
+        (put(k1=-1e5, k2=1e6), "fold the image"),
+        (put(train_filenames="all"), "train_filenames is 'all', not a list"),
+        (put(train_filenames=[]), "no view is left for training"),
+        (put(applied_scale="2"), "applied_scale is '2', not a number"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
+def test_errors_are_one_clear_line(writer, change, message):
+    content = writer.thermoscenes()
+    Image.new("RGB", (24, 16)).save(writer.root.parent / "outside.png")
+    (writer.root / "images/link.png").symlink_to(writer.root.parent / "outside.png")
+    change(content)
+    writer.transforms(content)
+    with pytest.raises(SceneError, match=message) as caught:
+        load_scene(writer.root)
+    assert "\n" not in str(caught.value)
+    assert str(writer.root) in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "transforms.json: is not valid JSON"),
+        ("[" * 100_000, "is not valid JSON"),
+        ("\xff\xfe", "is not valid JSON"),
+        ("9" * 10_000, "is not valid JSON"),
+        ("[1, 2]", r"holds \[1, 2\] where a JSON object"),
+    ],
+)
+def test_damaged_json(writer, text, message):
+    (writer.root / "transforms.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(SceneError, match=message):
+        load_scene(writer.root)
+
+
+def test_several_transforms_files_are_not_guessed_between(writer):
+    for name in ("transforms_train.json", "transforms_test.json"):
+        writer.json(name, writer.thermoscenes())
+    with pytest.raises(SceneError, match="several transforms files"):
+        load_scene(writer.root)
+
+
+def test_a_mask_of_another_size_is_refused(writer):
+    content = writer.thermoscenes()
+    writer.image("mask.png", "L", (8, 8))
+    content["frames"][0]["mask_path"] = "mask.png"
+    writer.transforms(content)
+    with pytest.raises(SceneError, match=r"mask\.png: is 8×8 px"):
+        load_scene(writer.root)
+
+
+def test_truncated_pixels_are_found_when_loaded(writer):
+    writer.transforms(writer.thermoscenes())
+    path = writer.root / "thermal/frame_train_00000.PNG"
+    path.write_bytes(path.read_bytes()[:150])
+    with pytest.raises(SceneError, match=r"frame_train_00000\.PNG: cannot be decoded"):
+        load_scene(writer.root).train[0].thermal.load()
+
+
+def test_points_outside_the_folder_are_not_followed(writer, tmp_path: Path):
+    writer.transforms(writer.thermoscenes())
+    (writer.root / "sparse_pc.ply").symlink_to(tmp_path / "elsewhere.ply")
+    (tmp_path / "elsewhere.ply").write_text(PLY + "1 2 3\n1 2 3\n")
+    with pytest.raises(SceneError, match="leaves the scene folder"):
+        load_scene(writer.root)

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.data.capture import ImageSource
+from mrgs.data.lens import Lens
+from mrgs.data.posed import check_files, decode_rgb, posed_image
+from mrgs.errors import SceneError
+
+LENS = Lens(40, 31, 30.0, 31.0, 20.0, 15.0)
+EYE = torch.eye(4, dtype=torch.float64)
+
+
+def source(path, lens=LENS, mask=None) -> ImageSource:
+    return ImageSource(path, lens, EYE, mask)
+
+
+def test_the_camera_follows_the_resolution(tmp_path):
+    image = posed_image(source(tmp_path / "a.png"), decode_rgb, 20)
+    assert (image.camera.width, image.camera.height) == (20, 16)  # 15.5 rounded
+    assert image.camera.K[0, 0] == 15.0
+    assert image.camera.K[1, 1] == pytest.approx(31.0 * 16 / 31)
+
+
+def test_grey_becomes_three_channels(tmp_path):
+    Image.fromarray(np.full((31, 40), 51, dtype=np.uint8)).save(tmp_path / "a.png")
+    pixels = posed_image(source(tmp_path / "a.png"), decode_rgb, None).load()
+    assert pixels.values.shape == (31, 40, 3)
+    assert pixels.values.is_contiguous()
+    torch.testing.assert_close(pixels.values, torch.full((31, 40, 3), 0.2))
+
+
+def test_floats_are_no_colours(tmp_path):
+    Image.fromarray(np.zeros((31, 40), dtype=np.float32)).save(tmp_path / "a.tiff")
+    with pytest.raises(SceneError, match="holds floats where a colour image is expected"):
+        decode_rgb(tmp_path / "a.tiff")
+
+
+def test_the_mask_and_the_alpha_channel_both_count(tmp_path):
+    pixels = np.full((31, 40, 4), 255, dtype=np.uint8)
+    pixels[0, 0, 3] = 0
+    mask = np.full((31, 40), 255, dtype=np.uint8)
+    mask[0, 1] = 0
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    checked = source(tmp_path / "a.png", mask=tmp_path / "mask.png")
+    assert check_files(checked).kind == "colour"
+    valid = posed_image(checked, decode_rgb, None).load().valid
+    assert valid[0, :3].tolist() == [False, False, True]
+    assert (~valid).sum() == 2
+
+
+def test_a_file_that_changed_its_size_after_opening(tmp_path):
+    Image.new("RGB", (40, 31)).save(tmp_path / "a.png")
+    image = posed_image(source(tmp_path / "a.png"), decode_rgb, None)
+    Image.new("RGB", (41, 31)).save(tmp_path / "a.png")
+    with pytest.raises(SceneError, match="is 41×31 px, but its intrinsics are for 40×31 px"):
+        image.load()
+
+
+def test_a_distortion_that_folds_the_image_names_the_file(tmp_path):
+    lens = Lens(40, 31, 30.0, 31.0, 20.0, 15.0, (-100.0, 0.0, 0.0, 0.0))
+    with pytest.raises(SceneError, match=r"a\.png: the distortion coefficients fold the image"):
+        posed_image(source(tmp_path / "a.png", lens), decode_rgb, None)

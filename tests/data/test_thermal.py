@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.data.capture import Notes
+from mrgs.data.images import probe
+from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
+from mrgs.errors import SceneError
+from mrgs.scene import TemperatureRange
+
+
+def celsius(path: Path, *values: float) -> Path:
+    Image.fromarray(np.array([values], dtype=np.float32)).save(path)
+    return path
+
+
+def bounds(root: Path, **content) -> None:
+    (root / "temperature_bounds.json").write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize("folder", ["", "thermal"])
+def test_bounds_in_the_scene_or_in_thermal(tmp_path, folder):
+    (tmp_path / "thermal").mkdir()
+    bounds(tmp_path / folder, absolute_min_temperature=-4.5, absolute_max_temperature=30)
+    notes = Notes()
+    assert read_bounds(tmp_path, notes) == TemperatureRange(-4.5, 30.0)
+    assert notes.all == []
+
+
+def test_swapped_bounds(tmp_path):
+    bounds(tmp_path, absolute_min_temperature=30, absolute_max_temperature=-4.5)
+    notes = Notes()
+    assert read_bounds(tmp_path, notes) == TemperatureRange(-4.5, 30.0)
+    assert "swapped" in notes.mended[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({}, "absolute_min_temperature is None, not a number"),
+        ({"absolute_min_temperature": "cold", "absolute_max_temperature": 3}, "is 'cold', not a number"),
+        ({"absolute_min_temperature": 3, "absolute_max_temperature": 3}, "not a temperature range"),
+        ({"absolute_min_temperature": -300, "absolute_max_temperature": 3}, "not a temperature range"),
+        ({"absolute_min_temperature": 3, "absolute_max_temperature": float("nan")}, "not a plausible number"),
+    ],
+)
+def test_bounds_that_cannot_be_used(tmp_path, content, message):
+    bounds(tmp_path, **content)
+    with pytest.raises(SceneError, match=f"temperature_bounds.json: .*{message}"):
+        read_bounds(tmp_path, Notes())
+
+
+def test_the_range_of_float_images_is_rounded_outwards(tmp_path):
+    paths = [celsius(tmp_path / "a.tiff", -2.25, 7.0, np.nan), celsius(tmp_path / "b.tiff", 9.5)]
+    assert bounds_of_images(paths) == TemperatureRange(-3, 10)
+    assert bounds_of_images([celsius(tmp_path / "c.tiff", 20.0)]) == TemperatureRange(20, 21)
+
+
+def test_float_images_that_are_not_celsius(tmp_path):
+    with pytest.raises(SceneError, match=r"a\.tiff: holds no finite temperature"):
+        bounds_of_images([celsius(tmp_path / "a.tiff", np.nan)])
+    with pytest.raises(SceneError, match="not a temperature range in °C"):
+        bounds_of_images([celsius(tmp_path / "b.tiff", -1000.0, 5.0)])
+
+
+def test_celsius_are_mapped_and_not_clamped(tmp_path):
+    values, valid = decode_thermal(celsius(tmp_path / "a.tiff", 10.0, 15.0, 35.0), TemperatureRange(10.0, 30.0))
+    assert values[..., 0].tolist() == [[0.0, 0.25, 1.25]]
+    assert valid is None
+    with pytest.raises(SceneError, match="range is not known"):
+        decode_thermal(tmp_path / "a.tiff", None)
+
+
+def test_integers_are_spread_over_the_range_already(tmp_path):
+    Image.fromarray(np.array([[0, 13107, 65535]], dtype=np.uint16)).save(tmp_path / "a.png")
+    values, _ = decode_thermal(tmp_path / "a.png", TemperatureRange(10.0, 30.0))
+    np.testing.assert_allclose(values[..., 0], [[0.0, 0.2, 1.0]], atol=1e-7)
+
+
+def test_the_luminance_of_a_grey_image_in_colour_is_its_grey(tmp_path):
+    Image.fromarray(np.full((2, 2, 3), 77, dtype=np.uint8)).save(tmp_path / "a.png")
+    values, _ = decode_thermal(tmp_path / "a.png", None)
+    np.testing.assert_allclose(values, 77 / 255, atol=1e-7)
+    assert values.shape == (2, 2, 1)
+
+
+def test_kinds_that_do_not_fit_together(tmp_path):
+    Image.new("L", (1, 1)).save(tmp_path / "a.png")
+    Image.new("RGB", (1, 1)).save(tmp_path / "c.png")
+    paths = [tmp_path / "a.png", celsius(tmp_path / "b.tiff", 10.0), tmp_path / "c.png"]
+    kinds = [(path, probe(path).kind) for path in paths]
+    with pytest.raises(SceneError, match=r"b\.tiff: holds °C, but other thermal images do not"):
+        check_kinds(kinds, False, Notes())
+    notes = Notes()
+    assert check_kinds(kinds, True, notes) == "float"
+    assert "luminance" in notes.all[0]
+    assert check_kinds(kinds[:1], True, Notes()) == "grey"
