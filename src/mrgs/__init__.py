@@ -1,0 +1,36 @@
+"""MrGS: posed RGB and thermal photos in, one 3D Gaussian model out that renders novel views in colour and in °C.
+
+The names below are imported on first use, so that ``import mrgs`` stays cheap.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mrgs.data import load_scene
+    from mrgs.errors import MrgsError
+    from mrgs.run import Run, load_run
+    from mrgs.scene import Camera
+    from mrgs.training import make_config, train
+
+__version__ = "0.1.0"
+__all__ = ["Camera", "MrgsError", "Run", "load_run", "load_scene", "make_config", "train"]
+
+_HOMES = {
+    "Camera": "mrgs.scene",
+    "MrgsError": "mrgs.errors",
+    "Run": "mrgs.run",
+    "load_run": "mrgs.run",
+    "load_scene": "mrgs.data",
+    "make_config": "mrgs.training",
+    "train": "mrgs.training",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mrgs' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOMES[name]), name)

@@ -39,12 +39,20 @@ class Rendering(NamedTuple):
     """What a model shows from one view; None for a modality without a camera.
 
     Attributes:
-        rgb: image [H, W, 3] (not clamped), depth and alpha [H, W], from the RGB camera.
-        thermal: normalised temperature [H', W', 1] (not clamped), depth and alpha, from the thermal camera.
+        rgb: colours from the RGB camera, not clamped, [H, W, 3].
+        depth_rgb: z-depth of the same camera blended with o_c, scene units, [H, W].
+        thermal: normalised temperature from the thermal camera, not clamped, [H', W', 1].
+        depth_thermal: its z-depth blended with o_t, [H', W'].
+        alpha_rgb: accumulated alpha of the RGB blend, [H, W].
+        alpha_thermal: of the thermal blend, [H', W'].
     """
 
-    rgb: Blend | None
-    thermal: Blend | None
+    rgb: Float[Tensor, "h w 3"] | None = None
+    depth_rgb: Float[Tensor, "h w"] | None = None
+    thermal: Float[Tensor, "h2 w2 1"] | None = None
+    depth_thermal: Float[Tensor, "h2 w2"] | None = None
+    alpha_rgb: Float[Tensor, "h w"] | None = None
+    alpha_thermal: Float[Tensor, "h2 w2"] | None = None
 
 
 class ScreenPoints(NamedTuple):
@@ -57,7 +65,7 @@ class ScreenPoints(NamedTuple):
     """
 
     offset: Float[Tensor, "n 2"]
-    radii: Float[Tensor, "n"]
+    radii: Float[Tensor, " n"]
     size: tuple[int, int]
 
 
@@ -82,15 +90,23 @@ def render(
     if rgb_camera is not None and thermal_camera is not None and rgb_camera.coincides_with(thermal_camera):
         layers = [_rgb_layer(model, rgb_camera), _thermal_layer(model, rgb_camera)]
         raster, points = _pass(model, layers, rgb_camera)
-        return Rendering(*raster.blends), [points]
-    blends: dict[str, Blend] = {}
+        return _rendering(*raster.blends), [points]
+    blends: list[Blend | None] = []
     passes = []
-    for name, camera, make_layer in (("rgb", rgb_camera, _rgb_layer), ("thermal", thermal_camera, _thermal_layer)):
-        if camera is not None:
-            raster, points = _pass(model, [make_layer(model, camera)], camera)
-            blends[name] = raster.blends[0]
-            passes.append(points)
-    return Rendering(blends.get("rgb"), blends.get("thermal")), passes
+    for camera, make_layer in ((rgb_camera, _rgb_layer), (thermal_camera, _thermal_layer)):
+        if camera is None:
+            blends.append(None)
+            continue
+        raster, points = _pass(model, [make_layer(model, camera)], camera)
+        blends.append(raster.blends[0])
+        passes.append(points)
+    return _rendering(*blends), passes
+
+
+def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
+    color = (None, None, None) if rgb is None else rgb
+    heat = (None, None, None) if thermal is None else thermal
+    return Rendering(color[0], color[1], heat[0], heat[1], color[2], heat[2])
 
 
 def _rgb_layer(model: Model, camera: Camera) -> Layer:
@@ -111,7 +127,9 @@ def _thermal_layer(model: Model, camera: Camera) -> Layer:
 def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, ScreenPoints]:
     gaussians = model.gaussians
     means = gaussians.means
-    offset = torch.zeros(len(gaussians), 2, dtype=means.dtype, device=means.device, requires_grad=torch.is_grad_enabled())
+    offset = torch.zeros(
+        len(gaussians), 2, dtype=means.dtype, device=means.device, requires_grad=torch.is_grad_enabled()
+    )
     raster = rasterize(
         means,
         gaussians.quats,

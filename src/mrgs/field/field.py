@@ -108,7 +108,7 @@ class RadianceField(nn.Module):
         gaussians: Gaussians,
         camera_position: Float[Tensor, "3"],
         sh_degree: int,
-        rows: Int64[Tensor, "v"] | None = None,
+        rows: Int64[Tensor, " v"] | None = None,
     ) -> Float[Tensor, "v 3"]:
         """c + ĉ of Eq. 4 (rgb_alphblending), Sec. Rendering Overview: SH2RGB clamped at 0, plus the residual.
 
@@ -132,7 +132,7 @@ class RadianceField(nn.Module):
         neighbours: Int64[Tensor, "n k"] | None,
         camera_position: Float[Tensor, "3"],
         sh_degree: int,
-        rows: Int64[Tensor, "v"] | None = None,
+        rows: Int64[Tensor, " v"] | None = None,
     ) -> Float[Tensor, "v 1"]:
         """Normalised temperatures: t + t̂ of Eq. 5 (thr_alphblending), Sec. Rendering Overview.
 
@@ -157,7 +157,7 @@ class RadianceField(nn.Module):
         return (evaluate_sh(dc, rest, directions, sh_degree) + 0.5).clamp_min(0)
 
     def _temperature_residual(
-        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, "v"] | None
+        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, " v"] | None
     ) -> Float[Tensor, "v 1"]:
         """t̂: orthogonal extraction, thermal head, heat transformation, and the output layer."""
         if self.config.neighbours_k == 0:
@@ -183,13 +183,13 @@ def _directions(means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]
     return nn.functional.normalize(means - camera_position.to(means), dim=1)
 
 
-def _take(tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, "v"] | None) -> Float[Tensor, "v ..."]:
+def _take(tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None) -> Float[Tensor, "v ..."]:
     return tensor if rows is None else tensor.index_select(0, rows)
 
 
 def _with_neighbours(
-    rows: Int64[Tensor, "v"], neighbours: Int64[Tensor, "n k"]
-) -> tuple[Int64[Tensor, "m"], Int64[Tensor, "v k"]]:
+    rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]
+) -> tuple[Int64[Tensor, " m"], Int64[Tensor, "v k"]]:
     """The rows followed by those of their neighbours that are not among them, and the neighbours as places therein."""
     gathered = neighbours.index_select(0, rows)
     is_extra = torch.zeros(len(neighbours), dtype=torch.bool, device=rows.device)

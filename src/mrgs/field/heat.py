@@ -60,7 +60,7 @@ class FourierHeatTransformation(nn.Module):
             self.f_q = nn.Conv1d(width, width, kernel_size=1)
 
     def forward(
-        self, features: Float[Tensor, "m c"], opacity: Float[Tensor, "n"], neighbours: Int64[Tensor, "n k"]
+        self, features: Float[Tensor, "m c"], opacity: Float[Tensor, " n"], neighbours: Int64[Tensor, "n k"]
     ) -> Float[Tensor, "n c"]:
         """F' as the equations have it.
 
@@ -80,7 +80,7 @@ class FourierHeatTransformation(nn.Module):
     def readout(
         self,
         features: Float[Tensor, "m c"],
-        opacity: Float[Tensor, "n"],
+        opacity: Float[Tensor, " n"],
         neighbours: Int64[Tensor, "n k"],
         output: nn.Linear,
     ) -> Float[Tensor, "n 1"]:

@@ -37,7 +37,7 @@ def evaluate_sh(
     return constant + torch.einsum("nb,nbc->nc", basis, rest[:, :bands])
 
 
-def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, "n"]]:
+def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, " n"]]:
     """The basis functions of degree 1 and higher, as many as ``bands`` (3, 8 or 15)."""
     x, y, z = directions.unbind(dim=1)
     c1 = math.sqrt(3 / (4 * math.pi))
@@ -49,7 +49,7 @@ def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, "
     return functions
 
 
-def _degree_two(x: Float[Tensor, "n"], y: Float[Tensor, "n"], z: Float[Tensor, "n"]) -> list[Float[Tensor, "n"]]:
+def _degree_two(x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]) -> list[Float[Tensor, " n"]]:
     c = math.sqrt(15 / (4 * math.pi))
     c_zonal = math.sqrt(5 / (16 * math.pi))
     return [
@@ -61,7 +61,7 @@ def _degree_two(x: Float[Tensor, "n"], y: Float[Tensor, "n"], z: Float[Tensor, "
     ]
 
 
-def _degree_three(x: Float[Tensor, "n"], y: Float[Tensor, "n"], z: Float[Tensor, "n"]) -> list[Float[Tensor, "n"]]:
+def _degree_three(x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]) -> list[Float[Tensor, " n"]]:
     c3 = math.sqrt(35 / (32 * math.pi))
     c2 = math.sqrt(105 / (4 * math.pi))
     c1 = math.sqrt(21 / (32 * math.pi))

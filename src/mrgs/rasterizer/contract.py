@@ -42,9 +42,9 @@ class Layer(NamedTuple):
         background: what is seen where nothing blocks the view, [C].
     """
 
-    opacities: Float[Tensor, "n"]
+    opacities: Float[Tensor, " n"]
     features: Float[Tensor, "n c"]
-    background: Float[Tensor, "c"]
+    background: Float[Tensor, " c"]
 
 
 class Blend(NamedTuple):
@@ -65,7 +65,7 @@ class Raster(NamedTuple):
     """
 
     blends: tuple[Blend, ...]
-    radii: Float[Tensor, "n"]
+    radii: Float[Tensor, " n"]
 
 
 class Rasterizer(Protocol):

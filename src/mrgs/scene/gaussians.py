@@ -47,12 +47,12 @@ class Gaussians:
         return self.log_scales.exp()
 
     @property
-    def opacity_rgb(self) -> Float[Tensor, "n"]:
+    def opacity_rgb(self) -> Float[Tensor, " n"]:
         """o_c in (0, 1)."""
         return self.opacity_rgb_logit[:, 0].sigmoid()
 
     @property
-    def opacity_thermal(self) -> Float[Tensor, "n"]:
+    def opacity_thermal(self) -> Float[Tensor, " n"]:
         """o_t in (0, 1)."""
         shares_opacity = self.opacity_thermal_logit.shape[1] == 0
         return self.opacity_rgb if shares_opacity else self.opacity_thermal_logit[:, 0].sigmoid()

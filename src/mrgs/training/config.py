@@ -156,9 +156,7 @@ def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
         max_steps=steps,
         sh_every=scaled(config.sh_every),
         radiation=radiation,
-        densification=replace(
-            old, start=scaled(old.start), stop=scaled(old.stop), reset_every=scaled(old.reset_every)
-        ),
+        densification=replace(old, start=scaled(old.start), stop=scaled(old.stop), reset_every=scaled(old.reset_every)),
     )
 
 

@@ -75,7 +75,7 @@ class ScreenStatistics:
         views: [N].
     """
 
-    def __init__(self, gradient_sum: Float[Tensor, "n"], views: Float[Tensor, "n"]) -> None:
+    def __init__(self, gradient_sum: Float[Tensor, " n"], views: Float[Tensor, " n"]) -> None:
         self.gradient_sum = gradient_sum
         self.views = views
 
@@ -94,7 +94,7 @@ class ScreenStatistics:
             drawn |= points.radii > 0
         self.views += drawn
 
-    def mean(self) -> Float[Tensor, "n"]:
+    def mean(self) -> Float[Tensor, " n"]:
         """Mean norm of the gradient over the views that drew the Gaussian."""
         return self.gradient_sum / self.views.clamp_min(1)
 
@@ -140,7 +140,7 @@ def densify(
     return DensificationCounts(len(cloned), len(split), pruned)
 
 
-def _within_budget(gradients: Float[Tensor, "n"], config: DensificationConfig, count: int) -> Bool[Tensor, "n"]:
+def _within_budget(gradients: Float[Tensor, " n"], config: DensificationConfig, count: int) -> Bool[Tensor, " n"]:
     """Which Gaussians densify: each adds one, and the cap lets only the largest gradients do so."""
     chosen = gradients >= config.gradient_threshold
     budget = max(config.max_gaussians - count, 0)
@@ -153,7 +153,7 @@ def _within_budget(gradients: Float[Tensor, "n"], config: DensificationConfig, c
 
 def _is_superfluous(
     gaussians: Gaussians, config: DensificationConfig, extent: float, prunes_large: bool
-) -> Bool[Tensor, "n"]:
+) -> Bool[Tensor, " n"]:
     """Transparent in both modalities, or too large."""
     superfluous = torch.maximum(gaussians.opacity_rgb, gaussians.opacity_thermal) < config.prune_opacity
     if prunes_large:
@@ -163,7 +163,9 @@ def _is_superfluous(
 
 def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
     """Two smaller Gaussians for each, at places drawn from it."""
-    halves = Gaussians(**{name: tensor.repeat_interleave(SPLIT_INTO, 0) for name, tensor in gaussians.tensors().items()})
+    halves = Gaussians(
+        **{name: tensor.repeat_interleave(SPLIT_INTO, 0) for name, tensor in gaussians.tensors().items()}
+    )
     noise = torch.randn(halves.means.shape, generator=generator) * halves.scales
     halves.means = halves.means + _rotate(halves.quats, noise)
     halves.log_scales = halves.log_scales - torch.tensor(SPLIT_SHRINK).log()
@@ -178,7 +180,7 @@ def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float
     return vectors + 2 * (w * crossed + torch.linalg.cross(r, crossed))
 
 
-def _rows(gaussians: Gaussians, rows: Int64[Tensor, "k"]) -> Gaussians:
+def _rows(gaussians: Gaussians, rows: Int64[Tensor, " k"]) -> Gaussians:
     return Gaussians(**{name: tensor.detach()[rows] for name, tensor in gaussians.tensors().items()})
 
 

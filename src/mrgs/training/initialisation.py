@@ -57,7 +57,7 @@ def initial_gaussians(
     )
 
 
-def _spacing(means: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+def _spacing(means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     """Root mean square distance to the nearest points."""
     neighbours = nearest_neighbours(means, INITIAL_SCALE_NEIGHBOURS)
     squared = (means[neighbours] - means[:, None]).square().sum(dim=2).mean(dim=1)

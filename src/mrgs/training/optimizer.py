@@ -95,7 +95,7 @@ class GaussianOptimizer:
         gradients = [tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None]
         return all(bool(gradient.sum().isfinite()) for gradient in gradients)
 
-    def replace_rows(self, keep: Int64[Tensor, "k"], added: Gaussians) -> None:
+    def replace_rows(self, keep: Int64[Tensor, " k"], added: Gaussians) -> None:
         """Keep these rows, in this order, and append new ones; the new rows' moments start at 0."""
         for name, addition in added.tensors().items():
             old = getattr(self.gaussians, name)

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from mrgs.field import nearest_neighbours
-from mrgs.rasterizer import Blend
 from mrgs.render import Model, Rendering, render
 from mrgs.scene import Pixels, TemperatureRange, View
 from mrgs.training.config import TrainConfig
@@ -133,25 +132,36 @@ def loss_terms(
     """L_c, L_t, L_smooth and L_boltz of a view, as far as the view and the method have them."""
     terms: dict[str, Tensor] = {}
     smooth = []
-    for name, blend, photo in (("rgb", rendering.rgb, photos.rgb), ("thermal", rendering.thermal, photos.thermal)):
-        if blend is not None and photo is not None:
-            terms[name] = photometric_loss(blend.image, photo.values, photo.valid, config.loss.dssim)
+    for name, image, depth, photo in (
+        ("rgb", rendering.rgb, rendering.depth_rgb, photos.rgb),
+        ("thermal", rendering.thermal, rendering.depth_thermal, photos.thermal),
+    ):
+        if image is not None and depth is not None and photo is not None:
+            terms[name] = photometric_loss(image, photo.values, photo.valid, config.loss.dssim)
             if config.loss.smooth > 0:
-                smooth.append(smoothness_loss(blend.image, blend.depth, photo.values, extent, config.loss))
+                smooth.append(smoothness_loss(image, depth, photo.values, extent, config.loss))
     if smooth:
         terms["smooth"] = torch.stack(smooth).sum()
-    if config.radiation is not None and rendering.thermal is not None and photos.thermal is not None:
-        terms["boltzmann"] = _radiation_term(rendering.thermal, photos.thermal, extent, temperature, uncertainty)
+    if config.radiation is not None and "thermal" in terms:
+        terms["boltzmann"] = _radiation_term(rendering, photos.thermal, extent, temperature, uncertainty)
     return terms
 
 
 def _radiation_term(
-    blend: Blend, photo: Pixels, extent: float, temperature: TemperatureRange | None, uncertainty: DepthUncertainty
+    rendering: Rendering,
+    photo: Pixels | None,
+    extent: float,
+    temperature: TemperatureRange | None,
+    uncertainty: DepthUncertainty,
 ) -> Tensor:
     """L_boltz from the photo's temperatures and the rendered depth."""
-    radiation = thermal_radiation(photo.values[..., 0], blend.depth, extent, temperature)
+    assert photo is not None
+    assert rendering.thermal is not None
+    assert rendering.depth_thermal is not None
+    depth = rendering.depth_thermal
+    radiation = thermal_radiation(photo.values[..., 0], depth, extent, temperature)
     radiation = normalise_radiation(radiation, photo.valid)
-    return boltzmann_loss(blend.image[..., 0], radiation, uncertainty(blend.depth, extent), photo.valid)
+    return boltzmann_loss(rendering.thermal[..., 0], radiation, uncertainty(depth, extent), photo.valid)
 
 
 def control_density(state: TrainingState, config: TrainConfig, extent: float) -> DensificationCounts | None:
@@ -160,9 +170,7 @@ def control_density(state: TrainingState, config: TrainConfig, extent: float) ->
     counts = None
     if schedule.densifies_at(state.step):
         prunes_large = state.step > schedule.reset_every
-        counts = densify(
-            state.gaussian_optimizer, state.statistics, schedule, extent, prunes_large, state.generator
-        )
+        counts = densify(state.gaussian_optimizer, state.statistics, schedule, extent, prunes_large, state.generator)
         state.statistics = ScreenStatistics.empty(len(state.model.gaussians))
         state.model.neighbours = None
     if schedule.resets_at(state.step):
@@ -188,5 +196,5 @@ def _thermal_error(rendering: Rendering, photos: Photos) -> float | None:
     """Mean absolute error of the normalised temperature over the valid pixels."""
     if rendering.thermal is None or photos.thermal is None:
         return None
-    error = (rendering.thermal.image.detach() - photos.thermal.values).abs()
+    error = (rendering.thermal.detach() - photos.thermal.values).abs()
     return (error if photos.thermal.valid is None else error[photos.thermal.valid]).mean().item()

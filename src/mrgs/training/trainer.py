@@ -26,7 +26,8 @@ from mrgs.training.views import PhotoCache
 LOG_EVERY = 10
 MAX_SKIPPED_IN_A_ROW = 3
 
-OnStep = Callable[[StepStatistics], None]
+OnStep = Callable[[StepStatistics], bool | None]
+"""Called after every step; returning True stops the training with a checkpoint."""
 
 
 def train(
@@ -47,7 +48,7 @@ def train(
         config: what to train; a resumed run keeps its own.
         resume: continue the run from its newest checkpoint, exactly.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
-        on_step: called after every step.
+        on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
 
     Raises:
@@ -118,18 +119,15 @@ class _Trainer:
         self._started = time.perf_counter()
 
     def run(self, stop_at: int | None, on_step: OnStep | None) -> None:
-        """Step until the end of the schedule; on Ctrl-C the last whole step is checkpointed."""
+        """Step until the end of the schedule, or until somebody asks to stop; the last step is checkpointed."""
         last = min(self._config.max_steps, stop_at or self._config.max_steps)
-        saved = self._state.step
         while self._state.step < last:
             statistics = self._step()
-            if on_step is not None:
-                on_step(statistics)
+            asked_to_stop = on_step is not None and on_step(statistics) is True
+            if asked_to_stop:
+                last = self._state.step
             if self._state.step % self._config.checkpoint_every == 0 or self._state.step == last:
                 self._save()
-                saved = self._state.step
-        if saved == 0:
-            self._save()
 
     def _step(self) -> StepStatistics:
         state = self._state

@@ -127,7 +127,7 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
 
 
 @kernel()
-def _write_layer(planes, layer, background, x0, y0, image, depth, alpha):
+def _write_layer(planes, layer, background, x0, y0, image, depth, transmittances):
     """A layer's planes -> pixels of its images, over the background."""
     for row in range(min(TILE_HEIGHT, image.shape[0] - y0)):
         for column in range(min(TILE_WIDTH, image.shape[1] - x0)):
@@ -138,22 +138,22 @@ def _write_layer(planes, layer, background, x0, y0, image, depth, alpha):
                 feature = planes[at + FEATURES + channel * TILE_PIXELS]
                 image[y, x, channel] = feature + transmittance * background[channel]
             depth[y, x] = planes[at + DEPTH]
-            alpha[y, x] = ONE - transmittance
+            transmittances[y, x] = transmittance
 
 
 @parallel_kernel()
 def blend(
-    splats, tile_splats, tile_starts, background_rgb, background_thermal, rgb, depth_rgb, alpha_rgb, thermal,
-    depth_thermal, alpha_thermal,
+    splats, tile_splats, tile_starts, background_rgb, background_thermal, rgb, depth_rgb, transmittance_rgb,
+    thermal, depth_thermal, transmittance_thermal,
 ):  # fmt: skip
-    """Fill the images of both layers: rgb [H, W, 3] and thermal [H, W, 1], their depths and alphas [H, W].
+    """Fill the images of both layers: rgb [H, W, 3] and thermal [H, W, 1], their depths and T_end [H, W].
 
     Args:
         splats: records in depth order, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
         background_rgb, background_thermal: [3] and [1].
     """
-    height, width = alpha_rgb.shape
+    height, width = transmittance_rgb.shape
     tiles_x = (width + TILE_WIDTH - 1) // TILE_WIDTH
     tiles = tile_starts.size - 1
     for index in prange(tiles):
@@ -163,5 +163,5 @@ def blend(
         open_transmittance(planes, _RGB, x0, y0, width, height)
         open_transmittance(planes, _THERMAL, x0, y0, width, height)
         _blend_tile(planes, splats, tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0)
-        _write_layer(planes, _RGB, background_rgb, x0, y0, rgb, depth_rgb, alpha_rgb)
-        _write_layer(planes, _THERMAL, background_thermal, x0, y0, thermal, depth_thermal, alpha_thermal)
+        _write_layer(planes, _RGB, background_rgb, x0, y0, rgb, depth_rgb, transmittance_rgb)
+        _write_layer(planes, _THERMAL, background_thermal, x0, y0, thermal, depth_thermal, transmittance_thermal)

@@ -1,7 +1,7 @@
 """Backward of the alpha blending: the same walk, front to back, with one running scalar per layer and pixel.
 
-With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background − g_alpha): all that lies behind the
-splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel − T_end g_alpha and loses w_i (g·f_i) at each
+With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background + g_T): all that lies behind the
+splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel + T_end g_T and loses w_i (g·f_i) at each
 step; nothing is divided by T. Every (tile, splat) pair has its own record of sums, so no atomics are needed and the
 result does not depend on the number of threads.
 """
@@ -51,13 +51,13 @@ _PLANES = 10
 
 
 @kernel()
-def _read_layer(planes, layer, behind, image, depth, alpha, grad_image, grad_depth, grad_alpha, x0, y0):
+def _read_layer(planes, layer, behind, image, depth, transmittance, grad_image, grad_depth, grad_transmittance, x0, y0):
     """The gradients of a layer's pixels into planes, and R at its start."""
     for row in range(min(TILE_HEIGHT, image.shape[0] - y0)):
         for column in range(min(TILE_WIDTH, image.shape[1] - x0)):
             at = layer + row * TILE_WIDTH + column
             y, x = y0 + row, x0 + column
-            total = grad_depth[y, x] * depth[y, x] - (ONE - alpha[y, x]) * grad_alpha[y, x]
+            total = grad_depth[y, x] * depth[y, x] + grad_transmittance[y, x] * transmittance[y, x]
             planes[at + DEPTH] = grad_depth[y, x]
             for channel in range(image.shape[2]):
                 total += grad_image[y, x, channel] * image[y, x, channel]
@@ -174,18 +174,19 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
 
 @parallel_kernel()
 def blend_backward(
-    splats, tile_splats, tile_starts, rgb, depth_rgb, alpha_rgb, thermal, depth_thermal, alpha_thermal, grad_rgb,
-    grad_depth_rgb, grad_alpha_rgb, grad_thermal, grad_depth_thermal, grad_alpha_thermal, pair_grads,
+    splats, tile_splats, tile_starts, rgb, depth_rgb, transmittance_rgb, thermal, depth_thermal,
+    transmittance_thermal, grad_rgb, grad_depth_rgb, grad_transmittance_rgb, grad_thermal, grad_depth_thermal,
+    grad_transmittance_thermal, pair_grads,
 ):  # fmt: skip
     """Fill ``pair_grads`` [P, 12], the gradient moments of every (tile, splat) pair.
 
     Args:
         splats: records in depth order, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
-        rgb, depth_rgb, alpha_rgb, thermal, depth_thermal, alpha_thermal: what ``blend`` wrote.
+        rgb, depth_rgb, ..., transmittance_thermal: what ``blend`` wrote.
         grad_*: the gradients of these.
     """
-    height, width = alpha_rgb.shape
+    height, width = transmittance_rgb.shape
     tiles_x = (width + TILE_WIDTH - 1) // TILE_WIDTH
     tiles = tile_starts.size - 1
     for index in prange(tiles):
@@ -195,10 +196,11 @@ def blend_backward(
         open_transmittance(planes, _RGB, x0, y0, width, height)
         open_transmittance(planes, _THERMAL, x0, y0, width, height)
         _read_layer(
-            planes, _RGB, _BEHIND_RGB, rgb, depth_rgb, alpha_rgb, grad_rgb, grad_depth_rgb, grad_alpha_rgb, x0, y0
-        )
+            planes, _RGB, _BEHIND_RGB, rgb, depth_rgb, transmittance_rgb, grad_rgb, grad_depth_rgb,
+            grad_transmittance_rgb, x0, y0,
+        )  # fmt: skip
         _read_layer(
-            planes, _THERMAL, _BEHIND_THERMAL, thermal, depth_thermal, alpha_thermal, grad_thermal,
-            grad_depth_thermal, grad_alpha_thermal, x0, y0,
+            planes, _THERMAL, _BEHIND_THERMAL, thermal, depth_thermal, transmittance_thermal, grad_thermal,
+            grad_depth_thermal, grad_transmittance_thermal, x0, y0,
         )  # fmt: skip
         _backward_tile(planes, splats, tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0, pair_grads)

@@ -24,7 +24,7 @@ _SLOT_CHANNELS = (3, 1)
 class _FusedPass(torch.autograd.Function):
     """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2]) -> images, radii.
 
-    The images are those of both slots: features, depth, alpha, features, depth, alpha.
+    The images are those of both slots: features, depth, T_end, features, depth, T_end.
     """
 
     @staticmethod
@@ -61,7 +61,7 @@ class _FusedPass(torch.autograd.Function):
             lists.pair_positions, lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
         # ∂L/∂background = Σ T_end g over the pixels
-        grad_backgrounds = [np.tensordot(1.0 - images[k + 2], grad_images[k], axes=2) for k in (0, 3)]
+        grad_backgrounds = [np.tensordot(images[k + 2], grad_images[k], axes=2) for k in (0, 3)]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
         return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None)
 
@@ -91,10 +91,19 @@ def rasterize(
     offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
     *images, radii = _FusedPass.apply(
         means, quats, scales, opacities, features, backgrounds, offset,
-        viewmat.detach().double().numpy(), K.detach().double().numpy(), width, height,
+        _float64(viewmat), _float64(K), width, height,
     )  # fmt: skip
-    blends = {3: Blend(*images[:3]), 1: Blend(*images[3:])}
+    blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)
+
+
+def _to_blend(image: Tensor, depth: Tensor, transmittance: Tensor) -> Blend:
+    return Blend(image, depth, 1 - transmittance)
+
+
+def _float64(matrix: Tensor) -> np.ndarray:
+    """Row by row in memory: the kernels are compiled for one layout."""
+    return matrix.detach().double().contiguous().numpy()
 
 
 def _merge_layers(by_channels: dict[int, Layer], count: int) -> tuple[Tensor, Tensor, Tensor]:

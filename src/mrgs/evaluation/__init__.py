@@ -1,0 +1,7 @@
+"""Scores, pictures and camera paths: everything that judges or shows a finished model."""
+
+from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
+from mrgs.evaluation.report import RunFacts, write_report
+from mrgs.evaluation.score_run import evaluate_run, render_run
+
+__all__ = ["Metrics", "RunFacts", "ViewMetrics", "evaluate", "evaluate_run", "render_run", "write_report"]

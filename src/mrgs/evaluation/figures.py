@@ -1,0 +1,52 @@
+"""Figures that may be missing: a number, or the reason why there is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, TypeAlias
+
+THERMAL_FIGURES = ("psnr", "ssim", "ssim_pair_range", "mae_c", "mae_foreground_c", "lpips")
+RGB_FIGURES = ("psnr", "ssim", "ssim_pair_range", "lpips")
+
+
+class Missing(NamedTuple):
+    """A figure that cannot be had, and why (a clause without a full stop)."""
+
+    reason: str
+
+
+Figure: TypeAlias = float | Missing
+Figures: TypeAlias = dict[str, float | Missing]
+
+
+def all_missing(names: Iterable[str], reason: str) -> Figures:
+    """The named figures, all missing for one reason."""
+    return {name: Missing(reason) for name in names}
+
+
+def mean_figure(figures: Sequence[Figure]) -> Figure:
+    """Mean over the views that have the figure; missing, for the first view's reason, if none has.
+
+    An infinite figure (the PSNR of identical images) makes the mean infinite: leaving it out would understate it.
+    """
+    numbers = [figure for figure in figures if not isinstance(figure, Missing)]
+    if not numbers:
+        return figures[0] if figures else Missing("no view to score")
+    return math.fsum(numbers) / len(numbers) if all(map(math.isfinite, numbers)) else sum(numbers)
+
+
+def mean_figures(views: Sequence[Figures], names: Iterable[str]) -> Figures:
+    """``mean_figure`` of each named figure."""
+    return {name: mean_figure([view[name] for view in views]) for name in names}
+
+
+def to_json(figure: Figure) -> tuple[float | None, str | None]:
+    """The figure as (number, None), or as (None, reason); JSON knows neither NaN nor infinity."""
+    if isinstance(figure, Missing):
+        return None, figure.reason
+    if math.isnan(figure):
+        return None, "not a number: the rendering holds NaN"
+    if math.isinf(figure):
+        return None, "infinite: the images are identical" if figure > 0 else "not finite: the rendering overflows"
+    return float(figure), None

@@ -1,0 +1,100 @@
+"""Image metrics on [H, W, C] tensors with values in [0, 1].
+
+All take an optional mask of valid pixels and count nothing outside it. PSNR, SSIM and LPIPS clamp the rendering to
+[0, 1] first, as the images that one can look at are; the temperature errors do not.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from mrgs.evaluation.figures import Figure, Missing
+from mrgs.training.ssim import RADIUS_PX, ssim_map
+
+
+def psnr(
+    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+) -> float:
+    """Peak signal-to-noise ratio for the range 1, dB; infinite where the valid pixels are identical."""
+    difference = _select(image.clamp(0, 1), valid).double() - _select(target, valid).double()
+    mse = difference.square().mean().item()
+    return math.inf if mse == 0 else -10 * math.log10(mse)
+
+
+def mean_absolute_error(
+    image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Bool[Tensor, "h w"] | None = None
+) -> float:
+    """Mean of |image − target| over the valid pixels, in the unit of the input; NaN where no pixel is valid."""
+    return (_select(image, valid).double() - _select(target, valid).double()).abs().mean().item()
+
+
+def ssim(
+    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+) -> float:
+    """SSIM as the 3DGS family reports it: data range 1, zeros beyond the border, mean over the valid pixels.
+
+    Outside the valid pixels the rendering takes the photo's values, so that no window compares them.
+    """
+    similarity = ssim_map(*_planes(image, target, valid), data_range=1.0)
+    return _select(similarity.permute(1, 2, 0), valid).mean().item()
+
+
+def ssim_pair_range(
+    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+) -> Figure:
+    """SSIM with the data range of the image pair, torchmetrics' default, over windows that lie inside the image.
+
+    torchmetrics averages over these windows up to 1.4.1 (2024); later releases also count the reflected borders.
+    Missing where both images are uniform, or where no valid pixel has a whole window.
+    """
+    interior = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
+    interior[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX] = True
+    interior = interior if valid is None else interior & valid
+    if not interior.any():
+        return Missing("no valid pixel is far enough from the border for a whole 11×11 window")
+    pixels = torch.stack([_select(image.clamp(0, 1), valid), _select(target, valid)]).double().flatten(1)
+    data_range = (pixels.amax(dim=1) - pixels.amin(dim=1)).max()
+    if data_range == 0:
+        return Missing("both images are uniform, so the range of the pair is zero")
+    similarity = ssim_map(*_planes(image, target, valid), data_range=data_range)
+    return _select(similarity.permute(1, 2, 0), interior).mean().item()
+
+
+def fill_invalid(
+    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None
+) -> Float[Tensor, "h w c"]:
+    """The image with the target's values where pixels are not valid."""
+    return image if valid is None else image.where(valid[..., None], target)
+
+
+def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | None:
+    """Otsu's threshold: values above it are foreground.
+
+    It maximises the between-class variance over the histogram (N. Otsu, "A threshold selection method from
+    gray-level histograms", 1979); among equals the lowest wins. None if all values are equal.
+    """
+    low, high = float(values.min()), float(values.max())
+    if not low < high:
+        return None
+    counts, edges = np.histogram(values, bins=bins, range=(low, high))
+    centres = (edges[:-1] + edges[1:]) / 2
+    below, total = np.cumsum(counts)[:-1], counts.sum()
+    moment_below = np.cumsum(counts * centres)[:-1]
+    mean_below = moment_below / below
+    mean_above = ((counts * centres).sum() - moment_below) / (total - below)
+    return float(edges[1 + np.argmax(below * (total - below) * (mean_below - mean_above) ** 2)])
+
+
+def _select(image: Tensor, valid: Tensor | None) -> Tensor:
+    return image if valid is None else image[valid]
+
+
+def _planes(image: Tensor, target: Tensor, valid: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Both images as [C, H, W] in float64: a window's variance is a small difference of large numbers."""
+    filled = fill_invalid(image.clamp(0, 1), target, valid)
+    return filled.double().permute(2, 0, 1), target.double().permute(2, 0, 1)

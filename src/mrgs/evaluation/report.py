@@ -1,0 +1,160 @@
+"""``metrics.json`` and ``metrics.md``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mrgs.atomic import replacing
+from mrgs.evaluation.evaluate import Metrics
+from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES, Figure, Figures, Missing, to_json
+from mrgs.evaluation.truth import TRUTH_FIGURES
+
+COLUMNS = {
+    "psnr": ("PSNR, dB", 2),
+    "ssim": ("SSIM", 4),
+    "ssim_pair_range": ("SSIM, pair range", 4),
+    "mae_c": ("MAE, °C", 3),
+    "mae_foreground_c": ("MAE foreground, °C", 3),
+    "lpips": ("LPIPS", 4),
+    "camera_mae_c": ("the camera's own MAE, °C", 3),
+    "depth_median_relative_error": ("median relative depth error", 4),
+}
+"""Heading and decimals of each figure."""
+
+CONVENTIONS = (
+    "Full frame, undistorted images, mean over the views. PSNR has the range 1. SSIM uses an 11×11 Gaussian window "
+    "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the image pair and whole "
+    "windows only, as torchmetrics does by default up to 1.4.1. The foreground is what is warmer than Otsu's "
+    "threshold averaged over the views. LPIPS is VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers "
+    "do not compare."
+)
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What a run is and what it cost; None where it was not measured.
+
+    Attributes:
+        method: for instance ``mrgs`` or ``3dgs-rgbt``.
+        scene: the scene's name.
+        steps: training steps taken.
+        gaussians: how many Gaussians the model has.
+        train_seconds: wall-clock time of the training, s.
+        peak_memory_bytes: largest memory held during the training.
+        device: for instance ``cpu`` or the GPU's name.
+    """
+
+    method: str
+    scene: str
+    steps: int
+    gaussians: int
+    train_seconds: float | None
+    peak_memory_bytes: int | None
+    device: str
+
+
+def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
+    """The content of ``metrics.json``.
+
+    Every null has its sentence under ``reasons``, keyed by the figure's dotted path inside the object that holds
+    ``reasons``: the document itself for the run and the means, each entry of ``views`` for its own figures.
+    """
+    means = {"thermal": metrics.thermal, "rgb": metrics.rgb}
+    document: dict[str, Any] = dict(vars(facts))
+    reasons = {name: "not measured during the training" for name, value in document.items() if value is None}
+    document["mean"] = {group: _split(figures, f"mean.{group}", reasons) for group, figures in means.items()}
+    if metrics.truth is not None:
+        document["truth"] = _split(metrics.truth, "truth", reasons)
+    document["reasons"] = reasons
+    document["views"] = []
+    for view in metrics.views:
+        groups = {"thermal": view.thermal, "rgb": view.rgb} | ({} if view.truth is None else {"truth": view.truth})
+        view_reasons: dict[str, str] = {}
+        entry = {group: _split(figures, group, view_reasons) for group, figures in groups.items()}
+        document["views"].append({"name": view.name, **entry, "reasons": view_reasons})
+    return document
+
+
+def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
+    """The same figures as tables; a dash for a missing one, with the reasons at the end."""
+    seconds = "not measured" if facts.train_seconds is None else f"{facts.train_seconds:.0f} s"
+    memory = "not measured" if facts.peak_memory_bytes is None else f"{facts.peak_memory_bytes / 2**20:.0f} MiB"
+    blocks = [
+        f"# {_escape(facts.method)} on {_escape(facts.scene)}",
+        f"{facts.steps:,} steps, {facts.gaussians:,} Gaussians, training {seconds}, peak memory {memory}, "
+        f"device {_escape(facts.device)}.",
+    ]
+    groups: list[tuple[str, str, Sequence[str]]] = [
+        ("Thermal", "thermal", THERMAL_FIGURES),
+        ("RGB", "rgb", RGB_FIGURES),
+    ]
+    if metrics.truth is not None:
+        groups.append(("Against the exact truth", "truth", TRUTH_FIGURES))
+    for title, group, names in groups:
+        rows = [("**mean**", getattr(metrics, group))]
+        rows += [(_escape(view.name), getattr(view, group)) for view in metrics.views]
+        blocks += [f"## {title}", _table(rows, names)]
+    reasons = _distinct_reasons(metrics)
+    if reasons:
+        blocks.append("A dash stands for a figure that cannot be had:\n\n" + "\n".join(f"- {line}" for line in reasons))
+    return "\n\n".join([*blocks, CONVENTIONS]) + "\n"
+
+
+def write_report(folder: Path, facts: RunFacts, metrics: Metrics) -> tuple[Path, Path]:
+    """Write ``metrics.json`` and ``metrics.md`` into the folder; returns their paths.
+
+    Raises:
+        RunError: a file cannot be written.
+    """
+    text = json.dumps(to_document(facts, metrics), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    paths = folder / "metrics.json", folder / "metrics.md"
+    for path, content in zip(paths, (text, to_markdown(facts, metrics)), strict=True):
+        with replacing(path) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    return paths
+
+
+def format_figure(name: str, figure: Figure) -> str:
+    """A figure for people: the usual decimals, a dash where it is missing, ∞ for a perfect PSNR."""
+    number, _ = to_json(figure)
+    if number is None:
+        return "∞" if figure == float("inf") else "–"
+    return f"{number:.{COLUMNS[name][1]}f}"
+
+
+def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, float | None]:
+    """The figures as JSON numbers; the reason of each null is added to ``reasons``."""
+    numbers: dict[str, float | None] = {}
+    for name, figure in figures.items():
+        numbers[name], reason = to_json(figure)
+        if reason is not None:
+            reasons[f"{prefix}.{name}"] = reason
+    return numbers
+
+
+def _table(rows: Sequence[tuple[str, Figures]], names: Sequence[str]) -> str:
+    lines = ["| | " + " | ".join(COLUMNS[name][0] for name in names) + " |", "|---|" + "---:|" * len(names)]
+    for label, figures in rows:
+        lines.append(f"| {label} | " + " | ".join(format_figure(name, figures[name]) for name in names) + " |")
+    return "\n".join(lines)
+
+
+def _distinct_reasons(metrics: Metrics) -> list[str]:
+    groups = [metrics.thermal, metrics.rgb, metrics.truth or {}]
+    for view in metrics.views:
+        groups += [view.thermal, view.rgb, view.truth or {}]
+    lines = [
+        f"{COLUMNS[name][0]}: {figure.reason}"
+        for figures in groups
+        for name, figure in figures.items()
+        if isinstance(figure, Missing)
+    ]
+    return list(dict.fromkeys(lines))
+
+
+def _escape(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,281 @@
+"""The oracle: the image model of ``contract.py`` in plain torch, one function per equation, any dtype and device.
+
+It is written to be read and to be right, not to be fast, and shares no code with the kernels. Gradients come from
+autograd. Shapes: N Gaussians given, M of them in front of the camera, P pixels, C channels.
+
+Sources: 3D Gaussian Splatting (Kerbl et al. 2023) for Σ = R S Sᵀ Rᵀ and the blending; EWA Splatting (Zwicker et al.
+2001) for the projection of the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mrgs.rasterizer.contract import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    COVARIANCE_DILATION_PX2,
+    FRUSTUM_MARGIN,
+    NEAR_PLANE,
+    TRANSMITTANCE_MIN,
+    Blend,
+    Layer,
+    Raster,
+)
+
+CHUNK_ELEMENTS = 2**20
+"""Pixels are blended in chunks of at most so many (pixel, Gaussian) pairs: bounds the memory, not the result."""
+
+
+class Splats(NamedTuple):
+    """The Gaussians in front of the camera, projected, nearest first.
+
+    Attributes:
+        indices: their rows in the rasterizer's inputs, [M].
+        means2d: projected centres μ' in pixels, [M, 2].
+        covs2d: projected, dilated covariances Σ' in px², [M, 2, 2].
+        depths: z in camera coordinates, scene units, [M].
+    """
+
+    indices: Tensor
+    means2d: Tensor
+    covs2d: Tensor
+    depths: Tensor
+
+
+def rasterize(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    layers: Sequence[Layer],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+    means2d_offset: Float[Tensor, "n 2"] | None = None,
+) -> Raster:
+    """Render the layers from one camera; arguments and result as in ``contract.Rasterizer``.
+
+    Differentiable by autograd. The camera is converted to the dtype and the device of ``means``.
+
+    Raises:
+        ValueError: a shape does not fit, there is not one or two layers, or the image has no pixels.
+    """
+    _check_shapes(means, quats, scales, layers, viewmat, K, means2d_offset)
+    if width < 1 or height < 1:
+        raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
+    viewmat, K = viewmat.to(means), K.to(means)
+    splats = project(means, quats, scales, viewmat, K, width, height, means2d_offset)
+    radii = extents_px(splats, [layer.opacities for layer in layers], width, height)
+    layer_tensors = [
+        tensor
+        for layer in layers
+        for tensor in (layer.opacities[splats.indices], layer.features[splats.indices], layer.background)
+    ]
+    pixels = pixel_centres(width, height, means)
+    images = _BlendInChunks.apply(pixels, splats.means2d, splats.covs2d, splats.depths, *layer_tensors)
+    images = [image.unflatten(0, (height, width)) for image in images]
+    return Raster(tuple(Blend(*images[i : i + 3]) for i in range(0, len(images), 3)), radii)
+
+
+def rotation_matrices(quats: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
+    """R of the quaternions wxyz, which are normalised first."""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    entries = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
+
+
+def covariances(quats: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+    """Σ = R S Sᵀ Rᵀ in world coordinates."""
+    rotated_axes = rotation_matrices(quats) * scales[:, None, :]
+    return rotated_axes @ rotated_axes.mT
+
+
+def to_camera(means: Float[Tensor, "n 3"], viewmat: Float[Tensor, "4 4"]) -> Float[Tensor, "n 3"]:
+    """μ in camera coordinates: R_w μ + t."""
+    return means @ viewmat[:3, :3].T + viewmat[:3, 3]
+
+
+def perspective(means_camera: Float[Tensor, "n 3"], K: Float[Tensor, "3 3"]) -> Float[Tensor, "n 2"]:
+    """μ' = (fx x/z + cx, fy y/z + cy) in pixels."""
+    focal, principal_point = K.diagonal()[:2], K[:2, 2]
+    return focal * means_camera[:, :2] / means_camera[:, 2:] + principal_point
+
+
+def jacobians(
+    means_camera: Float[Tensor, "n 3"], K: Float[Tensor, "3 3"], width: int, height: int
+) -> Float[Tensor, "n 2 3"]:
+    """J = [[fx/z, 0, −fx u/z], [0, fy/z, −fy v/z]], the derivative of the perspective projection.
+
+    (u, v) = (x/z, y/z), clamped to the image widened by FRUSTUM_MARGIN half fields of view on each side: far outside
+    the image the first-order expansion would stretch Gaussians without bound.
+    """
+    focal, principal_point = K.diagonal()[:2], K[:2, 2]
+    size = K.new_tensor([width, height])
+    margin = FRUSTUM_MARGIN * size / (2 * focal)
+    lower, upper = -principal_point / focal - margin, (size - principal_point) / focal + margin
+    directions = (means_camera[:, :2] / means_camera[:, 2:]).clamp(lower, upper)
+    focal_over_depth = focal / means_camera[:, 2:]
+    return torch.cat([torch.diag_embed(focal_over_depth), -(focal_over_depth * directions)[:, :, None]], dim=2)
+
+
+def project_covariances(
+    covs: Float[Tensor, "n 3 3"], jacobian: Float[Tensor, "n 2 3"], viewmat: Float[Tensor, "4 4"]
+) -> Float[Tensor, "n 2 2"]:
+    """Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I in px²."""
+    world_to_image = jacobian @ viewmat[:3, :3]
+    dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs.dtype, device=covs.device)
+    return world_to_image @ covs @ world_to_image.mT + dilation
+
+
+def project(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+    means2d_offset: Float[Tensor, "n 2"] | None = None,
+) -> Splats:
+    """Drop what lies before the near plane, sort the rest by depth (ties by index) and project it."""
+    means_camera = to_camera(means, viewmat)
+    in_front = torch.nonzero(means_camera[:, 2] >= NEAR_PLANE).squeeze(1)
+    indices = in_front[torch.argsort(means_camera[in_front, 2], stable=True)]
+    means_camera = means_camera[indices]
+    means2d = perspective(means_camera, K)
+    if means2d_offset is not None:
+        means2d = means2d + means2d_offset[indices]
+    covs = covariances(quats[indices], scales[indices])
+    covs2d = project_covariances(covs, jacobians(means_camera, K, width, height), viewmat)
+    return Splats(indices, means2d, covs2d, means_camera[:, 2])
+
+
+def pixel_centres(width: int, height: int, like: Tensor) -> Float[Tensor, "p 2"]:
+    """x' of every pixel, (column + 0.5, row + 0.5), row by row, with the dtype and the device of ``like``."""
+    columns, rows = (torch.arange(size, dtype=like.dtype, device=like.device) + 0.5 for size in (width, height))
+    return torch.cartesian_prod(rows, columns).flip(-1)
+
+
+def falloffs(
+    pixels: Float[Tensor, "p 2"], means2d: Float[Tensor, "m 2"], covs2d: Float[Tensor, "m 2 2"]
+) -> Float[Tensor, "p m"]:
+    """exp(−½ (x' − μ')ᵀ Σ'⁻¹ (x' − μ')) of every pixel and Gaussian."""
+    dx, dy = (pixels[:, None] - means2d).unbind(-1)
+    a, b, c = covs2d[:, 0, 0], covs2d[:, 0, 1], covs2d[:, 1, 1]
+    return torch.exp(-(c * dx**2 - 2 * b * dx * dy + a * dy**2) / (2 * (a * c - b**2)))
+
+
+def alphas(opacities: Float[Tensor, " m"], falloff: Float[Tensor, "p m"]) -> Float[Tensor, "p m"]:
+    """α = min(0.999, o · falloff), and 0 where that is below 1/255; no gradient where either bound acts."""
+    alpha = (opacities * falloff).clamp(max=ALPHA_MAX)
+    return torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
+
+
+def transmittances(alpha: Float[Tensor, "p m"]) -> Float[Tensor, "p m+1"]:
+    """T_i = Π_{j<i} (1 − α_j): what reaches the Gaussian i from the camera, and at the end what passes them all."""
+    ones = alpha.new_ones(len(alpha), 1)
+    return torch.cat([ones, 1 - alpha], dim=1).cumprod(dim=1)
+
+
+def unfinished(alpha: Float[Tensor, "p m"]) -> Bool[Tensor, "p m"]:
+    """Whether T_i >= 1e-4 when the turn comes to the Gaussian i; the one that brings T below still counts."""
+    return transmittances(alpha.detach())[:, :-1] >= TRANSMITTANCE_MIN
+
+
+def blend(falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], layer: Layer) -> tuple[Tensor, Tensor, Tensor]:
+    """Σ w f + T_end · background [P, C], Σ w z [P] and 1 − T_end [P] of one (sorted) layer, with w = α T."""
+    alpha = alphas(layer.opacities, falloff)
+    alpha = torch.where(unfinished(alpha), alpha, 0.0)
+    transmittance = transmittances(alpha)
+    weights, passed = alpha * transmittance[:, :-1], transmittance[:, -1]
+    return weights @ layer.features + passed[:, None] * layer.background, weights @ depths, 1 - passed
+
+
+@torch.no_grad()
+def extents_px(
+    splats: Splats, opacities: Sequence[Float[Tensor, " n"]], width: int, height: int
+) -> Float[Tensor, " n"]:
+    """The radii of ``contract.Raster``, [N]: where the most opaque layer's α falls to 1/255, along the longest axis.
+
+    That is at τ standard deviations, τ² = 2 ln(255 o). 0 for a Gaussian that no pixel can see: before the near plane,
+    o < 1/255, or the ellipse's bounding box misses the image [0, width] × [0, height].
+    """
+    max_opacity = torch.stack(list(opacities)).amax(dim=0)
+    tau_squared = (2 * torch.log(max_opacity[splats.indices] / ALPHA_MIN)).clamp(min=0)
+    half_box = (tau_squared[:, None] * splats.covs2d.diagonal(dim1=1, dim2=2)).sqrt()
+    size = half_box.new_tensor([width, height])
+    overlaps = ((splats.means2d + half_box >= 0) & (splats.means2d - half_box <= size)).all(dim=1)
+    a, b, c = splats.covs2d[:, 0, 0], splats.covs2d[:, 0, 1], splats.covs2d[:, 1, 1]
+    largest_eigenvalue = (a + c) / 2 + torch.hypot((a - c) / 2, b)
+    extents = torch.where(overlaps, (tau_squared * largest_eigenvalue).sqrt(), 0.0)
+    return torch.zeros_like(max_opacity).index_put((splats.indices,), extents)
+
+
+def _blend_layers(pixels: Tensor, means2d: Tensor, covs2d: Tensor, depths: Tensor, *layers: Tensor) -> list[Tensor]:
+    """``blend`` of every layer, its tensors and results in one flat list, as autograd.Function wants them."""
+    falloff = falloffs(pixels, means2d, covs2d)
+    return [image for i in range(0, len(layers), 3) for image in blend(falloff, depths, Layer(*layers[i : i + 3]))]
+
+
+class _BlendInChunks(torch.autograd.Function):
+    """``_blend_layers``, chunk by chunk; backward blends each chunk again, so that only one is ever in memory."""
+
+    @staticmethod
+    def forward(ctx: Any, pixels: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+        ctx.save_for_backward(pixels, *tensors)
+        ctx.pixels_per_chunk = max(1, CHUNK_ELEMENTS // max(1, len(tensors[0])))
+        chunks = [_blend_layers(chunk, *tensors) for chunk in pixels.split(ctx.pixels_per_chunk)]
+        return tuple(torch.cat(parts) for parts in zip(*chunks, strict=True))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
+        pixels, *tensors = ctx.saved_tensors
+        leaves = [tensor.detach().requires_grad_() for tensor in tensors]
+        for chunk, *chunk_cotangents in zip(
+            *(t.split(ctx.pixels_per_chunk) for t in (pixels, *cotangents)), strict=True
+        ):
+            with torch.enable_grad():
+                images = _blend_layers(chunk, *leaves)
+            torch.autograd.backward(images, chunk_cotangents)
+        return None, *(leaf.grad for leaf in leaves)
+
+
+def _check_shapes(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    layers: Sequence[Layer],
+    viewmat: Tensor,
+    K: Tensor,
+    means2d_offset: Tensor | None,
+) -> None:
+    """Raise ValueError, naming the tensor and both shapes, where one does not fit."""
+    if len(layers) not in (1, 2):
+        raise ValueError(f"there must be one layer or two, got {len(layers)}")
+    n = len(means)
+    checks: list[tuple[str, Tensor, tuple[int, ...]]] = [
+        ("means", means, (n, 3)), ("quats", quats, (n, 4)), ("scales", scales, (n, 3)),
+        ("viewmat", viewmat, (4, 4)), ("K", K, (3, 3)),
+    ]  # fmt: skip
+    if means2d_offset is not None:
+        checks.append(("means2d_offset", means2d_offset, (n, 2)))
+    for i, layer in enumerate(layers):
+        channels = layer.features.shape[-1]
+        checks.append((f"layers[{i}].opacities", layer.opacities, (n,)))
+        checks.append((f"layers[{i}].features", layer.features, (n, channels)))
+        checks.append((f"layers[{i}].background", layer.background, (channels,)))
+    for name, tensor, shape in checks:
+        if tensor.shape != shape:
+            raise ValueError(f"{name} must have the shape {list(shape)}, got {list(tensor.shape)}")

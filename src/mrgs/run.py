@@ -1,0 +1,80 @@
+"""A trained run, opened to be rendered from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mrgs.data import load_scene
+from mrgs.render import Model, Rendering, render
+from mrgs.scene import Camera, Scene, TemperatureRange
+from mrgs.training.checkpoint import CheckpointFacts, load_model
+from mrgs.training.config import TrainConfig
+from mrgs.training.run_folder import RunFolder
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run's newest checkpoint.
+
+    Attributes:
+        folder: the run's folder.
+        config: what it was trained with.
+        model: what it learned.
+        facts: steps, scene, temperature scale, cost.
+    """
+
+    folder: RunFolder
+    config: TrainConfig
+    model: Model
+    facts: CheckpointFacts
+
+    @property
+    def temperature(self) -> TemperatureRange | None:
+        """The scale of the thermal values; None if the scene has no known °C."""
+        return self.facts.temperature
+
+    def render(self, camera: Camera | None, thermal_camera: Camera | None = None) -> Rendering:
+        """Render any camera, without gradients: both modalities from ``camera``, or thermal from a camera of its own.
+
+        Args:
+            camera: of the RGB image, and of the thermal image unless that has its own; None leaves RGB out.
+            thermal_camera: of the thermal image.
+        """
+        with torch.no_grad():
+            return render(self.model, camera, thermal_camera if thermal_camera is not None else camera)[0]
+
+    def temperatures_c(self, rendering: Rendering) -> Float[Tensor, "h w"]:
+        """The rendered temperatures in °C.
+
+        Raises:
+            ValueError: the scene has no known °C, or the rendering no thermal image.
+        """
+        if self.temperature is None or rendering.thermal is None:
+            raise ValueError("no °C: the scene has no temperature range, or the rendering has no thermal image")
+        return self.temperature.to_celsius(rendering.thermal[..., 0])
+
+    def load_scene(self) -> Scene:
+        """The scene that the run was trained on, at the run's resolution.
+
+        Raises:
+            SceneError: the scene is no longer where it was, or cannot be used.
+        """
+        return load_scene(self.facts.scene, resolution=self.config.resolution, seed=self.config.seed)
+
+
+def load_run(path: str | Path) -> Run:
+    """Open a run's newest checkpoint.
+
+    Raises:
+        RunError: the folder is not a run, or its checkpoint cannot be used.
+    """
+    folder = RunFolder(path)
+    newest = folder.newest_checkpoint()
+    config = folder.read_config()
+    model, facts = load_model(newest, config)
+    return Run(folder, config, model, facts)

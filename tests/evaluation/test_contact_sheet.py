@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, contact_sheet, sheet_row, spread
+from mrgs.evaluation.evaluate import Metrics, evaluate
+from mrgs.evaluation.report import RunFacts
+from mrgs.render import Rendering
+from mrgs.scene import TemperatureRange, View
+
+FACTS = RunFacts("mrgs", "board", 1200, 41_000, 63.5, None, "cpu")
+MakeView = Callable[..., View]
+Render = Callable[[View], Rendering]
+
+
+def rows_of(views: list[View], render: Render, temperature: TemperatureRange | None) -> tuple[list[SheetRow], Metrics]:
+    rows: list[SheetRow] = []
+
+    def visit(view: View, rendering: Rendering, metrics: object) -> None:
+        rows.append(sheet_row(view, rendering, metrics, temperature))
+
+    return rows, evaluate(views, render, temperature, visit=visit)
+
+
+def draw(views: list[View], render: Render, temperature: TemperatureRange | None) -> np.ndarray:
+    rows, metrics = rows_of(views, render, temperature)
+    return np.asarray(contact_sheet(rows, FACTS, metrics, temperature))
+
+
+def test_a_column_per_image_and_a_row_per_view(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
+    one = draw([make_view("a")], render_with_error, celsius)
+    two = draw([make_view("a"), make_view("b")], render_with_error, celsius)
+    assert two.shape[1] == one.shape[1] > 6 * CELL_PX
+    assert two.shape[0] - one.shape[0] > CELL_PX * 3 // 4
+    thermal_only = draw([make_view("a", rgb=False)], render_with_error, celsius)
+    assert 4 * CELL_PX < thermal_only.shape[1] < 5 * CELL_PX
+
+
+def test_a_model_without_depth_has_no_depth_column(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
+    full = draw([make_view()], render_with_error, celsius)
+    shallow = draw(
+        [make_view()], lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None), celsius
+    )
+    assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
+
+
+def test_the_error_changes_the_picture(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
+    rows, metrics = rows_of([make_view()], render_with_error, celsius)
+    rows[0].thermal[2, 2] -= 1.5
+    sheets = [np.asarray(contact_sheet(rows, FACTS, metrics, celsius)) for _ in range(2)]
+    np.testing.assert_array_equal(*sheets)
+    spoiled = replace(rows[0], thermal=rows[0].thermal + np.linspace(-1, 0, 24, dtype=np.float32))
+    assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, celsius))).any(axis=2).sum() > 1000
+
+
+def test_rows_hold_celsius_and_mark_invalid_pixels(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
+    valid = torch.ones(18, 24, dtype=torch.bool)
+    valid[0, 0] = False
+    rows, _ = rows_of([make_view(valid=valid)], render_with_error, celsius)
+    assert np.isnan(rows[0].measured[0, 0])
+    assert rows[0].measured[8, 10] == pytest.approx(26.0, abs=1e-4)
+    assert np.nanmax(np.abs(rows[0].error - 1.0)) < 1e-4
+
+
+def test_without_celsius_the_sheet_says_so(make_view: MakeView, render_with_error: Render) -> None:
+    rows, metrics = rows_of([make_view()], render_with_error, None)
+    sheet = np.asarray(contact_sheet(rows, FACTS, metrics, None))
+    with_scale = np.asarray(contact_sheet(rows, FACTS, metrics, TemperatureRange(0.0, 1.0)))
+    assert sheet.shape == with_scale.shape
+    assert not np.array_equal(sheet[-60:], with_scale[-60:])
+
+
+def test_all_views_of_one_temperature_can_be_drawn(make_view: MakeView, celsius: TemperatureRange) -> None:
+    def perfect(view: View) -> Rendering:
+        return Rendering(view.rgb.load().values, None, torch.full((18, 24, 1), 0.5), None)
+
+    assert draw([make_view(name="x" * 80)], perfect, celsius).shape[0] > CELL_PX // 2
+
+
+def test_no_rows_is_a_mistake_of_the_program(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
+    _, metrics = rows_of([make_view()], render_with_error, celsius)
+    with pytest.raises(ValueError, match="at least one row"):
+        contact_sheet([], FACTS, metrics, celsius)
+
+
+def test_views_are_spread_evenly() -> None:
+    assert spread(3) == [0, 1, 2]
+    assert spread(9) == [0, 2, 4, 6, 8]
+    assert spread(100, 4) == [0, 33, 66, 99]
+    assert spread(1) == [0]

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from mrgs.errors import SceneError
+from mrgs.evaluation.evaluate import NO_CELSIUS, NO_LPIPS, evaluate, foreground_threshold
+from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES, Missing
+from mrgs.evaluation.lpips import Lpips
+from mrgs.evaluation.metrics import otsu_threshold
+from mrgs.evaluation.pictures import write_float_tiff
+from mrgs.evaluation.truth import Truth
+from mrgs.render import Rendering
+from mrgs.scene import TemperatureRange, View
+
+MakeView = Callable[..., View]
+Render = Callable[[View], Rendering]
+
+
+class ConstantLpips(Lpips):
+    """Stands in for the network."""
+
+    def __init__(self) -> None:
+        super().__init__({})
+
+    def __call__(self, image: torch.Tensor, target: torch.Tensor) -> float:
+        return (image - target).abs().mean().item()
+
+
+def perfect(view: View) -> Rendering:
+    rgb = view.rgb.load().values if view.rgb else None
+    thermal = view.thermal.load().values if view.thermal else None
+    return Rendering(rgb, None, thermal, None)
+
+
+def test_known_errors(make_view: MakeView, render_with_error: Render, celsius: TemperatureRange) -> None:
+    metrics = evaluate([make_view("a"), make_view("b")], render_with_error, celsius)
+    assert metrics.rgb["psnr"] == pytest.approx(20.0, abs=1e-3)
+    assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
+    assert metrics.thermal["mae_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.thermal["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
+    assert [view.name for view in metrics.views] == ["a", "b"]
+    assert metrics.truth is None
+    assert tuple(metrics.thermal) == THERMAL_FIGURES
+    assert tuple(metrics.rgb) == RGB_FIGURES
+
+
+def test_the_foreground_is_the_warm_square(make_view: MakeView, celsius: TemperatureRange) -> None:
+    view = make_view()
+    threshold = foreground_threshold([view])
+    warm = view.thermal.load().values[..., 0] > threshold
+    assert warm.sum() == 7 * 8
+
+    def warmer_there(view: View) -> Rendering:
+        thermal = view.thermal.load().values + 0.1 * warm[..., None]
+        return Rendering(None, None, thermal, None)
+
+    metrics = evaluate([view], warmer_there, celsius)
+    assert metrics.thermal["mae_foreground_c"] == pytest.approx(2.0, abs=1e-5)
+    assert metrics.thermal["mae_c"] == pytest.approx(2.0 * 56 / (18 * 24), abs=1e-5)
+
+
+def test_the_threshold_is_averaged_over_the_photos(make_view: MakeView) -> None:
+    valid = torch.ones(18, 24, dtype=torch.bool)
+    valid[:5] = False
+    views = [make_view("a"), make_view("b", valid=valid), make_view("c", thermal=False)]
+    each = []
+    for view in views[:2]:
+        pixels = view.thermal.load()
+        mask = torch.ones(18, 24, dtype=torch.bool) if pixels.valid is None else pixels.valid
+        each.append(otsu_threshold(pixels.values[mask][:, 0].numpy()))
+    assert foreground_threshold(views) == pytest.approx(sum(each) / 2)
+
+
+def test_masked_pixels_do_not_count(make_view: MakeView, celsius: TemperatureRange) -> None:
+    valid = torch.ones(18, 24, dtype=torch.bool)
+    valid[:, :10] = False  # cuts the warm square
+
+    def wrong_outside(view: View) -> Rendering:
+        thermal = view.thermal.load().values + 0.05
+        thermal[~valid] = 9.0
+        return Rendering(None, None, thermal, None)
+
+    metrics = evaluate([make_view(valid=valid)], wrong_outside, celsius, ConstantLpips())
+    assert metrics.thermal["mae_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
+    assert metrics.thermal["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.thermal["lpips"] == pytest.approx(0.05 * 14 / 24, abs=1e-6)
+
+
+def test_a_view_without_valid_pixels_has_no_figures(make_view: MakeView, celsius: TemperatureRange) -> None:
+    valid = torch.zeros(18, 24, dtype=torch.bool)
+    metrics = evaluate([make_view(valid=valid)], perfect, celsius)
+    assert set(metrics.thermal.values()) == {Missing("no pixel of the photo is valid")}
+
+
+def test_missing_figures_say_why(make_view: MakeView, render_with_error: Render) -> None:
+    metrics = evaluate([make_view()], render_with_error, temperature=None)
+    assert metrics.thermal["mae_c"] == metrics.thermal["mae_foreground_c"] == Missing(NO_CELSIUS)
+    assert metrics.thermal["lpips"] == metrics.rgb["lpips"] == Missing(NO_LPIPS)
+
+
+def test_lpips_of_both_images(make_view: MakeView, render_with_error: Render, celsius: TemperatureRange) -> None:
+    metrics = evaluate([make_view()], render_with_error, celsius, ConstantLpips())
+    assert metrics.thermal["lpips"] == pytest.approx(0.05, abs=1e-6)
+    assert metrics.rgb["lpips"] == pytest.approx(0.1, abs=1e-2)
+
+
+def test_images_too_small_for_lpips(make_view: MakeView, celsius: TemperatureRange) -> None:
+    view = make_view(rgb=False)
+    small = View("small", None, type(view.thermal)(view.thermal.camera, lambda: cut))
+    pixels = view.thermal.load()
+    cut = type(pixels)(pixels.values[:15], None)
+    metrics = evaluate([small], perfect, celsius, ConstantLpips())
+    assert metrics.thermal["lpips"] == Missing("the images are smaller than 16 pixels")
+
+
+def test_a_missing_modality(make_view: MakeView, render_with_error: Render, celsius: TemperatureRange) -> None:
+    views = [make_view("both"), make_view("only_thermal", rgb=False)]
+    metrics = evaluate(views, render_with_error, celsius)
+    assert isinstance(metrics.views[1].rgb["psnr"], Missing)
+    assert metrics.rgb["psnr"] == metrics.views[0].rgb["psnr"]
+    alone = evaluate(views[1:], render_with_error, celsius)
+    assert all(isinstance(figure, Missing) for figure in alone.rgb.values())
+
+
+def test_a_perfect_model_is_infinite(make_view: MakeView, celsius: TemperatureRange) -> None:
+    metrics = evaluate([make_view()], perfect, celsius)
+    assert metrics.rgb["psnr"] == math.inf
+    assert metrics.thermal["mae_c"] == 0.0
+
+
+def test_the_visitor_sees_each_view_once(make_view: MakeView, render_with_error: Render) -> None:
+    seen = []
+    views = [make_view("a"), make_view("b")]
+    evaluate(views, render_with_error, None, visit=lambda view, rendering, metrics: seen.append((view, metrics.name)))
+    assert seen == [(views[0], "a"), (views[1], "b")]
+
+
+def test_no_views_is_an_error() -> None:
+    with pytest.raises(SceneError, match="no views to score: put 'eval' into their file names"):
+        evaluate([], perfect, None)
+
+
+def test_a_rendering_of_another_size_is_a_mistake_of_the_program(make_view: MakeView) -> None:
+    with pytest.raises(ValueError, match="differ in size"):
+        evaluate([make_view()], lambda view: Rendering(torch.zeros(4, 4, 3), None, None, None), None)
+
+
+def test_against_the_truth(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange, tmp_path: Path
+) -> None:
+    view = make_view("a")
+    exact_c = celsius.to_celsius(view.thermal.load().values[..., 0]).numpy() - 0.5
+    write_float_tiff(tmp_path / "truth" / "temperature" / "a.tiff", exact_c, "temperature, degrees Celsius")
+    write_float_tiff(tmp_path / "truth" / "depth" / "a.tiff", exact_c * 0 + 1.6, "depth, metres")
+    metrics = evaluate([view], render_with_error, celsius, truth=Truth.find(tmp_path))
+    assert metrics.truth == {
+        "mae_c": pytest.approx(1.5, abs=1e-5),
+        "camera_mae_c": pytest.approx(0.5, abs=1e-5),
+        "depth_median_relative_error": pytest.approx(0.25, abs=1e-6),
+    }

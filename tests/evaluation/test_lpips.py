@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from mrgs.errors import RunError
+from mrgs.evaluation.lpips import Lpips, weight_shapes
+
+
+@pytest.fixture(scope="module")
+def weights() -> dict[str, Tensor]:
+    """Random weights, scaled so that the activations neither vanish nor explode; heads are positive, as LPIPS's are."""
+    generator = torch.Generator().manual_seed(0)
+    tensors = {}
+    for name, shape in weight_shapes().items():
+        values = torch.randn(shape, generator=generator)
+        tensors[name] = values.abs() if name.startswith("lin") else values * 0.02
+    return tensors
+
+
+@pytest.fixture(scope="module")
+def weights_file(weights: dict[str, Tensor], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lpips") / "weights.safetensors"
+    save_file({**weights, "classifier.0.bias": torch.zeros(3)}, path)
+    return path
+
+
+def random_image(seed: int, channels: int = 3) -> Tensor:
+    return torch.rand(35, 48, channels, generator=torch.Generator().manual_seed(seed))
+
+
+def test_layer_shapes(weights: dict[str, Tensor]) -> None:
+    layers = Lpips(weights).features(random_image(0))
+    expected = [(1, 64, 35, 48), (1, 128, 17, 24), (1, 256, 8, 12), (1, 512, 4, 6), (1, 512, 2, 3)]
+    assert [tuple(layer.shape) for layer in layers] == expected
+
+
+def test_distance_is_zero_for_identical_images_and_grows_with_noise(weights_file: Path) -> None:
+    lpips = Lpips.from_file(weights_file)
+    image = random_image(0)
+    noise = random_image(1) - 0.5
+    distances = [lpips(image + amount * noise, image) for amount in (0.0, 0.1, 0.5)]
+    assert distances[0] == 0.0
+    assert 0 < distances[1] < distances[2]
+
+
+def test_distance_of_the_first_layer_by_hand(weights: dict[str, Tensor]) -> None:
+    only_first = {name: torch.zeros_like(w) if name.startswith("lin") else w for name, w in weights.items()}
+    only_first["lin0.model.1.weight"] = torch.ones(1, 64, 1, 1)
+    lpips = Lpips(only_first)
+    a, b = random_image(0), random_image(1)
+    units = [layer / layer.norm(dim=1, keepdim=True) for layer in (lpips.features(a)[0], lpips.features(b)[0])]
+    cosine = (units[0] * units[1]).sum(dim=1).mean().item()
+    assert lpips(a, b) == pytest.approx(2 - 2 * cosine, rel=1e-4)
+
+
+def test_grey_is_shown_in_three_channels(weights: dict[str, Tensor]) -> None:
+    lpips = Lpips(weights)
+    a, b = random_image(0, 1), random_image(1, 1)
+    assert lpips(a, b) == lpips(a.expand(-1, -1, 3), b.expand(-1, -1, 3))
+
+
+def test_a_small_image_is_refused(weights: dict[str, Tensor]) -> None:
+    with pytest.raises(ValueError, match="at least 16 pixels"):
+        Lpips(weights)(torch.rand(15, 40, 3), torch.rand(15, 40, 3))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"vgg\.safetensors: no such file"):
+        Lpips.from_file(tmp_path / "vgg.safetensors")
+
+
+def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "vgg.pth"
+    path.write_bytes(b"not safetensors at all")
+    with pytest.raises(RunError, match=r"vgg\.pth: not a readable safetensors file"):
+        Lpips.from_file(path)
+
+
+@pytest.mark.parametrize(
+    ("tensors", "message"),
+    [
+        ({}, r"features\.0\.weight is missing; expected is \[64, 3, 3, 3\]"),
+        ({"features.0.weight": torch.zeros(2, 3)}, r"features\.0\.weight is \[2, 3\]; expected is \[64, 3, 3, 3\]"),
+    ],
+)
+def test_an_incompatible_file_says_which_tensor(tmp_path: Path, tensors: dict[str, Tensor], message: str) -> None:
+    path = tmp_path / "other.safetensors"
+    save_file({"x": torch.zeros(1), **tensors}, path)
+    with pytest.raises(RunError, match=message):
+        Lpips.from_file(path)

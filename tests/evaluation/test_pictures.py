@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.errors import RunError
+from mrgs.evaluation.drawing import Scale
+from mrgs.evaluation.palette import palette_table
+from mrgs.evaluation.pictures import (
+    to_rgb8,
+    write_depth_png,
+    write_float_tiff,
+    write_rendering,
+    write_rgb_png,
+    write_scaled_png,
+)
+from mrgs.evaluation.truth import read_float_tiff
+from mrgs.render import Rendering
+from mrgs.scene import TemperatureRange
+
+
+def rendering() -> Rendering:
+    generator = torch.Generator().manual_seed(3)
+    rgb, thermal = torch.rand(12, 16, 3, generator=generator), torch.rand(9, 12, 1, generator=generator) * 1.4 - 0.2
+    return Rendering(rgb, torch.full((12, 16), 2.0), thermal, torch.rand(9, 12, generator=generator))
+
+
+def test_a_float_tiff_returns_every_bit(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).normal(20, 300, (7, 5)).astype(np.float32)
+    values[0, 0] = np.nextafter(np.float32(36.6), np.float32(40))
+    path = write_float_tiff(tmp_path / "t.tiff", values, "temperature, degrees Celsius")
+    np.testing.assert_array_equal(read_float_tiff(path), values)
+    with Image.open(path) as image:
+        assert image.tag_v2[270] == "temperature, degrees Celsius"
+
+
+def test_rgb_is_clamped_and_rounded(tmp_path: Path) -> None:
+    colors = torch.tensor([[[-0.5, 0.5, 1.5], [float("nan"), 0.2, 1.0]]], requires_grad=True)
+    assert to_rgb8(colors).tolist() == [[[0, 128, 255], [0, 51, 255]]]
+    with Image.open(write_rgb_png(tmp_path / "c.png", colors)) as image:
+        np.testing.assert_array_equal(np.asarray(image), to_rgb8(colors))
+
+
+def test_all_images_of_a_view_in_celsius(tmp_path: Path, celsius: TemperatureRange) -> None:
+    shown = rendering()
+    paths = write_rendering(tmp_path, "v1", shown, celsius)
+    names = {str(path.relative_to(tmp_path)) for path in paths}
+    assert names == {
+        "rgb/v1.png",
+        "thermal/v1.png",
+        "temperature_c/v1.tiff",
+        "depth_rgb/v1.tiff",
+        "depth_rgb/v1.png",
+        "depth_thermal/v1.tiff",
+        "depth_thermal/v1.png",
+    }
+    assert all(path.is_file() for path in paths)
+    expected = celsius.to_celsius(shown.thermal[..., 0]).numpy()
+    np.testing.assert_array_equal(read_float_tiff(tmp_path / "temperature_c/v1.tiff"), expected)
+    assert expected.max() > celsius.max_c  # not clamped
+
+
+def test_without_celsius_the_file_says_so(tmp_path: Path) -> None:
+    shown = rendering()
+    write_rendering(tmp_path, "v1", shown, None)
+    assert not (tmp_path / "temperature_c").exists()
+    path = tmp_path / "thermal_normalised" / "v1.tiff"
+    np.testing.assert_array_equal(read_float_tiff(path), shown.thermal[..., 0].numpy())
+    with Image.open(path) as image:
+        assert "normalised" in image.tag_v2[270]
+
+
+def test_what_the_model_lacks_is_left_out(tmp_path: Path, celsius: TemperatureRange) -> None:
+    paths = write_rendering(tmp_path, "v1", rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None), celsius)
+    assert {path.parent.name for path in paths} == {"temperature_c", "thermal"}
+
+
+def test_the_map_keeps_its_pixels_beside_the_bar(tmp_path: Path) -> None:
+    values = np.linspace(10, 30, 60 * 80, dtype=np.float32).reshape(60, 80)
+    path = write_scaled_png(tmp_path / "t.png", values, Scale("iron", 10.0, 30.0, "°C"))
+    with Image.open(path) as image:
+        pixels = np.asarray(image)
+    assert pixels.shape[0] == 60
+    assert pixels.shape[1] > 80
+    np.testing.assert_array_equal(pixels[[0, -1], [0, 79]], palette_table("iron")[[0, -1]])
+
+
+def test_near_is_light_in_a_depth_picture(tmp_path: Path) -> None:
+    depth = np.linspace(1, 9, 400, dtype=np.float32).reshape(20, 20)
+    with Image.open(write_depth_png(tmp_path / "d.png", depth)) as image:
+        pixels = np.asarray(image).astype(int).sum(axis=2)
+    assert pixels[0, 0] > pixels[-1, -1] + 300
+
+
+def test_a_place_that_cannot_be_written_is_a_run_error(tmp_path: Path) -> None:
+    (tmp_path / "rgb").write_text("")
+    with pytest.raises(RunError, match=r"v1\.png cannot be written"):
+        write_rendering(tmp_path, "v1", rendering(), None)

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from mrgs.errors import RunError
+from mrgs.evaluation.evaluate import Metrics, evaluate
+from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
+from mrgs.evaluation.pictures import write_float_tiff
+from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
+from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
+from mrgs.render import Rendering
+from mrgs.scene import TemperatureRange, View
+
+FACTS = RunFacts("mrgs", "a|b", 1200, 41_000, 63.5, None, "cpu")
+
+
+@pytest.fixture
+def metrics(make_view: Callable[..., View], celsius: TemperatureRange, tmp_path: Path) -> Metrics:
+    """Three views: identical images (infinite PSNR), a rendering with NaN, and one without an RGB image."""
+    views = [make_view("perfect"), make_view("broken"), make_view("no_rgb", rgb=False)]
+    exact = celsius.to_celsius(views[0].thermal.load().values[..., 0]).numpy()
+    write_float_tiff(tmp_path / "truth" / "temperature" / "perfect.tiff", exact, "temperature, degrees Celsius")
+
+    def render(view: View) -> Rendering:
+        rgb = view.rgb.load().values if view.rgb else None
+        thermal = view.thermal.load().values.clone()
+        if view.name == "broken":
+            thermal[0, 0] = torch.nan
+        return Rendering(rgb, None, thermal, None)
+
+    return evaluate(views, render, celsius, truth=Truth.find(tmp_path))
+
+
+def strict(text: str) -> Any:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"not strict JSON: {constant}")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def nulls(node: Any, path: str = "") -> set[str]:
+    if isinstance(node, dict):
+        return {found for key, value in node.items() for found in nulls(value, f"{path}.{key}" if path else key)}
+    return {path} if node is None else set()
+
+
+def test_the_document_has_the_promised_fields(metrics: Metrics, tmp_path: Path) -> None:
+    path, _ = write_report(tmp_path / "eval", FACTS, metrics)
+    document = strict(path.read_text(encoding="utf-8"))
+    assert list(document) == [
+        *("method", "scene", "steps", "gaussians", "train_seconds", "peak_memory_bytes", "device"),
+        *("mean", "truth", "reasons", "views"),
+    ]
+    assert tuple(document["mean"]["thermal"]) == THERMAL_FIGURES
+    assert tuple(document["mean"]["rgb"]) == RGB_FIGURES
+    assert tuple(document["truth"]) == TRUTH_FIGURES
+    assert document["train_seconds"] == 63.5
+    assert [view["name"] for view in document["views"]] == ["perfect", "broken", "no_rgb"]
+
+
+def test_every_null_has_its_reason_and_nothing_else_has(metrics: Metrics) -> None:
+    document = to_document(FACTS, metrics)
+    views = document.pop("views")
+    for part in (document, *views):
+        reasons = part.pop("reasons")
+        assert set(reasons) == nulls(part)
+        assert all(reasons.values())
+    assert document["peak_memory_bytes"] is None
+
+
+def test_what_json_cannot_hold(metrics: Metrics) -> None:
+    document = to_document(FACTS, metrics)
+    perfect, broken, no_rgb = document["views"]
+    assert perfect["thermal"]["psnr"] is None
+    assert perfect["reasons"]["thermal.psnr"] == "infinite: the images are identical"
+    assert broken["reasons"]["thermal.mae_c"] == "not a number: the rendering holds NaN"
+    assert "no RGB image" in no_rgb["reasons"]["rgb.ssim"]
+    assert document["reasons"]["mean.thermal.mae_c"] == "not a number: the rendering holds NaN"
+    assert document["truth"]["mae_c"] == 0.0
+    assert document["mean"]["rgb"]["ssim"] == pytest.approx(1.0)
+
+
+def test_truth_is_absent_where_the_scene_has_none(make_view: Callable[..., View], render_with_error: Any) -> None:
+    document = to_document(FACTS, evaluate([make_view()], render_with_error, None))
+    assert "truth" not in document
+    assert "truth" not in document["views"][0]
+
+
+def test_markdown_tables_are_rectangular_and_explain_dashes(metrics: Metrics) -> None:
+    text = to_markdown(FACTS, metrics)
+    assert text.startswith("# mrgs on a\\|b\n")
+    assert "1,200 steps, 41,000 Gaussians, training 64 s, peak memory not measured, device cpu." in text
+    for block in text.split("\n\n"):
+        if block.startswith("| |"):
+            assert len({line.count("|") for line in block.splitlines()}) == 1
+    assert "## Against the exact truth" in text
+    assert "- LPIPS: no VGG-16 and LPIPS weights were given (--lpips-weights FILE)" in text
+
+
+def test_figures_for_people() -> None:
+    assert format_figure("psnr", 32.618) == "32.62"
+    assert format_figure("mae_c", 0.2386) == "0.239"
+    assert format_figure("psnr", float("inf")) == "∞"
+    assert format_figure("psnr", float("nan")) == "–"
+
+
+def test_both_files_or_an_error_that_names_one(metrics: Metrics, tmp_path: Path) -> None:
+    paths = write_report(tmp_path / "eval", FACTS, metrics)
+    assert [path.name for path in paths] == ["metrics.json", "metrics.md"]
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(RunError, match=r"metrics\.json cannot be written"):
+        write_report(tmp_path / "taken", FACTS, metrics)

@@ -1,0 +1,263 @@
+"""The CPU kernel (float32) against the oracle (float64) on the same numbers.
+
+``python tests/rasterizer/test_cpu.py`` prints the worst errors over the random scenes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numba
+import pytest
+import torch
+
+SCENES = range(100)
+IMAGE_ERROR_MAX = 1e-5
+"""Largest absolute error of a value in [0, 1], and of a depth relative to the largest depth."""
+GRADIENT_ERROR_MAX = 1e-4
+"""Largest relative L2 error of a gradient."""
+RADIUS_ERROR_MAX = 1e-5
+
+
+@pytest.fixture(scope="module")
+def rasterize():
+    from mrgs.rasterizer.cpu import rasterize
+
+    return rasterize
+
+
+def scene_of(random_scene: Callable, seed: int):
+    """3 to 60 Gaussians, so that the background shows through some scenes and others are opaque throughout."""
+    return random_scene(seed, n=3 + 57 * (seed % 10) // 9, dtype=torch.float32)
+
+
+def worst_errors(rasterize: Callable, random_scene: Callable, compare: Callable, seeds: Iterable[int] = SCENES):
+    """The largest of each of the errors that ``errors_against_oracle`` names, over the scenes."""
+    worst: dict[str, float] = {}
+    for seed in seeds:
+        for name, error in compare(rasterize, scene_of(random_scene, seed), seed=seed).items():
+            worst[name] = max(worst.get(name, 0.0), error)
+    return worst
+
+
+def assert_small(errors: dict[str, float], gradient_error_max: float = GRADIENT_ERROR_MAX) -> None:
+    for name, error in errors.items():
+        limit = gradient_error_max if name.startswith("grad ") else IMAGE_ERROR_MAX
+        limit = RADIUS_ERROR_MAX if name == "radii" else limit
+        assert error < limit, (name, errors)
+
+
+def images_of(raster):
+    return [image for blend in raster.blends for image in blend]
+
+
+def render_and_differentiate(rasterize, scene, loss=lambda images: sum(image.square().sum() for image in images)):
+    """All outputs, and the gradient of a loss for every tensor of the scene."""
+    scene = scene.with_leaves()
+    raster = scene.render(rasterize)
+    loss(images_of(raster)).backward()
+    grads = {name: tensor.grad for name, tensor in scene.tensors.items()}
+    return [*(image.detach() for image in images_of(raster)), raster.radii], grads
+
+
+def assert_same_bits(result, other):
+    for values, other_values in zip(result[0], other[0], strict=True):
+        assert torch.equal(values, other_values)
+    for name, gradient in result[1].items():
+        assert torch.equal(gradient, other[1][name]), name
+
+
+# --- against the oracle
+
+
+@pytest.mark.parametrize("seed", SCENES)
+def test_images_and_gradients_of_random_scenes(rasterize, random_scene, compare_with_oracle, seed):
+    assert_small(worst_errors(rasterize, random_scene, compare_with_oracle, [seed]))
+
+
+def test_few_pixels_are_left_out_of_the_comparison(random_scene):
+    left_out = [scene_of(random_scene, seed).to(torch.float64).pixels_near_a_threshold() for seed in SCENES]
+    assert torch.stack(left_out).double().mean() < 0.005
+
+
+@pytest.mark.parametrize(("width", "height", "n"), [(1, 1, 4), (3, 50, 30), (64, 48, 60), (101, 75, 700)])
+def test_other_image_sizes_and_a_crowded_scene(rasterize, random_scene, compare_with_oracle, width, height, n):
+    assert_small(compare_with_oracle(rasterize, random_scene(1, n, width, height, torch.float32)))
+
+
+@pytest.mark.parametrize("modalities", [("rgb",), ("thermal",), ("thermal", "rgb")])
+def test_one_layer_and_layers_in_the_other_order(rasterize, random_scene, compare_with_oracle, modalities):
+    scene = random_scene(11, dtype=torch.float32)
+    assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
+    both = dict(zip(("rgb", "thermal"), scene.render(rasterize).blends, strict=True))
+    for modality, blend in zip(modalities, scene.render(rasterize, modalities).blends, strict=True):
+        for image, image_of_both in zip(blend, both[modality], strict=True):
+            torch.testing.assert_close(image, image_of_both, rtol=0, atol=1e-6)
+
+
+def test_what_the_kernel_leaves_out_is_what_the_oracle_leaves_out(rasterize, random_scene):
+    from mrgs.rasterizer import reference
+
+    for seed in SCENES:
+        scene = scene_of(random_scene, seed)
+        radii = scene.render(rasterize).radii
+        truth = scene.to(torch.float64).render(reference.rasterize).radii
+        assert torch.equal(radii > 0, truth > 0), seed
+        assert not radii.requires_grad
+
+
+def test_equal_depths_are_blended_in_the_order_of_their_index(rasterize, random_scene, compare_with_oracle):
+    scene = random_scene(4, dtype=torch.float32)
+    camera_z = torch.tensor([[0.0, 0.0, 2.0]])
+    wall = torch.cat([torch.rand(60, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(60, 1)], dim=1)
+    scene = replace(scene, viewmat=torch.eye(4), tensors=scene.tensors | {"means": wall + camera_z})
+    assert_small(compare_with_oracle(rasterize, scene))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, compare_with_oracle, seed):
+    """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this is rare.
+
+    The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that ignores the clamp
+    misses it in every one of these scenes.
+    """
+    scene = random_scene(seed, n=12, dtype=torch.float32)
+    wide_and_opaque = {"scales": 15 * scene.tensors["scales"], "rgb.opacities": torch.full((12,), 0.99999)}
+    errors = compare_with_oracle(rasterize, replace(scene, tensors=scene.tensors | wide_and_opaque))
+    assert_small(errors, gradient_error_max=1e-3)
+
+
+def test_no_offset_is_an_offset_of_zero(rasterize, random_scene):
+    scene = random_scene(6, dtype=torch.float32)
+    zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(60, 2)})
+    none = replace(scene, tensors=scene.tensors | {"means2d_offset": None})
+    for image, image_of_none in zip(images_of(zero.render(rasterize)), images_of(none.render(rasterize)), strict=True):
+        assert torch.equal(image, image_of_none)
+
+
+# --- nothing to see
+
+
+@pytest.mark.parametrize("n", [0, 30])
+def test_an_empty_view_shows_the_background(rasterize, random_scene, n):
+    scene = random_scene(0, n=n, dtype=torch.float32)
+    behind = scene.tensors["means"] - 100 * scene.viewmat[2, :3]
+    scene = replace(scene, tensors=scene.tensors | {"means": behind})
+    outputs, grads = render_and_differentiate(rasterize, scene, loss=lambda images: sum(i.sum() for i in images))
+    *images, radii = outputs
+    for modality, blend in (("rgb", images[:3]), ("thermal", images[3:])):
+        assert torch.equal(blend[0], scene.tensors[f"{modality}.background"].expand_as(blend[0]))
+        assert not blend[1].any()
+        assert not blend[2].any()
+        assert grads[f"{modality}.background"].tolist() == [scene.width * scene.height] * blend[0].shape[-1]
+    assert radii.shape == (n,)
+    assert not radii.any()
+    assert not any(gradient.any() for name, gradient in grads.items() if "background" not in name)
+
+
+# --- the same bits on every run
+
+
+def test_repeated_calls_give_the_same_bits(rasterize, random_scene):
+    scene = random_scene(8, 300, 101, 75, torch.float32)
+    assert_same_bits(render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene))
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+def test_the_number_of_threads_does_not_change_a_bit(rasterize, random_scene):
+    scene = random_scene(9, 300, 101, 75, torch.float32)
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 2):
+            numba.set_num_threads(threads)
+            results.append(render_and_differentiate(rasterize, scene))
+    finally:
+        numba.set_num_threads(before)
+    assert_same_bits(*results)
+
+
+def test_two_views_can_be_in_flight(rasterize, random_scene):
+    """Buffers may be kept between calls, but not those that an earlier result or its backward still needs."""
+    first, second = (random_scene(seed, dtype=torch.float32).with_leaves() for seed in (12, 13))
+    expected = render_and_differentiate(rasterize, first), render_and_differentiate(rasterize, second)
+    rasters = [scene.render(rasterize) for scene in (first, second)]
+    for raster in rasters:
+        sum(image.square().sum() for image in images_of(raster)).backward()
+    for scene, raster, result in zip((first, second), rasters, expected, strict=True):
+        outputs = [*images_of(raster), raster.radii]
+        assert_same_bits((outputs, {name: tensor.grad for name, tensor in scene.tensors.items()}), result)
+
+
+# --- the tensors that callers hand over
+
+
+def test_non_contiguous_inputs(rasterize, random_scene):
+    scene = random_scene(14, dtype=torch.float32)
+    strided = replace(
+        scene,
+        tensors={name: torch.stack([t, t - 1], dim=-1)[..., 0] for name, t in scene.tensors.items()},
+        viewmat=scene.viewmat.T.contiguous().T,
+        K=scene.K.T.contiguous().T,
+    )
+    assert not strided.tensors["means"].is_contiguous()
+    for name, tensor in strided.tensors.items():
+        tensor.requires_grad_()
+        assert torch.equal(tensor, scene.tensors[name])
+    raster = strided.render(rasterize)
+    sum(image.square().sum() for image in images_of(raster)).backward()
+    grads = {name: tensor.grad for name, tensor in strided.tensors.items()}
+    assert_same_bits(([*images_of(raster), raster.radii], grads), render_and_differentiate(rasterize, scene))
+
+
+def test_non_contiguous_cotangents(rasterize, random_scene):
+    scene = random_scene(15, dtype=torch.float32)
+    dense = render_and_differentiate(
+        rasterize, scene, lambda images: sum((i * torch.ones_like(i)).sum() for i in images)
+    )
+    expanded = render_and_differentiate(rasterize, scene, lambda images: sum(i.sum() for i in images))
+    transposed = render_and_differentiate(rasterize, scene, lambda images: sum(i.transpose(0, 1).sum() for i in images))
+    assert_same_bits(dense, expanded)
+    assert_same_bits(dense, transposed)
+
+
+@pytest.mark.parametrize("used", range(6))
+def test_a_loss_on_one_image_only(rasterize, random_scene, used):
+    scene = random_scene(16, dtype=torch.float32)
+    _, grads = render_and_differentiate(rasterize, scene, lambda images: images[used].square().sum())
+    _, padded = render_and_differentiate(
+        rasterize, scene, lambda images: sum((i.square() * (k == used)).sum() for k, i in enumerate(images))
+    )
+    other = "thermal" if used < 3 else "rgb"
+    for name, gradient in padded.items():
+        assert torch.equal(gradient, torch.zeros_like(gradient) if grads[name] is None else grads[name]), name
+        assert not (name.startswith(other) and gradient.any()), name
+
+
+def test_gradients_flow_only_into_what_requires_them(rasterize, random_scene):
+    scene = random_scene(17, dtype=torch.float32)
+    _, all_grads = render_and_differentiate(rasterize, scene)
+    for name in scene.tensors:
+        alone = replace(scene, tensors={k: t.detach().clone() for k, t in scene.tensors.items()})
+        alone.tensors[name].requires_grad_()
+        sum(image.square().sum() for image in images_of(alone.render(rasterize))).backward()
+        assert torch.equal(alone.tensors[name].grad, all_grads[name]), name
+        assert all(tensor.grad is None for other, tensor in alone.tensors.items() if other != name)
+    assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
+
+
+def test_inputs_are_left_as_they_were(rasterize, random_scene):
+    scene = random_scene(18, dtype=torch.float32)
+    before = {name: tensor.clone() for name, tensor in scene.tensors.items()}
+    render_and_differentiate(rasterize, scene)
+    assert all(torch.equal(tensor, before[name]) for name, tensor in scene.tensors.items())
+
+
+if __name__ == "__main__":
+    from conftest import errors_against_oracle, make_random_scene
+
+    from mrgs.rasterizer.cpu import rasterize as kernel
+
+    for error_name, largest in worst_errors(kernel, make_random_scene, errors_against_oracle).items():
+        print(f"{error_name:26s} {largest:.1e}")
