@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,8 +11,11 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field import RadianceField
-from mrgs.rasterizer import Blend, Layer, Raster, rasterize
+from mrgs.rasterizer import Blend, Layer, Raster, contract, rasterize
 from mrgs.scene import Camera, Gaussians, View
+
+ALL_ROWS_FROM = 0.9
+"""Above this share in view, picking rows costs more than evaluating the heads for the others."""
 
 
 @dataclass
@@ -112,16 +116,51 @@ def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
 def _rgb_layer(model: Model, camera: Camera) -> Layer:
     """o_c and c + ĉ."""
     gaussians = model.gaussians
-    colors = model.field.colors(gaussians, camera.position.to(gaussians.means), model.sh_degree)
-    return Layer(gaussians.opacity_rgb, colors, colors.new_full((3,), model.background_rgb))
+    rows = _rows_in_view(gaussians, camera)
+    colors = model.field.colors(gaussians, camera.position.to(gaussians.means), model.sh_degree, rows)
+    return Layer(
+        gaussians.opacity_rgb, _scatter(colors, rows, len(gaussians)), colors.new_full((3,), model.background_rgb)
+    )
 
 
 def _thermal_layer(model: Model, camera: Camera) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
+    rows = _rows_in_view(gaussians, camera)
     position = camera.position.to(gaussians.means)
-    temperatures = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree)
-    return Layer(gaussians.opacity_thermal, temperatures, temperatures.new_full((1,), model.background_thermal))
+    values = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree, rows)
+    background = values.new_full((1,), model.background_thermal)
+    return Layer(gaussians.opacity_thermal, _scatter(values, rows, len(gaussians)), background)
+
+
+@torch.no_grad()
+def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | None:
+    """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for others; None for all.
+
+    Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out.
+    """
+    means = gaussians.means
+    viewmat, K = camera.viewmat.to(means), camera.K.to(means)
+    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)
+    largest = gaussians.log_scales.max(dim=1).values.exp()
+    in_view = z >= contract.NEAR_PLANE
+    for across, focal, centre, size in ((x, K[0, 0], K[0, 2], camera.width), (y, K[1, 1], K[1, 2], camera.height)):
+        slope = across / z
+        margin = contract.FRUSTUM_MARGIN * 0.5 * size / focal
+        clamped = slope.clamp(-centre / focal - margin, (size - centre) / focal + margin)
+        variance = (largest * focal / z) ** 2 * (1 + clamped**2) + contract.COVARIANCE_DILATION_PX2
+        extent = (2 * math.log(1 / contract.ALPHA_MIN) * variance).sqrt()
+        place = focal * slope + centre
+        in_view &= (place + extent >= 0) & (place - extent <= size)
+    rows = in_view.nonzero()[:, 0]
+    return None if len(rows) > ALL_ROWS_FROM * len(means) else rows
+
+
+def _scatter(values: Float[Tensor, "v c"], rows: Int64[Tensor, " v"] | None, count: int) -> Float[Tensor, "n c"]:
+    """Values of some rows among zeros for the others."""
+    if rows is None:
+        return values
+    return values.new_zeros(count, values.shape[1]).index_copy(0, rows, values)
 
 
 def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, ScreenPoints]:

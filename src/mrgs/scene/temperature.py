@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
 from torch import Tensor
 
 ZERO_CELSIUS_K = 273.15
 
-Value = TypeVar("Value", float, Tensor)
+Value = TypeVar("Value", float, Tensor, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class TemperatureRange:
     max_c: float
 
     def __post_init__(self) -> None:
-        if not -ZERO_CELSIUS_K <= self.min_c < self.max_c:
+        if not -ZERO_CELSIUS_K <= self.min_c < self.max_c < math.inf:
             raise ValueError(f"not a temperature range in °C: {self.min_c} to {self.max_c}")
 
     @property

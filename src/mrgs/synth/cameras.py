@@ -38,10 +38,13 @@ class CameraArc:
         ]
 
     def between(self, count: int, train_count: int, width: int, height: int, rng: np.random.Generator) -> list[Camera]:
-        """Cameras half-way between neighbours of ``train(train_count)``, in azimuth, elevation and distance."""
+        """Cameras half-way between neighbours of ``train(train_count)``, in azimuth, elevation and distance.
+
+        ``train_count`` is 2 or more; with as many cameras as gaps or fewer, no gap is used twice.
+        """
         cameras = []
         for index in range(count):
-            gap = int((index + 0.5) * train_count / count)
+            gap = 1 + int((index + 0.5) * (train_count - 1) / count)  # the azimuth before train camera ``gap``
             lower, upper = (self.rings[i % len(self.rings)] for i in (gap - 1, gap))
             ring = ((lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2)
             cameras.append(self._camera(gap / train_count, ring, width, height, rng))

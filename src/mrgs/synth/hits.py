@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -80,6 +81,7 @@ def exact_temperature(
 
 
 @njit(cache=True)
+@no_type_check
 def _nearest_triangles(
     corners: np.ndarray, x: np.ndarray, y: np.ndarray, depth: np.ndarray, nearest: np.ndarray
 ) -> None:
@@ -106,6 +108,7 @@ def _nearest_triangles(
 
 
 @njit(cache=True)
+@no_type_check
 def _bounds(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[int, int, int, int]:
     """Columns and rows of the rays that may meet a triangle: all of them where a corner lies behind the camera."""
     if corners[:, 2].min() <= NEAR_M:

@@ -71,7 +71,7 @@ def synthesize(
     Raises:
         ConfigError: an argument is not allowed, ``output`` holds a scene already, or Mitsuba is not installed.
     """
-    _check(scene, width, height, train_views, eval_views, samples)
+    _check(width, height, train_views, eval_views, samples)
     stage = STAGES[scene](seed)
     cameras = _cameras(stage, width, height, train_views, eval_views, seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -99,9 +99,7 @@ def synthesize(
     target.transforms(cameras)
 
 
-def _check(scene: str, width: int, height: int, train_views: int, eval_views: int, samples: int) -> None:
-    if scene not in STAGES:
-        raise ConfigError(f"there is no scene {scene!r} to generate: choose one of {', '.join(STAGES)}")
+def _check(width: int, height: int, train_views: int, eval_views: int, samples: int) -> None:
     if width < 16 or height < 16 or width % 2 or height % 2:
         raise ConfigError(f"images of {width}×{height} cannot be generated: choose even sizes of 16 pixels or more")
     if train_views < 2 or eval_views < 0 or samples < 1:

@@ -94,7 +94,9 @@ def wallpaper(
     return np.asarray(image)
 
 
-def hang(wall: Texture, picture: Texture, centre: tuple[int, int], frame: Colour = (70, 48, 34)) -> Texture:
+def hang(
+    wall: Texture, picture: UInt8[np.ndarray, "ph pw 3"], centre: tuple[int, int], frame: Colour = (70, 48, 34)
+) -> Texture:
     """A wall's texture with a framed picture painted on it, centred at (row, column)."""
     edge, mount = 10, 16
     image = Image.fromarray(wall)

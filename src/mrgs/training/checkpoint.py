@@ -85,7 +85,7 @@ def load_facts(path: Path) -> CheckpointFacts:
     Raises:
         RunError: not a whole checkpoint of this format.
     """
-    return _facts(_read(path, with_tensors=False)[1])
+    return _facts(path, _read(path, with_tensors=False)[1])
 
 
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]:
@@ -95,8 +95,9 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]
         RunError: not a whole checkpoint of this format, or not of this configuration.
     """
     tensors, header = _read(path)
+    facts = _facts(path, header)
     try:
-        return _model(tensors, config, _facts(header).step), _facts(header)
+        return _model(tensors, config, facts.step), facts
     except (KeyError, RuntimeError, TypeError) as error:
         raise _mismatch(path) from error
 
@@ -113,7 +114,7 @@ def load_state(path: Path, config: TrainConfig, view_count: int) -> tuple[Traini
         RunError: not a whole checkpoint of this format, or not of this configuration.
     """
     tensors, header = _read(path)
-    facts = _facts(header)
+    facts = _facts(path, header)
     try:
         model = _model(tensors, config, facts.step)
         uncertainty = DepthUncertainty()
@@ -125,7 +126,7 @@ def load_state(path: Path, config: TrainConfig, view_count: int) -> tuple[Traini
         _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
         state.statistics = ScreenStatistics(tensors["statistics.gradient_sum"], tensors["statistics.views"])
         state.sampler.load(tensors["sampler.waiting"])
-    except (KeyError, RuntimeError, TypeError) as error:
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
     state.step = facts.step
     state.skipped_in_a_row = header["skipped_in_a_row"]
@@ -163,19 +164,22 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dic
     """Tensors and header of a checkpoint file."""
     try:
         with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {})["mrgs"])
+            header = dict(json.loads((file.metadata() or {})["mrgs"]))
             tensors = {name: file.get_tensor(name) for name in file.keys()} if with_tensors else {}  # noqa: SIM118
-    except (SafetensorError, OSError, KeyError, ValueError) as error:
-        raise RunError(f"{path} is not a whole checkpoint: delete it and resume from the one before") from error
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise _damaged(path) from error
     if header.get("format") != FORMAT:
         raise RunError(f"{path} has checkpoint format {header.get('format')}, this program reads {FORMAT}: train anew")
     return tensors, header
 
 
-def _facts(header: dict[str, Any]) -> CheckpointFacts:
-    values = {name: header[name] for name in CheckpointFacts._fields}
-    bounds = values["temperature"]
-    return CheckpointFacts(**{**values, "temperature": None if bounds is None else TemperatureRange(*bounds)})
+def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
+    try:
+        values = {name: header[name] for name in CheckpointFacts._fields}
+        bounds = values["temperature"]
+        return CheckpointFacts(**{**values, "temperature": None if bounds is None else TemperatureRange(*bounds)})
+    except (KeyError, TypeError, ValueError) as error:
+        raise _damaged(path) from error
 
 
 def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
@@ -215,6 +219,10 @@ def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor])
         state = _below(tensors, f"{place}.")
         if state:
             optimizer.state[parameter] = state
+
+
+def _damaged(path: Path) -> RunError:
+    return RunError(f"{path} is not a whole checkpoint: delete it and resume from the one before")
 
 
 def _mismatch(path: Path) -> RunError:

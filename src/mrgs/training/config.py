@@ -190,7 +190,11 @@ def _build(cls: type[Config], values: Any, source: str) -> Config:
     unknown = sorted(set(map(str, values)) - set(hints))
     if unknown:
         raise ConfigError(f"{source}: there is no field {unknown[0]!r}; known are {', '.join(hints)}")
-    return cls(**{name: _convert(hints[name], value, f"{source}: {name}") for name, value in values.items()})
+    fields = {name: _convert(hints[name], value, f"{source}: {name}") for name, value in values.items()}
+    try:
+        return cls(**fields)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from error
 
 
 def _convert(hint: Any, value: Any, source: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from mrgs.errors import ConfigError
 from mrgs.scene import Gaussians
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -45,6 +47,14 @@ class OptimizerConfig:
     embedding: float = 5e-3
     heads: float = 5e-4
     uncertainty: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            rate = getattr(self, field.name)
+            if not 0 <= rate < math.inf:
+                raise ConfigError(f"the learning rate {field.name} must be 0 or more, not {rate}")
+        if self.means == 0 or self.means_final == 0:
+            raise ConfigError("the learning rates means and means_final must be above 0: the one decays to the other")
 
     def means_at(self, progress: float) -> float:
         """Learning rate of the means after this share of the training, in scene extents."""

@@ -50,7 +50,7 @@ class RunFolder:
             raise RunError(f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` wrote")
         found = self.checkpoints()
         if not found:
-            raise RunError(f"{self.path} has no checkpoint yet: train it first")
+            raise RunError(f"{self.path} has no checkpoint yet: let it train, or delete it and train anew")
         return found[-1]
 
     def drop_old_checkpoints(self) -> None:
@@ -143,7 +143,12 @@ def _holder_of(lock: Path) -> int | None:
     """The living process that holds a lock; None if it has died."""
     try:
         process = int(lock.read_text())
+    except (OSError, ValueError):
+        return None
+    try:
         os.kill(process, 0)
-    except (OSError, ValueError) as error:
-        return process if isinstance(error, PermissionError) else None
+    except PermissionError:  # alive, and somebody else's
+        return process
+    except (OSError, OverflowError):
+        return None
     return process

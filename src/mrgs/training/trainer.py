@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -74,6 +75,8 @@ def train(
 
 def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
     """The state at step 0; every random choice follows from the seed, and torch's own generator is left alone."""
+    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian from being pruned.
+    shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -82,7 +85,7 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         gaussians = initial_gaussians(
             scene.points,
             field,
-            config.shares_opacity,
+            shares_opacity,
             config.temperature_degree,
             config.densification.max_gaussians,
             generator,
@@ -112,6 +115,8 @@ class _Trainer:
         self._seconds_before = 0.0
         if resume:
             self._state, facts = checkpoint.load_state(folder.newest_checkpoint(), config, len(scene.train))
+            if not math.isclose(facts.extent, scene.extent, rel_tol=1e-6):
+                raise RunError(f"{scene_path} has other cameras than the run's scene: resume with {facts.scene}")
             self._seconds_before, self._skipped_steps = facts.train_seconds, facts.skipped_steps
             folder.cut_log(facts.step)
         else:

@@ -38,7 +38,13 @@ class ViewSampler:
         return self._waiting.clone()
 
     def load(self, waiting: Tensor) -> None:
-        """Continue with the rest of a round."""
+        """Continue with the rest of a round.
+
+        Raises:
+            ValueError: it names a view that does not exist.
+        """
+        if len(waiting) > 0 and not 0 <= int(waiting.min()) <= int(waiting.max()) < self._count:
+            raise ValueError(f"the round is not one of {self._count} views")
         self._waiting = waiting
 
 

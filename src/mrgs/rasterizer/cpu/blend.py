@@ -16,7 +16,20 @@ from numba import prange
 from mrgs.rasterizer import contract
 from mrgs.rasterizer.cpu import splat
 from mrgs.rasterizer.cpu.jit import inlined_kernel, kernel, parallel_kernel
-from mrgs.rasterizer.cpu.simd import any_lane, broadcast, exp2, lane_indices, load, minimum, select, store
+from mrgs.rasterizer.cpu.simd import (
+    any_lane,
+    broadcast,
+    exp2,
+    lane_indices,
+    load,
+    minimum,
+    pointer,
+    read,
+    select,
+    stack_floats,
+    store,
+    write,
+)
 from mrgs.rasterizer.cpu.tiles import TILE_HEIGHT, TILE_WIDTH
 
 ALPHA_MAX = np.float32(contract.ALPHA_MAX)
@@ -37,8 +50,8 @@ FEATURES = 2 * TILE_PIXELS
 
 _RGB = 0
 _THERMAL = 5 * TILE_PIXELS
-_PLANES = 8
-"""Offsets of the layers within a tile."""
+TILE_FLOATS = 8 * TILE_PIXELS
+"""Offsets of the layers within a tile, and the size of all."""
 
 
 @kernel()
@@ -55,22 +68,24 @@ def open_transmittance(planes, layer, x0, y0, width, height):
     """T = 1 on the pixels of the image, 0 on those of the tile that lie outside: they never blend."""
     for row in range(min(TILE_HEIGHT, height - y0)):
         for column in range(min(TILE_WIDTH, width - x0)):
-            planes[layer + TRANSMITTANCE + row * TILE_WIDTH + column] = ONE
+            write(planes, layer + TRANSMITTANCE + row * TILE_WIDTH + column, ONE)
 
 
-@kernel()
-def row_range(record, y0):
+@inlined_kernel()
+def row_range(splats, record, y0):
     """First and last row of the tile whose pixel centres the splat's ellipse can reach."""
-    first = math.ceil(record[splat.MEAN_Y] - record[splat.EXTENT_Y] - 0.5) - y0
-    last = math.floor(record[splat.MEAN_Y] + record[splat.EXTENT_Y] - 0.5) - y0
+    mean_y, extent_y = read(splats, record + splat.MEAN_Y), read(splats, record + splat.EXTENT_Y)
+    first = math.ceil(mean_y - extent_y - np.float32(0.5)) - y0
+    last = math.floor(mean_y + extent_y - np.float32(0.5)) - y0
     return max(int(first), 0), min(int(last), TILE_HEIGHT - 1)
 
 
 @inlined_kernel()
-def log2_gaussian(record, dx, dy):
+def log2_gaussian(splats, record, dx, dy):
     """log2 of the projected Gaussian G' at eight pixels of a row."""
-    linear = broadcast(record[splat.CONIC_XX]) * dx + broadcast(record[splat.CONIC_XY] * dy)
-    return linear * dx + broadcast(record[splat.CONIC_YY] * dy * dy)
+    along = broadcast(read(splats, record + splat.CONIC_XX)) * dx
+    linear = along + broadcast(read(splats, record + splat.CONIC_XY) * dy)
+    return linear * dx + broadcast(read(splats, record + splat.CONIC_YY) * dy * dy)
 
 
 @inlined_kernel()
@@ -79,23 +94,27 @@ def _accumulate(planes, at, weight, value):
 
 
 @inlined_kernel()
-def _blend_layer(planes, at, record, layer, channels, gaussian):
+def _blend_layer(planes, at, splats, record, layer, channels, gaussian):
     """Blend one layer of a splat into a row; the row's transmittance behind it.
 
     Args:
-        at: offset of the row in the layer's first plane.
+        planes, at: the tile's planes, and the offset of the row in the layer's first plane.
+        splats, record: the records, and the offset of this splat's.
         layer: the layer's part of the record.
+        channels: 3 or 1.
+        gaussian: G' at the row's pixels.
     """
     transmittance = load(planes, at + TRANSMITTANCE)
-    alpha = minimum(broadcast(record[layer]) * gaussian, broadcast(ALPHA_MAX))
+    alpha = minimum(broadcast(read(splats, record + layer)) * gaussian, broadcast(ALPHA_MAX))
     blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
     if any_lane(blends):
         weight = select(blends, alpha * transmittance, broadcast(ZERO))
         transmittance = transmittance - weight
         store(planes, at + TRANSMITTANCE, transmittance)
-        _accumulate(planes, at + DEPTH, weight, record[splat.DEPTH])
+        _accumulate(planes, at + DEPTH, weight, read(splats, record + splat.DEPTH))
         for channel in range(channels):
-            _accumulate(planes, at + FEATURES + channel * TILE_PIXELS, weight, record[layer + 1 + channel])
+            feature = read(splats, record + layer + 1 + channel)
+            _accumulate(planes, at + FEATURES + channel * TILE_PIXELS, weight, feature)
     return transmittance
 
 
@@ -106,20 +125,21 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
     centres_x = lane_indices() + broadcast(np.float32(x0 + 0.5))
     live_rows = ALL_ROWS
     for position in range(first, last):
-        record = splats[tile_splats[position]]
-        dx = centres_x - broadcast(record[splat.MEAN_X])
-        threshold = broadcast(record[splat.THRESHOLD])
-        first_row, last_row = row_range(record, y0)
+        record = tile_splats[position] * splat.SPLAT_FLOATS
+        dx = centres_x - broadcast(read(splats, record + splat.MEAN_X))
+        threshold = broadcast(read(splats, record + splat.THRESHOLD))
+        first_row, last_row = row_range(splats, record, y0)
         for row in range(first_row, last_row + 1):
             if not (live_rows >> row) & 1:
                 continue
-            exponent = log2_gaussian(record, dx, np.float32(y0 + row + 0.5) - record[splat.MEAN_Y])
+            dy = np.float32(y0 + row + 0.5) - read(splats, record + splat.MEAN_Y)
+            exponent = log2_gaussian(splats, record, dx, dy)
             if not any_lane(exponent >= threshold):
                 continue
             gaussian = exp2(exponent)
             at = row * TILE_WIDTH
-            behind_rgb = _blend_layer(planes, _RGB + at, record, splat.RGB, 3, gaussian)
-            behind_thermal = _blend_layer(planes, _THERMAL + at, record, splat.THERMAL, 1, gaussian)
+            behind_rgb = _blend_layer(planes, _RGB + at, splats, record, splat.RGB, 3, gaussian)
+            behind_thermal = _blend_layer(planes, _THERMAL + at, splats, record, splat.THERMAL, 1, gaussian)
             if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
                 live_rows &= ~(1 << row)
         if live_rows == 0:
@@ -133,11 +153,11 @@ def _write_layer(planes, layer, background, x0, y0, image, depth, transmittances
         for column in range(min(TILE_WIDTH, image.shape[1] - x0)):
             at = layer + row * TILE_WIDTH + column
             y, x = y0 + row, x0 + column
-            transmittance = planes[at + TRANSMITTANCE]
+            transmittance = read(planes, at + TRANSMITTANCE)
             for channel in range(image.shape[2]):
-                feature = planes[at + FEATURES + channel * TILE_PIXELS]
+                feature = read(planes, at + FEATURES + channel * TILE_PIXELS)
                 image[y, x, channel] = feature + transmittance * background[channel]
-            depth[y, x] = planes[at + DEPTH]
+            depth[y, x] = read(planes, at + DEPTH)
             transmittances[y, x] = transmittance
 
 
@@ -159,9 +179,9 @@ def blend(
     for index in prange(tiles):
         tile = interleaved(index, tiles)
         x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
-        planes = np.zeros(_PLANES * TILE_PIXELS, np.float32)
+        planes = stack_floats(TILE_FLOATS)
         open_transmittance(planes, _RGB, x0, y0, width, height)
         open_transmittance(planes, _THERMAL, x0, y0, width, height)
-        _blend_tile(planes, splats, tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0)
+        _blend_tile(planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0)
         _write_layer(planes, _RGB, background_rgb, x0, y0, rgb, depth_rgb, transmittance_rgb)
         _write_layer(planes, _THERMAL, background_thermal, x0, y0, thermal, depth_thermal, transmittance_thermal)

@@ -36,9 +36,13 @@ from mrgs.rasterizer.cpu.simd import (
     lane_indices,
     load,
     minimum,
+    pointer,
+    read,
     select,
+    stack_floats,
     store,
     sum_lanes,
+    write,
 )
 from mrgs.rasterizer.cpu.tiles import TILE_HEIGHT, TILE_WIDTH
 
@@ -47,7 +51,7 @@ _RGB = 0
 _BEHIND_RGB = 5 * TILE_PIXELS
 _THERMAL = 6 * TILE_PIXELS
 _BEHIND_THERMAL = 3 * TILE_PIXELS
-_PLANES = 10
+TILE_FLOATS = 10 * TILE_PIXELS
 
 
 @kernel()
@@ -58,26 +62,29 @@ def _read_layer(planes, layer, behind, image, depth, transmittance, grad_image, 
             at = layer + row * TILE_WIDTH + column
             y, x = y0 + row, x0 + column
             total = grad_depth[y, x] * depth[y, x] + grad_transmittance[y, x] * transmittance[y, x]
-            planes[at + DEPTH] = grad_depth[y, x]
+            write(planes, at + DEPTH, grad_depth[y, x])
             for channel in range(image.shape[2]):
                 total += grad_image[y, x, channel] * image[y, x, channel]
-                planes[at + FEATURES + channel * TILE_PIXELS] = grad_image[y, x, channel]
-            planes[at + behind] = total
+                write(planes, at + FEATURES + channel * TILE_PIXELS, grad_image[y, x, channel])
+            write(planes, at + behind, total)
 
 
 @inlined_kernel()
-def _backward_layer(planes, at, behind, record, layer, channels, gaussian, sums):
+def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussian, sums):
     """One layer of a splat in a row: α ∂L/∂α at its pixels, the row's transmittance behind it, and the new sums.
 
     Args:
-        at: offset of the row in the layer's first plane; ``behind``: of the plane of R from there.
+        planes, at, behind: the tile's planes, the offset of the row in the layer's first plane, and from there that of
+            the plane of R.
+        splats, record: the records, and the offset of this splat's.
         layer: the layer's part of the record.
         channels: 3 or 1.
+        gaussian: G' at the row's pixels.
         sums: over the rows so far, of α ∂L/∂α and of the gradients of the depth and of three features.
     """
     transmittance = load(planes, at + TRANSMITTANCE)
     grad_alpha = broadcast(ZERO)
-    unclamped = broadcast(record[layer]) * gaussian
+    unclamped = broadcast(read(splats, record + layer)) * gaussian
     alpha = minimum(unclamped, broadcast(ALPHA_MAX))
     blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
     if any_lane(blends):
@@ -86,17 +93,17 @@ def _backward_layer(planes, at, behind, record, layer, channels, gaussian, sums)
         transmittance = transmittance - weight
         store(planes, at + TRANSMITTANCE, transmittance)
         grad = load(planes, at + DEPTH)
-        own = grad * broadcast(record[splat.DEPTH])
+        own = grad * broadcast(read(splats, record + splat.DEPTH))
         sum_depth = sum_depth + weight * grad
         grad = load(planes, at + FEATURES)
-        own = own + grad * broadcast(record[layer + 1])
+        own = own + grad * broadcast(read(splats, record + layer + 1))
         sum_0 = sum_0 + weight * grad
         if channels == 3:
             grad = load(planes, at + FEATURES + TILE_PIXELS)
-            own = own + grad * broadcast(record[layer + 2])
+            own = own + grad * broadcast(read(splats, record + layer + 2))
             sum_1 = sum_1 + weight * grad
             grad = load(planes, at + FEATURES + 2 * TILE_PIXELS)
-            own = own + grad * broadcast(record[layer + 3])
+            own = own + grad * broadcast(read(splats, record + layer + 3))
             sum_2 = sum_2 + weight * grad
         own = weight * own
         rest = load(planes, at + behind) - own
@@ -121,16 +128,16 @@ def _add_geometry(moments, grad_exponent, dx, dy):
 
 
 @inlined_kernel()
-def _write_moments(moments, geometry, rgb, thermal):
+def _write_moments(pair_grads, pair, geometry, rgb, thermal):
     """The sums of one (tile, splat) pair into its record."""
     for moment in range(5):
-        moments[moment] = sum_lanes(geometry[moment])
-    moments[splat.GRAD_DEPTH] = sum_lanes(rgb[1] + thermal[1])
-    moments[splat.GRAD_RGB] = sum_lanes(rgb[0])
+        write(pair_grads, pair + moment, sum_lanes(geometry[moment]))
+    write(pair_grads, pair + splat.GRAD_DEPTH, sum_lanes(rgb[1] + thermal[1]))
+    write(pair_grads, pair + splat.GRAD_RGB, sum_lanes(rgb[0]))
     for channel in range(3):
-        moments[splat.GRAD_RGB + 1 + channel] = sum_lanes(rgb[2 + channel])
-    moments[splat.GRAD_THERMAL] = sum_lanes(thermal[0])
-    moments[splat.GRAD_THERMAL + 1] = sum_lanes(thermal[2])
+        write(pair_grads, pair + splat.GRAD_RGB + 1 + channel, sum_lanes(rgb[2 + channel]))
+    write(pair_grads, pair + splat.GRAD_THERMAL, sum_lanes(thermal[0]))
+    write(pair_grads, pair + splat.GRAD_THERMAL + 1, sum_lanes(thermal[2]))
 
 
 @kernel()
@@ -141,34 +148,35 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
     centres_x = lane_indices() + broadcast(np.float32(x0 + 0.5))
     live_rows = ALL_ROWS
     for position in range(first, last):
-        record = splats[tile_splats[position]]
+        record = tile_splats[position] * splat.SPLAT_FLOATS
         geometry = (zero, zero, zero, zero, zero)
         rgb = (zero, zero, zero, zero, zero)
         thermal = (zero, zero, zero, zero, zero)
-        dx = centres_x - broadcast(record[splat.MEAN_X])
-        threshold = broadcast(record[splat.THRESHOLD])
-        first_row, last_row = row_range(record, y0)
+        dx = centres_x - broadcast(read(splats, record + splat.MEAN_X))
+        threshold = broadcast(read(splats, record + splat.THRESHOLD))
+        first_row, last_row = row_range(splats, record, y0)
         for row in range(first_row, last_row + 1):
             if not (live_rows >> row) & 1:
                 continue
-            dy = np.float32(y0 + row + 0.5) - record[splat.MEAN_Y]
-            exponent = log2_gaussian(record, dx, dy)
+            dy = np.float32(y0 + row + 0.5) - read(splats, record + splat.MEAN_Y)
+            exponent = log2_gaussian(splats, record, dx, dy)
             if not any_lane(exponent >= threshold):
                 continue
             gaussian = exp2(exponent)
             at = row * TILE_WIDTH
             grad_rgb, behind_rgb, rgb = _backward_layer(
-                planes, _RGB + at, _BEHIND_RGB, record, splat.RGB, 3, gaussian, rgb
+                planes, _RGB + at, _BEHIND_RGB, splats, record, splat.RGB, 3, gaussian, rgb
             )
             grad_thermal, behind_thermal, thermal = _backward_layer(
-                planes, _THERMAL + at, _BEHIND_THERMAL, record, splat.THERMAL, 1, gaussian, thermal
+                planes, _THERMAL + at, _BEHIND_THERMAL, splats, record, splat.THERMAL, 1, gaussian, thermal
             )
             geometry = _add_geometry(geometry, grad_rgb + grad_thermal, dx, broadcast(dy))
             if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
                 live_rows &= ~(1 << row)
-        _write_moments(pair_grads[position], geometry, rgb, thermal)
+        _write_moments(pair_grads, position * splat.GRAD_FLOATS, geometry, rgb, thermal)
         if live_rows == 0:
-            pair_grads[position + 1 : last] = ZERO
+            for rest in range((position + 1) * splat.GRAD_FLOATS, last * splat.GRAD_FLOATS):
+                write(pair_grads, rest, ZERO)
             break
 
 
@@ -192,7 +200,7 @@ def blend_backward(
     for index in prange(tiles):
         tile = interleaved(index, tiles)
         x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
-        planes = np.zeros(_PLANES * TILE_PIXELS, np.float32)
+        planes = stack_floats(TILE_FLOATS)
         open_transmittance(planes, _RGB, x0, y0, width, height)
         open_transmittance(planes, _THERMAL, x0, y0, width, height)
         _read_layer(
@@ -203,4 +211,6 @@ def blend_backward(
             planes, _THERMAL, _BEHIND_THERMAL, thermal, depth_thermal, transmittance_thermal, grad_thermal,
             grad_depth_thermal, grad_transmittance_thermal, x0, y0,
         )  # fmt: skip
-        _backward_tile(planes, splats, tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0, pair_grads)
+        _backward_tile(
+            planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0, pointer(pair_grads)
+        )

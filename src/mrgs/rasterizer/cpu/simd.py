@@ -39,6 +39,7 @@ class _Mask8(types.Type):
 
 Float32x8 = _Float32x8()
 Mask8 = _Mask8()
+FloatPointer = types.CPointer(types.float32)
 
 
 @register_model(_Float32x8)
@@ -87,10 +88,9 @@ def _constant(value: float) -> ir.Constant:
     return ir.Constant(_VECTOR, [value] * LANES)
 
 
-def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    data = context.make_array(array_type)(context, builder, array).data
-    element = builder.gep(data, [index])
-    return builder.bitcast(element, _VECTOR.as_pointer())
+def _element(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    """The address ``args[0] + args[1]`` of an element behind a pointer."""
+    return builder.gep(args[0], [context.cast(builder, args[1], sig.args[1], types.int64)])
 
 
 @intrinsic
@@ -114,27 +114,74 @@ def lane_indices(typingctx: Any) -> Any:
     return Float32x8(), codegen
 
 
+# Pointers, because Numba counts references to every array that is passed to a function, in the innermost loops too.
+
+
 @intrinsic
-def load(typingctx: Any, array: Any, index: Any) -> Any:
-    """Eight consecutive elements of a one-dimensional contiguous float32 array, from ``index``; unchecked."""
+def pointer(typingctx: Any, array: Any) -> Any:
+    """Address of a contiguous float32 array's first element; the caller keeps the array alive."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        index64 = context.cast(builder, args[1], sig.args[1], types.int64)
-        return builder.load(_pointer(context, builder, sig.args[0], args[0], index64), align=4)
+        return context.make_array(sig.args[0])(context, builder, args[0]).data
 
-    return Float32x8(array, index), codegen
+    return FloatPointer(array), codegen
+
+
+@intrinsic(prefer_literal=True)
+def stack_floats(typingctx: Any, count: Any) -> Any:
+    """Address of ``count`` floats on the stack, set to 0; ``count`` is a constant."""
+    size = count.literal_value
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        block = cgutils.alloca_once(builder, ir.ArrayType(_F32, size))
+        cgutils.memset(builder, block, ir.Constant(ir.IntType(64), 4 * size), 0)
+        return builder.bitcast(block, _F32.as_pointer())
+
+    return FloatPointer(count), codegen
 
 
 @intrinsic
-def store(typingctx: Any, array: Any, index: Any, vector: Any) -> Any:
+def read(typingctx: Any, floats: Any, index: Any) -> Any:
+    """The float at ``index`` behind a pointer; unchecked, as all below."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_element(context, builder, sig, args))
+
+    return types.float32(FloatPointer, index), codegen
+
+
+@intrinsic
+def write(typingctx: Any, floats: Any, index: Any, value: Any) -> Any:
+    """The counterpart of ``read``."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(context.cast(builder, args[2], sig.args[2], types.float32), _element(context, builder, sig, args))
+        return context.get_dummy_value()
+
+    return types.void(FloatPointer, index, value), codegen
+
+
+@intrinsic
+def load(typingctx: Any, floats: Any, index: Any) -> Any:
+    """Eight consecutive floats behind a pointer, from ``index``."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        address = builder.bitcast(_element(context, builder, sig, args), _VECTOR.as_pointer())
+        return builder.load(address, align=4)
+
+    return Float32x8(FloatPointer, index), codegen
+
+
+@intrinsic
+def store(typingctx: Any, floats: Any, index: Any, vector: Any) -> Any:
     """The counterpart of ``load``."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        index64 = context.cast(builder, args[1], sig.args[1], types.int64)
-        builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], index64), align=4)
+        address = builder.bitcast(_element(context, builder, sig, args), _VECTOR.as_pointer())
+        builder.store(args[2], address, align=4)
         return context.get_dummy_value()
 
-    return types.void(array, index, vector), codegen
+    return types.void(FloatPointer, index, Float32x8), codegen
 
 
 @intrinsic
