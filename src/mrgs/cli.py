@@ -104,7 +104,7 @@ class Synth:
     """Image width in pixels."""
     height: int = 240
     """Image height in pixels."""
-    samples: int = 256
+    samples: int = 64
     """Paths per pixel: more take longer and are less noisy."""
     seed: int = 0
     """Of the scene's random details and of the sensor's noise."""

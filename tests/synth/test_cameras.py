@@ -48,7 +48,7 @@ def test_train_cameras_are_even_and_alternate_in_height() -> None:
     np.testing.assert_allclose(distances, [1.0, 1.2, 0.9] * 3)
 
 
-@pytest.mark.parametrize(("train_count", "count"), [(40, 8), (9, 4), (2, 1), (5, 5)])
+@pytest.mark.parametrize(("train_count", "count"), [(40, 8), (9, 4), (2, 1), (5, 4)])
 def test_eval_cameras_lie_between_neighbours(train_count: int, count: int) -> None:
     rng = np.random.default_rng(0)
     train = [azimuth_deg(camera, STILL.target) for camera in STILL.train(train_count, 32, 24, rng)]
@@ -56,7 +56,7 @@ def test_eval_cameras_lie_between_neighbours(train_count: int, count: int) -> No
     spacing = 180.0 / train_count
     for angle in held_out:
         nearest = np.sort(np.abs(np.array(train) - angle))
-        assert nearest[0] == pytest.approx(spacing / 2)
+        assert nearest[:2] == pytest.approx([spacing / 2, spacing / 2])
     assert len(set(np.round(held_out, 6))) == count
 
 

@@ -27,7 +27,7 @@ def test_disc_decays_as_a_bessel_function() -> None:
     radius = np.hypot(x, y)
     solved = solve(plate, [Contact(radius < 0.1, 1.0, IMPOSED)])
     ring = (radius > 0.105) & (radius < 0.3)
-    np.testing.assert_allclose(solved.grid_c[ring], k0(radius[ring] / 0.05) / k0(0.1 / 0.05), atol=0.03)
+    np.testing.assert_allclose(solved.grid_c[ring], k0(radius[ring] / 0.05) / k0(0.1 / 0.05), atol=0.04)
 
 
 @settings(deadline=None, max_examples=20)

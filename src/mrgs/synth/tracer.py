@@ -43,7 +43,8 @@ class PathTracer:
             path = folder / f"{number}.ply"
             write_mesh(path, solid.world_mesh())
             description[f"solid_{number}"] = {"type": "ply", "filename": str(path), "bsdf": self._bsdf(solid.material)}
-        self._scene = self._mitsuba.load_dict(description)
+        # Otherwise the lamps' order, and with it the noise, would change from run to run.
+        self._scene = self._mitsuba.load_dict(description, parallel=False, optimize=False)
 
     def photograph(self, camera: Camera, samples: int, seed: int) -> UInt8[np.ndarray, "h w 3"]:
         """An sRGB photo with the mean of ``samples`` paths per pixel."""

@@ -138,7 +138,11 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
 
 
 def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The same schedule in another number of steps: every step count is scaled alike."""
+    """The same schedule in another number of steps.
+
+    Opacity resets are not moved closer together: the opacities need a fixed number of steps to recover, so short
+    schedules have none.
+    """
     if steps < 1:
         raise ConfigError(f"max_steps must be at least 1, not {steps}")
     factor = steps / config.max_steps
@@ -156,7 +160,7 @@ def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
         max_steps=steps,
         sh_every=scaled(config.sh_every),
         radiation=radiation,
-        densification=replace(old, start=scaled(old.start), stop=scaled(old.stop), reset_every=scaled(old.reset_every)),
+        densification=replace(old, start=scaled(old.start), stop=scaled(old.stop)),
     )
 
 

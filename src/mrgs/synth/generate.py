@@ -45,12 +45,12 @@ def synthesize(
     height: int = 240,
     train_views: int = 40,
     eval_views: int = 8,
-    samples: int = 256,
+    samples: int = 64,
     seed: int = 0,
     truth: Literal["eval", "all"] = "eval",
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments give the same files.
+    """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments and Mitsuba give the same files.
 
     Surfaces emit as black bodies and reflect no heat, so the exact temperature of a pixel is the mean over the
     surfaces within it (16 rays); the exact depth is the z-depth at the pixel's centre. Both are written as
