@@ -12,7 +12,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded: s
 
 import numpy as np
 import pytest
-import torch
+from hypothesis import settings
 from jaxtyping import install_import_hook
 from PIL import Image
 
@@ -30,6 +30,10 @@ def _checked_modules() -> list[str]:
 
 # Shapes and types stand in the signatures and are checked in the tests alone. An int counts as a float (PEP 484).
 install_import_hook(_checked_modules(), "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+
+# The same examples on every machine, and no verdict from how busy it is.
+settings.register_profile("mrgs", deadline=None, derandomize=True)
+settings.load_profile("mrgs")
 
 WIDTH, HEIGHT = 40, 30
 MIN_C, MAX_C = 10.0, 30.0
@@ -121,12 +125,3 @@ def small_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def make_scene(tmp_path: Path) -> Callable[..., Path]:
     """Writes a scene of its own into the test's folder: ``make_scene(rgb=..., thermal=..., two_cameras=...)``."""
     return lambda **options: write_scene(tmp_path / "scene", **options)
-
-
-@pytest.fixture
-def one_thread() -> object:
-    """On tensors as small as these, starting threads costs more than it saves."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)

@@ -114,9 +114,11 @@ class _Trainer:
         self._skipped_steps = 0
         self._seconds_before = 0.0
         if resume:
-            self._state, facts = checkpoint.load_state(folder.newest_checkpoint(), config, len(scene.train))
+            newest = folder.newest_checkpoint()
+            facts = checkpoint.load_facts(newest)
             if not math.isclose(facts.extent, scene.extent, rel_tol=1e-6):
                 raise RunError(f"{scene_path} has other cameras than the run's scene: resume with {facts.scene}")
+            self._state, _ = checkpoint.load_state(newest, config, len(scene.train))
             self._seconds_before, self._skipped_steps = facts.train_seconds, facts.skipped_steps
             folder.cut_log(facts.step)
         else:

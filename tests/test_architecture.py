@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
+FILES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.rglob("*.py"))}
+
+FLOORS = {
+    "errors": 0.0,
+    "atomic": 0.5,
+    "scene": 1.0,
+    "data": 2.0,
+    "field": 2.0,
+    "rasterizer": 2.0,
+    "render": 3.0,
+    "training": 4.0,
+    "run": 4.5,
+    "evaluation": 5.0,
+    "synth": 5.0,
+    "viewer": 5.0,
+    "export": 5.0,
+    "cli": 6.0,
+}
+"""A file imports from strictly lower floors and from its own room; ``mrgs`` itself imports on first use, from any."""
+
+FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
+FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "joblib", "marshal", "shelve"}
+FORBIDDEN_ATTRIBUTES = {
+    ("torch", "load"),
+    ("torch", "save"),
+    ("yaml", "load"),
+    ("yaml", "load_all"),
+    ("yaml", "unsafe_load"),
+    ("yaml", "full_load"),
+    ("os", "system"),
+    ("os", "popen"),
+}
+
+
+def room_of(dotted: str) -> str:
+    """The room of ``mrgs.room.module``; empty for ``mrgs`` itself."""
+    return [*dotted.split("."), ""][1]
+
+
+def imported_modules(tree: ast.AST) -> list[str]:
+    """Absolute names of everything that a file imports, wherever in the file; ``from a import b`` gives ``a.b``."""
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute, so that the floors can be read off them"
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
+
+
+def parse(name: str) -> ast.Module:
+    return ast.parse(FILES[name].read_text(encoding="utf-8"), name)
+
+
+def misplaced_imports(room: str, tree: ast.AST) -> list[str]:
+    """Imports that do not point downwards."""
+    targets = {name: room_of(name) for name in imported_modules(tree) if name.split(".")[0] == "mrgs"}
+    return [name for name, target in targets.items() if target != room and not FLOORS[target] < FLOORS[room]]
+
+
+def breaches(tree: ast.AST) -> list[str]:
+    """Everything in a file that could run what it reads."""
+    found = [name for name in imported_modules(tree) if name.split(".")[0] in FORBIDDEN_MODULES]
+    found += [name for name in imported_modules(tree) if tuple(name.rsplit(".", 1)) in FORBIDDEN_ATTRIBUTES]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FORBIDDEN_CALLS:
+            found.append(node.func.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            if (node.value.id, node.attr) in FORBIDDEN_ATTRIBUTES:
+                found.append(f"{node.value.id}.{node.attr}")
+        elif isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+            found.append("allow_pickle")
+    return found
+
+
+def prints(tree: ast.AST) -> bool:
+    return any(
+        isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+        for node in ast.walk(tree)
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "__init__.py"])
+def test_imports_point_downwards(name):
+    room = name.removesuffix(".py").split("/")[0]
+    assert room in FLOORS, f"{name} is in no room: give it a floor"
+    assert misplaced_imports(room, parse(name)) == []
+
+
+@pytest.mark.parametrize(
+    ("room", "line"),
+    [
+        ("data", "from mrgs.field import RadianceField"),
+        ("scene", "from mrgs import training"),
+        ("evaluation", "import mrgs.synth.write"),
+        ("training", "def f():\n    from mrgs.cli import main"),
+        ("run", "from mrgs.evaluation.evaluate import score"),
+    ],
+)
+def test_the_check_of_imports_can_fail(room, line):
+    assert misplaced_imports(room, ast.parse(line))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_nothing_runs_what_it_reads(name):
+    assert breaches(parse(name)) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import pickle",
+        "from torch import load",
+        "torch.load(path)",
+        "yaml.load(text)",
+        "eval(text)",
+        "np.load(p, allow_pickle=True)",
+    ],
+)
+def test_the_check_of_what_is_run_can_fail(line):
+    assert breaches(ast.parse(line))
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "cli.py"])
+def test_only_the_command_line_prints(name):
+    assert not prints(parse(name))
+
+
+@pytest.mark.parametrize("module", ["mrgs", "mrgs.cli"])
+def test_importing_is_cheap(module):
+    """torch takes seconds to load: ``mrgs --help`` must not."""
+    script = f"import sys, {module}; print(*sorted({{'torch', 'numba', 'scipy'}} & set(sys.modules)))"
+    path = [str(SOURCE.parent), *filter(None, sys.path)]
+    run = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}; {script}"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert run.stdout.split() == []

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import mrgs
+from mrgs.errors import RunError, SceneError
+from mrgs.run import Run, load_run
+from mrgs.training import make_config, train
+
+MIN_C, MAX_C = 10.0, 30.0
+"""What tests/conftest.py writes as the scene's temperature bounds."""
+
+
+@pytest.fixture(scope="module")
+def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = train(small_scene, tmp_path_factory.mktemp("runs") / "run", make_config(max_steps=3, max_gaussians=100))
+    return load_run(folder.path)
+
+
+def test_a_run_knows_what_it_was_trained_on(run, small_scene):
+    assert (run.temperature.min_c, run.temperature.max_c) == (MIN_C, MAX_C)
+    assert (run.config.method, run.config.max_steps, run.facts.step) == ("mrgs", 3, 3)
+    scene = run.load_scene()
+    assert (len(scene.train), len(scene.eval)) == (6, 2)
+    assert scene.extent == run.facts.extent
+
+
+def test_any_camera_can_be_rendered_without_gradients(run):
+    camera = run.load_scene().eval[0].rgb.camera.resized(64, 20)
+    rendering = run.render(camera)
+    assert rendering.rgb.shape == (20, 64, 3)
+    assert rendering.thermal.shape == (20, 64, 1)
+    assert not any(image.requires_grad for image in rendering)
+    assert rendering.alpha_rgb.max() > 0.1
+
+
+def test_thermal_may_have_a_camera_of_its_own(run):
+    camera = run.load_scene().eval[0].rgb.camera
+    rendering = run.render(camera, camera.resized(20, 15))
+    assert (rendering.rgb.shape, rendering.thermal.shape) == ((30, 40, 3), (15, 20, 1))
+    alone = run.render(None, camera.resized(20, 15))
+    assert alone.rgb is None
+    torch.testing.assert_close(alone.thermal, rendering.thermal)
+
+
+def test_temperatures_are_celsius(run):
+    rendering = run.render(run.load_scene().eval[0].rgb.camera)
+    celsius = run.temperatures_c(rendering)
+    torch.testing.assert_close(celsius, MIN_C + (MAX_C - MIN_C) * rendering.thermal[..., 0])
+
+
+def test_without_a_temperature_range_there_is_no_celsius(run):
+    rendering = run.render(run.load_scene().eval[0].rgb.camera)
+    unknown = replace(run, facts=run.facts._replace(temperature=None))
+    for case, image in ((unknown, rendering), (run, rendering._replace(thermal=None))):
+        with pytest.raises(ValueError, match="no °C: the scene has no temperature range, or the rendering has no"):
+            case.temperatures_c(image)
+
+
+def test_what_is_not_a_run_is_named(tmp_path):
+    with pytest.raises(RunError, match=r"is not a run: it has no config\.yaml"):
+        load_run(tmp_path)
+
+
+def test_a_scene_that_has_gone_is_named(run):
+    moved = replace(run, facts=run.facts._replace(scene="/nowhere/balls"))
+    with pytest.raises(SceneError, match="/nowhere/balls"):
+        moved.load_scene()
+
+
+def test_the_package_offers_the_api():
+    assert mrgs.load_run is load_run
+    assert all(getattr(mrgs, name) is not None for name in mrgs.__all__)
+    with pytest.raises(AttributeError, match="module 'mrgs' has no attribute 'load_ruin'"):
+        _ = mrgs.load_ruin

@@ -1,0 +1,94 @@
+"""Short schedules, random Gaussians, and the states that steps and checkpoints start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from mrgs.data import load_scene
+from mrgs.scene import Gaussians
+from mrgs.training.config import TrainConfig, make_config
+from mrgs.training.optimizer import OptimizerConfig
+from mrgs.training.step import TrainingState
+from mrgs.training.trainer import initial_state
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_torch_thread() -> Iterator[None]:
+    """On tensors as small as these, starting threads costs more than it saves."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> TrainConfig:
+    """Fast learning rates, and nothing but optimization: no densification, no reset within the run."""
+    config = make_config(method, "fast", max_steps=max_steps, max_gaussians=200)
+    rates = replace(OptimizerConfig(), means=2e-3, means_final=5e-4, log_scales=0.02, sh_dc=0.03, temperature_dc=0.03)
+    schedule = replace(config.densification, start=max_steps, stop=max_steps, every=1_000, reset_every=1_000)
+    return replace(config, optimizer=rates, densification=schedule, **changes)
+
+
+def random_gaussians(count: int, shares_opacity: bool = False, bands: int = 0, seed: int = 0) -> Gaussians:
+    """Gaussians without meaning; no embedding."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def random(*shape: int) -> torch.Tensor:
+        return torch.randn(count, *shape, generator=generator)
+
+    return Gaussians(
+        means=random(3),
+        quats=random(4),
+        log_scales=random(3),
+        opacity_rgb_logit=random(1),
+        opacity_thermal_logit=random(0 if shares_opacity else 1),
+        sh_dc=random(1, 3),
+        sh_rest=random(15, 3),
+        temperature_dc=random(1, 1),
+        temperature_rest=random(bands, 1),
+        embedding=random(0),
+    )
+
+
+def tensors_of(state: TrainingState) -> dict[str, torch.Tensor]:
+    """Copies of everything that a step may change, by name."""
+    tensors = {f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()}
+    tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
+    tensors |= {f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()}
+    for place, moments in state.layer_optimizer.state_dict()["state"].items():
+        tensors |= {f"layer_optimizer.{place}.{key}": value for key, value in moments.items()}
+    tensors["statistics.gradient_sum"] = state.statistics.gradient_sum
+    tensors["statistics.views"] = state.statistics.views
+    return {name: tensor.detach().clone() for name, tensor in tensors.items()}
+
+
+@pytest.fixture(scope="session")
+def make_short_config() -> Callable[..., TrainConfig]:
+    return short_config
+
+
+@pytest.fixture(scope="session")
+def make_gaussians() -> Callable[..., Gaussians]:
+    return random_gaussians
+
+
+@pytest.fixture(scope="session")
+def snapshot() -> Callable[[TrainingState], dict[str, torch.Tensor]]:
+    return tensors_of
+
+
+@pytest.fixture
+def make_start(small_scene: Path) -> Callable[..., tuple]:
+    """The small scene, and the state at step 0 of a configuration."""
+
+    def make(config: TrainConfig) -> tuple:
+        scene = load_scene(small_scene)
+        return scene, initial_state(scene, config)
+
+    return make

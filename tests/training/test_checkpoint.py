@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from mrgs.errors import RunError
+from mrgs.scene import TemperatureRange
+from mrgs.training import step
+from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
+from mrgs.training.step import Photos, TrainingState
+
+FACTS = CheckpointFacts(
+    step=2,
+    scene="/somewhere/balls",
+    extent=3.25,
+    temperature=TemperatureRange(10.0, 30.0),
+    train_seconds=1.5,
+    peak_memory_bytes=1_000,
+    skipped_steps=4,
+)
+
+
+@pytest.fixture
+def config(make_short_config):
+    return make_short_config()
+
+
+@pytest.fixture
+def state(make_start, config) -> TrainingState:
+    """After two steps."""
+    scene, state = make_start(config)
+    for _ in range(2):
+        view = scene.train[state.sampler.next()]
+        photos = Photos(view.rgb.load(), view.thermal.load())
+        step.training_step(state, view, photos, config, scene.extent, scene.temperature)
+    return state
+
+
+@pytest.fixture
+def path(tmp_path, state) -> Path:
+    """A checkpoint of the state."""
+    path = tmp_path / "checkpoints" / "step_000002.safetensors"
+    save(path, state, FACTS)
+    return path
+
+
+def change_header(path: Path, **changes) -> None:
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["mrgs"])
+    header = {name: value for name, value in {**header, **changes}.items() if value != "removed"}
+    save_file(load_file(path), path, {"mrgs": json.dumps(header)})
+
+
+def test_everything_comes_back(state, path, config, snapshot):
+    state.skipped_in_a_row = 2
+    save(path, state, FACTS)
+    found, facts = load_state(path, config, view_count=6)
+    assert facts == FACTS
+    assert load_facts(path) == FACTS
+    expected, tensors = snapshot(state), snapshot(found)
+    assert set(tensors) == set(expected)
+    assert [name for name in expected if not torch.equal(tensors[name], expected[name])] == []
+    assert (found.step, found.skipped_in_a_row) == (2, 2)
+    assert torch.equal(found.model.neighbours, state.model.neighbours)
+    assert torch.equal(found.sampler.state(), state.sampler.state())
+    assert torch.equal(found.generator.get_state(), state.generator.get_state())
+    assert found.gaussian_optimizer.gaussians is found.model.gaussians
+
+
+def test_the_model_comes_back(state, path, config):
+    model, facts = load_model(path, replace(config, sh_every=1, background_rgb=0.5))
+    assert facts == FACTS
+    assert (model.sh_degree, model.background_rgb, model.background_thermal) == (2, 0.5, 0.0)
+    for name, tensor in state.model.gaussians.tensors().items():
+        assert torch.equal(model.gaussians.tensors()[name], tensor)
+
+
+def test_no_known_temperatures_stay_unknown(state, path):
+    save(path, state, FACTS._replace(temperature=None))
+    assert load_facts(path).temperature is None
+
+
+@pytest.mark.parametrize("keep", [0, 7, 500, -1])
+def test_a_truncated_checkpoint_is_named(keep, path, config):
+    path.write_bytes(path.read_bytes()[:keep])
+    for load in (load_facts, lambda path: load_model(path, config), lambda path: load_state(path, config, 6)):
+        with pytest.raises(RunError) as caught:
+            load(path)
+        assert str(caught.value) == f"{path} is not a whole checkpoint: delete it and resume from the one before"
+
+
+@pytest.mark.parametrize(
+    "header",
+    [{}, {"mrgs": "[1]"}, {"mrgs": "{"}, {"other": "1"}],
+)
+def test_a_file_of_something_else_is_named(header, path):
+    save_file({"a": torch.zeros(2)}, path, header)
+    with pytest.raises(RunError, match="is not a whole checkpoint"):
+        load_facts(path)
+
+
+@pytest.mark.parametrize("changes", [{"extent": "removed"}, {"temperature": [30.0, 10.0]}, {"temperature": [1.0]}])
+def test_a_header_that_lacks_facts_is_named(changes, path):
+    change_header(path, **changes)
+    with pytest.raises(RunError, match="is not a whole checkpoint"):
+        load_facts(path)
+
+
+def test_another_format_is_named(path):
+    change_header(path, format=99)
+    with pytest.raises(RunError) as caught:
+        load_facts(path)
+    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 1: train anew"
+
+
+def test_another_configuration_is_named(path, config):
+    other = replace(config, field=replace(config.field, hidden_width=64))
+    for load in (load_model, lambda path, config: load_state(path, config, 6)):
+        with pytest.raises(RunError) as caught:
+            load(path, other)
+        assert str(caught.value) == (
+            f"{path} does not fit the run's config.yaml: restore the configuration it was trained with"
+        )
+
+
+def test_missing_tensors_are_named(path, config):
+    tensors = load_file(path)
+    with safe_open(path, framework="pt") as file:
+        header = file.metadata()
+    save_file({name: tensor for name, tensor in tensors.items() if name != "gaussians.quats"}, path, header)
+    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+        load_model(path, config)
+
+
+def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(state, path, monkeypatch):
+    before = path.read_bytes()
+
+    def full(*args) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        with pytest.raises(RunError) as caught:
+            save(path, state, FACTS._replace(step=3))
+    assert str(caught.value) == f"{path} cannot be written (No space left on device): free the place or choose another"
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import dataclasses
+from contextlib import suppress
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrgs.errors import ConfigError
+from mrgs.field import FieldConfig
+from mrgs.training.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config, to_yaml
+from mrgs.training.densification import DensificationConfig
+from mrgs.training.losses import LossConfig
+from mrgs.training.optimizer import OptimizerConfig
+from mrgs.training.radiation import RadiationConfig
+
+COUNTS = st.integers(1, 10**9)
+WEIGHTS = st.floats(0, 1e6, allow_subnormal=True)
+RATES = st.floats(1e-12, 1e3)
+
+CONFIGS = st.builds(
+    TrainConfig,
+    method=st.sampled_from(METHODS),
+    preset=st.sampled_from(PRESETS),
+    max_steps=COUNTS,
+    resolution=st.none() | st.integers(16, 10**5),
+    seed=st.integers(0, 2**63 - 1),
+    sh_every=COUNTS,
+    shares_opacity=st.booleans(),
+    temperature_degree=st.sampled_from([0, 3]),
+    background_rgb=st.floats(allow_nan=False, allow_infinity=False),
+    field=st.builds(FieldConfig, fourier=st.booleans(), neighbours_n=st.integers(1, 9), anchor_weight=WEIGHTS),
+    loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS, edge_aware=st.booleans()),
+    radiation=st.none() | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
+    optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=WEIGHTS),
+    densification=st.builds(DensificationConfig, every=COUNTS, max_gaussians=COUNTS, gradient_threshold=WEIGHTS),
+)
+
+
+@given(CONFIGS)
+def test_yaml_gives_back_the_same_configuration(config):
+    assert from_yaml(to_yaml(config), "config.yaml") == config
+
+
+def test_yaml_shows_every_field():
+    text = to_yaml(TrainConfig())
+    names = [field.name for field in dataclasses.fields(TrainConfig)]
+    names += [field.name for field in dataclasses.fields(DensificationConfig)]
+    assert all(f"{name}:" in text for name in names)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("max_stepps: 5", "config.yaml: there is no field 'max_stepps'; known are method, preset, max_steps"),
+        ("loss: {smoth: 1.0}", "config.yaml: loss: there is no field 'smoth'; known are dssim, smooth"),
+        ("max_steps: many", "config.yaml: max_steps must be of type int, not 'many'"),
+        ("max_steps: 5.5", "config.yaml: max_steps must be of type int, not 5.5"),
+        ("max_steps: true", "config.yaml: max_steps must be of type int, not True"),
+        ("shares_opacity: 1", "config.yaml: shares_opacity must be of type bool, not 1"),
+        ("loss: {dssim: [1]}", r"config.yaml: loss: dssim must be of type float, not \[1\]"),
+        ("loss: 3", "config.yaml: loss must hold the fields of a configuration"),
+        ("method: nerf", "config.yaml: method must be one of mrgs, mrgs-base, .*, not 'nerf'"),
+        ("preset: [fast]", r"config.yaml: preset must be one of fast, default, paper, not \['fast'\]"),
+        ("max_steps: 0", "config.yaml: max_steps must be at least 1, not 0"),
+        ("loss: {dssim: 2}", "config.yaml: loss: dssim must lie between 0 and 1, not 2.0"),
+        ("- a\n- b", "config.yaml must hold the fields of a configuration"),
+        ("", "config.yaml must hold the fields of a configuration"),
+        ("a: [", "config.yaml is not valid YAML"),
+        ("a: !!python/object/apply:os.getcwd []", "config.yaml is not valid YAML"),
+    ],
+)
+def test_what_cannot_be_used_is_named(text, message):
+    with pytest.raises(ConfigError, match=f"^{message}") as caught:
+        from_yaml(text, "config.yaml")
+    assert "\n" not in str(caught.value)
+
+
+@given(
+    st.text() | st.recursive(st.none() | st.integers() | st.text(), lambda s: st.dictionaries(st.text(), s)).map(str)
+)
+def test_any_text_gives_a_configuration_or_a_config_error(text):
+    with suppress(ConfigError):
+        assert isinstance(from_yaml(text, "config.yaml"), TrainConfig)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "nerf"}, "there is no method 'nerf': choose one of mrgs, mrgs-base, mrgs-fourier"),
+        ({"preset": "slow"}, "there is no preset 'slow': choose one of fast, default, paper"),
+        ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
+        ({"resolution": 8}, "resolution must be at least 16 px, not 8"),
+        ({"max_gaussians": 0}, "max_gaussians must be at least 1"),
+    ],
+)
+def test_impossible_choices_are_named(options, message):
+    with pytest.raises(ConfigError, match=message):
+        make_config(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"neighbours_every": 0}, "neighbours_every must be at least 1, not 0"),
+        ({"temperature_degree": 2}, "temperature_degree must be 0 or 3, not 2"),
+    ],
+)
+def test_impossible_fields_are_named(options, message):
+    with pytest.raises(ConfigError, match=message):
+        replace(TrainConfig(), **options)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_and_preset_is_valid(method, preset):
+    config = make_config(method, preset)
+    assert (config.method, config.preset) == (method, preset)
+    schedule = config.densification
+    assert 0 < schedule.start < schedule.stop < config.max_steps
+    assert from_yaml(to_yaml(config), "config.yaml") == config
+
+
+def test_methods_are_the_rows_of_the_ablation_table():
+    rows = {method: make_config(method) for method in METHODS}
+    table = {
+        method: (config.field.residuals, config.field.neighbours_k > 0, config.radiation is not None)
+        for method, config in rows.items()
+    }
+    assert table == {
+        "mrgs": (True, True, True),
+        "mrgs-base": (True, False, False),
+        "mrgs-fourier": (True, True, False),
+        "mrgs-boltz": (True, False, True),
+        "3dgs-rgbt": (False, False, False),
+    }
+    baseline = rows.pop("3dgs-rgbt")
+    assert (baseline.shares_opacity, baseline.temperature_degree, baseline.loss.smooth) == (True, 3, 0.0)
+    assert all((config.shares_opacity, config.temperature_degree) == (False, 0) for config in rows.values())
+
+
+def test_paper_is_the_published_schedule():
+    config = make_config(preset="paper")
+    schedule, radiation = config.densification, config.radiation
+    assert (config.max_steps, config.sh_every) == (30_000, 1_000)
+    assert (schedule.start, schedule.stop, schedule.every, schedule.reset_every) == (500, 15_000, 100, 3_000)
+    assert (radiation.start, radiation.end, radiation.decay_from, radiation.decay_until) == (0.05, 0.01, 500, 15_000)
+    assert config.loss.smooth == 0.6
+
+
+def test_max_steps_scales_the_schedule():
+    config = make_config(preset="paper", max_steps=3_000)
+    schedule, radiation = config.densification, config.radiation
+    assert (config.max_steps, config.sh_every) == (3_000, 100)
+    assert (schedule.start, schedule.stop) == (50, 1_500)
+    assert (schedule.every, schedule.reset_every) == (100, 3_000)  # opacities need these steps to recover
+    assert (radiation.decay_from, radiation.decay_until) == (50, 1_500)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("steps", [1, 2, 7, 100_000])
+def test_any_number_of_steps_gives_a_valid_schedule(method, steps):
+    assert make_config(method, max_steps=steps).max_steps == steps
+
+
+def test_degrees_come_one_by_one():
+    config = replace(TrainConfig(), sh_every=10)
+    assert [config.sh_degree_at(step) for step in (0, 9, 10, 19, 20, 30, 1_000)] == [0, 0, 1, 1, 2, 3, 3]

@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.rasterizer.reference import rotation_matrices
+from mrgs.render import ScreenPoints
+from mrgs.scene import Gaussians
+from mrgs.training.densification import DensificationConfig, DensificationCounts, ScreenStatistics, densify
+from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig
+
+EXTENT = 10.0
+CONFIG = DensificationConfig(gradient_threshold=1.0, clone_below=0.01, prune_above=0.5, max_gaussians=1_000)
+SMALL, LARGE, HUGE = 0.05, 0.5, 6.0
+"""Sizes below and above ``clone_below``, and above ``prune_above``, at this extent."""
+
+
+def logit(opacity: float) -> float:
+    return math.log(opacity / (1 - opacity))
+
+
+def build(make_gaussians, sizes, opacities_rgb=None, opacities_thermal=None, shares_opacity=False) -> GaussianOptimizer:
+    gaussians = make_gaussians(len(sizes), shares_opacity)
+    gaussians.log_scales = torch.tensor(sizes).log()[:, None] + torch.tensor([0.0, -0.5, -2.0])
+    gaussians.opacity_rgb_logit = torch.tensor([logit(o) for o in opacities_rgb or [0.5] * len(sizes)])[:, None]
+    if not shares_opacity:
+        thermal = torch.tensor([logit(o) for o in opacities_thermal or [0.5] * len(sizes)])
+        gaussians.opacity_thermal_logit = thermal[:, None]
+    return GaussianOptimizer(gaussians, OptimizerConfig(), EXTENT)
+
+
+def statistics_of(gradients: list[float]) -> ScreenStatistics:
+    """Means of two views each."""
+    return ScreenStatistics(2 * torch.tensor(gradients), torch.full((len(gradients),), 2.0))
+
+
+def run(optimizer, gradients, config=CONFIG, prunes_large=False, seed=0) -> tuple[DensificationCounts, Gaussians]:
+    generator = torch.Generator().manual_seed(seed)
+    counts = densify(optimizer, statistics_of(gradients), config, EXTENT, prunes_large, generator)
+    return counts, optimizer.gaussians
+
+
+def test_a_small_one_with_a_large_gradient_is_cloned(make_gaussians):
+    optimizer = build(make_gaussians, [SMALL, SMALL, SMALL])
+    before = {name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()}
+    counts, after = run(optimizer, [0.5, 1.5, 0.99])
+    assert counts == DensificationCounts(cloned=1, split=0, pruned=0)
+    for name, tensor in after.tensors().items():
+        assert torch.equal(tensor, torch.cat([before[name], before[name][1:2]])), name
+
+
+def test_a_large_one_with_a_large_gradient_is_split_into_two_smaller_ones_within_it(make_gaussians):
+    optimizer = build(make_gaussians, [SMALL, LARGE, LARGE])
+    before = {name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()}
+    counts, after = run(optimizer, [0.5, 1.5, 0.5])
+    assert counts == DensificationCounts(cloned=0, split=1, pruned=0)
+    assert len(after) == 4
+    torch.testing.assert_close(after.log_scales[2:].exp(), (before["log_scales"][[1, 1]].exp() / 1.6))
+    rotation = rotation_matrices(before["quats"][1:2])[0]
+    in_sigmas = (after.means[2:] - before["means"][1]) @ rotation / before["log_scales"][1].exp()
+    assert (in_sigmas.norm(dim=1) < 4).all()
+    assert not torch.equal(after.means[2], after.means[3])
+    for name, tensor in after.tensors().items():
+        assert torch.equal(tensor[:2], before[name][[0, 2]]), name
+        if name not in ("means", "log_scales"):
+            assert torch.equal(tensor[2:], before[name][[1, 1]]), name
+
+
+def test_halves_are_drawn_from_the_rotated_gaussian(make_gaussians):
+    count = 20_000
+    optimizer = build(make_gaussians, [LARGE])
+    one = optimizer.gaussians
+    optimizer = GaussianOptimizer(
+        Gaussians(**{name: tensor.detach().repeat_interleave(count, 0) for name, tensor in one.tensors().items()}),
+        OptimizerConfig(),
+        EXTENT,
+    )
+    _, after = run(optimizer, [2.0] * count, replace(CONFIG, max_gaussians=10 * count))
+    assert len(after) == 2 * count
+    rotation = rotation_matrices(one.quats.detach())[0]
+    expected = rotation @ torch.diag(one.scales[0].square()) @ rotation.T
+    places = (after.means - one.means).detach()
+    torch.testing.assert_close(torch.cov(places.T), expected.detach(), rtol=0, atol=0.03 * LARGE**2)
+    assert places.mean(dim=0).norm() < 0.03 * LARGE
+
+
+def test_transparent_in_both_modalities_is_pruned(make_gaussians):
+    transparent, opaque = 0.004, 0.006
+    optimizer = build(
+        make_gaussians,
+        [SMALL] * 4,
+        opacities_rgb=[transparent, transparent, opaque, opaque],
+        opacities_thermal=[transparent, opaque, transparent, opaque],
+    )
+    before = optimizer.gaussians.means.detach().clone()
+    counts, after = run(optimizer, [0.0] * 4)
+    assert counts == DensificationCounts(cloned=0, split=0, pruned=1)
+    assert torch.equal(after.means, before[1:])
+
+
+def test_a_shared_opacity_decides_alone(make_gaussians):
+    optimizer = build(make_gaussians, [SMALL, LARGE, SMALL], opacities_rgb=[0.004, 0.5, 0.006], shares_opacity=True)
+    before = optimizer.gaussians.means.detach().clone()
+    counts, after = run(optimizer, [0.0, 2.0, 0.0])
+    assert counts == DensificationCounts(cloned=0, split=1, pruned=1)
+    assert torch.equal(after.means[0], before[2])
+    assert after.opacity_thermal_logit.shape == (3, 0)
+
+
+@pytest.mark.parametrize(("prunes_large", "left"), [(False, 3), (True, 2)])
+def test_huge_ones_are_pruned_once_that_is_asked_for(prunes_large, left, make_gaussians):
+    optimizer = build(make_gaussians, [SMALL, HUGE, LARGE])
+    counts, after = run(optimizer, [0.0] * 3, prunes_large=prunes_large)
+    assert (counts.pruned, len(after)) == (3 - left, left)
+
+
+def test_transparent_clones_and_halves_do_not_stay(make_gaussians):
+    optimizer = build(make_gaussians, [SMALL, LARGE, SMALL], [0.001, 0.001, 0.5], [0.001, 0.001, 0.5])
+    _, after = run(optimizer, [2.0, 2.0, 0.0])
+    assert len(after) == 1
+
+
+def test_the_cap_lets_the_largest_gradients_go_first(make_gaussians):
+    optimizer = build(make_gaussians, [SMALL] * 5)
+    before = optimizer.gaussians.means.detach().clone()
+    counts, after = run(optimizer, [1.1, 3.0, 1.2, 2.0, 0.1], replace(CONFIG, max_gaussians=7))
+    assert counts.cloned == 2
+    assert torch.equal(after.means[5:], before[[1, 3]])
+
+
+@pytest.mark.parametrize("cap", [1, 3, 4, 6])
+def test_the_cap_is_never_exceeded(cap, make_gaussians):
+    optimizer = build(make_gaussians, [SMALL, LARGE, LARGE])
+    _, after = run(optimizer, [5.0] * 3, replace(CONFIG, max_gaussians=cap))
+    assert len(after) == max(min(cap, 6), 3)
+
+
+def test_the_generator_decides(make_gaussians):
+    def means(seed: int) -> torch.Tensor:
+        return run(build(make_gaussians, [LARGE] * 3), [2.0] * 3, seed=seed)[1].means
+
+    assert torch.equal(means(1), means(1))
+    assert not torch.equal(means(1), means(2))
+
+
+def screen_points(gradient: list[list[float]], radii: list[float], size=(40, 30)) -> ScreenPoints:
+    offset = torch.zeros(len(radii), 2, requires_grad=True)
+    offset.grad = torch.tensor(gradient)
+    return ScreenPoints(offset, torch.tensor(radii), size)
+
+
+def test_statistics_are_means_over_the_views_that_drew():
+    statistics = ScreenStatistics.empty(3)
+    statistics.add([screen_points([[0.3, 0.0], [0.0, 0.2], [0.0, 0.0]], [5.0, 2.0, 0.0])])
+    statistics.add([screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0])])
+    assert statistics.views.tolist() == [2, 1, 0]
+    # in units of half the image: 20 px wide, 15 px high
+    torch.testing.assert_close(statistics.mean(), torch.tensor([(0.3 + 0.1) * 20 / 2, 0.2 * 15, 0.0]))
+
+
+def test_two_passes_of_a_view_add_up_and_count_once():
+    statistics = ScreenStatistics.empty(2)
+    rgb = screen_points([[0.1, 0.0], [0.0, 0.0]], [5.0, 0.0])
+    thermal = screen_points([[0.0, 0.1], [0.1, 0.0]], [5.0, 1.0], size=(20, 10))
+    statistics.add([rgb, thermal])
+    assert statistics.views.tolist() == [1, 1]
+    torch.testing.assert_close(statistics.mean(), torch.tensor([0.1 * 20 + 0.1 * 5, 0.1 * 10]))
+
+
+def test_the_schedule():
+    config = DensificationConfig(start=100, stop=400, every=50, reset_every=150)
+    assert [step for step in range(1, 1_000) if config.densifies_at(step)] == [150, 200, 250, 300, 350, 400]
+    assert [step for step in range(1, 1_000) if config.resets_at(step)] == [150, 300]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"every": 0}, "densification: every, reset_every and max_gaussians must be at least 1"),
+        ({"max_gaussians": 0}, "densification: every, reset_every and max_gaussians must be at least 1"),
+        ({"prune_opacity": 0.5}, "densification: 0 < prune_opacity < reset_opacity < 1 must hold"),
+    ],
+)
+def test_impossible_schedules_are_named(options, message):
+    with pytest.raises(ConfigError, match=message):
+        DensificationConfig(**options)

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from mrgs.field import FieldConfig, RadianceField
+from mrgs.scene import Gaussians, PointCloud
+from mrgs.training.initialisation import SMALLEST_DISTANCE, initial_gaussians
+
+
+def cloud(count: int) -> PointCloud:
+    generator = torch.Generator().manual_seed(0)
+    return PointCloud(torch.randn(count, 3, generator=generator), torch.rand(count, 3, generator=generator))
+
+
+def start(points: PointCloud, shares_opacity=False, degree=0, cap=1_000, seed=0, **field) -> Gaussians:
+    generator = torch.Generator().manual_seed(seed)
+    return initial_gaussians(points, RadianceField(FieldConfig(**field)), shares_opacity, degree, cap, generator)
+
+
+def test_one_gaussian_per_point_with_its_colour():
+    points = cloud(30)
+    gaussians = start(points)
+    assert torch.equal(gaussians.means, points.positions)
+    field = RadianceField(FieldConfig(residuals=False))
+    torch.testing.assert_close(field.colors(gaussians, torch.zeros(3).double(), 3), points.colors)
+    torch.testing.assert_close(gaussians.opacity_rgb, torch.full((30,), 0.1))
+    torch.testing.assert_close(gaussians.opacity_thermal, torch.full((30,), 0.1))
+    torch.testing.assert_close(gaussians.quats, torch.tensor([1.0, 0, 0, 0]).expand(30, 4))
+
+
+def test_sizes_are_the_spacing_of_the_points():
+    line = torch.zeros(9, 3)
+    line[:, 0] = torch.arange(9.0)
+    scales = start(PointCloud(line, line.clone())).scales
+    torch.testing.assert_close(scales[4], torch.full((3,), ((1 + 1 + 4) / 3) ** 0.5))
+    torch.testing.assert_close(scales[0], torch.full((3,), ((1 + 4 + 9) / 3) ** 0.5))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_few_or_coincident_points_have_some_size(count):
+    point = torch.ones(count, 3)
+    gaussians = start(PointCloud(point, 0.5 * point))
+    torch.testing.assert_close(gaussians.scales, torch.full((count, 3), SMALLEST_DISTANCE))
+    assert all(tensor.isfinite().all() for tensor in gaussians.tensors().values())
+
+
+def test_too_many_points_give_a_random_subset():
+    points = cloud(50)
+    gaussians = start(points, cap=20)
+    rows = [int((points.positions == mean).all(dim=1).nonzero()) for mean in gaussians.means]
+    assert len(set(rows)) == 20
+    assert rows == sorted(rows)
+    assert torch.equal(start(points, cap=20).means, gaussians.means)
+    assert not torch.equal(start(points, cap=20, seed=1).means, gaussians.means)
+
+
+def test_each_method_has_its_columns():
+    gaussians = start(cloud(5), shares_opacity=True, degree=3, residuals=False)
+    assert gaussians.opacity_thermal_logit.shape == (5, 0)
+    assert gaussians.temperature_rest.shape == (5, 15, 1)
+    assert gaussians.embedding.shape == (5, 0)
+    gaussians = start(cloud(5))
+    assert gaussians.opacity_thermal_logit.shape == (5, 1)
+    assert gaussians.temperature_rest.shape == (5, 0, 1)
+    assert gaussians.embedding.shape == (5, 24)
+
+
+def test_parameters_share_no_memory():
+    points = cloud(5)
+    gaussians = start(points)
+    gaussians.opacity_rgb_logit.zero_()
+    gaussians.means.zero_()
+    assert (gaussians.opacity_thermal_logit != 0).all()
+    assert (points.positions != 0).any()

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Gaussians
+from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig
+
+EXTENT = 2.0
+
+
+def give_gradients(gaussians: Gaussians, rows: torch.Tensor, seed: int) -> None:
+    """Gradients that depend on the row's number in ``rows`` alone, so that a row can be followed."""
+    for name, tensor in gaussians.tensors().items():
+        generator = torch.Generator().manual_seed(seed)
+        everything = torch.randn(100, *tensor.shape[1:], generator=generator)
+        getattr(gaussians, name).grad = everything[rows]
+
+
+def rows_of(gaussians: Gaussians, rows: torch.Tensor) -> Gaussians:
+    return Gaussians(**{name: tensor.detach()[rows].clone() for name, tensor in gaussians.tensors().items()})
+
+
+def test_a_step_is_adams(make_gaussians):
+    gaussians, config = make_gaussians(6), OptimizerConfig()
+    expected = gaussians.means.clone().requires_grad_()
+    adam = torch.optim.Adam([expected], lr=config.means_at(0.5) * EXTENT, eps=1e-15)
+    optimizer = GaussianOptimizer(gaussians, config, EXTENT)
+    for seed in range(3):
+        give_gradients(optimizer.gaussians, torch.arange(6), seed)
+        expected.grad = optimizer.gaussians.means.grad.clone()
+        optimizer.step(0.5)
+        adam.step()
+    torch.testing.assert_close(optimizer.gaussians.means, expected, rtol=1e-6, atol=1e-7)
+    assert optimizer.gaussians.means.grad is None
+
+
+def test_kept_rows_go_on_as_if_the_others_had_never_been(make_gaussians):
+    everything, kept = torch.arange(6), torch.tensor([4, 1, 3])
+    start = make_gaussians(6)
+    optimizer = GaussianOptimizer(rows_of(start, everything), OptimizerConfig(), EXTENT)
+    alone = GaussianOptimizer(rows_of(start, kept), OptimizerConfig(), EXTENT)
+    added = make_gaussians(2, seed=9)
+    for seed in range(4):
+        if seed == 2:
+            optimizer.replace_rows(kept, added)
+            assert len(optimizer.gaussians) == 5
+        rows = everything if seed < 2 else torch.cat([kept, torch.tensor([50, 51])])
+        give_gradients(optimizer.gaussians, rows, seed)
+        give_gradients(alone.gaussians, kept, seed)
+        optimizer.step(0.1 * seed)
+        alone.step(0.1 * seed)
+    state, expected = optimizer.state(), alone.state()
+    assert set(state) == set(expected)
+    for name, tensor in expected.items():
+        found = state[name] if tensor.ndim == 0 else state[name][:3]
+        torch.testing.assert_close(found, tensor, rtol=1e-6, atol=1e-7, msg=name)  # a row's place decides the rounding
+
+
+def test_new_rows_start_without_moments(make_gaussians):
+    optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
+    give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
+    optimizer.step(0.0)
+    added = make_gaussians(2, seed=9)
+    optimizer.replace_rows(torch.tensor([2]), added)
+    state = optimizer.state()
+    for name, tensor in optimizer.gaussians.tensors().items():
+        assert tensor.requires_grad
+        assert torch.equal(tensor[1:], added.tensors()[name])
+        if tensor.numel() > 0:
+            assert (state[f"adam.{name}.exp_avg"][0] != 0).all()
+            assert (state[f"adam.{name}.exp_avg"][1:] == 0).all()
+            assert (state[f"adam.{name}.exp_avg_sq"][1:] == 0).all()
+
+
+@pytest.mark.parametrize("steps_before", [0, 2])
+def test_empty_columns_survive(steps_before, make_gaussians):
+    """3DGS_RGB-T has no thermal opacity of its own and no embedding, MrGS no higher degrees of the temperature."""
+    optimizer = GaussianOptimizer(make_gaussians(5, shares_opacity=True), OptimizerConfig(), EXTENT)
+    for seed in range(steps_before):
+        give_gradients(optimizer.gaussians, torch.arange(5), seed)
+        optimizer.step(0.0)
+    optimizer.replace_rows(torch.tensor([0, 2]), make_gaussians(1, shares_opacity=True))
+    give_gradients(optimizer.gaussians, torch.arange(3), seed=7)
+    optimizer.step(0.5)
+    shapes = {name: tuple(tensor.shape) for name, tensor in optimizer.gaussians.tensors().items()}
+    assert shapes["opacity_thermal_logit"] == (3, 0)
+    assert shapes["temperature_rest"] == (3, 0, 1)
+    assert shapes["embedding"] == (3, 0)
+    assert shapes["means"] == (3, 3)
+    assert not any(key.startswith("adam.embedding") for key in optimizer.state())
+
+
+@pytest.mark.parametrize("shares_opacity", [True, False])
+def test_opacities_are_limited_and_forget_their_moments(shares_opacity, make_gaussians):
+    optimizer = GaussianOptimizer(make_gaussians(8, shares_opacity), OptimizerConfig(), EXTENT)
+    optimizer.limit_opacities(0.6)  # before the first step there are no moments yet
+    give_gradients(optimizer.gaussians, torch.arange(8), seed=0)
+    optimizer.step(0.0)
+    before = rows_of(optimizer.gaussians, torch.arange(8))
+    optimizer.limit_opacities(0.3)
+    gaussians, state = optimizer.gaussians, optimizer.state()
+    limit = math.log(0.3 / 0.7)
+    for name in ("opacity_rgb_logit", "opacity_thermal_logit")[: 1 if shares_opacity else 2]:
+        torch.testing.assert_close(getattr(gaussians, name), getattr(before, name).clamp(max=limit))
+        assert (getattr(before, name) < limit).any()
+        assert (state[f"adam.{name}.exp_avg"] == 0).all()
+        assert (state[f"adam.{name}.exp_avg_sq"] == 0).all()
+    assert torch.equal(gaussians.means, before.means)
+    assert (state["adam.means.exp_avg"] != 0).all()
+
+
+def test_the_state_goes_on_exactly(make_gaussians):
+    def steps(optimizer: GaussianOptimizer, seeds: range) -> GaussianOptimizer:
+        for seed in seeds:
+            give_gradients(optimizer.gaussians, torch.arange(4), seed)
+            optimizer.step(0.1 * seed)
+        return optimizer
+
+    whole = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(6)).state()
+    part = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(3)).state()
+    saved = {name: tensor.clone() for name, tensor in part.items()}
+    gaussians = Gaussians(**{name: tensor for name, tensor in saved.items() if not name.startswith("adam.")})
+    second = GaussianOptimizer(gaussians, OptimizerConfig(), EXTENT)
+    second.load_moments(saved)
+    found = steps(second, range(3, 6)).state()
+    assert set(found) == set(whole)
+    assert all(torch.equal(found[name], whole[name]) for name in whole)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_gradients_that_are_not_finite_are_found(value, make_gaussians):
+    optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
+    assert optimizer.gradients_are_finite()  # none yet
+    give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
+    assert optimizer.gradients_are_finite()
+    optimizer.gaussians.sh_rest.grad[3, 7, 1] = value
+    assert not optimizer.gradients_are_finite()
+    optimizer.zero_grad()
+    assert optimizer.gradients_are_finite()
+
+
+def test_learning_rate_of_the_means_decays_between_its_ends():
+    config = OptimizerConfig(means=1e-2, means_final=1e-4)
+    assert config.means_at(0.0) == pytest.approx(1e-2)
+    assert config.means_at(0.5) == pytest.approx(1e-3)
+    assert config.means_at(1.0) == pytest.approx(1e-4)
+
+
+def test_every_parameter_has_its_learning_rate(make_gaussians):
+    config = OptimizerConfig()
+    for name in make_gaussians(1).tensors():
+        assert config.of(name) == (config.opacities if "opacity" in name else getattr(config, name))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"quats": -1e-3}, "the learning rate quats must be 0 or more, not -0.001"),
+        ({"heads": float("nan")}, "the learning rate heads must be 0 or more, not nan"),
+        ({"means_final": 0.0}, "the learning rates means and means_final must be above 0"),
+    ],
+)
+def test_impossible_learning_rates_are_named(options, message):
+    with pytest.raises(ConfigError, match=message):
+        replace(OptimizerConfig(), **options)

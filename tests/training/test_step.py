@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mrgs.scene import Pixels
+from mrgs.training import step
+from mrgs.training.losses import LossConfig, photometric_loss
+from mrgs.training.step import Photos, control_density, training_step
+
+
+def photos_of(view) -> Photos:
+    return Photos(view.rgb.load(), view.thermal.load())
+
+
+def take(state, scene, config, number: int = 0, photos: Photos | None = None):
+    view = scene.train[number]
+    return training_step(state, view, photos or photos_of(view), config, scene.extent, scene.temperature)
+
+
+@pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
+def test_a_step_moves_every_parameter_that_the_method_has(method, make_start, make_short_config, snapshot):
+    config = make_short_config(method, sh_every=1)
+    scene, state = make_start(config)
+    before = snapshot(state)
+    for number in range(3):
+        statistics = take(state, scene, config, number)
+        assert (statistics.step, statistics.gaussians, statistics.skipped) == (number + 1, 25, False)
+    assert state.step == 3
+    after = snapshot(state)
+    frame = ("field.center", "field.scale", "uncertainty") if method == "3dgs-rgbt" else ("field.center", "field.scale")
+    for name, tensor in before.items():
+        if tensor.numel() > 0 and not name.startswith(frame):
+            assert not torch.equal(after[name], tensor), name
+
+
+def test_the_loss_is_the_weighted_sum_of_its_terms(make_start, make_short_config):
+    config = make_short_config()
+    scene, state = make_start(config)
+    statistics = take(state, scene, config)
+    terms = statistics.terms
+    weighted = terms["rgb"] + terms["thermal"] + 0.6 * terms["smooth"] + 0.05 * terms["boltzmann"]
+    assert statistics.loss == pytest.approx(weighted, rel=1e-5)
+
+
+def poison_loss(monkeypatch, photos: Photos) -> Photos:
+    """A loss that is NaN."""
+    monkeypatch.setattr(step, "photometric_loss", lambda *args: photometric_loss(*args) * float("nan"))
+    return photos
+
+
+def poison_gradient(monkeypatch, photos: Photos) -> Photos:
+    """A finite loss whose gradient is NaN: 0 · d√x at 0."""
+
+    def loss(render, *args):
+        return photometric_loss(render, *args) + (0 * render).sum().sqrt()
+
+    monkeypatch.setattr(step, "photometric_loss", loss)
+    return photos
+
+
+def poison_photo(monkeypatch, photos: Photos) -> Photos:
+    """One pixel that is NaN."""
+    values = photos.thermal.values.clone()
+    values[7, 9] = float("nan")
+    return photos._replace(thermal=Pixels(values, None))
+
+
+@pytest.mark.parametrize("poison", [poison_loss, poison_gradient, poison_photo])
+def test_a_step_that_is_not_finite_changes_nothing(poison, make_start, make_short_config, snapshot, monkeypatch):
+    config = make_short_config()
+    scene, state = make_start(config)
+    for number in range(2):
+        take(state, scene, config, number)
+    before = snapshot(state)
+    with monkeypatch.context() as patch:
+        poisoned = poison(patch, photos_of(scene.train[2]))
+        for in_a_row in (1, 2):
+            assert take(state, scene, config, 2, poisoned).skipped
+            assert state.skipped_in_a_row == in_a_row
+    after = snapshot(state)
+    assert set(after) == set(before)
+    assert [name for name in before if not torch.equal(after[name], before[name])] == []
+    assert (state.step, state.skipped_in_a_row) == (4, 2)
+
+    assert not take(state, scene, config, 3).skipped
+    assert state.skipped_in_a_row == 0
+    assert all(tensor.isfinite().all() for tensor in snapshot(state).values())
+
+
+def test_ignored_pixels_do_not_matter(make_start, make_short_config, snapshot):
+    """Whatever stands in them, the same parameters come out, but for SSIM's windows that reach into them."""
+    config = make_short_config(loss=LossConfig(dssim=0.0))
+
+    def after(value: float) -> dict[str, torch.Tensor]:
+        scene, state = make_start(config)
+        photos = photos_of(scene.train[0])
+        valid = torch.ones(30, 40, dtype=torch.bool)
+        valid[5:20, 10:20] = False
+        hidden = [Pixels(torch.where(valid[..., None], photo.values, torch.tensor(value)), valid) for photo in photos]
+        statistics = take(state, scene, config, photos=Photos(*hidden))
+        assert not statistics.skipped
+        return {**snapshot(state), "error": torch.tensor(statistics.thermal_error)}
+
+    first, second = after(0.1), after(0.9)
+    assert [name for name in first if not torch.equal(first[name], second[name])] == []
+
+
+def test_the_harmonics_follow_the_schedule(make_start, make_short_config):
+    config = make_short_config(sh_every=2)
+    scene, state = make_start(config)
+    degrees = []
+    for number in range(6):
+        take(state, scene, config, number)
+        degrees.append(state.model.sh_degree)
+    assert degrees == [0, 1, 1, 2, 2, 3]
+
+
+def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_start, make_short_config):
+    config = make_short_config(neighbours_every=3)
+    schedule = replace(config.densification, start=0, every=4, stop=100, gradient_threshold=0.0)
+    config = replace(config, densification=schedule)
+    scene, state = make_start(config)
+    assert state.model.neighbours is None
+    seen = []
+    for number in range(5):
+        take(state, scene, config, number)
+        seen.append(state.model.neighbours)
+        control_density(state, config, scene.extent)
+    assert seen[0] is seen[1]
+    assert seen[2] is not seen[1]
+    assert seen[3] is seen[2]
+    assert [len(neighbours) for neighbours in seen] == [25, 25, 25, 25, 50]
+
+
+def test_density_control_starts_the_statistics_anew_and_resets_opacities(make_start, make_short_config):
+    config = make_short_config()
+    schedule = replace(config.densification, start=0, every=2, stop=4, reset_every=3, gradient_threshold=0.0)
+    config = replace(config, densification=schedule)
+    scene, state = make_start(config)
+    take(state, scene, config, 0)
+    assert control_density(state, config, scene.extent) is None
+    assert state.statistics.views.sum() > 0
+    take(state, scene, config, 1)
+    counts = control_density(state, config, scene.extent)
+    assert counts.cloned + counts.split == 25
+    assert state.statistics.views.tolist() == [0.0] * 50
+    assert state.gaussian_optimizer.gaussians is state.model.gaussians
+    assert state.model.gaussians.opacity_rgb.max() > 0.05
+    take(state, scene, config, 2)
+    control_density(state, config, scene.extent)
+    assert state.model.gaussians.opacity_rgb.max() <= 0.01 + 1e-6
+    assert state.model.gaussians.opacity_thermal.max() <= 0.01 + 1e-6

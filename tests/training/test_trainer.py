@@ -1,0 +1,273 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from mrgs.data import load_scene
+from mrgs.errors import RunError, SceneError, TrainingError
+from mrgs.render import render_view
+from mrgs.training import METHODS, step, train
+from mrgs.training.checkpoint import load_facts, load_model
+from mrgs.training.run_folder import RunFolder
+
+
+def read_log(folder: RunFolder) -> list[dict]:
+    return [json.loads(line) for line in folder.log_file.read_text().splitlines()]
+
+
+def spoil(monkeypatch: pytest.MonkeyPatch, bad_steps: set[int], first: int = 1) -> None:
+    """Make the loss NaN in these steps of the next run, which starts at step ``first``."""
+    steps = iter(range(first, 1_000_000))
+    original = step.total_loss
+
+    def total_loss(*args, **kwargs):
+        loss = original(*args, **kwargs)
+        return loss * float("nan") if next(steps) in bad_steps else loss
+
+    monkeypatch.setattr(step, "total_loss", total_loss)
+
+
+def eventful(make_short_config, method: str):
+    """200 steps in which everything happens on both sides of step 100."""
+    config = make_short_config(method, max_steps=200, sh_every=45, neighbours_every=35)
+    schedule = replace(
+        config.densification, start=5, stop=190, every=25, reset_every=60, gradient_threshold=2e-5, clone_below=0.04
+    )
+    return replace(config, densification=schedule)
+
+
+def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
+    statistics = []
+    folder = train(small_scene, tmp_path / "run", make_short_config(), on_step=statistics.append)
+    assert [entry.step for entry in statistics] == list(range(1, 61))
+    assert statistics[-1].gaussians == 25
+    first, last = statistics[:6], statistics[-6:]  # one round of the views
+    assert sum(entry.terms["rgb"] for entry in last) < 0.6 * sum(entry.terms["rgb"] for entry in first)
+    assert sum(entry.thermal_error for entry in last) < 0.5 * sum(entry.thermal_error for entry in first)
+
+    scene = load_scene(small_scene)
+    model, _ = load_model(folder.newest_checkpoint(), folder.read_config())
+    for view in scene.eval:
+        rendering = render_view(model, view)
+        photo = view.thermal.load().values
+        assert (rendering.thermal - photo).abs().mean() < 0.5 * photo.mean()  # half the error of a black image
+
+
+def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp_path, make_short_config):
+    config = make_short_config(max_steps=45, checkpoint_every=10)
+    folder = train(small_scene, tmp_path / "a" / "run", config)
+    names = sorted(path.relative_to(folder.path).as_posix() for path in folder.path.rglob("*") if path.is_file())
+    kept = ["checkpoints/step_000040.safetensors", "checkpoints/step_000045.safetensors"]
+    assert names == [*kept, "config.yaml", "log.jsonl"]
+    assert folder.read_config() == config
+
+    log = read_log(folder)
+    assert [entry["step"] for entry in log] == [10, 20, 30, 40, 45]
+    assert set(log[0]) == {
+        "step", "loss", "loss_rgb", "loss_thermal", "loss_smooth", "loss_boltzmann",
+        "thermal_error_c", "gaussians", "seconds",
+    }  # fmt: skip
+    assert 0.1 < log[0]["thermal_error_c"] < 20
+    seconds = [entry["seconds"] for entry in log]
+    assert seconds == sorted(seconds)
+
+    facts = load_facts(folder.newest_checkpoint())
+    scene = load_scene(small_scene)
+    assert (facts.step, facts.scene, facts.skipped_steps) == (45, str(small_scene), 0)
+    assert (facts.extent, facts.temperature) == (scene.extent, scene.temperature)
+    assert facts.train_seconds > 0
+    assert facts.peak_memory_bytes > 2**20
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
+    statistics = []
+    folder = train(small_scene, tmp_path / "run", make_short_config(method, max_steps=3), on_step=statistics.append)
+    assert [entry.skipped for entry in statistics] == [False] * 3
+    expected = {"rgb", "thermal"}
+    expected |= set() if method == "3dgs-rgbt" else {"smooth"}
+    expected |= {"boltzmann"} if method in ("mrgs", "mrgs-boltz") else set()
+    assert set(statistics[0].terms) == expected
+    tensors = load_file(folder.newest_checkpoint())
+    assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier"))
+    assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (0 if method == "3dgs-rgbt" else 1)
+
+
+@pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
+@pytest.mark.parametrize(
+    ("options", "terms"),
+    [
+        ({"rgb": False}, {"thermal"}),
+        ({"thermal": False}, {"rgb"}),
+        ({"two_cameras": True}, {"rgb", "thermal"}),
+    ],
+)
+def test_every_kind_of_scene_trains(options, terms, method, make_scene, tmp_path, make_short_config):
+    statistics = []
+    config = make_short_config(method, max_steps=3)
+    folder = train(make_scene(**options), tmp_path / "run", config, on_step=statistics.append)
+    assert [entry.skipped for entry in statistics] == [False] * 3
+    assert set(statistics[0].terms) & {"rgb", "thermal"} == terms
+    assert (statistics[0].thermal_error is None) == ("thermal" not in terms)
+    shares_opacity = method == "3dgs-rgbt" or len(terms) == 1
+    tensors = load_file(folder.newest_checkpoint())
+    assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (0 if shares_opacity else 1)
+
+
+@pytest.mark.parametrize("options", [{"rgb": False}, {"thermal": False}])
+def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene, tmp_path, make_short_config):
+    config = make_short_config(max_steps=40)
+    schedule = replace(config.densification, start=20, every=40, stop=40, gradient_threshold=1e9)
+    config = replace(config, densification=replace(schedule, prune_opacity=0.11, reset_opacity=0.5))
+    folder = train(make_scene(**options), tmp_path / "run", config)
+    tensors = load_file(folder.newest_checkpoint())
+    assert 0 < len(tensors["gaussians.means"]) < 25
+
+
+@pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
+def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(method, small_scene, tmp_path, make_short_config):
+    config = eventful(make_short_config, method)
+    whole = train(small_scene, tmp_path / "whole", config)
+    parts = train(small_scene, tmp_path / "parts", config, stop_at=100)
+    assert load_facts(parts.newest_checkpoint()).step == 100
+    # The caller's configuration and torch's own generator must not matter.
+    torch.rand(7)
+    train(small_scene, tmp_path / "parts", make_short_config(max_steps=7), resume=True)
+
+    expected, found = load_file(whole.newest_checkpoint()), load_file(parts.newest_checkpoint())
+    assert load_facts(parts.newest_checkpoint()).step == 200
+    assert set(found) == set(expected)
+    assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
+    logs = [[{**entry, "seconds": None} for entry in read_log(folder)] for folder in (whole, parts)]
+    assert logs[0] == logs[1]
+
+    counts = {entry["step"]: entry["gaussians"] for entry in read_log(whole)}  # the test must have met the events
+    assert len({counts[number] for number in (10, 30, 60, 90)}) > 2
+    assert len({counts[number] for number in (110, 130, 160, 190)}) > 2
+    assert expected["gaussians.adam.temperature_dc.step"] == 200  # none was skipped
+
+
+def test_the_seed_decides(small_scene, tmp_path, make_short_config):
+    def final(name: str, seed: int) -> torch.Tensor:
+        folder = train(small_scene, tmp_path / name, make_short_config(max_steps=5, seed=seed))
+        return load_file(folder.newest_checkpoint())["gaussians.sh_dc"]
+
+    first = final("a", seed=1)
+    assert torch.equal(first, final("b", seed=1))
+    assert not torch.equal(first, final("c", seed=2))
+
+
+def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(small_scene, tmp_path, make_short_config):
+    config = make_short_config(max_steps=60, checkpoint_every=20)
+    whole = train(small_scene, tmp_path / "whole", config)
+
+    class PowerCutError(Exception):
+        pass
+
+    def cut(statistics) -> None:
+        if statistics.step == 55:
+            raise PowerCutError
+
+    with pytest.raises(PowerCutError):
+        train(small_scene, tmp_path / "run", config, on_step=cut)
+    folder = RunFolder(tmp_path / "run")
+    with folder.log_file.open("a") as file:
+        file.write('{"step": 5')  # torn
+    assert load_facts(folder.newest_checkpoint()).step == 40
+    train(small_scene, folder.path, config, resume=True)
+    assert [entry["step"] for entry in read_log(folder)] == [10, 20, 30, 40, 50, 60]
+    expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
+    assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+def test_whoever_watches_may_stop_the_run(small_scene, tmp_path, make_short_config):
+    folder = train(small_scene, tmp_path / "run", make_short_config(), on_step=lambda statistics: statistics.step == 7)
+    assert load_facts(folder.newest_checkpoint()).step == 7
+
+
+def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path, make_short_config):
+    told = []
+    config = make_short_config(max_steps=4)
+    folder = train(small_scene, tmp_path / "run", config, stop_at=2, on_start=lambda *facts: told.append(facts))
+    other = make_short_config("3dgs-rgbt")
+    train(small_scene, folder.path, other, resume=True, on_start=lambda *facts: told.append(facts))
+    assert [(scene.name, given) for scene, given in told] == [(small_scene.name, config)] * 2
+
+
+def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path, make_short_config, monkeypatch):
+    spoil(monkeypatch, {2, 3, 5, 6})
+    folder = train(small_scene, tmp_path / "run", make_short_config(max_steps=8))
+    log = read_log(folder)
+    assert [entry["step"] for entry in log] == [2, 3, 5, 6, 8]
+    assert all(entry["skipped"] == "the loss or a gradient was not finite" for entry in log[:4])
+    assert load_facts(folder.newest_checkpoint()).skipped_steps == 4
+    assert all(tensor.isfinite().all() for tensor in load_file(folder.newest_checkpoint()).values())
+
+
+def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, make_short_config, monkeypatch):
+    spoil(monkeypatch, {4, 5, 6})
+    config = make_short_config(max_steps=20, checkpoint_every=2)
+    with pytest.raises(TrainingError) as caught:
+        train(small_scene, tmp_path / "run", config)
+    kept = tmp_path / "run/checkpoints/step_000004.safetensors"
+    assert str(caught.value) == (
+        "3 steps in a row gave values that are not finite, at step 6; "
+        f"the last good checkpoint is {kept}. "
+        "Resume with a smaller learning rate, or check the scene's poses and images"
+    )
+    assert RunFolder(tmp_path / "run").newest_checkpoint() == kept
+    assert not (tmp_path / "run/.lock").exists()
+
+
+def test_skipped_steps_are_counted_across_a_resume(small_scene, tmp_path, make_short_config, monkeypatch):
+    spoil(monkeypatch, {4, 5, 6})
+    config = make_short_config(max_steps=20)
+    train(small_scene, tmp_path / "run", config, stop_at=5)
+    with pytest.raises(TrainingError, match="at step 6"):
+        train(small_scene, tmp_path / "run", config, resume=True)
+
+
+def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, make_short_config, monkeypatch):
+    spoil(monkeypatch, {1, 2, 3})
+    with pytest.raises(TrainingError, match="there is no checkpoint yet"):
+        train(small_scene, tmp_path / "run", make_short_config())
+    with pytest.raises(RunError, match="run has no checkpoint yet: let it train, or delete it and train anew"):
+        train(small_scene, tmp_path / "run", make_short_config(), resume=True)
+
+
+def test_a_run_is_never_overwritten(small_scene, tmp_path, make_short_config):
+    config = make_short_config(max_steps=1)
+    folder = train(small_scene, tmp_path / "run", config)
+    before = folder.newest_checkpoint().read_bytes()
+    with pytest.raises(RunError, match="run already holds a run: continue it with --resume, or choose another"):
+        train(small_scene, folder.path, config)
+    assert folder.newest_checkpoint().read_bytes() == before
+
+
+def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path, make_short_config):
+    with pytest.raises(SceneError, match="nowhere"):
+        train(tmp_path / "nowhere", tmp_path / "run", make_short_config())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path, make_short_config):
+    config = make_short_config(max_steps=4)
+    folder = train(small_scene, tmp_path / "run", config, stop_at=2)
+    other = make_scene()
+    content = json.loads((other / "transforms.json").read_text())
+    (other / "transforms.json").write_text(json.dumps({**content, "frames": content["frames"][:4]}))
+    with pytest.raises(RunError) as caught:
+        train(other, folder.path, config, resume=True)
+    assert str(caught.value) == f"{other} has other cameras than the run's scene: resume with {small_scene}"
+
+
+def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path, make_short_config):
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    train(small_scene, tmp_path / "run", make_short_config(max_steps=2))
+    assert torch.equal(torch.rand(4), expected)
