@@ -54,11 +54,11 @@ def photometric_loss(
     Args:
         render: the rendered image.
         target: the photo, in the same units.
-        valid: pixels that count, all if None. The others look alike to SSIM's windows, and the mean leaves them out.
+        valid: pixels that count, all if None. The others are 0 in both images, and the mean leaves them out.
         dssim: λ.
     """
     if valid is not None:
-        render = torch.where(valid[:, :, None], render, target)
+        render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))
     x, y = _planes(render), _planes(target)
     error = (1 - dssim) * (x - y).abs()
     if dssim > 0:

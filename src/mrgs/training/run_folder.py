@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from mrgs.atomic import replacing
 from mrgs.errors import ConfigError, RunError
@@ -100,35 +101,28 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for this process.
+        """Hold the folder for this process; the system gives it back when the process ends, however it ends.
 
         Raises:
-            RunError: another process that is still alive holds it.
+            RunError: another process holds it.
         """
-        lock = self.path / ".lock"
         self.path.mkdir(parents=True, exist_ok=True)
-        for _ in range(2):
-            try:
-                descriptor = os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
-                break
-            except FileExistsError:
-                holder = _holder_of(lock)
-                if holder is not None:
-                    raise RunError(
-                        f"{self.path} is in use by another run (process {holder}): "
-                        "wait for it, or choose another --output"
-                    ) from None
-                with suppress(FileNotFoundError):
-                    lock.unlink()
-        else:
-            raise RunError(f"{self.path} is in use by another run: wait for it, or choose another --output")
-        with os.fdopen(descriptor, "w") as file:
-            file.write(str(os.getpid()))
+        lock = FileLock(self.path / ".lock")
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise RunError(f"{self.path} is in use by another run: wait for it, or choose another --output") from None
         try:
             yield
         finally:
-            with suppress(FileNotFoundError):
-                lock.unlink()
+            lock.release()
+
+    def discard(self) -> None:
+        """Remove a run that never came to a checkpoint, and the folder if nothing else is in it."""
+        for name in ("config.yaml", "log.jsonl", ".lock"):
+            (self.path / name).unlink(missing_ok=True)
+        with suppress(OSError):  # something else is in it
+            self.path.rmdir()
 
 
 def _step_of(line: str) -> int:
@@ -137,18 +131,3 @@ def _step_of(line: str) -> int:
         return int(json.loads(line)["step"])
     except (ValueError, KeyError, TypeError):
         return 2**62
-
-
-def _holder_of(lock: Path) -> int | None:
-    """The living process that holds a lock; None if it has died."""
-    try:
-        process = int(lock.read_text())
-    except (OSError, ValueError):
-        return None
-    try:
-        os.kill(process, 0)
-    except PermissionError:  # alive, and somebody else's
-        return process
-    except (OSError, OverflowError):
-        return None
-    return process

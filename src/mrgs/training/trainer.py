@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from mrgs.data import load_scene
-from mrgs.errors import RunError, TrainingError
+from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.field import RadianceField
 from mrgs.render import Model
 from mrgs.scene import Scene
@@ -64,12 +64,17 @@ def train(
     elif folder.config_file.exists():
         raise RunError(f"{folder.path} already holds a run: continue it with --resume, or choose another --output")
     loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    with folder.locked():
-        if not resume:
-            folder.start(config)
-        if on_start is not None:
-            on_start(loaded, config)
-        _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume).run(stop_at, on_step)
+    try:
+        with folder.locked():
+            if not resume:
+                folder.start(config)
+            if on_start is not None:
+                on_start(loaded, config)
+            _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume).run(stop_at, on_step)
+    except SceneError:  # a photo that cannot be decoded is found when its turn comes
+        if not folder.checkpoints():
+            folder.discard()
+        raise
     return folder
 
 
@@ -127,7 +132,7 @@ class _Trainer:
 
     def run(self, stop_at: int | None, on_step: OnStep | None) -> None:
         """Step until the end of the schedule, or until somebody asks to stop; the last step is checkpointed."""
-        last = min(self._config.max_steps, stop_at or self._config.max_steps)
+        last = self._config.max_steps if stop_at is None else min(stop_at, self._config.max_steps)
         while self._state.step < last:
             statistics = self._step()
             asked_to_stop = on_step is not None and on_step(statistics) is True
@@ -145,6 +150,10 @@ class _Trainer:
             self._note_skipped(statistics)
         else:
             control_density(state, self._config, self._extent)
+            if len(state.model.gaussians) == 0:
+                raise TrainingError(
+                    f"every Gaussian has turned transparent by step {state.step}: check the scene's poses and images"
+                )
         if state.step % LOG_EVERY == 0 or state.step == self._config.max_steps:
             self._log(statistics)
         return statistics
