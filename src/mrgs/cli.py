@@ -190,8 +190,8 @@ def _render(command: Render) -> None:
 
 
 def _demo(command: Demo) -> None:
-    scene = _bundled_scene()
-    _train(Train(scene=scene, output=command.output, preset="fast"))
+    started = (command.output / "config.yaml").exists()
+    _train(Train(scene=_bundled_scene(), output=command.output, preset="fast", resume=started))
     _eval(Eval(run=command.output))
     _render(Render(run=command.output))
     print(f"\nLook at {command.output / 'eval' / 'contact_sheet.png'} first.")
