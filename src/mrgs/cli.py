@@ -54,6 +54,8 @@ class Train:
     """Images wider than this many pixels are reduced to it."""
     seed: int = 0
     """Of every random choice."""
+    config: Path | None = None
+    """YAML file with other values for any field of a run's config.yaml, for instance field: {neighbours_n: 5}."""
     resume: bool = False
     """Continue the run in the output folder; all other options are the run's own."""
 
@@ -149,11 +151,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _train(command: Train) -> None:
-    from mrgs.training import make_config, train
+    from mrgs.training import from_yaml, make_config, train
 
     config = make_config(
         command.method, command.preset, command.max_steps, command.max_gaussians, command.resolution, command.seed
     )
+    if command.config is not None:
+        config = from_yaml(_read_text(command.config), str(command.config), config)
     output = command.output or Path("runs") / f"{command.scene.resolve().name}-{command.method}"
     progress = _TrainingProgress()
     with progress:
@@ -211,6 +215,13 @@ def _synth(command: Synth) -> None:
         progress=_counter("photographing"),
     )
     print(f"scene: {command.output}")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read ({error}): name a text file") from error
 
 
 def _bundled_scene() -> Path:

@@ -168,3 +168,21 @@ def test_any_number_of_steps_gives_a_valid_schedule(method, steps):
 def test_degrees_come_one_by_one():
     config = replace(TrainConfig(), sh_every=10)
     assert [config.sh_degree_at(step) for step in (0, 9, 10, 19, 20, 30, 1_000)] == [0, 0, 1, 1, 2, 3, 3]
+
+
+def test_a_part_of_a_configuration_goes_over_another():
+    base = make_config("mrgs", "fast")
+    changed = from_yaml("field: {neighbours_n: 5}\nradiation: null\nseed: 7\n", "my.yaml", base)
+    assert changed == replace(base, field=replace(base.field, neighbours_n=5), radiation=None, seed=7)
+
+
+def test_a_part_can_bring_back_what_the_method_left_out():
+    base = make_config("mrgs-base")
+    changed = from_yaml("radiation: {start: 0.2}", "my.yaml", base)
+    assert changed.radiation is not None
+    assert changed.radiation.start == 0.2
+
+
+def test_a_part_with_a_misspelt_field_names_it():
+    with pytest.raises(ConfigError, match=r"my.yaml: field: there is no field 'neighbors_n'"):
+        from_yaml("field: {neighbors_n: 5}", "my.yaml", make_config())

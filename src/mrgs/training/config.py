@@ -169,12 +169,13 @@ def to_yaml(config: TrainConfig) -> str:
     return yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
 
 
-def from_yaml(text: str, source: str) -> TrainConfig:
-    """The configuration that ``to_yaml`` wrote.
+def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainConfig:
+    """The configuration that ``to_yaml`` wrote, or a part of one over another configuration.
 
     Args:
         text: YAML.
         source: the file's name, for messages.
+        base: holds the fields that the text leaves out; the defaults do if None.
 
     Raises:
         ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
@@ -183,7 +184,16 @@ def from_yaml(text: str, source: str) -> TrainConfig:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
+    if base is not None:
+        values = _over(dataclasses.asdict(base), values)
     return _build(TrainConfig, values, source)
+
+
+def _over(base: Any, values: Any) -> Any:
+    """Nested dictionaries, ``values`` where they have an entry and ``base`` elsewhere."""
+    if not isinstance(base, dict) or not isinstance(values, dict):
+        return values
+    return {**base, **{name: _over(base.get(name), value) for name, value in values.items()}}
 
 
 def _build(cls: type[Config], values: Any, source: str) -> Config:
