@@ -77,3 +77,13 @@ def test_the_package_offers_the_api():
     assert all(getattr(mrgs, name) is not None for name in mrgs.__all__)
     with pytest.raises(AttributeError, match="module 'mrgs' has no attribute 'load_ruin'"):
         _ = mrgs.load_ruin
+
+
+def test_another_temperature_range_or_other_cameras_are_refused(run, make_scene, tmp_path):
+    scene = make_scene()
+    folder = train(scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
+    (scene / "temperature_bounds.json").write_text(
+        '{"absolute_min_temperature": 0, "absolute_max_temperature": 99}', encoding="utf-8"
+    )
+    with pytest.raises(RunError, match="another temperature range than the run was trained with"):
+        load_run(folder.path).load_scene()

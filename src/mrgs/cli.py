@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import shutil
 import signal
 import sys
 import time
@@ -29,6 +31,10 @@ EXIT_INTERRUPTED = 130
 PLAIN_LINE_EVERY_S = 10.0
 """Between progress lines where the output is not a terminal."""
 
+MAX_TRAIN_SEED = 2**32 - 1
+MAX_SYNTH_SEED = 1_000_000
+"""Mitsuba takes 32 bits, and every view has a seed of its own."""
+
 
 @dataclass(frozen=True)
 class Train:
@@ -53,7 +59,7 @@ class Train:
     resolution: int | None = None
     """Images wider than this many pixels are reduced to it."""
     seed: int = 0
-    """Of every random choice."""
+    """Seed of every random choice."""
     config: Path | None = None
     """YAML file with other values for any field of a run's config.yaml, for instance field: {neighbours_n: 5}."""
     resume: bool = False
@@ -109,7 +115,7 @@ class Synth:
     samples: int = 64
     """Paths per pixel: more take longer and are less noisy."""
     seed: int = 0
-    """Of the scene's random details and of the sensor's noise."""
+    """Seed of the scene's random details and of the sensor's noise."""
 
 
 Command = (
@@ -144,6 +150,9 @@ def main(argv: list[str] | None = None) -> int:
         except MrgsError as error:
             print(f"mrgs: error: {error}", file=sys.stderr)
             return EXIT_USER_ERROR
+        except BrokenPipeError:  # the reader of a pipe has gone; nothing more can be said
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
         except KeyboardInterrupt:
             print("mrgs: stopped", file=sys.stderr)
             return EXIT_INTERRUPTED
@@ -158,7 +167,9 @@ def _train(command: Train) -> None:
     )
     if command.config is not None:
         config = from_yaml(_read_text(command.config), str(command.config), config)
-    output = command.output or Path("runs") / f"{command.scene.resolve().name}-{command.method}"
+    _check_seed(config.seed, MAX_TRAIN_SEED)
+    folder = command.scene.parent if command.scene.is_file() else command.scene
+    output = command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
     progress = _TrainingProgress()
     with progress:
         train(
@@ -169,10 +180,12 @@ def _train(command: Train) -> None:
             on_start=progress.start,
             on_step=progress.step,
         )
-    if progress.interrupted:
-        print(f"stopped with a checkpoint; go on with: mrgs train {command.scene} --output {output} --resume")
+    if progress.unfinished:
+        go_on = shlex.join(["mrgs", "train", str(command.scene), "--output", str(output), "--resume"])
+        print(f"a checkpoint is kept; go on with: {go_on}")
         raise KeyboardInterrupt
-    print(f"trained: {output}\nscore it:  mrgs eval {output}\nrender it: mrgs render {output}")
+    quoted = shlex.quote(str(output))
+    print(f"trained:   {output}\nscore it:  mrgs eval {quoted}\nrender it: mrgs render {quoted}")
 
 
 def _eval(command: Eval) -> None:
@@ -204,6 +217,7 @@ def _demo(command: Demo) -> None:
 def _synth(command: Synth) -> None:
     from mrgs.synth import synthesize
 
+    _check_seed(command.seed, MAX_SYNTH_SEED)
     synthesize(
         command.output,
         width=command.width,
@@ -221,7 +235,14 @@ def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} cannot be read ({error}): name a text file") from error
+        raise ConfigError(
+            f"{path} cannot be read ({getattr(error, 'strerror', 'not UTF-8')}): name a text file"
+        ) from error
+
+
+def _check_seed(seed: int, largest: int) -> None:
+    if not 0 <= seed <= largest:
+        raise ConfigError(f"the seed must be from 0 to {largest:,}, not {seed}")
 
 
 def _bundled_scene() -> Path:
@@ -235,9 +256,13 @@ def _bundled_scene() -> Path:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show what was mended or left out as one line each."""
+    """Show what was mended or left out as one line each, and each once."""
+    shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        if str(message) in shown:
+            return
+        shown.add(str(message))
         print(f"mrgs: note: {message}" if issubclass(category, MrgsWarning) else f"warning: {message}", file=sys.stderr)
 
     with warnings.catch_warnings():
@@ -259,10 +284,14 @@ def _counter(verb: str) -> Callable[[int, int], None]:
 
 
 class _TrainingProgress:
-    """The line that follows a training: step, loss, °C, Gaussians, speed, time left. Ctrl-C ends after the step."""
+    """The line that follows a training: step, time left, loss, °C, Gaussians, speed.
+
+    The first Ctrl-C ends the training after the step, the second at once.
+    """
 
     def __init__(self) -> None:
-        self.interrupted = False
+        self.unfinished = False
+        self._interrupted = False
         self._span_c: float | None = None
         self._max_steps = 0
         self._first_step: int | None = None
@@ -273,7 +302,10 @@ class _TrainingProgress:
 
     def __enter__(self) -> None:
         def stop(*_: Any) -> None:
-            self.interrupted = True
+            if self._interrupted:
+                raise KeyboardInterrupt
+            self._interrupted = True
+            print("\nmrgs: stopping after this step; Ctrl-C again stops at once, without a checkpoint", file=sys.stderr)
 
         self._previous_handler = signal.signal(signal.SIGINT, stop)
 
@@ -292,8 +324,8 @@ class _TrainingProgress:
             f"{scene.name}: {len(scene.train)} training views, {len(scene.eval)} held out, "
             f"{len(scene.points.positions):,} start points"
         )
-        for note in scene.notes:
-            print(f"note: {note}")
+        for note in scene.notes:  # what was mended has been shown already, in the same words
+            warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
         print(
             f"{config.method}, {config.max_steps:,} steps, at most {config.densification.max_gaussians:,} Gaussians, "
             f"about {estimate_bytes(scene, config) / 2**30:.1f} GiB of memory"
@@ -310,25 +342,31 @@ class _TrainingProgress:
         if statistics.thermal_error is not None:
             self._smooth("thermal", statistics.thermal_error)
         interval = 0.2 if self._terminal else PLAIN_LINE_EVERY_S
-        if now - self._last_line >= interval or statistics.step == self._max_steps or self.interrupted:
+        self.unfinished = self._interrupted and statistics.step < self._max_steps
+        if now - self._last_line >= interval or statistics.step == self._max_steps or self.unfinished:
             self._last_line = now
             line = self._line(statistics, now)
-            print(f"\r{line}\033[K" if self._terminal else line, end="" if self._terminal else "\n", flush=True)
-        return self.interrupted
+            if self._terminal:  # a line that wraps would stay
+                line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\033[K"
+            print(line, end="" if self._terminal else "\n", flush=True)
+        return self.unfinished
 
     def _line(self, statistics: StepStatistics, now: float) -> str:
         thermal = self._smoothed.get("thermal")
-        parts = [f"step {statistics.step:,}/{self._max_steps:,}", f"loss {self._smoothed['loss']:.4f}"]
+        parts = [f"step {statistics.step:,}/{self._max_steps:,}"]
+        steps = statistics.step - (self._first_step or 0)
+        speed = steps / (now - self._started) if steps > 0 and now > self._started else None
+        if speed is not None:
+            parts.append(f"{_duration((self._max_steps - statistics.step) / speed)} left")
+        if "loss" in self._smoothed:
+            parts.append(f"loss {self._smoothed['loss']:.4f}")
         if thermal is not None:
             parts.append(
                 f"thermal {thermal:.4f} (no °C)" if self._span_c is None else f"thermal {thermal * self._span_c:.2f} °C"
             )
         parts.append(f"{statistics.gaussians:,} Gaussians")
-        steps = statistics.step - (self._first_step or 0)
-        if steps > 0 and now > self._started:
-            speed = steps / (now - self._started)
-            left = (self._max_steps - statistics.step) / speed
-            parts += [f"{speed:.1f} steps/s", f"{int(left) // 60}:{int(left) % 60:02d} left"]
+        if speed is not None:
+            parts.append(f"{speed:.1f} steps/s")
         return " | ".join(parts)
 
     def _smooth(self, name: str, value: float) -> None:
@@ -338,12 +376,24 @@ class _TrainingProgress:
             self._smoothed[name] = old + 0.02 * (value - old)
 
 
+def _duration(seconds: float) -> str:
+    """Minutes and seconds, with hours in front where there are any."""
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
+
+
 def _print_metrics(run: Run, metrics: Metrics) -> None:
-    """The means as two short lines."""
-    for title, figures in (("thermal", metrics.thermal), ("RGB", metrics.rgb)):
-        shown = [f"{name} {value:.4g}" for name, value in figures.items() if isinstance(value, float)]
+    """The means, a line for each modality; SSIM's second convention is in the report only."""
+    from mrgs.evaluation.report import COLUMNS, format_figure
+
+    for title, figures in (("thermal", metrics.thermal), ("RGB", metrics.rgb), ("truth", metrics.truth or {})):
+        shown = []
+        for name, value in figures.items():
+            if isinstance(value, float) and name != "ssim_pair_range":
+                heading, _, unit = COLUMNS[name][0].partition(", ")
+                shown.append(f"{heading} {format_figure(name, value)} {unit}".rstrip())
         if shown:
-            print(f"{title:8}{'  '.join(shown)}")
+            print(f"{title + ':':9}{'  '.join(shown)}")
     print(f"{len(run.model.gaussians):,} Gaussians, {run.facts.train_seconds / 60:.1f} minutes of training")
 
 

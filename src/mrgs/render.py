@@ -92,7 +92,8 @@ def render(
         the images, and the projected centres of each pass.
     """
     if rgb_camera is not None and thermal_camera is not None and rgb_camera.coincides_with(thermal_camera):
-        layers = [_rgb_layer(model, rgb_camera), _thermal_layer(model, rgb_camera)]
+        rows = _rows_in_view(model.gaussians, rgb_camera)
+        layers = [_rgb_layer(model, rgb_camera, rows), _thermal_layer(model, rgb_camera, rows)]
         raster, points = _pass(model, layers, rgb_camera)
         return _rendering(*raster.blends), [points]
     blends: list[Blend | None] = []
@@ -101,7 +102,8 @@ def render(
         if camera is None:
             blends.append(None)
             continue
-        raster, points = _pass(model, [make_layer(model, camera)], camera)
+        rows = _rows_in_view(model.gaussians, camera)
+        raster, points = _pass(model, [make_layer(model, camera, rows)], camera)
         blends.append(raster.blends[0])
         passes.append(points)
     return _rendering(*blends), passes
@@ -113,20 +115,18 @@ def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
     return Rendering(color[0], color[1], heat[0], heat[1], color[2], heat[2])
 
 
-def _rgb_layer(model: Model, camera: Camera) -> Layer:
+def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
     """o_c and c + ĉ."""
     gaussians = model.gaussians
-    rows = _rows_in_view(gaussians, camera)
     colors = model.field.colors(gaussians, camera.position.to(gaussians.means), model.sh_degree, rows)
     return Layer(
         gaussians.opacity_rgb, _scatter(colors, rows, len(gaussians)), colors.new_full((3,), model.background_rgb)
     )
 
 
-def _thermal_layer(model: Model, camera: Camera) -> Layer:
+def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
-    rows = _rows_in_view(gaussians, camera)
     position = camera.position.to(gaussians.means)
     values = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree, rows)
     background = values.new_full((1,), model.background_thermal)

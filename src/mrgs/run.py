@@ -10,9 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.data import load_scene
+from mrgs.errors import SceneError
 from mrgs.render import Model, Rendering, render
 from mrgs.scene import Camera, Scene, TemperatureRange
-from mrgs.training.checkpoint import CheckpointFacts, load_model
+from mrgs.training.checkpoint import CheckpointFacts, load_model, require_same_scene
 from mrgs.training.config import TrainConfig
 from mrgs.training.run_folder import RunFolder
 
@@ -63,8 +64,16 @@ class Run:
 
         Raises:
             SceneError: the scene is no longer where it was, or cannot be used.
+            RunError: the scene has other cameras or another temperature range than the run was trained with.
         """
-        return load_scene(self.facts.scene, resolution=self.config.resolution, seed=self.config.seed)
+        if not Path(self.facts.scene).exists():
+            raise SceneError(
+                f"{self.facts.scene}: the scene that {self.folder.path} was trained on is no longer there; "
+                "move it back, or put a link to it there"
+            )
+        scene = load_scene(self.facts.scene, resolution=self.config.resolution, seed=self.config.seed)
+        require_same_scene(self.facts, scene)
+        return scene
 
 
 def load_run(path: str | Path) -> Run:

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError
-from mrgs.evaluation.paths import fly_through, focus_point, orbit
+from mrgs.evaluation.paths import focus_point, orbit
 from mrgs.scene import Camera
 
 K = torch.tensor([[50.0, 0, 16], [0, 60.0, 12], [0, 0, 1]], dtype=torch.float64)
-Path = Callable[[Sequence[Camera], int], list[Camera]]
 
 
 def looking(position: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0, 0, 1)) -> Camera:
@@ -47,10 +46,9 @@ def positions(cameras: Sequence[Camera]) -> np.ndarray:
     return np.stack([camera.position.numpy() for camera in cameras])
 
 
-@pytest.mark.parametrize("path", [orbit, fly_through])
 @pytest.mark.parametrize("frames", [1, 2, 25])
-def test_poses_are_rigid(path: Path, frames: int) -> None:
-    cameras = path(ring(), frames)
+def test_poses_are_rigid(frames: int) -> None:
+    cameras = orbit(ring(), frames)
     assert len(cameras) == frames
     assert_orthonormal(cameras)
 
@@ -104,26 +102,9 @@ def test_outward_views_do_not_take_a_focus_behind_them() -> None:
 
 def test_a_single_camera() -> None:
     camera = ring()[0]
-    for path in (orbit, fly_through):
-        cameras = path([camera], 3)
-        assert_orthonormal(cameras)
-        np.testing.assert_allclose(positions(cameras), positions([camera] * 3), atol=1e-12)
-
-
-def test_a_fly_through_starts_and_ends_at_the_cameras() -> None:
-    cameras = ring()
-    path = fly_through(cameras, 200)
-    for end in (0, -1):
-        torch.testing.assert_close(path[end].viewmat, cameras[end].viewmat, atol=1e-9, rtol=0)
-    gaps = np.linalg.norm(positions(path)[:, None] - positions(cameras)[None], axis=2)
-    assert gaps.min(axis=0).max() < 0.1  # it passes by every camera
-
-
-def test_pauses_do_not_break_a_fly_through() -> None:
-    cameras = ring(6)
-    path = fly_through([camera for camera in cameras for _ in range(3)], 50)
-    assert_orthonormal(path)
-    np.testing.assert_allclose(positions(path), positions(fly_through(cameras, 50)), atol=1e-9)
+    cameras = orbit([camera], 3)
+    assert_orthonormal(cameras)
+    np.testing.assert_allclose(positions(cameras), positions([camera] * 3), atol=1e-12)
 
 
 @settings(max_examples=30, deadline=None)
@@ -131,13 +112,11 @@ def test_pauses_do_not_break_a_fly_through() -> None:
 def test_any_capture_gives_finite_rigid_poses(seed: int, count: int, frames: int) -> None:
     generator = np.random.default_rng(seed)
     cameras = [looking(generator.normal(size=3) * 3, generator.normal(size=3)) for _ in range(count)]
-    for path in (orbit, fly_through):
-        assert_orthonormal(path(cameras, frames))
+    assert_orthonormal(orbit(cameras, frames))
 
 
-@pytest.mark.parametrize("path", [orbit, fly_through])
-def test_errors(path: Path) -> None:
+def test_errors() -> None:
     with pytest.raises(ConfigError, match="at least one training camera"):
-        path([], 5)
+        orbit([], 5)
     with pytest.raises(ConfigError, match="at least one frame, got 0"):
-        path(ring(), 0)
+        orbit(ring(), 0)

@@ -5,12 +5,16 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numba
 import pytest
 import torch
+
+from mrgs.rasterizer import Layer, reference
 
 SCENES = range(100)
 IMAGE_ERROR_MAX = 1e-5
@@ -256,8 +260,57 @@ def test_inputs_are_left_as_they_were(rasterize, random_scene):
 
 if __name__ == "__main__":
     from conftest import errors_against_oracle, make_random_scene
-
     from mrgs.rasterizer.cpu import rasterize as kernel
 
     for error_name, largest in worst_errors(kernel, make_random_scene, errors_against_oracle).items():
         print(f"{error_name:26s} {largest:.1e}")
+
+
+def needles(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
+    """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels in float32."""
+    angle = 0.32
+    means = torch.tensor([[0.0, 0.0, 1.0], [0.01, 0.0, 1.2], [0.0, 0.02, 1.4]], dtype=dtype)
+    quats = torch.tensor([[math.cos(angle), 0.0, 0.0, math.sin(angle)]], dtype=dtype).repeat(3, 1)
+    scales = torch.tensor([[30.0, 1e-4, 1e-4], [1.0, 1e-4, 1e-4], [5.0, 1e-4, 1e-4]], dtype=dtype)
+    return means, quats, scales
+
+
+def test_needles_keep_their_alpha(rasterize) -> None:
+    alphas = []
+    for function, dtype in ((rasterize, torch.float32), (reference.rasterize, torch.float64)):
+        layer = Layer(*(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3)))
+        K = torch.tensor([[600.0, 0, 50], [0, 600, 40], [0, 0, 1]], dtype=dtype)
+        raster = function(*needles(dtype), [layer], torch.eye(4, dtype=dtype), K, 100, 80)
+        alphas.append(raster.blends[0].alpha.double())
+    assert alphas[1].max() > 0.8
+    assert (alphas[0] - alphas[1]).abs().max() < IMAGE_ERROR_MAX
+
+
+@pytest.mark.parametrize("size", [3e38, float("inf"), float("nan")])
+def test_a_gaussian_without_a_usable_size_is_left_out(rasterize, size: float) -> None:
+    means, quats = torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([[0.9, 0.1, 0.3, 0.2]])
+    layer = Layer(torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
+    K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
+    raster = rasterize(means, quats, torch.full((1, 3), size), [layer], torch.eye(4), K, 10, 8)
+    assert raster.radii.tolist() == [0.0]
+    assert raster.blends[0].alpha.max() == 0
+
+
+def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
+    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
+    layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
+    plain = inspect.unwrap(rasterize)
+    with pytest.raises(ValueError, match=r"matching sizes; got torch.float32 \(1, 4\) on cpu where \(4, 4\)"):
+        plain(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
+    with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
+        plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
+
+
+def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> None:
+    means = torch.tensor([[0.0, 0.0, 1.0]], requires_grad=True)
+    layer = Layer(torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
+    K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
+    raster = rasterize(means, torch.ones(1, 4), torch.full((1, 3), 0.1), [layer], torch.eye(4), K, 10, 8)
+    raster.blends[0].image.mul_(2)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        raster.blends[0].image.sum().backward()

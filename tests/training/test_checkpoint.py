@@ -61,7 +61,7 @@ def change_header(path: Path, **changes) -> None:
 def test_everything_comes_back(state, path, config, snapshot):
     state.skipped_in_a_row = 2
     save(path, state, FACTS)
-    found, facts = load_state(path, config, view_count=6)
+    found, facts = load_state(path, config, view_count=6), load_facts(path)
     assert facts == FACTS
     assert load_facts(path) == FACTS
     expected, tensors = snapshot(state), snapshot(found)
@@ -93,7 +93,10 @@ def test_a_truncated_checkpoint_is_named(keep, path, config):
     for load in (load_facts, lambda path: load_model(path, config), lambda path: load_state(path, config, 6)):
         with pytest.raises(RunError) as caught:
             load(path)
-        assert str(caught.value) == f"{path} is not a whole checkpoint: delete it and resume from the one before"
+        assert (
+            str(caught.value)
+            == f"{path} is not a whole checkpoint: delete it, and the one before it is used; without one, train anew"
+        )
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,6 @@ CONFIGS = st.builds(
     seed=st.integers(0, 2**63 - 1),
     sh_every=COUNTS,
     shares_opacity=st.booleans(),
-    temperature_degree=st.sampled_from([0, 3]),
     background_rgb=st.floats(allow_nan=False, allow_infinity=False),
     field=st.builds(FieldConfig, fourier=st.booleans(), neighbours_n=st.integers(1, 9), anchor_weight=WEIGHTS),
     loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS, edge_aware=st.booleans()),
@@ -105,7 +104,6 @@ def test_impossible_choices_are_named(options, message):
     ("options", "message"),
     [
         ({"neighbours_every": 0}, "neighbours_every must be at least 1, not 0"),
-        ({"temperature_degree": 2}, "temperature_degree must be 0 or 3, not 2"),
     ],
 )
 def test_impossible_fields_are_named(options, message):

@@ -65,14 +65,14 @@ def test_photometric_gradient():
 
 def test_constants_are_smooth():
     constant, depth = torch.full((8, 9, 3), 0.4), torch.full((8, 9), 5.0)
-    assert smoothness_loss(constant, depth, constant, 2.0, LossConfig()) == 0
+    assert smoothness_loss(constant, depth, constant, None, 2.0, LossConfig()) == 0
 
 
 def test_smoothness_is_the_mean_of_first_differences():
     ramp = 0.1 * torch.arange(6, dtype=torch.float64).expand(5, 6)
     depth = 4 * torch.arange(5, dtype=torch.float64)[:, None].expand(5, 6)
     config = LossConfig(smooth_image=2.0, smooth_depth=0.5)
-    loss = smoothness_loss(ramp[:, :, None], depth, ramp[:, :, None], 8.0, config)
+    loss = smoothness_loss(ramp[:, :, None], depth, ramp[:, :, None], None, 8.0, config)
     assert loss.item() == pytest.approx(2.0 * 0.1 + 0.5 * 4 / 8)
 
 
@@ -80,8 +80,8 @@ def test_edges_of_the_photo_cut_the_weight():
     step = torch.zeros(4, 4, 1, dtype=torch.float64)
     step[:, 2:] = 1.0
     depth = step[:, :, 0]
-    plain = smoothness_loss(step, depth, step, 1.0, LossConfig())
-    aware = smoothness_loss(step, depth, step, 1.0, LossConfig(edge_aware=True, beta=3.0))
+    plain = smoothness_loss(step, depth, step, None, 1.0, LossConfig())
+    aware = smoothness_loss(step, depth, step, None, 1.0, LossConfig(edge_aware=True, beta=3.0))
     assert aware.item() == pytest.approx(plain.item() * math.exp(-3.0))
 
 
@@ -115,3 +115,18 @@ def test_total_loss_refuses_what_it_does_not_know():
 def test_impossible_weights_are_named(options, message):
     with pytest.raises(ConfigError, match=message):
         LossConfig(**options)
+
+
+@pytest.mark.parametrize("edge_aware", [False, True])
+def test_smoothness_ignores_pixels_that_do_not_count(edge_aware):
+    generator = torch.Generator().manual_seed(0)
+    image, depth, target = (torch.rand(8, 9, c, generator=generator) for c in (3, 1, 3))
+    valid = torch.rand(8, 9, generator=generator) > 0.3
+    losses = []
+    for value in (0.0, 7.0):
+        filled = [torch.where(valid[:, :, None], tensor, value) for tensor in (image, depth, target)]
+        losses.append(
+            smoothness_loss(filled[0], filled[1][..., 0], filled[2], valid, 1.0, LossConfig(edge_aware=edge_aware))
+        )
+    assert losses[0] == losses[1]
+    assert losses[0] > 0

@@ -33,10 +33,32 @@ def test_a_new_run_keeps_its_configuration(tmp_path):
 
 
 def test_a_run_is_not_started_twice(folder):
+    touch_checkpoints(folder, 10)
     with pytest.raises(
         RunError, match="run already holds a run: continue it with --resume, or choose another --output"
     ):
         folder.start(TrainConfig())
+
+
+def test_a_run_that_died_before_its_first_checkpoint_is_started_anew(folder):
+    folder.append_log({"step": 1})
+    folder.start(TrainConfig(seed=5))
+    assert folder.read_config().seed == 5
+    assert not folder.log_file.exists()
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "log.jsonl"])
+def test_a_folder_of_something_else_is_left_alone(name, tmp_path):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(RunError, match=rf"holds a {name} that is not a run's: choose another --output"):
+        RunFolder(tmp_path).start(TrainConfig())
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(RunError, match=r"file/run cannot be written \(.+\): free the place or choose another --output"):
+        RunFolder(tmp_path / "file" / "run").locked().__enter__()
 
 
 def test_checkpoints_are_sorted_by_step_and_the_newest_two_are_kept(folder):
@@ -61,7 +83,7 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
         empty.newest_checkpoint()
     with pytest.raises(RunError, match=r"is not a run: its config\.yaml cannot be read; name a folder that"):
         empty.read_config()
-    with pytest.raises(RunError, match="run has no checkpoint yet: let it train, or delete it and train anew"):
+    with pytest.raises(RunError, match="run has no checkpoint yet: train it first, without --resume"):
         folder.newest_checkpoint()
 
 

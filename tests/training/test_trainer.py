@@ -10,6 +10,7 @@ from safetensors.torch import load_file
 from mrgs.data import load_scene
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.render import render_view
+from mrgs.run import load_run
 from mrgs.training import METHODS, step, train
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.run_folder import RunFolder
@@ -62,7 +63,7 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp
     folder = train(small_scene, tmp_path / "a" / "run", config)
     names = sorted(path.relative_to(folder.path).as_posix() for path in folder.path.rglob("*") if path.is_file())
     kept = ["checkpoints/step_000040.safetensors", "checkpoints/step_000045.safetensors"]
-    assert names == [*kept, "config.yaml", "log.jsonl"]
+    assert names == [".lock", *kept, "config.yaml", "log.jsonl"]
     assert folder.read_config() == config
 
     log = read_log(folder)
@@ -128,12 +129,13 @@ def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene
     assert 0 < len(tensors["gaussians.means"]) < 25
 
 
-@pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
-def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(method, small_scene, tmp_path, make_short_config):
+@pytest.mark.parametrize(("method", "cut"), [("mrgs", 100), ("mrgs", 113), ("3dgs-rgbt", 100)])
+def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(method, cut, small_scene, tmp_path, make_short_config):
+    # Step 100 densifies, so that there are no neighbours to save; step 113 lies between two densifications.
     config = eventful(make_short_config, method)
     whole = train(small_scene, tmp_path / "whole", config)
-    parts = train(small_scene, tmp_path / "parts", config, stop_at=100)
-    assert load_facts(parts.newest_checkpoint()).step == 100
+    parts = train(small_scene, tmp_path / "parts", config, stop_at=cut)
+    assert load_facts(parts.newest_checkpoint()).step == cut
     # The caller's configuration and torch's own generator must not matter.
     torch.rand(7)
     train(small_scene, tmp_path / "parts", make_short_config(max_steps=7), resume=True)
@@ -149,6 +151,13 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(method, small_scene,
     assert len({counts[number] for number in (10, 30, 60, 90)}) > 2
     assert len({counts[number] for number in (110, 130, 160, 190)}) > 2
     assert expected["gaussians.adam.temperature_dc.step"] == 200  # none was skipped
+
+
+def test_a_checkpoint_of_a_densification_step_can_be_rendered(small_scene, tmp_path, make_short_config):
+    train(small_scene, tmp_path / "run", eventful(make_short_config, "mrgs"), stop_at=100)
+    run = load_run(tmp_path / "run")
+    assert "neighbours" not in load_file(run.folder.newest_checkpoint())
+    assert run.render(load_scene(small_scene).train[0].cameras[0]).thermal.isfinite().all()
 
 
 def test_the_seed_decides(small_scene, tmp_path, make_short_config):
@@ -234,7 +243,7 @@ def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, make_shor
     spoil(monkeypatch, {1, 2, 3})
     with pytest.raises(TrainingError, match="there is no checkpoint yet"):
         train(small_scene, tmp_path / "run", make_short_config())
-    with pytest.raises(RunError, match="run has no checkpoint yet: let it train, or delete it and train anew"):
+    with pytest.raises(RunError, match="run has no checkpoint yet: train it first, without --resume"):
         train(small_scene, tmp_path / "run", make_short_config(), resume=True)
 
 
@@ -261,7 +270,7 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path, ma
     (other / "transforms.json").write_text(json.dumps({**content, "frames": content["frames"][:4]}))
     with pytest.raises(RunError) as caught:
         train(other, folder.path, config, resume=True)
-    assert str(caught.value) == f"{other} has other cameras than the run's scene: resume with {small_scene}"
+    assert str(caught.value) == f"{other.name} has other cameras than the run's scene: use {small_scene} as it was"
 
 
 def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path, make_short_config):

@@ -5,6 +5,7 @@ The EXIF orientation is ignored on purpose: structure-from-motion tools work on 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -121,13 +122,16 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     """Pillow's image, with every failure of opening or decoding it turned into a SceneError."""
     too_large = f"has more than {MAX_PIXELS // 10**6} megapixels; reduce it before use"
     try:
-        with Image.open(path, formats=("PNG", "JPEG", "TIFF")) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit here is lower
+            image = Image.open(path, formats=("PNG", "JPEG", "TIFF"))
+        with image:
             if image.width * image.height > MAX_PIXELS:
                 raise scene_error(path, too_large)
             yield image
     except SceneError:
         raise
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+    except Image.DecompressionBombError:
         raise scene_error(path, too_large) from None
     # Damaged files make Pillow's plugins raise almost anything: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:

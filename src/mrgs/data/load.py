@@ -66,7 +66,11 @@ def _recognise(path: Path) -> Capture:
     if model := find_model(root):
         return read_colmap(root, model)
     looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
-    raise scene_error(root, f"no scene found; looked for transforms.json, transforms_thermal.json, {looked_for}")
+    raise scene_error(
+        root,
+        f"no scene found; looked for transforms.json, transforms_thermal.json, {looked_for}; "
+        "give the folder that holds one",
+    )
 
 
 def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:

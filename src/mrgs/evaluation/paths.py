@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
@@ -37,35 +35,6 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     target, up = focus_point(cameras), _mean_up(cameras)
     path = centre + np.sqrt(2) * (circle * spread) @ axes[:2]
     return [_posed(cameras[0], _look_at(position, target, up), position) for position in path]
-
-
-def fly_through(cameras: Sequence[Camera], frames: int) -> list[Camera]:
-    """An open path that passes through all the cameras in their order: cubic splines of position and rotation.
-
-    For captures whose order is a walk (video frames, flights). Intrinsics are those of the first camera.
-
-    Args:
-        cameras: the training cameras in shooting order.
-        frames: how many poses to return, the first and the last camera among them.
-
-    Raises:
-        ConfigError: there are no cameras, or fewer than one frame is asked for.
-    """
-    _check(cameras, frames)
-    positions = np.stack([camera.position.numpy() for camera in cameras])
-    rotations = Rotation.from_matrix(np.stack([camera.viewmat[:3, :3].T.numpy() for camera in cameras]))
-    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    turns = (rotations[:-1].inv() * rotations[1:]).magnitude() if len(cameras) > 1 else np.zeros(0)
-    moves = (steps > 1e-9) | (turns > 1e-9)
-    if not moves.any():
-        return [cameras[0]] * frames
-    steps, turns, keys = steps[moves], turns[moves], np.concatenate([[True], moves])
-    # Centripetal in the positions, so that the path does not overshoot; the turn keeps pauses on the spot smooth.
-    knots = np.concatenate([[0.0], np.cumsum(np.sqrt(steps / max(steps.mean(), 1e-9)) + turns)])
-    times = np.linspace(0, knots[-1], frames)
-    centres = CubicSpline(knots, positions[keys])(times)
-    matrices = RotationSpline(knots, rotations[keys])(times).as_matrix()
-    return [_posed(cameras[0], rotation.T, centre) for rotation, centre in zip(matrices, centres, strict=True)]
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 from jaxtyping import UInt8
 
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRow, contact_sheet, sheet_row, spread
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
@@ -19,7 +20,7 @@ from mrgs.evaluation.pictures import thermal_values, to_rgb8, write_png, write_r
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
 from mrgs.evaluation.video import write_frames
-from mrgs.render import Rendering, render_view
+from mrgs.render import Rendering, render, render_view
 from mrgs.run import Run
 from mrgs.scene import Camera, View
 
@@ -44,8 +45,13 @@ def evaluate_run(run: Run, lpips_weights: Path | None = None, progress: Progress
         RunError: the weights cannot be read, or a file cannot be written.
     """
     scene = run.load_scene()
+    if not scene.eval:
+        raise SceneError(
+            f"{run.facts.scene}: no views are held out, so there is nothing to score; put 'eval' into the file names "
+            "of some, or list them in val_filenames, and train anew"
+        )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
-    shown = spread(len(scene.eval)) if scene.eval else []
+    shown = spread(len(scene.eval))
     rows: list[SheetRow] = []
     done = 0
 
@@ -62,7 +68,7 @@ def evaluate_run(run: Run, lpips_weights: Path | None = None, progress: Progress
         lambda view: render_view(run.model, view),
         scene.temperature,
         lpips,
-        Truth.find(Path(run.facts.scene)),
+        Truth.find(_scene_folder(run)),
         visit,
     )
     folder = run.folder.path / "eval"
@@ -75,13 +81,19 @@ def facts_of(run: Run) -> RunFacts:
     """What the report says about a run besides its figures."""
     return RunFacts(
         method=run.config.method,
-        scene=Path(run.facts.scene).name,
+        scene=_scene_folder(run).name,
         steps=run.facts.step,
         gaussians=len(run.model.gaussians),
         train_seconds=run.facts.train_seconds,
         peak_memory_bytes=run.facts.peak_memory_bytes or None,
         device="cpu",
     )
+
+
+def _scene_folder(run: Run) -> Path:
+    """The folder of the run's scene, which may have been given as its transforms file."""
+    path = Path(run.facts.scene)
+    return path.parent if path.is_file() else path
 
 
 def render_run(
@@ -111,7 +123,7 @@ def render_run(
         return folder
     views = scene.eval if split == "eval" else scene.train
     if not views:
-        raise ConfigError(f"the scene has no {split} views to render: choose --split train or --split path")
+        raise ConfigError(f"{run.facts.scene}: no views are held out; choose --split train or --split path")
     for number, view in enumerate(views, start=1):
         write_rendering(folder, view.name, render_view(run.model, view), run.temperature, palette)
         if progress is not None:
@@ -124,14 +136,15 @@ def _path_frames(
 ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     """The frames of one modality along a camera path, one at a time."""
     for number, camera in enumerate(cameras, start=1):
-        rendering = run.render(camera) if modality == "rgb" else run.render(None, camera)
+        with torch.no_grad():
+            rendering, _ = render(run.model, *((camera, None) if modality == "rgb" else (None, camera)))
         yield _picture(rendering, run, palette)
         if progress is not None:
             progress(number, len(cameras))
 
 
 def _picture(rendering: Rendering, run: Run, palette: PaletteName) -> UInt8[np.ndarray, "h w 3"]:
-    if rendering.rgb is not None and rendering.thermal is None:
+    if rendering.rgb is not None:
         return to_rgb8(rendering.rgb)
     assert rendering.thermal is not None
     values, scale = thermal_values(rendering.thermal, run.temperature, palette)

@@ -16,6 +16,10 @@ from mrgs.field.spherical_harmonics import C0, evaluate_sh
 from mrgs.scene.gaussians import Gaussians
 
 
+MAX_NEIGHBOURS_N = 16
+"""255 neighbours of each Gaussian; the paper stops at 48."""
+
+
 @dataclass(frozen=True)
 class FieldConfig:
     """What stands between the Gaussians' parameters and the values that are blended.
@@ -55,6 +59,9 @@ class FieldConfig:
         for name in ("hidden_width", "thermal_feature_width", "neighbours_n"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be 1 or more, not {getattr(self, name)}")
+
+        if self.neighbours_n > MAX_NEIGHBOURS_N:
+            raise ConfigError(f"neighbours_n must be at most {MAX_NEIGHBOURS_N}, not {self.neighbours_n}")
 
     @property
     def neighbours_k(self) -> int:

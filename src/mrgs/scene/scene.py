@@ -11,6 +11,9 @@ from torch import Tensor
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import View
 
+STILL_CAMERAS = 1e-3
+"""Cameras that stay within this share of the distance to what they see count as standing still."""
+
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
@@ -42,10 +45,16 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in scene units."""
+        """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in scene units.
+
+        Cameras that hardly move (a tripod, a single view) tell nothing of the scene's size: then the median distance
+        of the start points stands in.
+        """
         positions = torch.stack([camera.position for view in self.train for camera in view.cameras])
-        radius = (positions - positions.mean(dim=0)).norm(dim=1).max().item()
-        return max(1.1 * radius, 1e-6)
+        centre = positions.mean(dim=0)
+        extent = 1.1 * (positions - centre).norm(dim=1).max().item()
+        distance = (self.points.positions.double() - centre).norm(dim=1).median().item()
+        return extent if extent > STILL_CAMERAS * distance else distance
 
     @property
     def has_rgb(self) -> bool:

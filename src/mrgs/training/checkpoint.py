@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,9 +14,9 @@ from torch import Tensor, nn
 
 from mrgs.atomic import replacing
 from mrgs.errors import RunError
-from mrgs.field import RadianceField
+from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.render import Model
-from mrgs.scene import Gaussians, TemperatureRange
+from mrgs.scene import Gaussians, Scene, TemperatureRange
 from mrgs.training.config import TrainConfig
 from mrgs.training.densification import ScreenStatistics
 from mrgs.training.optimizer import GaussianOptimizer
@@ -72,11 +73,9 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
         "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
         "skipped_in_a_row": state.skipped_in_a_row,
     }
-    content = safetensors.torch.save(
-        {name: tensor.detach().contiguous() for name, tensor in tensors.items()}, {"mrgs": json.dumps(header)}
-    )
+    contiguous = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
-        temporary.write_bytes(content)
+        safetensors.torch.save_file(contiguous, temporary, {"mrgs": json.dumps(header)})
 
 
 def load_facts(path: Path) -> CheckpointFacts:
@@ -88,6 +87,21 @@ def load_facts(path: Path) -> CheckpointFacts:
     return _facts(path, _read(path, with_tensors=False)[1])
 
 
+def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
+    """A run belongs to the cameras and the temperatures that it was trained with.
+
+    Raises:
+        RunError: the scene has others.
+    """
+    if not math.isclose(facts.extent, scene.extent, rel_tol=1e-6):
+        raise RunError(f"{scene.name} has other cameras than the run's scene: use {facts.scene} as it was")
+    if facts.temperature != scene.temperature:
+        raise RunError(
+            f"{scene.name} has another temperature range than the run was trained with: "
+            f"bring back the one that stood in {facts.scene}, or train anew"
+        )
+
+
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]:
     """The model of a checkpoint, to render with.
 
@@ -97,12 +111,15 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]
     tensors, header = _read(path)
     facts = _facts(path, header)
     try:
-        return _model(tensors, config, facts.step), facts
-    except (KeyError, RuntimeError, TypeError) as error:
+        model = _model(tensors, config, facts.step)
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
+    if model.neighbours is None and config.field.neighbours_k > 0:  # saved right after a densification
+        model.neighbours = nearest_neighbours(model.gaussians.means, config.field.neighbours_k)
+    return model, facts
 
 
-def load_state(path: Path, config: TrainConfig, view_count: int) -> tuple[TrainingState, CheckpointFacts]:
+def load_state(path: Path, config: TrainConfig, view_count: int) -> TrainingState:
     """The whole state of a checkpoint, to train on.
 
     Args:
@@ -126,11 +143,11 @@ def load_state(path: Path, config: TrainConfig, view_count: int) -> tuple[Traini
         _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
         state.statistics = ScreenStatistics(tensors["statistics.gradient_sum"], tensors["statistics.views"])
         state.sampler.load(tensors["sampler.waiting"])
+        state.skipped_in_a_row = int(header["skipped_in_a_row"])
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
     state.step = facts.step
-    state.skipped_in_a_row = header["skipped_in_a_row"]
-    return state, facts
+    return state
 
 
 def make_state(
@@ -177,6 +194,8 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
     try:
         values = {name: header[name] for name in CheckpointFacts._fields}
         bounds = values["temperature"]
+        if not isinstance(values["scene"], str):
+            raise TypeError("the scene is a path")
         return CheckpointFacts(**{**values, "temperature": None if bounds is None else TemperatureRange(*bounds)})
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path) from error
@@ -185,16 +204,33 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
 def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
     parameters = _below(tensors, "gaussians.")
     gaussians = Gaussians(**{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")})
+    neighbours = tensors.get("neighbours")
+    _check_rows(gaussians, neighbours)
     field = RadianceField(config.field)
     field.load_state_dict(_below(tensors, "field."))
     return Model(
         gaussians=gaussians,
         field=field,
-        neighbours=tensors.get("neighbours"),
+        neighbours=neighbours,
         sh_degree=config.sh_degree_at(step),
         background_rgb=config.background_rgb,
         background_thermal=config.background_thermal,
     )
+
+
+def _check_rows(gaussians: Gaussians, neighbours: Tensor | None) -> None:
+    """What is rendered must be whole: kernels trust it.
+
+    Raises:
+        ValueError: tensors of different lengths or of other types, or neighbours that do not exist.
+    """
+    count = len(gaussians)
+    if any(len(tensor) != count or tensor.dtype != torch.float32 for tensor in gaussians.tensors().values()):
+        raise ValueError("the Gaussians' tensors do not belong together")
+    if neighbours is not None and neighbours.numel() > 0:
+        lowest, highest = int(neighbours.min()), int(neighbours.max())
+        if len(neighbours) != count or lowest < 0 or highest >= count:
+            raise ValueError("the neighbours are not those of the Gaussians")
 
 
 def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
@@ -222,7 +258,9 @@ def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor])
 
 
 def _damaged(path: Path) -> RunError:
-    return RunError(f"{path} is not a whole checkpoint: delete it and resume from the one before")
+    return RunError(
+        f"{path} is not a whole checkpoint: delete it, and the one before it is used; without one, train anew"
+    )
 
 
 def _mismatch(path: Path) -> RunError:

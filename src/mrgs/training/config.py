@@ -37,7 +37,6 @@ class TrainConfig:
         seed: of every random choice.
         sh_every: steps between the degrees of the spherical harmonics.
         shares_opacity: blend both modalities with o_c.
-        temperature_degree: degree of the temperature's spherical harmonics: 0 (view-invariant) or 3.
         neighbours_every: steps after which the neighbours are searched anew, besides whenever N changes.
         background_rgb: colour behind the scene.
         background_thermal: normalised temperature behind the scene.
@@ -56,7 +55,6 @@ class TrainConfig:
     seed: int = 0
     sh_every: int = 1_000
     shares_opacity: bool = False
-    temperature_degree: int = 0
     neighbours_every: int = 500
     background_rgb: float = 0.0
     background_thermal: float = 0.0
@@ -73,8 +71,11 @@ class TrainConfig:
                 raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
         if self.resolution is not None and self.resolution < 16:
             raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
-        if self.temperature_degree not in (0, 3):
-            raise ConfigError(f"temperature_degree must be 0 or 3, not {self.temperature_degree}")
+
+    @property
+    def temperature_degree(self) -> int:
+        """Degree of the temperature's spherical harmonics: 0 for MrGS, whose t_i does not depend on the view."""
+        return 0 if self.field.residuals else 3
 
     def sh_degree_at(self, step: int) -> int:
         """Highest degree of the spherical harmonics in use at this step."""
@@ -113,7 +114,6 @@ def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
             config,
             method=method,
             shares_opacity=True,
-            temperature_degree=3,
             field=replace(config.field, residuals=False),
             loss=replace(config.loss, smooth=0.0),
             radiation=None,
@@ -182,7 +182,7 @@ def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainC
     """
     try:
         values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
     if base is not None:
         values = _over(dataclasses.asdict(base), values)

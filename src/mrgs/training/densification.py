@@ -26,7 +26,7 @@ SPLIT_SHRINK = 1.6
 
 @dataclass(frozen=True)
 class DensificationConfig:
-    """When and how Gaussians are added and removed; the defaults are 3DGS's.
+    """When and how Gaussians are added and removed; the defaults are 3DGS's, without its prune by size on the screen.
 
     Attributes:
         start: no densification up to this step.
@@ -50,7 +50,7 @@ class DensificationConfig:
     prune_above: float = 0.1
     reset_every: int = 3_000
     reset_opacity: float = 0.01
-    max_gaussians: int = 1_000_000
+    max_gaussians: int = 5_000_000
 
     def __post_init__(self) -> None:
         if self.every < 1 or self.reset_every < 1 or self.max_gaussians < 1:

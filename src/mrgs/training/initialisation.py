@@ -26,7 +26,7 @@ def initial_gaussians(
     max_gaussians: int,
     generator: torch.Generator,
 ) -> Gaussians:
-    """One isotropic Gaussian per start point, as large as the mean distance to its three nearest points (3DGS).
+    """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest points (3DGS).
 
     Args:
         points: start points; a random subset if there are more than ``max_gaussians``.

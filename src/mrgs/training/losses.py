@@ -70,6 +70,7 @@ def smoothness_loss(
     image: Float[Tensor, "h w c"],
     depth: Float[Tensor, "h w"],
     target: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None,
     extent: float,
     config: LossConfig,
 ) -> Float[Tensor, ""]:
@@ -82,21 +83,26 @@ def smoothness_loss(
         image: rendered colours or normalised temperatures.
         depth: rendered depth in scene units.
         target: the photo, whose edges count if ``config.edge_aware``.
+        valid: pixels that count, all if None.
         extent: the scene's extent in scene units.
         config: the weights of the two parts, and the edge weight.
     """
     edges = _planes(target) if config.edge_aware else None
-    loss = config.smooth_image * total_variation(_planes(image), edges, config.beta)
-    return loss + config.smooth_depth * total_variation(depth[None] / extent, edges, config.beta)
+    loss = config.smooth_image * total_variation(_planes(image), valid, edges, config.beta)
+    return loss + config.smooth_depth * total_variation(depth[None] / extent, valid, edges, config.beta)
 
 
 def total_variation(
-    planes: Float[Tensor, "c h w"], edges: Float[Tensor, "e h w"] | None = None, beta: float = 1.0
+    planes: Float[Tensor, "c h w"],
+    valid: Bool[Tensor, "h w"] | None = None,
+    edges: Float[Tensor, "e h w"] | None = None,
+    beta: float = 1.0,
 ) -> Float[Tensor, ""]:
     """Mean absolute first difference along the columns plus the same along the rows; 0 along an axis of one pixel.
 
     Args:
         planes: an image.
+        valid: differences count between two valid pixels; between any two if None.
         edges: another image; each difference is weighed by exp(−β |its difference|), mean over its channels.
         beta: β, how sharply an edge cuts the weight.
     """
@@ -107,8 +113,14 @@ def total_variation(
         difference = planes.diff(dim=axis).abs()
         if edges is not None:
             difference = difference * torch.exp(-beta * edges.diff(dim=axis).abs().mean(dim=0))
-        total = total + difference.mean()
+        total = total + masked_mean(difference, None if valid is None else _both_ends(valid, axis - 1))
     return total
+
+
+def _both_ends(valid: Bool[Tensor, "h w"], axis: int) -> Bool[Tensor, "h2 w2"]:
+    """Whether both pixels of each first difference are valid."""
+    steps = valid.shape[axis] - 1
+    return valid.narrow(axis, 0, steps) & valid.narrow(axis, 1, steps)
 
 
 def total_loss(

@@ -51,22 +51,42 @@ class RunFolder:
             raise RunError(f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` wrote")
         found = self.checkpoints()
         if not found:
-            raise RunError(f"{self.path} has no checkpoint yet: let it train, or delete it and train anew")
+            raise RunError(f"{self.path} has no checkpoint yet: train it first, without --resume")
         return found[-1]
 
     def drop_old_checkpoints(self) -> None:
         """Keep the newest two."""
-        for path in self.checkpoints()[:-CHECKPOINTS_KEPT]:
-            path.unlink()
+        with self._writing():
+            for path in self.checkpoints()[:-CHECKPOINTS_KEPT]:
+                path.unlink()
+
+    def require_new(self) -> None:
+        """A folder without checkpoints may become a new run: one that died before its first leaves nothing to keep.
+
+        Raises:
+            RunError: the folder holds a run.
+        """
+        if self.checkpoints():
+            raise RunError(f"{self.path} already holds a run: continue it with --resume, or choose another --output")
+        if self.config_file.exists():
+            try:
+                self.read_config()
+            except RunError:
+                raise RunError(
+                    f"{self.path} holds a config.yaml that is not a run's: choose another --output"
+                ) from None
+        elif self.log_file.exists():
+            raise RunError(f"{self.path} holds a log.jsonl that is not a run's: choose another --output")
 
     def start(self, config: TrainConfig) -> None:
-        """Make a new run of an empty or missing folder.
+        """Make the folder a new run.
 
         Raises:
             RunError: the folder holds a run, or cannot be written.
         """
-        if self.config_file.exists():
-            raise RunError(f"{self.path} already holds a run: continue it with --resume, or choose another --output")
+        self.require_new()
+        with self._writing():
+            self.log_file.unlink(missing_ok=True)
         with replacing(self.config_file) as temporary:
             temporary.write_text(to_yaml(config), encoding="utf-8")
 
@@ -86,15 +106,19 @@ class RunFolder:
             raise RunError(f"{error}; mend the file or train anew") from error
 
     def append_log(self, entry: dict[str, Any]) -> None:
-        """Add a line to the log."""
-        with self.log_file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry) + "\n")
+        """Add a line to the log.
+
+        Raises:
+            RunError: the log cannot be written.
+        """
+        with self._writing(), self.log_file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry, allow_nan=False) + "\n")
 
     def cut_log(self, step: int) -> None:
         """Drop the lines behind a step, which a resumed run writes again."""
         if not self.log_file.exists():
             return
-        lines = self.log_file.read_text(encoding="utf-8").splitlines()
+        lines = self.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
         kept = [line for line in lines if _step_of(line) <= step]
         with replacing(self.log_file) as temporary:
             temporary.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
@@ -104,12 +128,13 @@ class RunFolder:
         """Hold the folder for this process; the system gives it back when the process ends, however it ends.
 
         Raises:
-            RunError: another process holds it.
+            RunError: another process holds it, or the folder cannot be made.
         """
-        self.path.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.path / ".lock")
         try:
-            lock.acquire(timeout=0)
+            with self._writing():
+                self.path.mkdir(parents=True, exist_ok=True)
+                lock.acquire(timeout=0)
         except Timeout:
             raise RunError(f"{self.path} is in use by another run: wait for it, or choose another --output") from None
         try:
@@ -118,11 +143,23 @@ class RunFolder:
             lock.release()
 
     def discard(self) -> None:
-        """Remove a run that never came to a checkpoint, and the folder if nothing else is in it."""
+        """Remove a run that never came to a checkpoint, and the folder if nothing else is in it; under the lock."""
         for name in ("config.yaml", "log.jsonl", ".lock"):
             (self.path / name).unlink(missing_ok=True)
         with suppress(OSError):  # something else is in it
             self.path.rmdir()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turn what the file system refuses into an error that the user can mend."""
+        try:
+            yield
+        except Timeout:
+            raise
+        except OSError as error:
+            raise RunError(
+                f"{self.path} cannot be written ({error.strerror or error}): free the place or choose another --output"
+            ) from error
 
 
 def _step_of(line: str) -> int:

@@ -139,7 +139,7 @@ def loss_terms(
         if image is not None and depth is not None and photo is not None:
             terms[name] = photometric_loss(image, photo.values, photo.valid, config.loss.dssim)
             if config.loss.smooth > 0:
-                smooth.append(smoothness_loss(image, depth, photo.values, extent, config.loss))
+                smooth.append(smoothness_loss(image, depth, photo.values, photo.valid, extent, config.loss))
     if smooth:
         terms["smooth"] = torch.stack(smooth).sum()
     if config.radiation is not None and "thermal" in terms:
@@ -197,4 +197,5 @@ def _thermal_error(rendering: Rendering, photos: Photos) -> float | None:
     if rendering.thermal is None or photos.thermal is None:
         return None
     error = (rendering.thermal.detach() - photos.thermal.values).abs()
-    return (error if photos.thermal.valid is None else error[photos.thermal.valid]).mean().item()
+    counted = error if photos.thermal.valid is None else error[photos.thermal.valid]
+    return counted.mean().item() if counted.numel() > 0 else None

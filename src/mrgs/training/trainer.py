@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import torch
 
 from mrgs.data import load_scene
-from mrgs.errors import RunError, SceneError, TrainingError
+from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
 from mrgs.render import Model
 from mrgs.scene import Scene
@@ -61,20 +60,21 @@ def train(
     if resume:
         folder.newest_checkpoint()
         config = folder.read_config()
-    elif folder.config_file.exists():
-        raise RunError(f"{folder.path} already holds a run: continue it with --resume, or choose another --output")
+    else:
+        folder.require_new()
     loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    try:
-        with folder.locked():
-            if not resume:
-                folder.start(config)
+    with folder.locked():
+        if not resume:
+            folder.start(config)
+        try:
+            trainer = _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume)
             if on_start is not None:
                 on_start(loaded, config)
-            _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume).run(stop_at, on_step)
-    except SceneError:  # a photo that cannot be decoded is found when its turn comes
-        if not folder.checkpoints():
-            folder.discard()
-        raise
+            trainer.run(stop_at, on_step)
+        except (SceneError, KeyboardInterrupt):  # a photo that cannot be decoded is found when its turn comes
+            if not folder.checkpoints():
+                folder.discard()
+            raise
     return folder
 
 
@@ -118,13 +118,14 @@ class _Trainer:
         self._photos = PhotoCache()
         self._skipped_steps = 0
         self._seconds_before = 0.0
+        self._peak_before = 0
         if resume:
             newest = folder.newest_checkpoint()
             facts = checkpoint.load_facts(newest)
-            if not math.isclose(facts.extent, scene.extent, rel_tol=1e-6):
-                raise RunError(f"{scene_path} has other cameras than the run's scene: resume with {facts.scene}")
-            self._state, _ = checkpoint.load_state(newest, config, len(scene.train))
+            checkpoint.require_same_scene(facts, scene)
+            self._state = checkpoint.load_state(newest, config, len(scene.train))
             self._seconds_before, self._skipped_steps = facts.train_seconds, facts.skipped_steps
+            self._peak_before = facts.peak_memory_bytes
             folder.cut_log(facts.step)
         else:
             self._state = initial_state(scene, config)
@@ -149,7 +150,11 @@ class _Trainer:
         if statistics.skipped:
             self._note_skipped(statistics)
         else:
-            control_density(state, self._config, self._extent)
+            counts = control_density(state, self._config, self._extent)
+            if counts is not None:
+                self._folder.append_log(
+                    {"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)}
+                )
             if len(state.model.gaussians) == 0:
                 raise TrainingError(
                     f"every Gaussian has turned transparent by step {state.step}: check the scene's poses and images"
@@ -164,9 +169,10 @@ class _Trainer:
         if self._state.skipped_in_a_row >= MAX_SKIPPED_IN_A_ROW:
             found = self._folder.checkpoints()
             kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
+            again = "Resume" if found else "Train anew"
             raise TrainingError(
                 f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step {statistics.step}; "
-                f"{kept}. Resume with a smaller learning rate, or check the scene's poses and images"
+                f"{kept}. {again} with a smaller learning rate, or check the scene's poses and images"
             )
 
     def _log(self, statistics: StepStatistics) -> None:
@@ -195,7 +201,7 @@ class _Trainer:
             extent=self._extent,
             temperature=self._scene.temperature,
             train_seconds=self._seconds(),
-            peak_memory_bytes=peak_memory_bytes(),
+            peak_memory_bytes=max(self._peak_before, peak_memory_bytes()),
             skipped_steps=self._skipped_steps,
         )
         checkpoint.save(self._folder.checkpoint_file(self._state.step), self._state, facts)

@@ -83,9 +83,9 @@ def row_range(splats, record, y0):
 @inlined_kernel()
 def log2_gaussian(splats, record, dx, dy):
     """log2 of the projected Gaussian G' at eight pixels of a row."""
-    along = broadcast(read(splats, record + splat.CONIC_XX)) * dx
-    linear = along + broadcast(read(splats, record + splat.CONIC_XY) * dy)
-    return linear * dx + broadcast(read(splats, record + splat.CONIC_YY) * dy * dy)
+    across = dx - broadcast(read(splats, record + splat.SHEAR) * dy)
+    along = broadcast(read(splats, record + splat.ALONG) * dy * dy)
+    return broadcast(read(splats, record + splat.ACROSS)) * across * across + along
 
 
 @inlined_kernel()

@@ -20,6 +20,8 @@ DILATION = contract.COVARIANCE_DILATION_PX2
 ALPHA_MIN = contract.ALPHA_MIN
 MARGIN = contract.FRUSTUM_MARGIN
 LOG2_E = 1.0 / math.log(2.0)
+LARGEST_PX = 1e9
+"""Gaussians that reach farther are left out, with those whose place or size is not a number."""
 
 
 @kernel()
@@ -128,15 +130,16 @@ def project(means, quats, scales, opacities, features, viewmat, K, width, height
         extent_x, extent_y = math.sqrt(reach * xx), math.sqrt(reach * yy)
         outside_x = mean_x + extent_x < 0.0 or mean_x - extent_x > width
         outside_y = mean_y + extent_y < 0.0 or mean_y - extent_y > height
-        if not math.isfinite(determinant) or determinant <= 0.0 or outside_x or outside_y:
+        is_usable = determinant > 0.0 and abs(mean_x) + abs(mean_y) + extent_x + extent_y < LARGEST_PX
+        if not is_usable or outside_x or outside_y:
             continue
         largest_variance = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
         radii[i] = max(math.sqrt(reach * largest_variance), 1e-6)
         splats[i, splat.MEAN_X] = mean_x
         splats[i, splat.MEAN_Y] = mean_y
-        splats[i, splat.CONIC_XX] = -0.5 * LOG2_E * yy / determinant
-        splats[i, splat.CONIC_XY] = LOG2_E * xy / determinant
-        splats[i, splat.CONIC_YY] = -0.5 * LOG2_E * xx / determinant
+        splats[i, splat.ACROSS] = -0.5 * LOG2_E * yy / determinant
+        splats[i, splat.SHEAR] = xy / yy
+        splats[i, splat.ALONG] = -0.5 * LOG2_E / yy
         splats[i, splat.THRESHOLD] = -0.5 * LOG2_E * reach
         splats[i, splat.DEPTH] = point[2]
         splats[i, splat.RGB] = opacities[i, 0]
@@ -145,19 +148,23 @@ def project(means, quats, scales, opacities, features, viewmat, K, width, height
         splats[i, splat.THERMAL] = opacities[i, 1]
         splats[i, splat.THERMAL + 1] = features[i, 3]
         splats[i, splat.EXTENT_Y] = extent_y
-        splats[i, splat.SHEAR] = xy / yy
         splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
 
 
 @kernel()
-def _conic_gradient_to_covariance(xx, xy, yy, grad_a, grad_b, grad_c):
-    """∂L/∂Σ' = −Q (∂L/∂Q) Q for the conic Q = Σ'⁻¹ = [[a, b], [b, c]]; ``grad_b`` is that of both b together."""
+def _screen_gradients(xx, xy, yy, g):
+    """∂L/∂μ' and ∂L/∂Σ' from the moments ``g`` of v = α ∂L/∂α = ∂L/∂(ln G').
+
+    With the conic Q = Σ'⁻¹ and d = pixel − μ', ln G' = −½ dᵀ Q d: so ∂L/∂μ' = Q Σ v d and
+    ∂L/∂Σ' = ½ Q (Σ v d dᵀ) Q.
+    """
     determinant = xx * yy - xy * xy
     a, b, c = yy / determinant, -xy / determinant, xx / determinant
-    half_b = 0.5 * grad_b
-    p0, p1 = a * grad_a + b * half_b, a * half_b + b * grad_c
-    q0, q1 = b * grad_a + c * half_b, b * half_b + c * grad_c
-    return -(p0 * a + p1 * b), -(p0 * b + p1 * c), -(q0 * b + q1 * c)
+    grad_mean = (a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY], b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY])
+    dxdx, dxdy, dydy = g[splat.GRAD_DXDX], g[splat.GRAD_DXDY], g[splat.GRAD_DYDY]
+    p0, p1 = a * dxdx + b * dxdy, a * dxdy + b * dydy
+    q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
+    return grad_mean, (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
 
 
 @kernel()
@@ -198,10 +205,9 @@ def _camera_point_gradient(point, viewmat, fx, fy, cx, cy, width, height, grad_m
 
 @kernel()
 def _geometry_gradient(
-    i, means, quats, scales, viewmat, K, width, height, grad_conic, grad_mean, grad_depth, grad_means, grad_quats,
-    grad_scales,
+    i, g, means, quats, scales, viewmat, K, width, height, grad_means, grad_quats, grad_scales, grad_means2d
 ):  # fmt: skip
-    """Chain the gradients of one splat back to the centre, rotation and scales of Gaussian i."""
+    """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian i."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     point = _to_camera(means, viewmat, i)
     u = _clamped_slope(point[0] / point[2], fx, cx, width)
@@ -211,8 +217,9 @@ def _geometry_gradient(
     p0, p1 = _row_times_matrix(m0, rotation), _row_times_matrix(m1, rotation)
     n0, n1 = _scaled(p0, scales, i), _scaled(p1, scales, i)
     xx, xy, yy = _covariance(n0, n1)
-    hxx, hxy, hyy = _conic_gradient_to_covariance(xx, xy, yy, grad_conic[0], grad_conic[1], grad_conic[2])
-    # N = M R S, ∂L/∂N = 2 H N
+    grad_mean, (hxx, hxy, hyy) = _screen_gradients(xx, xy, yy, g)
+    grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
+    # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
     gn0 = (2 * (hxx * n0[0] + hxy * n1[0]), 2 * (hxx * n0[1] + hxy * n1[1]), 2 * (hxx * n0[2] + hxy * n1[2]))
     gn1 = (2 * (hxy * n0[0] + hyy * n1[0]), 2 * (hxy * n0[1] + hyy * n1[1]), 2 * (hxy * n0[2] + hyy * n1[2]))
     for k in range(3):
@@ -228,7 +235,7 @@ def _geometry_gradient(
     grad_m0 = (_dot(gp0, rotation[0]), _dot(gp0, rotation[1]), _dot(gp0, rotation[2]))
     grad_m1 = (_dot(gp1, rotation[0]), _dot(gp1, rotation[1]), _dot(gp1, rotation[2]))
     px, py, pz = _camera_point_gradient(
-        point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, grad_depth
+        point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, g[splat.GRAD_DEPTH]
     )
     for k in range(3):
         grad_means[i, k] = viewmat[0, k] * px + viewmat[1, k] * py + viewmat[2, k] * pz
@@ -246,14 +253,13 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
 
 @parallel_kernel()
 def project_backward(
-    means, quats, scales, opacities, viewmat, K, width, height, splats, order, pair_grads, pair_positions, pair_starts,
+    means, quats, scales, opacities, viewmat, K, width, height, order, pair_grads, pair_positions, pair_starts,
     grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
 ):  # fmt: skip
     """Gather the gradient moments of each splat and chain them back to its Gaussian.
 
     Args:
-        splats: records in depth order, [V, 16].
-        order: Gaussian of each record, [V].
+        order: the Gaussian of each splat, in depth order, [V].
         pair_grads: moments per (tile, splat) pair, [P, 12].
         pair_positions, pair_starts: the pairs of splat r are pair_positions[pair_starts[r]:pair_starts[r + 1]].
         grad_*: filled for the Gaussians in ``order``; the rows of all others are left as they are.
@@ -263,13 +269,6 @@ def project_backward(
         i = order[rank]
         g = splat_grads[rank]
         _sum_over_tiles(pair_grads, pair_positions, pair_starts[rank], pair_starts[rank + 1], g)
-        a = splats[rank, splat.CONIC_XX] * (-2.0 / LOG2_E)
-        b = splats[rank, splat.CONIC_XY] * (-1.0 / LOG2_E)
-        c = splats[rank, splat.CONIC_YY] * (-2.0 / LOG2_E)
-        # ln G = −½(a dx² + 2b dx dy + c dy²), dx = pixel − μ'
-        grad_conic = (-0.5 * g[splat.GRAD_DXDX], -g[splat.GRAD_DXDY], -0.5 * g[splat.GRAD_DYDY])
-        grad_mean = (a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY], b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY])
-        grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
         for layer in range(2):
             if opacities[i, layer] > 0.0:
                 grad_opacities[i, layer] = g[splat.GRAD_LAYERS[layer]] / opacities[i, layer]
@@ -277,6 +276,5 @@ def project_backward(
             grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
         grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
         _geometry_gradient(
-            i, means, quats, scales, viewmat, K, width, height, grad_conic, grad_mean, g[splat.GRAD_DEPTH],
-            grad_means, grad_quats, grad_scales,
-        )  # fmt: skip
+            i, g, means, quats, scales, viewmat, K, width, height, grad_means, grad_quats, grad_scales, grad_means2d
+        )

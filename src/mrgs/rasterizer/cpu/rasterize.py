@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from mrgs.rasterizer.contract import Blend, Layer, Raster
 from mrgs.rasterizer.cpu import splat
@@ -30,7 +31,8 @@ class _FusedPass(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
         *tensors, viewmat, K, width, height = inputs
-        *gaussians, backgrounds, offset = (tensor.detach().contiguous().numpy() for tensor in tensors)
+        tensors = [tensor.contiguous() for tensor in tensors]
+        *gaussians, backgrounds, offset = (tensor.detach().numpy() for tensor in tensors)
         count = gaussians[0].shape[0]
         splats = np.empty((count, splat.SPLAT_FLOATS), np.float32)
         radii = np.empty(count, np.float32)
@@ -41,14 +43,18 @@ class _FusedPass(torch.autograd.Function):
         shapes = [shape for c in _SLOT_CHANNELS for shape in ((height, width, c), (height, width), (height, width))]
         images = [np.empty(shape, np.float32) for shape in shapes]
         blend(splats, lists.tile_splats, lists.tile_starts, backgrounds[:3], backgrounds[3:], *images)
-        ctx.saved = (gaussians, viewmat, K, splats, order, lists, images)
-        radii_tensor = torch.from_numpy(radii)
+        *outputs, radii_tensor = (torch.from_numpy(array) for array in (*images, radii))
         ctx.mark_non_differentiable(radii_tensor)
-        return (*(torch.from_numpy(image) for image in images), radii_tensor)
+        ctx.save_for_backward(*tensors[:5], *outputs)
+        ctx.walk = (viewmat, K, splats, order, lists)
+        return (*outputs, radii_tensor)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        gaussians, viewmat, K, splats, order, lists, images = ctx.saved
+        saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
+        gaussians, images = saved[:5], saved[5:]
+        viewmat, K, splats, order, lists = ctx.walk
         grad_images = [grad.contiguous().numpy() for grad in grads[:-1]]
         height, width = images[1].shape
         pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
@@ -57,8 +63,8 @@ class _FusedPass(torch.autograd.Function):
         grad_gaussians = [np.zeros_like(array) for array in gaussians]
         grad_offset = np.zeros((means.shape[0], 2), np.float32)
         project_backward(
-            means, quats, scales, opacities, viewmat, K, width, height, splats, order, pair_grads,
-            lists.pair_positions, lists.pair_starts, *grad_gaussians, grad_offset,
+            means, quats, scales, opacities, viewmat, K, width, height, order, pair_grads, lists.pair_positions,
+            lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
         # ∂L/∂background = Σ T_end g over the pixels
         grad_backgrounds = [np.tensordot(images[k + 2], grad_images[k], axes=2) for k in (0, 3)]
@@ -80,21 +86,32 @@ def rasterize(
     """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one of each, fused.
 
     Raises:
-        ValueError: layers that are neither of these, or tensors that are not float32.
+        ValueError: layers that are neither of these, or tensors of other types or sizes.
     """
     channels = [layer.features.shape[1] for layer in layers]
     if not channels or not set(channels) <= set(_SLOT_CHANNELS) or len(set(channels)) != len(channels):
         raise ValueError(f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}")
-    if means.dtype != torch.float32:
-        raise ValueError(f"the CPU rasterizer takes float32 tensors, not {means.dtype}")
     opacities, features, backgrounds = _merge_layers(dict(zip(channels, layers, strict=True)), means.shape[0])
     offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
+    _check(means, quats, scales, opacities, features, backgrounds, offset)
     *images, radii = _FusedPass.apply(
         means, quats, scales, opacities, features, backgrounds, offset,
         _float64(viewmat), _float64(K), width, height,
     )  # fmt: skip
     blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)
+
+
+def _check(means: Tensor, *others: Tensor) -> None:
+    """The kernels trust sizes and types, so nothing else may reach them."""
+    count = means.shape[0]
+    shapes = ((count, 3), (count, 4), (count, 3), (count, 2), (count, 4), (4,), (count, 2))
+    for tensor, shape in zip((means, *others), shapes, strict=True):
+        if tensor.dtype != torch.float32 or tensor.device.type != "cpu" or tensor.shape != shape:
+            raise ValueError(
+                f"the CPU rasterizer takes float32 tensors of matching sizes; got {tensor.dtype} "
+                f"{tuple(tensor.shape)} on {tensor.device.type} where {shape} is needed"
+            )
 
 
 def _to_blend(image: Tensor, depth: Tensor, transmittance: Tensor) -> Blend:

@@ -6,10 +6,14 @@ MEAN_X = 0
 MEAN_Y = 1
 """Projected centre μ' in pixels."""
 
-CONIC_XX = 2
-CONIC_XY = 3
-CONIC_YY = 4
-"""log2 of the Gaussian is CONIC_XX·dx² + CONIC_XY·dx·dy + CONIC_YY·dy²: Σ'⁻¹ times −log2(e)/2, cross terms added."""
+ACROSS = 2
+SHEAR = 3
+ALONG = 4
+"""log2 of the Gaussian is ACROSS·(dx − SHEAR·dy)² + ALONG·dy², a sum of two terms that are never positive.
+
+SHEAR is the dx of the ellipse's midline per dy. Written out as a quadratic form of dx and dy, the terms of a thin
+slanting Gaussian would cancel in float32.
+"""
 
 THRESHOLD = 5
 """log2 of the Gaussian at which α reaches 1/255 in the more opaque layer."""
@@ -17,13 +21,10 @@ THRESHOLD = 5
 EXTENT_Y = 6
 """Half the height in pixels of the ellipse α >= 1/255."""
 
-SHEAR = 7
-"""dx of the ellipse's midline per dy."""
-
-HALF_WIDTH = 8
+HALF_WIDTH = 7
 """Half the width of the ellipse along the line dy = 0, in pixels."""
 
-DEPTH = 9
+DEPTH = 8
 
 RGB = 10
 THERMAL = 14

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.errors import SceneError
+from mrgs.evaluation import evaluate_run, render_run
+from mrgs.evaluation.paths import orbit
+from mrgs.evaluation.pictures import to_rgb8
+from mrgs.render import render_view
+from mrgs.run import Run, load_run
+from mrgs.training import make_config, train
+
+
+@pytest.fixture
+def run(small_scene: Path, tmp_path: Path) -> Run:
+    return load_run(train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path)
+
+
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+def test_evaluating_writes_scores_and_a_sheet(run):
+    seen = []
+    metrics = evaluate_run(run, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 2), (2, 2)]
+    folder = run.folder.path / "eval"
+    document = json.loads((folder / "metrics.json").read_text())
+    assert document["mean"]["thermal"]["psnr"] == pytest.approx(metrics.thermal["psnr"])
+    assert (document["method"], document["steps"], document["gaussians"]) == ("mrgs", 3, len(run.model.gaussians))
+    assert document["train_seconds"] > 0
+    assert document["peak_memory_bytes"] > 2**20
+    assert pixels(folder / "contact_sheet.png").shape[1] > 1000
+    assert "PSNR" in (folder / "metrics.md").read_text()
+
+
+def test_rendered_temperatures_are_those_of_the_model(run):
+    folder = render_run(run, "eval")
+    view = run.load_scene().eval[0]
+    expected = run.temperatures_c(render_view(run.model, view)).numpy()
+    np.testing.assert_array_equal(pixels(folder / "temperature_c" / f"{view.name}.tiff"), expected)
+    assert pixels(folder / "rgb" / f"{view.name}.png").shape == (view.rgb.camera.height, view.rgb.camera.width, 3)
+
+
+def test_each_modality_has_its_own_frames_along_a_path(run):
+    folder = render_run(run, "path", frames=2)
+    cameras = orbit([view.cameras[0] for view in run.load_scene().train], 2)
+    for number, camera in enumerate(cameras):
+        frame = pixels(folder / "rgb" / f"{number:05d}.png")
+        np.testing.assert_array_equal(frame, to_rgb8(run.render(camera).rgb))
+        thermal = pixels(folder / "thermal" / f"{number:05d}.png")
+        assert thermal.shape == frame.shape
+        assert not np.array_equal(thermal, frame)
+
+
+def test_a_scene_without_held_out_views_cannot_be_scored(run, monkeypatch):
+    scene = run.load_scene()
+    monkeypatch.setattr(Run, "load_scene", lambda _: type(scene)(**{**vars(scene), "eval": ()}))
+    with pytest.raises(SceneError, match="no views are held out"):
+        evaluate_run(run)
+    assert not (run.folder.path / "eval").exists()

@@ -1,0 +1,490 @@
+"""The command line as its user sees it: what is printed, what is written, and how it ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from filelock import FileLock
+from PIL import Image
+from safetensors.torch import save_file
+
+from mrgs import cli
+from mrgs.cli import main
+
+TINY = ("--max-steps", "3", "--max-gaussians", "100")
+TRAINED = "frame_train_00003.png"
+"""A training image of the scene in tests/conftest.py."""
+
+Damage = Callable[[Path], object]
+
+
+@pytest.fixture(scope="module")
+def trained(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run; only to be read."""
+    output = tmp_path_factory.mktemp("runs") / "run"
+    assert main(["train", str(small_scene), "--output", str(output), *TINY]) == 0
+    return output
+
+
+@pytest.fixture
+def own_run(trained: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run, to be damaged."""
+    return shutil.copytree(trained, tmp_path / "own run")
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def refused(capsys: pytest.CaptureFixture[str], message: str, *arguments: object) -> None:
+    """The command ends with code 2 and exactly one line on stderr, which matches ``message``."""
+    capsys.readouterr()
+    assert run(*arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("mrgs: error: ")
+    assert error.count("\n") == 1
+    assert error.endswith("\n")
+    assert re.search(message, error), error
+
+
+def edit_json(path: Path, change: Callable[[dict], object]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def transforms(change: Callable[[dict], object]) -> Damage:
+    return lambda scene: edit_json(scene / "transforms.json", change)
+
+
+def cut_off(name: str) -> Damage:
+    return lambda scene: (scene / name).write_bytes((scene / name).read_bytes()[:200])
+
+
+def set_pose(entry: float) -> Damage:
+    def change(content: dict) -> None:
+        content["frames"][1]["transform_matrix"][0][0] = entry
+
+    return transforms(change)
+
+
+def hold_everything_out(content: dict) -> None:
+    content.update(train_filenames=[], val_filenames=[frame["file_path"] for frame in content["frames"]])
+
+
+BAD_SCENES: dict[str, tuple[Damage, str]] = {
+    "folder missing": (shutil.rmtree, r"scene: is not a folder; give the folder that holds the scene"),
+    "transforms missing": (
+        lambda scene: (scene / "transforms.json").unlink(),
+        r"scene: no scene found; looked for transforms\.json.*give the folder that holds one",
+    ),
+    "transforms damaged": (
+        lambda scene: (scene / "transforms.json").write_text("{"),
+        r"transforms\.json: is not valid JSON.*repair or export it again",
+    ),
+    "no frames": (transforms(lambda content: content.update(frames=[])), r"\"frames\" is \[\].*export the file again"),
+    "image missing": (
+        lambda scene: (scene / "images" / TRAINED).unlink(),
+        rf"transforms\.json: the image 'images/{TRAINED}' of frame 3 is missing; restore it or remove the frame",
+    ),
+    "image truncated": (cut_off(f"images/{TRAINED}"), rf"{TRAINED}: cannot be decoded.*truncated.*replace the file"),
+    "thermal truncated": (cut_off(f"thermal/{TRAINED}"), rf"thermal/{TRAINED}: cannot be decoded"),
+    "image of another size": (
+        lambda scene: Image.new("RGB", (20, 10)).save(scene / "images" / TRAINED),
+        rf"{TRAINED}: is 20×10 px, but its intrinsics are for 40×30 px; resize the image or correct the intrinsics",
+    ),
+    "large image": (
+        lambda scene: Image.new("1", (10_000, 9_500)).save(scene / "images" / TRAINED),
+        rf"{TRAINED}: has more than 80 megapixels; reduce it before use",
+    ),
+    "decompression bomb": (
+        lambda scene: Image.new("1", (20_000, 10_000)).save(scene / "images" / TRAINED),
+        rf"{TRAINED}: has more than 80 megapixels; reduce it before use",
+    ),
+    "NaN in a pose": (
+        set_pose(float("nan")),
+        r"transforms\.json: transform_matrix of frame 1 .*NaN.*correct it or remove the frame",
+    ),
+    "scaled pose": (set_pose(3.0), r"transform_matrix of frame 1 .* is not a rotation and a translation"),
+    "zero focal length": (
+        transforms(lambda content: content.update(fl_x=0)),
+        r"transforms\.json: the focal length of frame 0 .*must be positive: correct it",
+    ),
+    "no training views": (
+        transforms(hold_everything_out),
+        r"transforms\.json: no view is left for training; check the split lists and the file names",
+    ),
+    "path leaves": (
+        transforms(lambda content: content["frames"][1].update(file_path="../../secret.png")),
+        r"the path '../../secret\.png' leaves the scene folder; put the file inside",
+    ),
+    "absolute path": (
+        transforms(lambda content: content["frames"][1].update(file_path="/etc/secret.png")),
+        r"the path '/etc/secret\.png' leaves the scene folder",
+    ),
+    "one temperature": (
+        lambda scene: edit_json(scene / "temperature_bounds.json", lambda c: c.update(absolute_min_temperature=30)),
+        r"temperature_bounds\.json: not a temperature range in °C: 30\.0 to 30\.0; correct the temperatures",
+    ),
+    "start points damaged": (lambda scene: (scene / "sparse_pc.ply").write_text("ply\n"), r"sparse_pc\.ply: .*export"),
+}
+
+
+@pytest.mark.filterwarnings("default")  # as at the terminal, where another library's warning would be a second line
+@pytest.mark.parametrize(("damage", "message"), BAD_SCENES.values(), ids=BAD_SCENES)
+def test_a_bad_scene_is_one_line_and_leaves_nothing(damage, message, make_scene, tmp_path, capsys):
+    scene = make_scene()
+    damage(scene)
+    refused(capsys, message, "train", scene, "--output", tmp_path / "run", *TINY)
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_stood_in_the_output_folder_stays(make_scene, tmp_path, capsys):
+    scene, output = make_scene(), tmp_path / "run"
+    cut_off(f"images/{TRAINED}")(scene)
+    output.mkdir()
+    (output / "notes.txt").write_text("mine")
+    refused(capsys, "cannot be decoded", "train", scene, "--output", output, *TINY)
+    assert [path.name for path in output.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--method", "nerf"), "there is no method 'nerf': choose one of mrgs, mrgs-base"),
+        (("--preset", "slow"), "there is no preset 'slow': choose one of fast, default, paper"),
+        (("--max-steps", 0), "max_steps must be at least 1, not 0"),
+        (("--max-gaussians", 0), "max_gaussians must be at least 1"),
+        (("--resolution", 3), "resolution must be at least 16 px, not 3"),
+        (("--seed", -1), "the seed must be from 0 to 4,294,967,295, not -1"),
+        (("--seed", 2**70), "the seed must be from 0 to"),
+        (("--config", "nowhere.yaml"), r"nowhere\.yaml cannot be read \(No such file or directory\): name a text file"),
+        (("--config", "/"), r"/ cannot be read \(Is a directory\)"),
+    ],
+)
+def test_a_bad_option_is_one_line_and_leaves_nothing(options, message, small_scene, tmp_path, capsys):
+    refused(capsys, message, "train", small_scene, "--output", tmp_path / "run", *options)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_malformed_option_is_refused_by_name(small_scene, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run("train", small_scene, "--max-steps", "many")
+    assert "--max-steps" in capsys.readouterr().err
+
+
+def test_swapped_bounds_are_mended_and_said_once(make_scene, tmp_path, capsys):
+    scene = make_scene()
+    bounds = {"absolute_min_temperature": 30.0, "absolute_max_temperature": 10.0}
+    (scene / "temperature_bounds.json").write_text(json.dumps(bounds))
+    assert run("train", scene, "--output", tmp_path / "run", *TINY) == 0
+    said = "scene: temperature_bounds.json has its bounds swapped; 10 °C to 30 °C is used."
+    printed = capsys.readouterr()
+    assert printed.err == f"mrgs: note: {said}\n"
+    assert "bounds swapped" not in printed.out
+    assert " °C | " in printed.out
+
+
+def test_without_bounds_it_trains_without_celsius_and_says_so(make_scene, tmp_path, capsys):
+    scene, output = make_scene(), tmp_path / "run"
+    (scene / "temperature_bounds.json").unlink()
+    assert run("train", scene, "--output", output, *TINY) == 0
+    printed = capsys.readouterr()
+    assert "There is no temperature_bounds.json: thermal values are relative, and °C are not known." in printed.err
+    assert "(no °C)" in printed.out
+    assert run("eval", output) == 0
+    assert "°C" not in capsys.readouterr().out
+    assert json.loads((output / "eval" / "metrics.json").read_text())["mean"]["thermal"]["mae_c"] is None
+    assert run("render", output) == 0
+    assert (output / "renders" / "eval" / "thermal_normalised" / "frame_eval_00002.tiff").is_file()
+    assert not (output / "renders" / "eval" / "temperature_c").exists()
+
+
+def test_an_output_folder_in_use_is_left_alone(small_scene, tmp_path, capsys):
+    output = tmp_path / "run"
+    output.mkdir()
+    with FileLock(output / ".lock"):
+        message = "run is in use by another run: wait for it, or choose another --output"
+        refused(capsys, message, "train", small_scene, "--output", output, *TINY)
+    assert not (output / "config.yaml").exists()
+
+
+def test_an_output_folder_that_holds_a_run_is_left_alone(own_run, small_scene, capsys):
+    before = (own_run / "log.jsonl").read_bytes()
+    message = "own run already holds a run: continue it with --resume, or choose another --output"
+    refused(capsys, message, "train", small_scene, "--output", own_run, *TINY)
+    assert (own_run / "log.jsonl").read_bytes() == before
+
+
+def test_a_run_that_died_before_its_first_checkpoint_can_be_begun_anew(own_run, small_scene):
+    shutil.rmtree(own_run / "checkpoints")
+    assert run("train", small_scene, "--output", own_run, *TINY) == 0
+
+
+@pytest.mark.parametrize("name", ["file", "file/run"])
+def test_an_output_folder_that_cannot_be_made_is_named(name, small_scene, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    message = rf"{name} cannot be written \(.*\): .*choose another --output"
+    refused(capsys, message, "train", small_scene, "--output", tmp_path / name, *TINY)
+
+
+def cut_checkpoint(folder: Path) -> None:
+    checkpoint = next((folder / "checkpoints").iterdir())
+    checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
+
+
+BAD_RUNS: dict[str, tuple[Damage, str]] = {
+    "missing": (shutil.rmtree, r"own run is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote"),
+    "no configuration": (lambda folder: (folder / "config.yaml").unlink(), r"is not a run: it has no config\.yaml"),
+    "not YAML": (
+        lambda folder: (folder / "config.yaml").write_text("max_steps: [1"),
+        r"config\.yaml is not valid YAML.*mend the file or train anew",
+    ),
+    "bad value": (
+        lambda folder: (folder / "config.yaml").write_text("max_steps: 0"),
+        r"config\.yaml: max_steps must be at least 1, not 0; mend the file or train anew",
+    ),
+    "no text": (lambda folder: (folder / "config.yaml").write_bytes(b"\xff\xfe\0"), r"its config\.yaml cannot be read"),
+    "no checkpoint": (lambda folder: shutil.rmtree(folder / "checkpoints"), "own run has no checkpoint yet"),
+    "checkpoint truncated": (cut_checkpoint, r"step_000003\.safetensors is not a whole checkpoint: delete it"),
+}
+
+
+@pytest.mark.parametrize(("damage", "message"), BAD_RUNS.values(), ids=BAD_RUNS)
+def test_a_bad_run_is_one_line_for_every_command(damage, message, own_run, small_scene, capsys):
+    damage(own_run)
+    for arguments in (("train", small_scene, "--resume", "--output", own_run), ("eval", own_run), ("render", own_run)):
+        refused(capsys, message, *arguments)
+    assert not (own_run / "eval").exists()
+    assert not (own_run / "renders").exists()
+    assert capsys.readouterr().out == ""
+
+
+def test_a_scene_that_has_moved_is_named(make_scene, tmp_path, capsys):
+    scene, output = make_scene(), tmp_path / "run"
+    run("train", scene, "--output", output, *TINY)
+    scene.rename(tmp_path / "elsewhere")
+    for command in ("eval", "render"):
+        refused(
+            capsys, r"/scene: the scene that .*/run was trained on is no longer there; move it back", command, output
+        )
+    refused(capsys, "elsewhere2: is not a folder", "train", tmp_path / "elsewhere2", "--resume", "--output", output)
+    assert run("train", tmp_path / "elsewhere", "--resume", "--output", output) == 0
+
+
+def test_without_eval_views_there_is_nothing_to_score(make_scene, tmp_path, capsys):
+    scene, output = make_scene(), tmp_path / "run"
+    edit_json(scene / "transforms.json", lambda content: content.update(val_filenames=[]))
+    run("train", scene, "--output", output, *TINY)
+    refused(capsys, "/scene: no views are held out, so there is nothing to score; put 'eval' into", "eval", output)
+    assert not (output / "eval").exists()
+    refused(capsys, "/scene: no views are held out; choose --split train or --split path", "render", output)
+    assert not (output / "renders").exists()
+
+
+def test_bad_lpips_weights_are_named(trained, tmp_path, capsys):
+    file = tmp_path / "weights.safetensors"
+    refused(
+        capsys, r"weights\.safetensors: no such file; --lpips-weights takes", "eval", trained, "--lpips-weights", file
+    )
+    file.write_bytes(b"PK\x03\x04" * 100)
+    refused(capsys, r"weights\.safetensors: not a readable safetensors", "eval", trained, "--lpips-weights", file)
+    save_file({"x": torch.zeros(1)}, file)
+    refused(capsys, r"features\.0\.weight is missing", "eval", trained, "--lpips-weights", file)
+
+
+def test_a_path_needs_frames(own_run, capsys):
+    refused(
+        capsys, "a camera path needs at least one frame, got 0", "render", own_run, "--split", "path", "--frames", 0
+    )
+    assert not (own_run / "renders").exists()
+
+
+def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
+    pytest.importorskip("mitsuba")
+    refused(capsys, "balls holds a scene already: delete it, or choose another folder", "synth", small_scene)
+    refused(capsys, "the seed must be from 0 to 1,000,000, not -1", "synth", tmp_path / "new", "--seed", -1)
+    refused(capsys, "images of 15×240 cannot be generated: choose even", "synth", tmp_path / "new", "--width", 15)
+    assert not (tmp_path / "new").exists()
+
+
+def test_synth_without_mitsuba_says_how_to_get_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    refused(capsys, r'needs Mitsuba 3: pip install "mrgs\[synth\]"', "synth", tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def interrupt(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
+    """Press Ctrl-C when the training starts."""
+    start = cli._TrainingProgress.start
+
+    def pressed(self, *arguments):
+        start(self, *arguments)
+        for _ in range(times):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(cli._TrainingProgress, "start", pressed)
+
+
+def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, monkeypatch, capsys):
+    output = tmp_path / "my run"
+    before = signal.getsignal(signal.SIGINT)
+    with monkeypatch.context() as patch:
+        interrupt(patch, times=1)
+        assert run("train", small_scene, "--output", output, *TINY) == 130
+    printed = capsys.readouterr()
+    assert f"a checkpoint is kept; go on with: mrgs train {small_scene} --output '{output}' --resume" in printed.out
+    assert "stopping after this step" in printed.err
+    assert printed.err.endswith("mrgs: stopped\n")
+    assert signal.getsignal(signal.SIGINT) is before
+    assert [path.name for path in (output / "checkpoints").iterdir()] == ["step_000001.safetensors"]
+    assert run("train", small_scene, "--output", output, "--resume") == 0
+    assert f"score it:  mrgs eval '{output}'" in capsys.readouterr().out
+    assert (output / "checkpoints" / "step_000003.safetensors").is_file()
+
+
+def test_ctrl_c_in_the_last_step_is_a_finished_run(small_scene, tmp_path, monkeypatch, capsys):
+    interrupt(monkeypatch, times=1)
+    assert run("train", small_scene, "--output", tmp_path / "run", "--max-steps", 1, "--max-gaussians", 100) == 0
+    assert "trained:" in capsys.readouterr().out
+
+
+def test_a_second_ctrl_c_stops_at_once_and_leaves_nothing(small_scene, tmp_path, monkeypatch, capsys):
+    interrupt(monkeypatch, times=2)
+    assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 130
+    assert capsys.readouterr().err.endswith("mrgs: stopped\n")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_path):
+    command = [sys.executable, "-m", "mrgs.cli", "train", str(small_scene), "--output", str(tmp_path / "run")]
+    options = ["--max-steps", "1000000", "--max-gaussians", "100"]
+    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        while "compiles the kernels" not in process.stdout.readline():
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=300)
+    assert process.returncode == 130
+    assert "go on with: mrgs train" in out
+    assert "Traceback" not in error
+    again = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert (again.returncode, again.stdout) == (2, "")
+    assert re.fullmatch(r"mrgs: error: .*already holds a run.*\n", again.stderr)
+
+
+SCENES = {"both": {}, "two cameras": {"two_cameras": True}, "thermal": {"rgb": False}, "RGB": {"thermal": False}}
+
+
+@pytest.mark.parametrize("kind", [*SCENES, "masks"])
+def test_train_eval_and_render(kind, make_scene, tmp_path, capsys):
+    scene, output = make_scene(**SCENES.get(kind, {})), tmp_path / "run"
+    if kind == "masks":
+        mask = np.full((30, 40), 255, np.uint8)
+        mask[:, :10] = 0
+        for folder, images in (("masks", "images"), ("thermal_masks", "thermal")):
+            (scene / folder).mkdir()
+            for image in (scene / images).iterdir():
+                Image.fromarray(mask).save(scene / folder / image.name)
+    has_rgb, has_thermal = kind != "thermal", kind != "RGB"
+    assert run("train", scene, "--output", output, *TINY) == 0
+    assert "scene: 6 training views, 2 held out, 25 start points" in capsys.readouterr().out
+    assert run("eval", output) == 0
+    printed = capsys.readouterr()
+    assert ("thermal: PSNR" in printed.out, "RGB:     PSNR" in printed.out) == (has_thermal, has_rgb)
+    assert bool(re.search(r"MAE \d+\.\d{3} °C", printed.out)) == has_thermal
+    assert {path.name for path in (output / "eval").iterdir()} == {"metrics.json", "metrics.md", "contact_sheet.png"}
+    assert len(json.loads((output / "eval" / "metrics.json").read_text())["views"]) == 2
+    assert run("render", output, "--palette", "iron") == 0
+    check_renders(output / "renders" / "eval", has_rgb, has_thermal)
+    assert run("render", output, "--split", "path", "--frames", 2) == 0
+    folders = {"rgb"} & {"rgb" if has_rgb else ""} | {"thermal"} & {"thermal" if has_thermal else ""}
+    path = output / "renders" / "path"
+    assert {folder.name for folder in path.iterdir() if folder.is_dir()} == folders
+    for folder in folders:
+        assert sorted(frame.name for frame in (path / folder).iterdir()) == ["00000.png", "00001.png"]
+    assert capsys.readouterr().err == ""
+
+
+def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
+    """Every image of a view, of the right kind, and none of what the scene does not have."""
+    view = "frame_eval_00002"
+    kinds = {"rgb": has_rgb, "depth_rgb": has_rgb}
+    kinds |= {"thermal": has_thermal, "temperature_c": has_thermal, "depth_thermal": has_thermal}
+    assert {path.name for path in folder.iterdir()} == {name for name, there in kinds.items() if there}
+    if has_rgb:
+        with Image.open(folder / "rgb" / f"{view}.png") as image:
+            assert (image.mode, image.size) == ("RGB", (40, 30))
+    if has_thermal:
+        with Image.open(folder / "temperature_c" / f"{view}.tiff") as image:
+            celsius = np.asarray(image)
+        assert (celsius.dtype, celsius.shape) == (np.float32, (30, 40))
+        assert 10 <= celsius.min() < celsius.max() < 40
+    with Image.open(folder / ("depth_rgb" if has_rgb else "depth_thermal") / f"{view}.tiff") as image:
+        depth = np.asarray(image)
+    assert (depth.dtype, depth.shape) == (np.float32, (30, 40))
+    assert 0 < depth.max() < 10
+
+
+def test_a_transforms_file_names_the_scene_too(make_scene, tmp_path, monkeypatch, capsys):
+    scene = make_scene()
+    monkeypatch.chdir(tmp_path)
+    assert run("train", scene / "transforms.json", *TINY) == 0
+    assert run("eval", "runs/scene-mrgs") == 0
+    assert json.loads(Path("runs/scene-mrgs/eval/metrics.json").read_text())["scene"] == "scene"
+
+
+def test_progress_is_plain_lines_where_there_is_no_terminal(small_scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cli, "PLAIN_LINE_EVERY_S", 0.0)
+    assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
+    printed = capsys.readouterr().out
+    assert "\r" not in printed
+    assert "\033" not in printed
+    lines = [line for line in printed.splitlines() if line.startswith("step ")]
+    assert [line.split(" | ")[0] for line in lines] == ["step 1/3", "step 2/3", "step 3/3"]
+    assert re.search(r"\| loss 0\.\d{4} \| thermal \d+\.\d\d °C \| 25 Gaussians", lines[0])
+    assert re.search(r"step 3/3 \| 0:00 left \|.* steps/s$", lines[-1])
+
+
+def test_progress_is_one_line_on_a_terminal(small_scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "40")
+    assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
+    shown = next(line for line in capsys.readouterr().out.split("\n") if "\r" in line)
+    parts = shown.split("\r")[1:]
+    assert parts[-1].startswith("step 3/3")
+    assert all(part.endswith("\033[K") and len(part) <= 39 + 3 for part in parts)
+    assert run("eval", tmp_path / "run") == 0
+    assert "\rscoring 1/2\rscoring 2/2\n" in capsys.readouterr().out
+
+
+def test_time_left_is_readable():
+    assert [cli._duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == ["0:00", "1:15", "1:00:00", "12:34:56"]
+
+
+@pytest.mark.parametrize("command", [cli.Demo, cli.Train, cli.Eval, cli.Render, cli.Synth])
+def test_help_explains_every_option(command, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        run(command.__name__.lower(), "--help")
+    text = capsys.readouterr().out
+    for field in dataclasses.fields(command):
+        positional = field.default is dataclasses.MISSING
+        assert ("positional arguments" if positional else "--" + field.name.replace("_", "-")) in text
+
+
+def test_help_lists_the_commands(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        run("--help")
+    text = capsys.readouterr().out
+    assert all(name in text for name in ("demo", "train", "eval", "render", "synth"))
