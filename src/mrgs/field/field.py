@@ -15,7 +15,6 @@ from mrgs.field.heat import FourierHeatTransformation
 from mrgs.field.spherical_harmonics import C0, evaluate_sh
 from mrgs.scene.gaussians import Gaussians
 
-
 MAX_NEIGHBOURS_N = 16
 """255 neighbours of each Gaussian; the paper stops at 48."""
 
