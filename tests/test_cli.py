@@ -19,7 +19,7 @@ from filelock import FileLock
 from PIL import Image
 from safetensors.torch import save_file
 
-from mrgs import cli
+from mrgs import cli, terminal
 from mrgs.cli import main
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")
@@ -277,8 +277,9 @@ def test_a_scene_that_has_moved_is_named(make_scene, tmp_path, capsys):
     scene.rename(tmp_path / "elsewhere")
     for command in ("eval", "render"):
         refused(
-            capsys, r"/scene: the scene that .*/run was trained on is no longer there; move it back", command, output
+            capsys, r"/scene: the scene that .*/run was trained on is no longer there; say where it is", command, output
         )
+    assert run("eval", output, "--scene", tmp_path / "elsewhere") == 0
     refused(capsys, "elsewhere2: is not a folder", "train", tmp_path / "elsewhere2", "--resume", "--output", output)
     assert run("train", tmp_path / "elsewhere", "--resume", "--output", output) == 0
 
@@ -327,14 +328,14 @@ def test_synth_without_mitsuba_says_how_to_get_it(tmp_path, monkeypatch, capsys)
 
 def interrupt(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
     """Press Ctrl-C when the training starts."""
-    start = cli._TrainingProgress.start
+    start = terminal.TrainingProgress.start
 
     def pressed(self, *arguments):
         start(self, *arguments)
         for _ in range(times):
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(cli._TrainingProgress, "start", pressed)
+    monkeypatch.setattr(terminal.TrainingProgress, "start", pressed)
 
 
 def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, monkeypatch, capsys):
@@ -446,7 +447,7 @@ def test_a_transforms_file_names_the_scene_too(make_scene, tmp_path, monkeypatch
 
 
 def test_progress_is_plain_lines_where_there_is_no_terminal(small_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(cli, "PLAIN_LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(terminal, "PLAIN_LINE_EVERY_S", 0.0)
     assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
     printed = capsys.readouterr().out
     assert "\r" not in printed
@@ -470,7 +471,12 @@ def test_progress_is_one_line_on_a_terminal(small_scene, tmp_path, monkeypatch, 
 
 
 def test_time_left_is_readable():
-    assert [cli._duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == ["0:00", "1:15", "1:00:00", "12:34:56"]
+    assert [terminal._duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == [
+        "0:00",
+        "1:15",
+        "1:00:00",
+        "12:34:56",
+    ]
 
 
 @pytest.mark.parametrize("command", [cli.Demo, cli.Train, cli.Eval, cli.Render, cli.Synth])

@@ -4,32 +4,19 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
-import signal
 import sys
-import time
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from mrgs.errors import ConfigError, MrgsError, MrgsWarning
-
-if TYPE_CHECKING:
-    from mrgs.evaluation import Metrics
-    from mrgs.run import Run
-    from mrgs.scene import Scene
-    from mrgs.training import StepStatistics, TrainConfig
+from mrgs.errors import ConfigError, MrgsError
+from mrgs.terminal import TrainingProgress, counter, plain_warnings, print_metrics
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
-
-PLAIN_LINE_EVERY_S = 10.0
-"""Between progress lines where the output is not a terminal."""
 
 MAX_TRAIN_SEED = 2**32 - 1
 MAX_SYNTH_SEED = 1_000_000
@@ -72,6 +59,8 @@ class Eval:
 
     run: tyro.conf.Positional[Path]
     """The run's folder."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
     lpips_weights: Path | None = None
     """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
 
@@ -82,6 +71,8 @@ class Render:
 
     run: tyro.conf.Positional[Path]
     """The run's folder."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
     split: Literal["eval", "train", "path"] = "eval"
     """The eval views, the training views, or a camera path around the scene (frames, and video where installed)."""
     palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
@@ -144,7 +135,7 @@ def main(argv: list[str] | None = None) -> int:
         Demo: _demo,
         Synth: _synth,
     }
-    with _plain_warnings():
+    with plain_warnings():
         try:
             handlers[type(command)](command)
         except MrgsError as error:
@@ -170,7 +161,7 @@ def _train(command: Train) -> None:
     _check_seed(config.seed, MAX_TRAIN_SEED)
     folder = command.scene.parent if command.scene.is_file() else command.scene
     output = command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
-    progress = _TrainingProgress()
+    progress = TrainingProgress()
     with progress:
         train(
             command.scene,
@@ -192,9 +183,9 @@ def _eval(command: Eval) -> None:
     from mrgs.evaluation import evaluate_run
     from mrgs.run import load_run
 
-    run = load_run(command.run)
-    metrics = evaluate_run(run, command.lpips_weights, _counter("scoring"))
-    _print_metrics(run, metrics)
+    run = load_run(command.run, command.scene)
+    metrics = evaluate_run(run, command.lpips_weights, counter("scoring"))
+    print_metrics(run, metrics)
     print(f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: {command.run / 'eval' / 'contact_sheet.png'}")
 
 
@@ -202,12 +193,13 @@ def _render(command: Render) -> None:
     from mrgs.evaluation import render_run
     from mrgs.run import load_run
 
-    folder = render_run(load_run(command.run), command.split, command.palette, command.frames, _counter("rendering"))
+    run = load_run(command.run, command.scene)
+    folder = render_run(run, command.split, command.palette, command.frames, counter("rendering"))
     print(f"images: {folder}")
 
 
 def _demo(command: Demo) -> None:
-    started = (command.output / "config.yaml").exists()
+    started = any((command.output / "checkpoints").glob("*.safetensors"))
     _train(Train(scene=_bundled_scene(), output=command.output, preset="fast", resume=started))
     _eval(Eval(run=command.output))
     _render(Render(run=command.output))
@@ -226,7 +218,7 @@ def _synth(command: Synth) -> None:
         eval_views=command.eval_views,
         samples=command.samples,
         seed=command.seed,
-        progress=_counter("photographing"),
+        progress=counter("photographing"),
     )
     print(f"scene: {command.output}")
 
@@ -252,149 +244,6 @@ def _bundled_scene() -> Path:
         if (folder / "tabletop" / "transforms.json").is_file():
             return folder / "tabletop"
     raise ConfigError("the bundled scene is not installed: run `mrgs demo` from a checkout, or reinstall mrgs")
-
-
-@contextmanager
-def _plain_warnings() -> Iterator[None]:
-    """Show what was mended or left out as one line each, and each once."""
-    shown: set[str] = set()
-
-    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        if str(message) in shown:
-            return
-        shown.add(str(message))
-        print(f"mrgs: note: {message}" if issubclass(category, MrgsWarning) else f"warning: {message}", file=sys.stderr)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", MrgsWarning)
-        warnings.showwarning = show
-        yield
-
-
-def _counter(verb: str) -> Callable[[int, int], None]:
-    """A progress callback: one line that counts up on a terminal, a line at the end elsewhere."""
-
-    def show(done: int, total: int) -> None:
-        if sys.stdout.isatty():
-            print(f"\r{verb} {done}/{total}", end="\n" if done == total else "", flush=True)
-        elif done == total:
-            print(f"{verb} {done}/{total}")
-
-    return show
-
-
-class _TrainingProgress:
-    """The line that follows a training: step, time left, loss, °C, Gaussians, speed.
-
-    The first Ctrl-C ends the training after the step, the second at once.
-    """
-
-    def __init__(self) -> None:
-        self.unfinished = False
-        self._interrupted = False
-        self._span_c: float | None = None
-        self._max_steps = 0
-        self._first_step: int | None = None
-        self._started = self._last_line = time.perf_counter()
-        self._smoothed: dict[str, float] = {}
-        self._terminal = sys.stdout.isatty()
-        self._previous_handler: Any = None
-
-    def __enter__(self) -> None:
-        def stop(*_: Any) -> None:
-            if self._interrupted:
-                raise KeyboardInterrupt
-            self._interrupted = True
-            print("\nmrgs: stopping after this step; Ctrl-C again stops at once, without a checkpoint", file=sys.stderr)
-
-        self._previous_handler = signal.signal(signal.SIGINT, stop)
-
-    def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous_handler)
-        if self._terminal and self._first_step is not None:
-            print()
-
-    def start(self, scene: Scene, config: TrainConfig) -> None:
-        """Say what will be trained, and the memory that it will need."""
-        from mrgs.training import estimate_bytes
-
-        self._max_steps = config.max_steps
-        self._span_c = None if scene.temperature is None else scene.temperature.span_c
-        print(
-            f"{scene.name}: {len(scene.train)} training views, {len(scene.eval)} held out, "
-            f"{len(scene.points.positions):,} start points"
-        )
-        for note in scene.notes:  # what was mended has been shown already, in the same words
-            warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
-        print(
-            f"{config.method}, {config.max_steps:,} steps, at most {config.densification.max_gaussians:,} Gaussians, "
-            f"about {estimate_bytes(scene, config) / 2**30:.1f} GiB of memory"
-        )
-        print("The first run on a machine compiles the kernels, which takes up to a minute.", flush=True)
-
-    def step(self, statistics: StepStatistics) -> bool:
-        """Show a step; True asks the training to stop."""
-        now = time.perf_counter()
-        if self._first_step is None:
-            # The first step compiles and reads; it would spoil the speed.
-            self._first_step, self._started = statistics.step, now
-        self._smooth("loss", statistics.loss)
-        if statistics.thermal_error is not None:
-            self._smooth("thermal", statistics.thermal_error)
-        interval = 0.2 if self._terminal else PLAIN_LINE_EVERY_S
-        self.unfinished = self._interrupted and statistics.step < self._max_steps
-        if now - self._last_line >= interval or statistics.step == self._max_steps or self.unfinished:
-            self._last_line = now
-            line = self._line(statistics, now)
-            if self._terminal:  # a line that wraps would stay
-                line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\033[K"
-            print(line, end="" if self._terminal else "\n", flush=True)
-        return self.unfinished
-
-    def _line(self, statistics: StepStatistics, now: float) -> str:
-        thermal = self._smoothed.get("thermal")
-        parts = [f"step {statistics.step:,}/{self._max_steps:,}"]
-        steps = statistics.step - (self._first_step or 0)
-        speed = steps / (now - self._started) if steps > 0 and now > self._started else None
-        if speed is not None:
-            parts.append(f"{_duration((self._max_steps - statistics.step) / speed)} left")
-        if "loss" in self._smoothed:
-            parts.append(f"loss {self._smoothed['loss']:.4f}")
-        if thermal is not None:
-            parts.append(
-                f"thermal {thermal:.4f} (no °C)" if self._span_c is None else f"thermal {thermal * self._span_c:.2f} °C"
-            )
-        parts.append(f"{statistics.gaussians:,} Gaussians")
-        if speed is not None:
-            parts.append(f"{speed:.1f} steps/s")
-        return " | ".join(parts)
-
-    def _smooth(self, name: str, value: float) -> None:
-        """Mean over about the last fifty steps; values that are not finite are left out."""
-        if value - value == 0:
-            old = self._smoothed.get(name, value)
-            self._smoothed[name] = old + 0.02 * (value - old)
-
-
-def _duration(seconds: float) -> str:
-    """Minutes and seconds, with hours in front where there are any."""
-    minutes, rest = divmod(int(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
-
-
-def _print_metrics(run: Run, metrics: Metrics) -> None:
-    """The means, a line for each modality; SSIM's second convention is in the report only."""
-    from mrgs.evaluation.report import COLUMNS, format_figure
-
-    for title, figures in (("thermal", metrics.thermal), ("RGB", metrics.rgb), ("truth", metrics.truth or {})):
-        shown = []
-        for name, value in figures.items():
-            if isinstance(value, float) and name != "ssim_pair_range":
-                heading, _, unit = COLUMNS[name][0].partition(", ")
-                shown.append(f"{heading} {format_figure(name, value)} {unit}".rstrip())
-        if shown:
-            print(f"{title + ':':9}{'  '.join(shown)}")
-    print(f"{len(run.model.gaussians):,} Gaussians, {run.facts.train_seconds / 60:.1f} minutes of training")
 
 
 if __name__ == "__main__":

@@ -69,15 +69,19 @@ class Run:
         if not Path(self.facts.scene).exists():
             raise SceneError(
                 f"{self.facts.scene}: the scene that {self.folder.path} was trained on is no longer there; "
-                "move it back, or put a link to it there"
+                "say where it is with --scene"
             )
         scene = load_scene(self.facts.scene, resolution=self.config.resolution, seed=self.config.seed)
         require_same_scene(self.facts, scene)
         return scene
 
 
-def load_run(path: str | Path) -> Run:
+def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
     """Open a run's newest checkpoint.
+
+    Args:
+        path: the run's folder.
+        scene: the scene's folder, where it is no longer at the place it was trained from.
 
     Raises:
         RunError: the folder is not a run, or its checkpoint cannot be used.
@@ -86,4 +90,6 @@ def load_run(path: str | Path) -> Run:
     newest = folder.newest_checkpoint()
     config = folder.read_config()
     model, facts = load_model(newest, config)
+    if scene is not None:
+        facts = facts._replace(scene=str(Path(scene).resolve()))
     return Run(folder, config, model, facts)
