@@ -95,9 +95,13 @@ class TrainingProgress:
         )
         for note in scene.notes:  # what was mended has been shown already, in the same words
             warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
+        cap = config.densification.max_gaussians
+        first, last = (
+            estimate_bytes(scene, config, count) / 2**30 for count in (min(len(scene.points.positions), cap), cap)
+        )
         print(
-            f"{config.method}, {config.max_steps:,} steps, at most {config.densification.max_gaussians:,} Gaussians, "
-            f"about {estimate_bytes(scene, config) / 2**30:.1f} GiB of memory"
+            f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
+            f"about {first:.1f} GiB of memory at the start, {last:.1f} GiB with all of them"
         )
         print("The first run on a machine compiles the kernels, which takes up to a minute.", flush=True)
 

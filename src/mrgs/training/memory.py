@@ -22,8 +22,8 @@ _PIXEL_FLOATS = 150
 """Images, gradients and SSIM's local moments per pixel."""
 
 
-def estimate_bytes(scene: Scene, config: TrainConfig) -> int:
-    """Peak memory that training will need once the cap on the Gaussians is reached, roughly."""
+def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
+    """Memory that training needs with this many Gaussians, roughly."""
     field = config.field
     parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_degree + 1) ** 2
     activations = 0
@@ -32,12 +32,9 @@ def estimate_bytes(scene: Scene, config: TrainConfig) -> int:
         inputs = 2 * field.embedding_width + 6 * (field.direction_frequencies + field.position_frequencies)
         activations = 2 * (inputs + 3 * field.hidden_width + field.thermal_feature_width + 4 * field.neighbours_k)
     per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
-    count = max(config.densification.max_gaussians, 1)
-    if config.densification.start >= config.max_steps:
-        count = min(count, len(scene.points.positions))
     pixels = max(sum(camera.width * camera.height for camera in view.cameras) for view in scene.train)
     photos = sum(4 * _FLOAT * camera.width * camera.height for view in scene.train for camera in view.cameras)
-    return _BASE_BYTES + count * per_gaussian + pixels * _PIXEL_FLOATS * _FLOAT + min(photos, CACHE_BYTES)
+    return _BASE_BYTES + gaussians * per_gaussian + pixels * _PIXEL_FLOATS * _FLOAT + min(photos, CACHE_BYTES)
 
 
 def peak_memory_bytes() -> int:
