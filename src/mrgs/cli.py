@@ -38,7 +38,7 @@ class Train:
     method: str = "mrgs"
     """mrgs, mrgs-base, mrgs-fourier, mrgs-boltz, or 3dgs-rgbt."""
     preset: str = "default"
-    """fast (1,000 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
+    """fast (1,100 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: int | None = None
     """Steps; the preset's whole schedule is stretched or shrunk to them."""
     max_gaussians: int | None = None

@@ -131,7 +131,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     config = replace(config, preset=preset)
     if preset == "paper":
         return config
-    steps, max_gaussians = {"fast": (1_000, 20_000), "default": (4_000, 50_000)}[preset]
+    steps, max_gaussians = {"fast": (1_100, 20_000), "default": (4_000, 50_000)}[preset]
     config = _with_steps(config, steps)
     densification = replace(config.densification, max_gaussians=max_gaussians)
     return replace(config, densification=densification)
