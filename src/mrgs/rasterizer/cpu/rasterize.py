@@ -66,8 +66,9 @@ class _FusedPass(torch.autograd.Function):
             means, quats, scales, opacities, viewmat, K, width, height, order, pair_grads, lists.pair_positions,
             lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
-        # ∂L/∂background = Σ T_end g over the pixels
-        grad_backgrounds = [np.tensordot(images[k + 2], grad_images[k], axes=2) for k in (0, 3)]
+        # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it, and cost the kernels
+        # half a core.
+        grad_backgrounds = [np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
         return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None)
 
