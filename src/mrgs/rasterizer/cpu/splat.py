@@ -30,8 +30,6 @@ RGB = 10
 THERMAL = 14
 """Each layer's part of the record: its opacity, then its features."""
 
-LAYERS = (RGB, THERMAL)
-CHANNELS = (3, 1)
 SPLAT_FLOATS = 16
 
 # Gradients with respect to the record, summed over the pixels of one tile. dx and dy run from μ' to the pixel's centre
