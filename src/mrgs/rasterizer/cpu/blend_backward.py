@@ -13,7 +13,7 @@ from numba import prange
 
 from mrgs.rasterizer.cpu import splat
 from mrgs.rasterizer.cpu.blend import (
-    ALL_ROWS,
+    ALL_VECTORS,
     ALPHA_MAX,
     ALPHA_MIN,
     DEPTH,
@@ -22,29 +22,33 @@ from mrgs.rasterizer.cpu.blend import (
     TILE_PIXELS,
     TRANSMITTANCE,
     TRANSMITTANCE_MIN,
+    VECTOR_ROWS,
     ZERO,
     interleaved,
     log2_gaussian,
     open_transmittance,
-    row_range,
+    vector_range,
 )
 from mrgs.rasterizer.cpu.jit import inlined_kernel, kernel, parallel_kernel
 from mrgs.rasterizer.cpu.simd import (
+    LANES,
     any_lane,
     broadcast,
     exp2,
-    lane_indices,
+    lane_columns,
+    lane_rows,
     load,
     minimum,
     pointer,
+    prefetch,
     read,
     select,
     stack_floats,
     store,
-    sum_lanes,
+    store_sums,
     write,
 )
-from mrgs.rasterizer.cpu.tiles import TILE_HEIGHT, TILE_WIDTH
+from mrgs.rasterizer.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
 
 # A layer's planes: T, then the gradients of depth and features where ``blend`` keeps depth and features, then R.
 _RGB = 0
@@ -55,17 +59,22 @@ TILE_FLOATS = 10 * TILE_PIXELS
 
 
 @kernel()
-def _read_layer(planes, layer, behind, image, depth, transmittance, grad_image, grad_depth, grad_transmittance, x0, y0):
+def _read_layer(
+    planes, layer, behind, channels, x0, y0, width, height, image, depth, transmittance,
+    grad_image, grad_depth, grad_transmittance,
+):  # fmt: skip
     """The gradients of a layer's pixels into planes, and R at its start."""
-    for row in range(min(TILE_HEIGHT, image.shape[0] - y0)):
-        for column in range(min(TILE_WIDTH, image.shape[1] - x0)):
+    for row in range(min(TILE_HEIGHT, height - y0)):
+        for column in range(min(TILE_WIDTH, width - x0)):
             at = layer + row * TILE_WIDTH + column
-            y, x = y0 + row, x0 + column
-            total = grad_depth[y, x] * depth[y, x] + grad_transmittance[y, x] * transmittance[y, x]
-            write(planes, at + DEPTH, grad_depth[y, x])
-            for channel in range(image.shape[2]):
-                total += grad_image[y, x, channel] * image[y, x, channel]
-                write(planes, at + FEATURES + channel * TILE_PIXELS, grad_image[y, x, channel])
+            pixel = (y0 + row) * width + x0 + column
+            grad = read(grad_depth, pixel)
+            write(planes, at + DEPTH, grad)
+            total = grad * read(depth, pixel) + read(grad_transmittance, pixel) * read(transmittance, pixel)
+            for channel in range(channels):
+                grad = read(grad_image, pixel * channels + channel)
+                write(planes, at + FEATURES + channel * TILE_PIXELS, grad)
+                total += grad * read(image, pixel * channels + channel)
             write(planes, at + behind, total)
 
 
@@ -82,36 +91,33 @@ def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussia
         gaussian: G' at the row's pixels.
         sums: over the rows so far, of α ∂L/∂α and of the gradients of the depth and of three features.
     """
+    sum_alpha, sum_depth, sum_0, sum_1, sum_2 = sums
     transmittance = load(planes, at + TRANSMITTANCE)
-    grad_alpha = broadcast(ZERO)
     unclamped = broadcast(read(splats, record + layer)) * gaussian
     alpha = minimum(unclamped, broadcast(ALPHA_MAX))
     blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
-    if any_lane(blends):
-        sum_alpha, sum_depth, sum_0, sum_1, sum_2 = sums
-        weight = select(blends, alpha * transmittance, broadcast(ZERO))
-        transmittance = transmittance - weight
-        store(planes, at + TRANSMITTANCE, transmittance)
-        grad = load(planes, at + DEPTH)
-        own = grad * broadcast(read(splats, record + splat.DEPTH))
-        sum_depth = sum_depth + weight * grad
-        grad = load(planes, at + FEATURES)
-        own = own + grad * broadcast(read(splats, record + layer + 1))
-        sum_0 = sum_0 + weight * grad
-        if channels == 3:
-            grad = load(planes, at + FEATURES + TILE_PIXELS)
-            own = own + grad * broadcast(read(splats, record + layer + 2))
-            sum_1 = sum_1 + weight * grad
-            grad = load(planes, at + FEATURES + 2 * TILE_PIXELS)
-            own = own + grad * broadcast(read(splats, record + layer + 3))
-            sum_2 = sum_2 + weight * grad
-        own = weight * own
-        rest = load(planes, at + behind) - own
-        store(planes, at + behind, rest)
-        grad_alpha = own - rest * (alpha / (broadcast(ONE) - alpha))
-        grad_alpha = select(blends & (unclamped < broadcast(ALPHA_MAX)), grad_alpha, broadcast(ZERO))
-        sums = (sum_alpha + grad_alpha, sum_depth, sum_0, sum_1, sum_2)
-    return grad_alpha, transmittance, sums
+    weight = select(blends, alpha * transmittance, broadcast(ZERO))
+    transmittance = transmittance - weight
+    store(planes, at + TRANSMITTANCE, transmittance)
+    grad = load(planes, at + DEPTH)
+    own = grad * broadcast(read(splats, record + splat.DEPTH))
+    sum_depth = sum_depth + weight * grad
+    grad = load(planes, at + FEATURES)
+    own = own + grad * broadcast(read(splats, record + layer + 1))
+    sum_0 = sum_0 + weight * grad
+    if channels == 3:
+        grad = load(planes, at + FEATURES + TILE_PIXELS)
+        own = own + grad * broadcast(read(splats, record + layer + 2))
+        sum_1 = sum_1 + weight * grad
+        grad = load(planes, at + FEATURES + 2 * TILE_PIXELS)
+        own = own + grad * broadcast(read(splats, record + layer + 3))
+        sum_2 = sum_2 + weight * grad
+    own = weight * own
+    rest = load(planes, at + behind) - own
+    store(planes, at + behind, rest)
+    grad_alpha = own - rest * (alpha / (broadcast(ONE) - alpha))
+    grad_alpha = select(blends & (unclamped < broadcast(ALPHA_MAX)), grad_alpha, broadcast(ZERO))
+    return grad_alpha, transmittance, (sum_alpha + grad_alpha, sum_depth, sum_0, sum_1, sum_2)
 
 
 @inlined_kernel()
@@ -127,54 +133,45 @@ def _add_geometry(moments, grad_exponent, dx, dy):
     )
 
 
-@inlined_kernel()
-def _write_moments(pair_grads, pair, geometry, rgb, thermal):
-    """The sums of one (tile, splat) pair into its record."""
-    for moment in range(5):
-        write(pair_grads, pair + moment, sum_lanes(geometry[moment]))
-    write(pair_grads, pair + splat.GRAD_DEPTH, sum_lanes(rgb[1] + thermal[1]))
-    write(pair_grads, pair + splat.GRAD_RGB, sum_lanes(rgb[0]))
-    for channel in range(3):
-        write(pair_grads, pair + splat.GRAD_RGB + 1 + channel, sum_lanes(rgb[2 + channel]))
-    write(pair_grads, pair + splat.GRAD_THERMAL, sum_lanes(thermal[0]))
-    write(pair_grads, pair + splat.GRAD_THERMAL + 1, sum_lanes(thermal[2]))
-
-
 @kernel()
 def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads):
     """The walk of ``blend._blend_tile`` again, summing the moments of every splat of the list."""
     nearly_opaque = broadcast(TRANSMITTANCE_MIN)
     zero = broadcast(ZERO)
-    centres_x = lane_indices() + broadcast(np.float32(x0 + 0.5))
-    live_rows = ALL_ROWS
+    centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))
+    centres_y = lane_rows(TILE_WIDTH) + broadcast(np.float32(y0 + 0.5))
+    live_vectors = ALL_VECTORS
     for position in range(first, last):
         record = tile_splats[position] * splat.SPLAT_FLOATS
+        prefetch(splats, tile_splats[min(position + PREFETCH_AHEAD, last - 1)] * splat.SPLAT_FLOATS)
         geometry = (zero, zero, zero, zero, zero)
         rgb = (zero, zero, zero, zero, zero)
         thermal = (zero, zero, zero, zero, zero)
         dx = centres_x - broadcast(read(splats, record + splat.MEAN_X))
+        first_dy = centres_y - broadcast(read(splats, record + splat.MEAN_Y))
         threshold = broadcast(read(splats, record + splat.THRESHOLD))
-        first_row, last_row = row_range(splats, record, y0)
-        for row in range(first_row, last_row + 1):
-            if not (live_rows >> row) & 1:
+        first_vector, last_vector = vector_range(splats, record, y0)
+        for vector in range(first_vector, last_vector + 1):
+            if not (live_vectors >> vector) & 1:
                 continue
-            dy = np.float32(y0 + row + 0.5) - read(splats, record + splat.MEAN_Y)
+            dy = first_dy + broadcast(np.float32(vector * VECTOR_ROWS))
             exponent = log2_gaussian(splats, record, dx, dy)
             if not any_lane(exponent >= threshold):
                 continue
             gaussian = exp2(exponent)
-            at = row * TILE_WIDTH
+            at = vector * LANES
             grad_rgb, behind_rgb, rgb = _backward_layer(
                 planes, _RGB + at, _BEHIND_RGB, splats, record, splat.RGB, 3, gaussian, rgb
             )
             grad_thermal, behind_thermal, thermal = _backward_layer(
                 planes, _THERMAL + at, _BEHIND_THERMAL, splats, record, splat.THERMAL, 1, gaussian, thermal
             )
-            geometry = _add_geometry(geometry, grad_rgb + grad_thermal, dx, broadcast(dy))
+            geometry = _add_geometry(geometry, grad_rgb + grad_thermal, dx, dy)
             if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
-                live_rows &= ~(1 << row)
-        _write_moments(pair_grads, position * splat.GRAD_FLOATS, geometry, rgb, thermal)
-        if live_rows == 0:
+                live_vectors &= ~(1 << vector)
+        sums = (*geometry, rgb[1] + thermal[1], rgb[0], rgb[2], rgb[3], rgb[4], thermal[0], thermal[2])
+        store_sums(pair_grads, position * splat.GRAD_FLOATS, sums)
+        if live_vectors == 0:
             for rest in range((position + 1) * splat.GRAD_FLOATS, last * splat.GRAD_FLOATS):
                 write(pair_grads, rest, ZERO)
             break
@@ -204,12 +201,14 @@ def blend_backward(
         open_transmittance(planes, _RGB, x0, y0, width, height)
         open_transmittance(planes, _THERMAL, x0, y0, width, height)
         _read_layer(
-            planes, _RGB, _BEHIND_RGB, rgb, depth_rgb, transmittance_rgb, grad_rgb, grad_depth_rgb,
-            grad_transmittance_rgb, x0, y0,
+            planes, _RGB, _BEHIND_RGB, 3, x0, y0, width, height,
+            pointer(rgb), pointer(depth_rgb), pointer(transmittance_rgb),
+            pointer(grad_rgb), pointer(grad_depth_rgb), pointer(grad_transmittance_rgb),
         )  # fmt: skip
         _read_layer(
-            planes, _THERMAL, _BEHIND_THERMAL, thermal, depth_thermal, transmittance_thermal, grad_thermal,
-            grad_depth_thermal, grad_transmittance_thermal, x0, y0,
+            planes, _THERMAL, _BEHIND_THERMAL, 1, x0, y0, width, height,
+            pointer(thermal), pointer(depth_thermal), pointer(transmittance_thermal),
+            pointer(grad_thermal), pointer(grad_depth_thermal), pointer(grad_transmittance_thermal),
         )  # fmt: skip
         _backward_tile(
             planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0, pointer(pair_grads)

@@ -14,12 +14,19 @@ from numba import prange
 from mrgs.rasterizer import contract
 from mrgs.rasterizer.cpu import splat
 from mrgs.rasterizer.cpu.jit import kernel, parallel_kernel
+from mrgs.rasterizer.cpu.simd import pointer, prefetch, read
 
 NEAR_PLANE = contract.NEAR_PLANE
 DILATION = contract.COVARIANCE_DILATION_PX2
 ALPHA_MIN = contract.ALPHA_MIN
 MARGIN = contract.FRUSTUM_MARGIN
 LOG2_E = 1.0 / math.log(2.0)
+_BLOCK = 256
+"""Gaussians that one thread takes at a time in the backward pass."""
+
+_PAIRS_AHEAD = 16
+"""Pairs whose moments are asked for before they are read: they lie all over the memory."""
+
 LARGEST_PX = 1e9
 """Gaussians that reach farther are left out, with those whose place or size is not a number."""
 
@@ -243,38 +250,43 @@ def _geometry_gradient(
 
 @kernel()
 def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
-    """The moments of one splat, summed over its tiles in tile order."""
+    """Add up the moments of one Gaussian's pairs, always in the same order, in double precision."""
     total[:] = 0.0
     for pair in range(first, last):
-        position = pair_positions[pair]
+        ahead = pair_positions[min(pair + _PAIRS_AHEAD, pair_positions.size - 1)]
+        prefetch(pair_grads, ahead * splat.GRAD_FLOATS)
+        at = pair_positions[pair] * splat.GRAD_FLOATS
         for k in range(splat.GRAD_FLOATS):
-            total[k] += pair_grads[position, k]
+            total[k] += read(pair_grads, at + k)
 
 
 @parallel_kernel()
 def project_backward(
-    means, quats, scales, opacities, viewmat, K, width, height, order, pair_grads, pair_positions, pair_starts,
+    means, quats, scales, opacities, viewmat, K, width, height, pair_grads, pair_positions, pair_starts,
     grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
 ):  # fmt: skip
-    """Gather the gradient moments of each splat and chain them back to its Gaussian.
+    """Gather the gradient moments of each Gaussian and chain them back to its parameters.
 
     Args:
-        order: the Gaussian of each splat, in depth order, [V].
         pair_grads: moments per (tile, splat) pair, [P, 12].
-        pair_positions, pair_starts: the pairs of splat r are pair_positions[pair_starts[r]:pair_starts[r + 1]].
-        grad_*: filled for the Gaussians in ``order``; the rows of all others are left as they are.
+        pair_positions, pair_starts: the pairs of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]].
+        grad_*: filled, with 0 for the Gaussians without pairs.
     """
-    splat_grads = np.empty((order.shape[0], splat.GRAD_FLOATS))
-    for rank in prange(order.shape[0]):
-        i = order[rank]
-        g = splat_grads[rank]
-        _sum_over_tiles(pair_grads, pair_positions, pair_starts[rank], pair_starts[rank + 1], g)
-        for layer in range(2):
-            if opacities[i, layer] > 0.0:
-                grad_opacities[i, layer] = g[splat.GRAD_LAYERS[layer]] / opacities[i, layer]
-        for channel in range(3):
-            grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
-        grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
-        _geometry_gradient(
-            i, g, means, quats, scales, viewmat, K, width, height, grad_means, grad_quats, grad_scales, grad_means2d
-        )
+    count = means.shape[0]
+    for block in prange((count + _BLOCK - 1) // _BLOCK):
+        g = np.empty(splat.GRAD_FLOATS)
+        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+            if pair_starts[i] == pair_starts[i + 1]:
+                grad_means[i], grad_quats[i], grad_scales[i], grad_means2d[i] = 0.0, 0.0, 0.0, 0.0
+                grad_opacities[i], grad_features[i] = 0.0, 0.0
+                continue
+            _sum_over_tiles(pointer(pair_grads), pair_positions, pair_starts[i], pair_starts[i + 1], g)
+            for layer in range(2):
+                opacity = opacities[i, layer]
+                grad_opacities[i, layer] = g[splat.GRAD_LAYERS[layer]] / opacity if opacity > 0.0 else 0.0
+            for channel in range(3):
+                grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
+            grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
+            _geometry_gradient(
+                i, g, means, quats, scales, viewmat, K, width, height, grad_means, grad_quats, grad_scales, grad_means2d
+            )

@@ -16,7 +16,7 @@ from mrgs.rasterizer.cpu import splat
 from mrgs.rasterizer.cpu.blend import blend
 from mrgs.rasterizer.cpu.blend_backward import blend_backward
 from mrgs.rasterizer.cpu.projection import project, project_backward
-from mrgs.rasterizer.cpu.tiles import depth_order, gather_rows, tile_lists
+from mrgs.rasterizer.cpu.tiles import depth_order, gather_splats, tile_lists
 
 _SLOT_CHANNELS = (3, 1)
 """The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of 1."""
@@ -38,15 +38,15 @@ class _FusedPass(torch.autograd.Function):
         radii = np.empty(count, np.float32)
         project(*gaussians, viewmat, K, width, height, offset, splats, radii)
         order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
-        splats = gather_rows(splats, order)
-        lists = tile_lists(splats, width, height)
+        splats = gather_splats(splats, order)
+        lists = tile_lists(splats, order, count, width, height)
         shapes = [shape for c in _SLOT_CHANNELS for shape in ((height, width, c), (height, width), (height, width))]
         images = [np.empty(shape, np.float32) for shape in shapes]
         blend(splats, lists.tile_splats, lists.tile_starts, backgrounds[:3], backgrounds[3:], *images)
         *outputs, radii_tensor = (torch.from_numpy(array) for array in (*images, radii))
         ctx.mark_non_differentiable(radii_tensor)
         ctx.save_for_backward(*tensors[:5], *outputs)
-        ctx.walk = (viewmat, K, splats, order, lists)
+        ctx.walk = (viewmat, K, splats, lists)
         return (*outputs, radii_tensor)
 
     @staticmethod
@@ -54,16 +54,16 @@ class _FusedPass(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
         gaussians, images = saved[:5], saved[5:]
-        viewmat, K, splats, order, lists = ctx.walk
+        viewmat, K, splats, lists = ctx.walk
         grad_images = [grad.contiguous().numpy() for grad in grads[:-1]]
         height, width = images[1].shape
         pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
         blend_backward(splats, lists.tile_splats, lists.tile_starts, *images, *grad_images, pair_grads)
         means, quats, scales, opacities, _ = gaussians
-        grad_gaussians = [np.zeros_like(array) for array in gaussians]
-        grad_offset = np.zeros((means.shape[0], 2), np.float32)
+        grad_gaussians = [np.empty_like(array) for array in gaussians]
+        grad_offset = np.empty((means.shape[0], 2), np.float32)
         project_backward(
-            means, quats, scales, opacities, viewmat, K, width, height, order, pair_grads, lists.pair_positions,
+            means, quats, scales, opacities, viewmat, K, width, height, pair_grads, lists.pair_positions,
             lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
         # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it, and cost the kernels

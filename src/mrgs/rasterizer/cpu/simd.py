@@ -1,8 +1,8 @@
-"""Vectors of eight floats for Numba, so that the kernels do not depend on LLVM's auto-vectoriser.
+"""Vectors of sixteen floats for Numba, so that the kernels do not depend on LLVM's auto-vectoriser.
 
-A ``Float32x8`` lives in one AVX register (or two NEON registers). Inside ``@njit`` functions it takes ``+ - *``,
-comparisons (which give a ``Mask8``), ``&`` on masks, and the functions below. Multiply-adds are fused where the
-machine has the instruction.
+A ``Float32x16`` lives in one AVX-512 register, or in two of AVX, or in four of NEON. Inside ``@njit`` functions it
+takes ``+ - *``, comparisons (which give a ``Mask16``), ``&`` on masks, and the functions below. Multiply-adds are fused
+where the machine has the instruction.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-LANES = 8
+LANES = 16
 
 _F32 = ir.FloatType()
 _I32 = ir.IntType(32)
@@ -27,29 +27,29 @@ _MASK = ir.VectorType(ir.IntType(1), LANES)
 _FUSE = ("contract",)
 
 
-class _Float32x8(types.Type):
+class _Float32x16(types.Type):
     def __init__(self) -> None:
-        super().__init__(name="Float32x8")
+        super().__init__(name="Float32x16")
 
 
-class _Mask8(types.Type):
+class _Mask16(types.Type):
     def __init__(self) -> None:
-        super().__init__(name="Mask8")
+        super().__init__(name="Mask16")
 
 
-Float32x8 = _Float32x8()
-Mask8 = _Mask8()
+Float32x16 = _Float32x16()
+Mask16 = _Mask16()
 FloatPointer = types.CPointer(types.float32)
 
 
-@register_model(_Float32x8)
-class _Float32x8Model(models.PrimitiveModel):
+@register_model(_Float32x16)
+class _Float32x16Model(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         super().__init__(dmm, fe_type, _VECTOR)
 
 
-@register_model(_Mask8)
-class _Mask8Model(models.PrimitiveModel):
+@register_model(_Mask16)
+class _Mask16Model(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         super().__init__(dmm, fe_type, _MASK)
 
@@ -67,14 +67,14 @@ def _define_operator(function: Callable, operand: types.Type, result: types.Type
         return emit(builder, *args)
 
 
-_define_operator(operator.add, Float32x8, Float32x8, lambda b, x, y: b.fadd(x, y, flags=_FUSE))
-_define_operator(operator.sub, Float32x8, Float32x8, lambda b, x, y: b.fsub(x, y, flags=_FUSE))
-_define_operator(operator.mul, Float32x8, Float32x8, lambda b, x, y: b.fmul(x, y, flags=_FUSE))
-_define_operator(operator.truediv, Float32x8, Float32x8, lambda b, x, y: b.fdiv(x, y))
-_define_operator(operator.ge, Float32x8, Mask8, lambda b, x, y: b.fcmp_ordered(">=", x, y))
-_define_operator(operator.lt, Float32x8, Mask8, lambda b, x, y: b.fcmp_ordered("<", x, y))
-_define_operator(operator.and_, Mask8, Mask8, lambda b, x, y: b.and_(x, y))
-_define_operator(operator.or_, Mask8, Mask8, lambda b, x, y: b.or_(x, y))
+_define_operator(operator.add, Float32x16, Float32x16, lambda b, x, y: b.fadd(x, y, flags=_FUSE))
+_define_operator(operator.sub, Float32x16, Float32x16, lambda b, x, y: b.fsub(x, y, flags=_FUSE))
+_define_operator(operator.mul, Float32x16, Float32x16, lambda b, x, y: b.fmul(x, y, flags=_FUSE))
+_define_operator(operator.truediv, Float32x16, Float32x16, lambda b, x, y: b.fdiv(x, y))
+_define_operator(operator.ge, Float32x16, Mask16, lambda b, x, y: b.fcmp_ordered(">=", x, y))
+_define_operator(operator.lt, Float32x16, Mask16, lambda b, x, y: b.fcmp_ordered("<", x, y))
+_define_operator(operator.and_, Mask16, Mask16, lambda b, x, y: b.and_(x, y))
+_define_operator(operator.or_, Mask16, Mask16, lambda b, x, y: b.or_(x, y))
 
 
 def _broadcast(builder: Any, scalar: Any, vector_type: ir.VectorType = _VECTOR) -> Any:
@@ -101,17 +101,25 @@ def broadcast(typingctx: Any, value: Any) -> Any:
         scalar = context.cast(builder, args[0], sig.args[0], types.float32)
         return _broadcast(builder, scalar)
 
-    return Float32x8(value), codegen
+    return Float32x16(value), codegen
 
 
-@intrinsic
-def lane_indices(typingctx: Any) -> Any:
-    """(0, 1, ..., 7) as floats."""
+def _lane_constants(value: Callable[[int, int], float]) -> Callable:
+    """A kernel function of a constant ``width`` that gives each lane ``value(lane, width)``."""
 
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return ir.Constant(_VECTOR, [float(lane) for lane in range(LANES)])
+    @intrinsic(prefer_literal=True)
+    def constants(typingctx: Any, width: Any) -> Any:
+        values = [float(value(lane, width.literal_value)) for lane in range(LANES)]
+        return Float32x16(width), lambda context, builder, sig, args: ir.Constant(_VECTOR, values)
 
-    return Float32x8(), codegen
+    return constants
+
+
+lane_columns = _lane_constants(lambda lane, width: lane % width)
+"""The column of each lane if the lanes fill rows of ``width`` one after the other."""
+
+lane_rows = _lane_constants(lambda lane, width: lane // width)
+"""The row of each lane if the lanes fill rows of ``width`` one after the other."""
 
 
 # Pointers, because Numba counts references to every array that is passed to a function, in the innermost loops too.
@@ -162,14 +170,28 @@ def write(typingctx: Any, floats: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
+def prefetch(typingctx: Any, floats: Any, index: Any) -> Any:
+    """Ask for the cache line behind a pointer, at ``index``, which may lie anywhere."""
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        address = builder.bitcast(_element(context, builder, sig, args), ir.IntType(8).as_pointer())
+        signature_ = ir.FunctionType(ir.VoidType(), [address.type, _I32, _I32, _I32])
+        function = cgutils.get_or_insert_function(builder.module, signature_, "llvm.prefetch.p0i8")
+        builder.call(function, [address, *(ir.Constant(_I32, value) for value in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(FloatPointer, index), codegen
+
+
+@intrinsic
 def load(typingctx: Any, floats: Any, index: Any) -> Any:
-    """Eight consecutive floats behind a pointer, from ``index``."""
+    """Sixteen consecutive floats behind a pointer, from ``index``."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         address = builder.bitcast(_element(context, builder, sig, args), _VECTOR.as_pointer())
         return builder.load(address, align=4)
 
-    return Float32x8(FloatPointer, index), codegen
+    return Float32x16(FloatPointer, index), codegen
 
 
 @intrinsic
@@ -181,7 +203,26 @@ def store(typingctx: Any, floats: Any, index: Any, vector: Any) -> Any:
         builder.store(args[2], address, align=4)
         return context.get_dummy_value()
 
-    return types.void(FloatPointer, index, Float32x8), codegen
+    return types.void(FloatPointer, index, Float32x16), codegen
+
+
+def _rounded_to_int(instruction: str) -> Callable:
+    """A kernel function from float32 to int64 that rounds as the LLVM instruction does."""
+
+    @intrinsic
+    def rounded(typingctx: Any, value: Any) -> Any:
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_F32, [_F32]), instruction)
+            return builder.fptosi(builder.call(function, [args[0]]), ir.IntType(64))
+
+        return types.int64(types.float32), codegen
+
+    return rounded
+
+
+# Those of ``math`` are calls into the C library, which spill every vector register.
+ceil_to_int = _rounded_to_int("llvm.ceil.f32")
+floor_to_int = _rounded_to_int("llvm.floor.f32")
 
 
 @intrinsic
@@ -191,7 +232,7 @@ def select(typingctx: Any, mask: Any, yes: Any, no: Any) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(*args)
 
-    return Float32x8(Mask8, Float32x8, Float32x8), codegen
+    return Float32x16(Mask16, Float32x16, Float32x16), codegen
 
 
 @intrinsic
@@ -201,7 +242,7 @@ def minimum(typingctx: Any, a: Any, b: Any) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
 
-    return Float32x8(Float32x8, Float32x8), codegen
+    return Float32x16(Float32x16, Float32x16), codegen
 
 
 @intrinsic
@@ -212,24 +253,36 @@ def any_lane(typingctx: Any, mask: Any) -> Any:
         bits = builder.bitcast(args[0], ir.IntType(LANES))
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
-    return types.boolean(Mask8), codegen
+    return types.boolean(Mask16), codegen
 
 
 @intrinsic
-def sum_lanes(typingctx: Any, vector: Any) -> Any:
-    """Sum of the lanes, always in the same order (a binary tree)."""
+def store_sums(typingctx: Any, floats: Any, index: Any, vectors: Any) -> Any:
+    """The sum over the lanes of each of up to sixteen vectors (a tuple) to consecutive floats, from ``index``.
+
+    The vectors are folded together: each pass halves their number, and the lanes that each of them has left. The order
+    of the additions is always the same.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        total = args[0]
-        half = LANES // 2
-        while half:
-            lanes = [lane + half if lane < half else lane for lane in range(LANES)]
-            upper = builder.shuffle_vector(total, total, ir.Constant(ir.VectorType(_I32, LANES), lanes))
-            total = builder.fadd(total, upper)
-            half //= 2
-        return builder.extract_element(total, ir.Constant(_I32, 0))
+        folded = cgutils.unpack_tuple(builder, args[2])
+        count, width = len(folded), LANES
+        while width > 1:
+            folded += [_constant(0.0)] * (len(folded) % 2)
+            width //= 2
+            halves = [[lane for lane in range(2 * LANES) if lane // width % 2 == half] for half in (0, 1)]
+            masks = [ir.Constant(ir.VectorType(_I32, LANES), lanes) for lanes in halves]
+            folded = [
+                builder.fadd(*(builder.shuffle_vector(one, other, mask) for mask in masks))
+                for one, other in zip(folded[::2], folded[1::2], strict=True)
+            ]
+        (sums,) = folded
+        kept = builder.shuffle_vector(sums, sums, ir.Constant(ir.VectorType(_I32, count), list(range(count))))
+        address = builder.bitcast(_element(context, builder, sig, args), ir.VectorType(_F32, count).as_pointer())
+        builder.store(kept, address, align=4)
+        return context.get_dummy_value()
 
-    return types.float32(Float32x8), codegen
+    return types.void(FloatPointer, index, vectors), codegen
 
 
 # 2^f on [-1/2, 1/2], interpolated at the Chebyshev nodes: relative error 1e-7.
@@ -254,4 +307,4 @@ def exp2(typingctx: Any, vector: Any) -> Any:
         shifted = builder.shl(exponent, ir.Constant(_VECTOR_I32, [23] * LANES))
         return builder.bitcast(builder.add(builder.bitcast(power, _VECTOR_I32), shifted), _VECTOR)
 
-    return Float32x8(Float32x8), codegen
+    return Float32x16(Float32x16), codegen

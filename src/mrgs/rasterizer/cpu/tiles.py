@@ -15,12 +15,15 @@ from numba import prange
 
 from mrgs.rasterizer.cpu import splat
 from mrgs.rasterizer.cpu.jit import kernel, parallel_kernel
-from mrgs.rasterizer.cpu.simd import LANES
+from mrgs.rasterizer.cpu.simd import load, pointer, prefetch, store
 
-TILE_WIDTH = LANES
+TILE_WIDTH = 8
 TILE_HEIGHT = 16
 CHUNKS = 16
 """Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the thread count."""
+
+PREFETCH_AHEAD = 4
+"""Records come in an order that the processor cannot foresee: each is asked for this many turns before it is read."""
 
 _SLACK_PX = 1e-3
 """Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a pixel."""
@@ -63,11 +66,13 @@ def depth_order(depths, visible):
 
 
 @parallel_kernel()
-def gather_rows(rows, order):
-    """rows[order], in parallel."""
-    gathered = np.empty((order.size, rows.shape[1]), rows.dtype)
-    for k in prange(order.size):
-        gathered[k] = rows[order[k]]
+def gather_splats(splats, order):
+    """splats[order], in parallel."""
+    gathered = np.empty((order.size, splat.SPLAT_FLOATS), np.float32)
+    source, target = pointer(splats), pointer(gathered)
+    for rank in prange(order.size):
+        prefetch(source, order[min(rank + PREFETCH_AHEAD, order.size - 1)] * splat.SPLAT_FLOATS)
+        store(target, rank * splat.SPLAT_FLOATS, load(source, order[rank] * splat.SPLAT_FLOATS))
     return gathered
 
 
@@ -109,8 +114,8 @@ def _tile_columns(record, tile_row, tiles_x):
 
 
 @parallel_kernel()
-def _count(splats, tiles_x, tiles_y, chunk_counts, splat_counts):
-    """Pairs per (chunk, tile) and per splat."""
+def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
+    """Pairs per (chunk, tile) and per Gaussian."""
     count = splats.shape[0]
     for chunk in prange(CHUNKS):
         for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
@@ -122,11 +127,11 @@ def _count(splats, tiles_x, tiles_y, chunk_counts, splat_counts):
                 for column in range(first, last + 1):
                     chunk_counts[chunk, row * tiles_x + column] += 1
                     pairs += 1
-            splat_counts[rank] = pairs
+            pair_counts[order[rank]] = pairs
 
 
 @kernel()
-def _prefix_sums(chunk_counts, splat_counts):
+def _prefix_sums(chunk_counts, pair_counts):
     """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks in depth order."""
     tiles = chunk_counts.shape[1]
     tile_starts = np.empty(tiles + 1, np.int64)
@@ -138,20 +143,20 @@ def _prefix_sums(chunk_counts, splat_counts):
             chunk_counts[chunk, tile] = total
             total += pairs
     tile_starts[tiles] = total
-    pair_starts = np.zeros(splat_counts.size + 1, np.int64)
-    for rank in range(splat_counts.size):
-        pair_starts[rank + 1] = pair_starts[rank] + splat_counts[rank]
+    pair_starts = np.zeros(pair_counts.size + 1, np.int64)
+    for i in range(pair_counts.size):
+        pair_starts[i + 1] = pair_starts[i] + pair_counts[i]
     return tile_starts, pair_starts
 
 
 @parallel_kernel()
-def _fill(splats, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
-    """Write the lists, and for each splat where its pairs stand in them."""
+def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
+    """Write the lists, and for each Gaussian where its pairs stand in them."""
     count = splats.shape[0]
     for chunk in prange(CHUNKS):
         for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
             record = splats[rank]
-            pair = pair_starts[rank]
+            pair = pair_starts[order[rank]]
             first_row, last_row = _tile_rows(record, tiles_y)
             for row in range(first_row, last_row + 1):
                 first, last = _tile_columns(record, row, tiles_x)
@@ -164,13 +169,13 @@ def _fill(splats, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pai
 
 
 class TileLists(NamedTuple):
-    """Which splats each tile draws, and where each splat is drawn (P pairs of a tile and a splat).
+    """Which splats each tile draws, and where each Gaussian is drawn (P pairs of a tile and a splat).
 
     Attributes:
         tile_splats: splats of all tiles one after the other, int32 [P].
         tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64 [tiles + 1].
-        pair_positions: positions in tile_splats of each splat's pairs, one splat after the other, int32 [P].
-        pair_starts: the positions of splat r are pair_positions[pair_starts[r]:pair_starts[r + 1]], int64 [V + 1].
+        pair_positions: positions in tile_splats of each Gaussian's pairs, one Gaussian after the other, int32 [P].
+        pair_starts: those of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]], int64 [N + 1].
     """
 
     tile_splats: np.ndarray
@@ -179,14 +184,14 @@ class TileLists(NamedTuple):
     pair_starts: np.ndarray
 
 
-def tile_lists(splats: np.ndarray, width: int, height: int) -> TileLists:
-    """The tile lists of the splats [V, 16], which are given in depth order."""
+def tile_lists(splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int) -> TileLists:
+    """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians ``order`` [V] of N."""
     tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
-    splat_counts = np.empty(splats.shape[0], np.int64)
-    _count(splats, tiles_x, tiles_y, chunk_counts, splat_counts)
-    tile_starts, pair_starts = _prefix_sums(chunk_counts, splat_counts)
+    pair_counts = np.zeros(gaussians, np.int32)
+    _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts)
+    tile_starts, pair_starts = _prefix_sums(chunk_counts, pair_counts)
     tile_splats = np.empty(tile_starts[-1], np.int32)
     pair_positions = np.empty(tile_starts[-1], np.int32)
-    _fill(splats, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)
+    _fill(splats, order, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)
     return TileLists(tile_splats, tile_starts, pair_positions, pair_starts)
