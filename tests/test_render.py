@@ -8,7 +8,7 @@ import torch
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import reference
-from mrgs.render import Model, Rendering, render, render_view
+from mrgs.render import Model, Rendering, bake_temperatures, render, render_view
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
 
 
@@ -173,3 +173,20 @@ def test_the_degree_of_the_harmonics_counts_for_colours_alone():
     full = render(model, camera, camera)[0]
     assert not torch.allclose(plain.rgb, full.rgb)
     assert torch.equal(plain.thermal, full.thermal)
+
+
+def test_baked_temperatures_give_the_same_images_without_the_thermal_branch(monkeypatch):
+    model = make_model()
+    cameras = [make_camera(angle) for angle in (0.0, 1.0)]
+    with torch.no_grad():
+        expected = [images_of(render(model, camera, camera)[0]) for camera in cameras]
+        baked = bake_temperatures(model)
+        monkeypatch.setattr(RadianceField, "temperatures", lambda *_: pytest.fail("the thermal branch was evaluated"))
+        found = [images_of(render(baked, camera, camera)[0]) for camera in cameras]
+    for images, baked_images in zip(expected, found, strict=True):
+        for name, image in images.items():
+            torch.testing.assert_close(baked_images[name], image, atol=2e-6, rtol=0)
+
+
+def test_temperatures_that_depend_on_the_view_are_not_baked():
+    assert bake_temperatures(make_model(residuals=False)).temperatures is None

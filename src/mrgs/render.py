@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -29,6 +29,7 @@ class Model:
         sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
         background_rgb: colour seen where nothing is, the same for all channels.
         background_thermal: normalised temperature seen there.
+        temperatures: of each Gaussian, normalised, where they are known beforehand (``bake_temperatures``); else None.
     """
 
     gaussians: Gaussians
@@ -37,6 +38,7 @@ class Model:
     sh_degree: int = 3
     background_rgb: float = 0.0
     background_thermal: float = 0.0
+    temperatures: Float[Tensor, "n 1"] | None = None
 
 
 class Rendering(NamedTuple):
@@ -71,6 +73,19 @@ class ScreenPoints(NamedTuple):
     offset: Float[Tensor, "n 2"]
     radii: Float[Tensor, " n"]
     size: tuple[int, int]
+
+
+def bake_temperatures(model: Model) -> Model:
+    """The same model with its temperatures computed once for all views; for models that are no longer trained.
+
+    t + t̂ does not depend on the view. Without residuals (3DGS_RGB-T) it does, and the model is returned as it is.
+    """
+    if not model.field.config.residuals:
+        return model
+    with torch.no_grad():
+        anywhere = model.gaussians.means.new_zeros(3)
+        temperatures = model.field.temperatures(model.gaussians, model.neighbours, anywhere, model.sh_degree)
+    return replace(model, temperatures=temperatures)
 
 
 def render_view(model: Model, view: View) -> Rendering:
@@ -127,10 +142,12 @@ def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -
 def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
-    position = camera.position.to(gaussians.means)
-    values = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree, rows)
-    background = values.new_full((1,), model.background_thermal)
-    return Layer(gaussians.opacity_thermal, _scatter(values, rows, len(gaussians)), background)
+    values = model.temperatures
+    if values is None:
+        position = camera.position.to(gaussians.means)
+        values = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree, rows)
+        values = _scatter(values, rows, len(gaussians))
+    return Layer(gaussians.opacity_thermal, values, values.new_full((1,), model.background_thermal))
 
 
 @torch.no_grad()

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.render import Model, Rendering, render
+from mrgs.render import Model, Rendering, bake_temperatures, render
 from mrgs.scene import Camera, Scene, TemperatureRange
 from mrgs.training.checkpoint import CheckpointFacts, load_model, require_same_scene
 from mrgs.training.config import TrainConfig
@@ -25,7 +25,7 @@ class Run:
     Attributes:
         folder: the run's folder.
         config: what it was trained with.
-        model: what it learned.
+        model: what it learned, its temperatures computed once for all views.
         facts: steps, scene, temperature scale, cost.
     """
 
@@ -92,4 +92,4 @@ def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
     model, facts = load_model(newest, config)
     if scene is not None:
         facts = facts._replace(scene=str(Path(scene).resolve()))
-    return Run(folder, config, model, facts)
+    return Run(folder, config, bake_temperatures(model), facts)
