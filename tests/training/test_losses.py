@@ -6,7 +6,16 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.training.losses import LossConfig, photometric_loss, smoothness_loss, total_loss, total_variation
+from mrgs.training.losses import (
+    LossConfig,
+    _photometric_loss,
+    _total_variation,
+    difference_weights,
+    photometric_loss,
+    smoothness_loss,
+    total_loss,
+    total_variation,
+)
 from mrgs.training.ssim import ssim_map
 
 
@@ -85,9 +94,44 @@ def test_edges_of_the_photo_cut_the_weight():
     assert aware.item() == pytest.approx(plain.item() * math.exp(-3.0))
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 6), (1, 6, 1)])
-def test_thin_images_have_a_finite_variation(shape):
-    assert total_variation(torch.rand(shape)).isfinite()
+@pytest.mark.parametrize("shape", [(1, 1, 2), (1, 6, 2), (6, 1, 2), (40, 15, 3), (40, 15, 1)])
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("edge_aware", [False, True])
+def test_the_variation_is_that_of_plain_torch(shape, masked, edge_aware):
+    values = image(*shape).requires_grad_()
+    valid = image(*shape, seed=1)[..., 0] > 0.3 if masked else None
+    edges = image(*shape, seed=2) if edge_aware else None
+    weights = [difference_weights(values[..., 0], axis, valid, edges, 2.0) for axis in (0, 1)]
+    loss, expected = total_variation(values, weights), _total_variation(values, weights)
+    torch.testing.assert_close(loss, expected)
+    gradients = [torch.autograd.grad(3 * value, values)[0] for value in (loss, expected)]
+    torch.testing.assert_close(*gradients)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("dssim", [0.0, 0.2])
+def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim):
+    render, target = image(70, 25, 3).requires_grad_(), image(70, 25, 3, seed=1)
+    valid = image(70, 25, 1, seed=2)[..., 0] > 0.3 if masked else None
+    loss, expected = (f(render, target, valid, dssim) for f in (photometric_loss, _photometric_loss))
+    torch.testing.assert_close(loss, expected)
+    gradients = [torch.autograd.grad(value, render)[0] for value in (loss, expected)]
+    torch.testing.assert_close(*gradients)
+
+
+def test_flat_images_have_no_step():
+    flat = torch.full((20, 9, 3), 0.4, requires_grad=True)
+    weights = [difference_weights(flat[..., 0], axis) for axis in (0, 1)]
+    (gradient,) = torch.autograd.grad(total_variation(flat, weights), flat)
+    assert (gradient == 0).all()
+
+
+def test_a_value_that_is_not_finite_is_not_hidden():
+    spoilt = image(20, 9, 3)
+    spoilt[10, 5, 1] = float("nan")
+    weights = [difference_weights(spoilt[..., 0], axis) for axis in (0, 1)]
+    assert total_variation(spoilt, weights).isnan()
+    assert photometric_loss(spoilt, image(20, 9, 3), None, 0.2).isnan()
 
 
 def test_total_loss_weighs_its_terms():

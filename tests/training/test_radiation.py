@@ -11,6 +11,7 @@ from mrgs.training.radiation import (
     STEFAN_BOLTZMANN,
     DepthUncertainty,
     RadiationConfig,
+    _boltzmann_loss,
     boltzmann_loss,
     boltzmann_weight,
     normalise_radiation,
@@ -88,6 +89,15 @@ def test_uncertainty_is_a_convolution_of_the_scaled_depth():
     depth = plane(9, 10)
     expected = torch.nn.functional.conv2d(depth[None, None] / 3, module.psi.weight, module.psi.bias, padding=1)
     torch.testing.assert_close(module(depth, 3.0), expected[0, 0].sigmoid())
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_loss_is_that_of_plain_torch(masked):
+    inputs = [plane(70, 20, seed=seed).requires_grad_() for seed in (0, 1, 2)]
+    valid = plane(70, 20, seed=3) > 0.3 if masked else None
+    loss, expected = (f(*inputs, valid) for f in (boltzmann_loss, _boltzmann_loss))
+    torch.testing.assert_close(loss, expected)
+    torch.testing.assert_close(torch.autograd.grad(loss, inputs), torch.autograd.grad(expected, inputs))
 
 
 def test_agreement_costs_the_uncertainty_alone():

@@ -8,7 +8,6 @@ from torchmetrics.functional.image import structural_similarity_index_measure
 
 from mrgs.training.ssim import (
     WEIGHTS,
-    _filter_on_device,
     local_statistics,
     ssim_map,
     structural_similarity,
@@ -31,19 +30,14 @@ def naive_window_mean(planes: torch.Tensor) -> torch.Tensor:
 @given(channels=st.integers(0, 4), height=st.integers(1, 25), width=st.integers(1, 25), double=st.booleans())
 def test_window_mean_is_a_convolution(channels, height, width, double):
     planes = image(channels, height, width, dtype=torch.float64 if double else torch.float32)
-    for result in (window_mean(planes), _filter_on_device(planes)):
-        assert result.dtype == planes.dtype
-        torch.testing.assert_close(result, naive_window_mean(planes))
-
-
-def test_window_mean_takes_strided_planes():
-    planes = image(20, 18, 3).permute(2, 0, 1)
-    torch.testing.assert_close(window_mean(planes), naive_window_mean(planes))
+    result = window_mean(planes)
+    assert result.dtype == planes.dtype
+    torch.testing.assert_close(result, naive_window_mean(planes))
 
 
 def test_window_weights_sum_to_one_and_are_symmetric():
-    assert WEIGHTS.sum() == pytest.approx(1)
-    assert (WEIGHTS[::-1] == WEIGHTS).all()
+    assert WEIGHTS.sum().item() == pytest.approx(1)
+    torch.testing.assert_close(WEIGHTS.flip(0), WEIGHTS, rtol=0, atol=0)
 
 
 def test_gradients():

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.errors import ConfigError
+from mrgs.training.cpu.variation import STRIP_ROWS, sum_differences
+from mrgs.training.dissimilarity import l1_dssim
+from mrgs.training.known_gradient import with_gradients
 from mrgs.training.ssim import ssim_map
 
 
@@ -57,6 +62,14 @@ def photometric_loss(
         valid: pixels that count, all if None. The others are 0 in both images, and the mean leaves them out.
         dssim: λ.
     """
+    if render.device.type != "cpu":
+        return _photometric_loss(render, target, valid, dssim)
+    compared = l1_dssim(render, target, mean_weights(render[:, :, 0], valid) / render.shape[2], dssim)
+    return with_gradients(compared.total, (render, target), (compared.grad_x, compared.grad_y))
+
+
+def _photometric_loss(render: Tensor, target: Tensor, valid: Tensor | None, dssim: float) -> Tensor:
+    """Eq. 17 in plain torch, for accelerators; the fused kernel is tested against it."""
     if valid is not None:
         render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))
     x, y = _planes(render), _planes(target)
@@ -87,40 +100,84 @@ def smoothness_loss(
         extent: the scene's extent in scene units.
         config: the weights of the two parts, and the edge weight.
     """
-    edges = _planes(target) if config.edge_aware else None
-    loss = config.smooth_image * total_variation(_planes(image), valid, edges, config.beta)
-    return loss + config.smooth_depth * total_variation(depth[None] / extent, valid, edges, config.beta)
+    edges = target if config.edge_aware else None
+    weights = [difference_weights(image[:, :, 0], axis, valid, edges, config.beta) for axis in (0, 1)]
+    variation = total_variation if image.device.type == "cpu" else _total_variation
+    loss = config.smooth_image * variation(image, weights)
+    return loss + config.smooth_depth / extent * variation(depth[:, :, None], weights)
 
 
-def total_variation(
-    planes: Float[Tensor, "c h w"],
+class DifferenceWeights(NamedTuple):
+    """How the first differences along one axis count.
+
+    Attributes:
+        counted: how many do.
+        weights: [H − 1, W] between rows or [H, W − 1] between columns, 0 for those that do not; None for 1.
+    """
+
+    counted: int
+    weights: Float[Tensor, "h2 w2"] | None
+
+
+def difference_weights(
+    plane: Float[Tensor, "h w"],
+    axis: int,
     valid: Bool[Tensor, "h w"] | None = None,
-    edges: Float[Tensor, "e h w"] | None = None,
+    edges: Float[Tensor, "h w e"] | None = None,
     beta: float = 1.0,
-) -> Float[Tensor, ""]:
-    """Mean absolute first difference along the columns plus the same along the rows; 0 along an axis of one pixel.
+) -> DifferenceWeights:
+    """Differences count between two valid pixels, and the less the sharper the edge.
 
     Args:
-        planes: an image.
-        valid: differences count between two valid pixels; between any two if None.
-        edges: another image; each difference is weighed by exp(−β |its difference|), mean over its channels.
+        plane: has the size and the type of the image.
+        axis: 0 for the differences between rows, 1 for those between columns.
+        valid: pixels that count, all if None.
+        edges: an image; each difference is weighed by exp(−β |its difference|), mean over its channels; 1 if None.
         beta: β, how sharply an edge cuts the weight.
     """
-    total = planes.new_zeros(())
-    for axis in (1, 2):
-        if planes.shape[axis] < 2:
-            continue
-        difference = planes.diff(dim=axis).abs()
-        if edges is not None:
-            difference = difference * torch.exp(-beta * edges.diff(dim=axis).abs().mean(dim=0))
-        total = total + masked_mean(difference, None if valid is None else _both_ends(valid, axis - 1))
+    height, width = plane.shape
+    counted, weights = (height - 1) * width if axis == 0 else height * (width - 1), None
+    if edges is not None:
+        weights = torch.exp(-beta * edges.diff(dim=axis).abs().mean(dim=2))
+    if valid is not None:
+        steps = valid.shape[axis] - 1
+        both = valid.narrow(axis, 0, steps) & valid.narrow(axis, 1, steps)
+        counted = int(both.sum())
+        weights = both.to(plane.dtype) if weights is None else torch.where(both, weights, 0)
+    return DifferenceWeights(counted, weights)
+
+
+def total_variation(image: Float[Tensor, "h w c"], weights: Sequence[DifferenceWeights]) -> Float[Tensor, ""]:
+    """Mean absolute first difference between rows plus the same between columns; 0 where there are none.
+
+    Args:
+        image: float32 or float64.
+        weights: how the differences between rows and those between columns count.
+    """
+    height, width, channels = image.shape
+    pixels = image.detach().contiguous()
+    gradient = torch.empty_like(pixels)
+    scales = [1 / max(channels * axis.counted, 1) for axis in weights]
+    sums = torch.zeros(math.ceil(height / STRIP_ROWS), width * channels, dtype=torch.float64)
+    sum_differences(
+        pixels.view(height, width * channels).numpy(),
+        channels,
+        *(pixels.new_empty(0, 0).numpy() if w is None else w.contiguous().numpy() for _, w in weights),
+        pixels.new_tensor(scales).numpy(),
+        gradient.view(height, width * channels).numpy(),
+        sums.numpy(),
+    )
+    return with_gradients(sums.sum().item(), [image], [gradient])
+
+
+def _total_variation(image: Tensor, weights: Sequence[DifferenceWeights]) -> Tensor:
+    """``total_variation`` in plain torch, for accelerators; the fused kernel is tested against it."""
+    total = image.new_zeros(())
+    for axis, (counted, weight) in enumerate(weights):
+        difference = image.diff(dim=axis).abs()
+        weighted = difference if weight is None else weight[:, :, None] * difference
+        total = total + weighted.sum() / max(counted * image.shape[2], 1)
     return total
-
-
-def _both_ends(valid: Bool[Tensor, "h w"], axis: int) -> Bool[Tensor, "h2 w2"]:
-    """Whether both pixels of each first difference are valid."""
-    steps = valid.shape[axis] - 1
-    return valid.narrow(axis, 0, steps) & valid.narrow(axis, 1, steps)
 
 
 def total_loss(
@@ -148,6 +205,13 @@ def masked_mean(planes: Float[Tensor, "c h w"], valid: Bool[Tensor, "h w"] | Non
     if valid is None:
         return planes.mean()
     return torch.where(valid, planes, 0).sum() / (valid.sum() * len(planes)).clamp_min(1)
+
+
+def mean_weights(plane: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None) -> Float[Tensor, "h2 w"]:
+    """Each pixel's weight in ``masked_mean`` of a plane: [H, W], or [1, W] where all count alike."""
+    if valid is None:
+        return plane.new_full((1, plane.shape[1]), 1 / plane.numel())
+    return valid.to(plane.dtype) / valid.sum().clamp_min(1)
 
 
 def _planes(image: Float[Tensor, "h w c"]) -> Float[Tensor, "c h w"]:

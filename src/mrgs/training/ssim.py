@@ -1,13 +1,14 @@
-"""Structural similarity from local Gaussian windows: SSIM as 3DGS has it, and the paper's S-SSIM."""
+"""Structural similarity from local Gaussian windows: SSIM as 3DGS has it, and the paper's S-SSIM.
+
+In plain torch, for any device and differentiable any number of times; losses on the CPU have a fused kernel.
+"""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Float
-from numba import njit, prange
 from torch import Tensor, nn
 
 RADIUS_PX = 5
@@ -22,69 +23,24 @@ STRUCTURE_C2 = 9e-4
 """C2 of S-SSIM, that of SSIM at a data range of 1."""
 
 
-def _window_weights() -> np.ndarray:
-    offsets = np.arange(-RADIUS_PX, RADIUS_PX + 1)
-    weights = np.exp(-0.5 * (offsets / SIGMA_PX) ** 2)
+def _window_weights() -> Float[Tensor, "11"]:
+    offsets = torch.arange(-RADIUS_PX, RADIUS_PX + 1, dtype=torch.float64)
+    weights = torch.exp(-0.5 * (offsets / SIGMA_PX) ** 2)
     return weights / weights.sum()
 
 
 WEIGHTS = _window_weights()
-"""The window along one axis; the two-dimensional window is its outer product with itself."""
+"""The window along one axis, float64; the two-dimensional window is its outer product with itself."""
 
 
 def window_mean(planes: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
-    """Mean of each pixel's 11 × 11 neighbourhood, Gaussian weights with σ = 1.5 px, zeros beyond the border (as 3DGS).
-
-    float32 or float64; differentiable any number of times.
-    """
-    result: Tensor = _WindowMean.apply(planes)
-    return result
-
-
-class _WindowMean(torch.autograd.Function):
-    """The window is symmetric and the padding is zero, so the filter is its own adjoint."""
-
-    @staticmethod
-    def forward(ctx: Any, planes: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
-        if planes.device.type != "cpu":
-            return _filter_on_device(planes)
-        source = planes.detach().contiguous()
-        result = torch.empty_like(source)
-        _filter_planes(source.numpy(), WEIGHTS.astype(source.numpy().dtype), result.numpy())
-        return result
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
-        return window_mean(gradient)
-
-
-def _filter_on_device(planes: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
-    """The same filter as two convolutions, for accelerators."""
-    weights = torch.from_numpy(WEIGHTS).to(planes)
-    rows = nn.functional.conv2d(planes[:, None], weights.view(1, 1, -1, 1), padding=(RADIUS_PX, 0))
-    return nn.functional.conv2d(rows, weights.view(1, 1, 1, -1), padding=(0, RADIUS_PX))[:, 0]
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def _filter_planes(planes, weights, result):  # type: ignore[no-untyped-def]  # numpy arrays [C, H, W], [11], [C, H, W]
-    """Down the columns into a padded row, then along that row: each output row is one task, and nothing is shared."""
-    count, height, width = planes.shape
-    taps = weights.size
-    radius = taps // 2
-    for task in prange(count * height):
-        plane, row = planes[task // height], task % height
-        padded = np.zeros(width + 2 * radius, planes.dtype)
-        inner = padded[radius : radius + width]
-        for tap in range(max(0, radius - row), min(taps, height + radius - row)):
-            source, weight = plane[row + tap - radius], weights[tap]
-            for column in range(width):
-                inner[column] += weight * source[column]
-        target = result[task // height, row]
-        target[:] = 0
-        for tap in range(taps):
-            source, weight = padded[tap : tap + width], weights[tap]
-            for column in range(width):
-                target[column] += weight * source[column]
+    """Mean of each pixel's 11 × 11 neighbourhood, Gaussian weights (σ = 1.5 px), zeros beyond the border (as 3DGS)."""
+    for axis, padding in ((1, (0, 0, RADIUS_PX, RADIUS_PX)), (2, (RADIUS_PX, RADIUS_PX))):
+        padded, size = nn.functional.pad(planes, padding), planes.shape[axis]
+        planes = torch.zeros_like(planes)
+        for tap, weight in enumerate(WEIGHTS.tolist()):
+            planes = planes.add(padded.narrow(axis, tap, size), alpha=weight)
+    return planes
 
 
 class LocalStatistics(NamedTuple):

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import numba
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrgs.training.dissimilarity import l1_dssim, structural_dissimilarity
+from mrgs.training.ssim import ssim_map, structural_similarity
+
+
+def image(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    return torch.rand(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+
+
+def as_planes(x: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    return torch.where(weights[:, :, None] > 0, x, 0).permute(2, 0, 1)
+
+
+def plain_l1_dssim(x: torch.Tensor, y: torch.Tensor, weights: torch.Tensor, dssim: float) -> torch.Tensor:
+    x, y = as_planes(x, weights), as_planes(y, weights)
+    return (weights * ((1 - dssim) * (x - y).abs() + dssim * (1 - ssim_map(x, y)))).sum()
+
+
+def holed_weights(height: int, width: int, seed: int = 2, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    weights = image(height, width, seed=seed, dtype=dtype)
+    return torch.where(weights > 0.2, weights, 0)
+
+
+@settings(max_examples=25)
+@given(
+    height=st.one_of(st.integers(1, 25), st.sampled_from([60, 61, 125])),
+    width=st.one_of(st.integers(1, 25), st.sampled_from([171, 520])),
+    channels=st.integers(1, 4),
+    dssim=st.sampled_from([0.0, 0.2, 1.0]),
+    seed=st.integers(0, 100),
+)
+def test_l1_dssim_is_that_of_plain_torch(height, width, channels, dssim, seed):
+    x, y = (image(height, width, channels, seed=seed + k).requires_grad_() for k in (0, 1))
+    weights = holed_weights(height, width, seed)
+    expected = plain_l1_dssim(x, y, weights, dssim)
+    grad_x, grad_y = torch.autograd.grad(expected, (x, y))
+    result = l1_dssim(x, y, weights, dssim)
+    assert result.total == pytest.approx(expected.item())
+    torch.testing.assert_close(result.grad_x, grad_x, atol=1e-9, rtol=1e-7)
+    torch.testing.assert_close(result.grad_y, grad_y, atol=1e-9, rtol=1e-7)
+
+
+def test_float32_agrees_with_float64():
+    x, y, weights = image(70, 90, 3), image(70, 90, 3, seed=1), holed_weights(70, 90)
+    exact = l1_dssim(x.requires_grad_(), y, weights, 0.2)
+    result = l1_dssim(x.detach().float().requires_grad_(), y.float(), weights.float(), 0.2)
+    assert result.grad_x is not None
+    assert result.grad_x.dtype == torch.float32
+    assert result.total == pytest.approx(exact.total, rel=1e-6)
+    assert (result.grad_x - exact.grad_x).norm() < 1e-5 * exact.grad_x.norm()
+
+
+def test_structural_dissimilarity_is_that_of_plain_torch():
+    x, y = (image(70, 40, 1, seed=seed).requires_grad_() for seed in (0, 1))
+    weights = holed_weights(70, 40)
+    errors = 1 - structural_similarity(as_planes(x, weights), as_planes(y, weights))
+    grad_x, grad_y = torch.autograd.grad((weights * errors).sum(), (x, y))
+    result, result_errors = structural_dissimilarity(x, y, weights)
+    assert result.total == pytest.approx((weights * errors).sum().item())
+    torch.testing.assert_close(result_errors, errors.detach().permute(1, 2, 0))
+    torch.testing.assert_close(result.grad_x, grad_x)
+    torch.testing.assert_close(result.grad_y, grad_y)
+
+
+def test_one_row_of_weights_stands_for_all():
+    x, y, row = image(65, 12, 2).requires_grad_(), image(65, 12, 2, seed=1), holed_weights(1, 12)
+    result, expected = (l1_dssim(x, y, weights, 0.2) for weights in (row, row.expand(65, 12).contiguous()))
+    assert result.total == expected.total
+    assert torch.equal(result.grad_x, expected.grad_x)
+
+
+def test_gradients_are_made_for_what_asks_for_them():
+    x, y, weights = image(12, 12, 1), image(12, 12, 1, seed=1), holed_weights(12, 12)
+    assert l1_dssim(x, y, weights, 0.2)[1:] == (None, None)
+    assert l1_dssim(x.requires_grad_(), y, weights, 0.2).grad_y is None
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one thread")
+def test_the_number_of_threads_changes_no_bit():
+    x, y = image(200, 90, 3, dtype=torch.float32).requires_grad_(), image(200, 90, 3, seed=1, dtype=torch.float32)
+    weights = holed_weights(200, 90, dtype=torch.float32)
+    results = []
+    for threads in (1, 2):
+        before = numba.get_num_threads()
+        numba.set_num_threads(threads)
+        results.append(l1_dssim(x, y, weights, 0.2))
+        numba.set_num_threads(before)
+    assert results[0].total == results[1].total
+    assert torch.equal(results[0].grad_x, results[1].grad_x)
