@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test install lint clean
+.PHONY: demo test bench install lint clean
 
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
@@ -13,6 +13,14 @@ test: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
+
+# Some ten minutes on two cores that do nothing else; `make bench ARGS=--quick` takes two.
+bench: $(VENV)/.bench-installed
+	$(BIN)/python -m benchmarks $(ARGS)
+
+$(VENV)/.bench-installed: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
+	@touch $@
 
 install: $(VENV)/.installed
 

@@ -1,0 +1,133 @@
+"""The scene of all measurements: a wall of thin Gaussians with clutter before it, seen by one camera.
+
+Gaussians shrink as their number grows, as they do in training: each covers about as many pixels of the wall as the
+others, and the wall is always closed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field.spherical_harmonics import C0
+from mrgs.rasterizer import Layer
+from mrgs.render import Model
+from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, TemperatureRange, View
+from mrgs.training.checkpoint import make_state
+from mrgs.training.config import TrainConfig
+from mrgs.training.radiation import DepthUncertainty
+from mrgs.training.step import Photos, TrainingState
+
+FIELD_OF_VIEW = math.radians(60)
+
+EXTENT = 5.0
+"""Stands for the scene's extent, in metres."""
+
+TEMPERATURE = TemperatureRange(10.0, 40.0)
+
+STEP_IN_FORCE = 20_000
+"""Steps are measured after this one: all degrees of the harmonics in use, the neighbours not searched anew."""
+
+
+def room(count: int, seed: int = 0) -> dict[str, Tensor]:
+    """Half the Gaussians on a wall 6 m away, half as clutter before it; positions and sizes in metres."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(*shape, generator=generator)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    wall = count // 2
+    clutter = count - wall
+    means = torch.cat(
+        [
+            torch.stack([uniform(-4, 4, wall), uniform(-3, 3, wall), 6 + 0.05 * normal(wall)], dim=1),
+            torch.stack([1.2 * normal(clutter), 0.9 * normal(clutter), uniform(2, 5.5, clutter)], dim=1),
+        ]
+    )
+    return {
+        "means": means,
+        "quats": normal(count, 4),
+        "scales": 6 / count**0.5 * torch.exp(0.5 * normal(count, 3)) * torch.tensor([1.0, 1.0, 0.3]),
+        "opacity_rgb": uniform(0.05, 0.95, count),
+        "opacity_thermal": uniform(0.05, 0.95, count),
+        "colors": torch.rand(count, 3, generator=generator),
+        "temperatures": torch.rand(count, 1, generator=generator),
+    }
+
+
+def layers_of(scene: dict[str, Tensor]) -> list[Layer]:
+    """Both modalities of the room, before black."""
+    return [
+        Layer(scene["opacity_rgb"], scene["colors"], torch.zeros(3)),
+        Layer(scene["opacity_thermal"], scene["temperatures"], torch.zeros(1)),
+    ]
+
+
+def camera(width: int, height: int) -> Camera:
+    """At the origin, looking along +z."""
+    focal = 0.5 * width / math.tan(FIELD_OF_VIEW / 2)
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+    return Camera(K, torch.eye(4, dtype=torch.float64), width, height)
+
+
+def photos(width: int, height: int) -> Photos:
+    """A colour and a thermal photo of noise; every pixel counts."""
+    generator = torch.Generator().manual_seed(1)
+    rgb, thermal = (torch.rand(height, width, channels, generator=generator) for channels in (3, 1))
+    return Photos(Pixels(rgb), Pixels(thermal))
+
+
+def view(width: int, height: int) -> View:
+    """The camera with both photos, which share it."""
+    shared, pixels = camera(width, height), photos(width, height)
+    rgb, thermal = pixels.rgb, pixels.thermal
+    assert rgb is not None
+    assert thermal is not None
+    return View("room", PosedImage(shared, lambda: rgb), PosedImage(shared, lambda: thermal))
+
+
+def radiance_field(count: int, config: TrainConfig) -> RadianceField:
+    """A field at its start, in the frame of the room."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        field = RadianceField(config.field)
+    field.set_frame(room(count)["means"])
+    return field
+
+
+def gaussians(count: int, field: RadianceField, config: TrainConfig) -> Gaussians:
+    """The room as a model's parameters, with small coefficients of the higher harmonics."""
+    scene = room(count)
+    generator = torch.Generator().manual_seed(2)
+    opacity_thermal = scene["opacity_thermal"][:, None].logit()
+    bands = (config.temperature_degree + 1) ** 2 - 1
+    return Gaussians(
+        means=scene["means"],
+        quats=scene["quats"],
+        log_scales=scene["scales"].log(),
+        opacity_rgb_logit=scene["opacity_rgb"][:, None].logit(),
+        opacity_thermal_logit=opacity_thermal[:, :0] if config.shares_opacity else opacity_thermal,
+        sh_dc=(scene["colors"][:, None] - 0.5) / C0,
+        sh_rest=0.1 * torch.randn(count, 15, 3, generator=generator),
+        temperature_dc=(scene["temperatures"][:, None] - 0.5) / C0,
+        temperature_rest=0.1 * torch.randn(count, bands, 1, generator=generator),
+        embedding=field.initial_embedding(scene["means"]),
+    )
+
+
+def training_state(count: int, config: TrainConfig) -> TrainingState:
+    """A state amid training, with its neighbours known."""
+    field = radiance_field(count, config)
+    parameters = gaussians(count, field, config)
+    k = config.field.neighbours_k
+    neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
+    model = Model(parameters, field, neighbours, sh_degree=3)
+    state = make_state(model, DepthUncertainty(), config, EXTENT, 1, torch.Generator().manual_seed(3))
+    return replace(state, step=STEP_IN_FORCE)
