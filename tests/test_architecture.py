@@ -20,6 +20,7 @@ FLOORS = {
     "render": 3.0,
     "training": 4.0,
     "run": 4.5,
+    "baked": 4.5,
     "evaluation": 5.0,
     "synth": 5.0,
     "viewer": 5.0,
