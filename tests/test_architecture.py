@@ -23,8 +23,8 @@ FLOORS = {
     "baked": 4.5,
     "evaluation": 5.0,
     "synth": 5.0,
-    "viewer": 5.0,
-    "export": 5.0,
+    "export": 5.2,
+    "viewer": 5.4,
     "terminal": 5.5,
     "cli": 6.0,
 }

@@ -1,0 +1,1 @@
+"""A baked model into files that other programs open."""
