@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from mrgs.baked import bake
+from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
+from mrgs.render import Model, render
+from mrgs.scene import Camera, Gaussians, TemperatureRange
+
+COUNT = 80
+
+
+def make_camera(angle: float) -> Camera:
+    """Looks at the origin from a circle about the y axis."""
+    K = torch.tensor([[40.0, 0, 17], [0, 42, 12], [0, 0, 1]], dtype=torch.float64)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 0] = viewmat[2, 2] = math.cos(angle)
+    viewmat[0, 2], viewmat[2, 0] = math.sin(angle), -math.sin(angle)
+    viewmat[2, 3] = 4.0
+    return Camera(K, viewmat, 33, 26)
+
+
+CAMERAS = [make_camera(angle) for angle in torch.linspace(-0.6, 0.6, 24).tolist()]
+
+
+def make_model(sh_degree: int = 3, **field_options) -> Model:
+    torch.manual_seed(0)
+    config = FieldConfig(**field_options)
+    field = RadianceField(config)
+    means = 0.7 * torch.randn(COUNT, 3)
+    field.set_frame(means)
+    gaussians = Gaussians(
+        means=means,
+        quats=torch.randn(COUNT, 4),
+        log_scales=0.3 * torch.randn(COUNT, 3) - 1.5,
+        opacity_rgb_logit=torch.randn(COUNT, 1),
+        opacity_thermal_logit=torch.randn(COUNT, 1),
+        sh_dc=torch.rand(COUNT, 1, 3),
+        sh_rest=0.05 * torch.randn(COUNT, 15, 3),
+        temperature_dc=torch.rand(COUNT, 1, 1),
+        temperature_rest=0.05 * torch.randn(COUNT, 0 if config.residuals else 15, 1),
+        embedding=field.initial_embedding(means),
+    )
+    neighbours = nearest_neighbours(means, config.neighbours_k) if config.neighbours_k else None
+    return Model(gaussians, field, neighbours, sh_degree)
+
+
+def psnr(a: torch.Tensor, b: torch.Tensor) -> float:
+    return -10 * float(torch.log10((a - b).square().mean()))
+
+
+@pytest.mark.parametrize("sh_degree", [1, 3])
+def test_a_baked_model_looks_like_the_trained_one(sh_degree):
+    model = make_model(sh_degree, residual_scale=0.2)
+    baked = bake(model, CAMERAS, None)
+    unseen = make_camera(0.33)
+    with torch.no_grad():
+        expected = render(model, unseen, unseen)[0]
+    found = baked.render(unseen)
+    torch.testing.assert_close(found.thermal, expected.thermal, atol=2e-6, rtol=0)
+    torch.testing.assert_close(found.depth_rgb, expected.depth_rgb)
+    assert psnr(found.rgb, expected.rgb) > 50
+
+
+def test_the_colour_residual_counts():
+    model = make_model(residual_scale=0.2)
+    plain = bake(make_model(residual_scale=0.0), CAMERAS, None)
+    with torch.no_grad():
+        expected = render(model, CAMERAS[5], None)[0].rgb
+    baked = bake(model, CAMERAS, None)
+    assert psnr(baked.render(CAMERAS[5]).rgb, expected) > psnr(plain.render(CAMERAS[5]).rgb, expected) + 10
+
+
+def test_spherical_harmonics_alone_are_kept_as_they_are():
+    model = make_model(residuals=False)
+    assert torch.equal(bake(model, CAMERAS, None).sh, model.gaussians.sh)
+
+
+def test_temperatures_are_celsius_where_the_scale_is_known():
+    model = make_model()
+    baked = bake(model, CAMERAS, TemperatureRange(10.0, 30.0))
+    torch.testing.assert_close(baked.temperatures_c, 10 + 20 * baked.temperatures)
+    with pytest.raises(ValueError, match="no °C"):
+        _ = bake(model, CAMERAS, None).temperatures_c
+
+
+def test_a_camera_is_needed():
+    with pytest.raises(ValueError, match="without a camera"):
+        bake(make_model(), [], None)
