@@ -84,9 +84,7 @@ class BakedModel:
             colors = self.colors(camera.position.to(self.means))
             layers = [
                 Layer(self.opacity_rgb, colors, colors.new_full((3,), self.background_rgb)),
-                Layer(
-                    self.opacity_thermal, self.temperatures[:, None], colors.new_full((1,), self.background_thermal)
-                ),
+                Layer(self.opacity_thermal, self.temperatures[:, None], colors.new_full((1,), self.background_thermal)),
             ]
             raster = rasterize(
                 self.means, self.quats, self.scales, layers, camera.viewmat, camera.K, camera.width, camera.height

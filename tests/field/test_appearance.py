@@ -4,7 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.field.appearance import CPU_BLOCK_ROWS, ColorHead, OrthogonalExtraction, ThermalFeatureHead, reject
+from mrgs.field.appearance import ColorHead, OrthogonalExtraction, ThermalFeatureHead, reject
 
 
 @settings(deadline=None)
@@ -54,15 +54,6 @@ def test_color_head_reads_embedding_and_direction_and_starts_small():
     assert residual.abs().max() < 0.02
     assert not torch.allclose(residual, head(embedding, -directions), atol=1e-6)
     assert not torch.allclose(residual, head(-embedding, directions), atol=1e-6)
-
-
-def test_blocks_do_not_change_the_result():
-    torch.manual_seed(0)
-    head = ColorHead(6, 1, 8, 1.0).double()
-    count = CPU_BLOCK_ROWS + 3
-    embedding, directions = torch.randn(count, 6, dtype=torch.float64), torch.randn(count, 3, dtype=torch.float64)
-    whole = head(embedding, directions)
-    torch.testing.assert_close(whole[-5:], head(embedding[-5:], directions[-5:]))
 
 
 def test_heads_take_no_rows():

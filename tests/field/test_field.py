@@ -136,6 +136,27 @@ def test_missing_neighbours_are_named():
         field.temperatures(make_gaussians(field), None, CAMERA, 3)
 
 
+def test_neighbours_of_other_gaussians_are_refused():
+    field = make_field()
+    gaussians = make_gaussians(field)
+    neighbours = nearest_neighbours(gaussians.means, 8)
+    with pytest.raises(ValueError, match=r"neighbours of 40 Gaussians are needed, not of shape \(39, 8\)"):
+        field.temperatures(gaussians, neighbours[1:], CAMERA, 3)
+    with pytest.raises(IndexError, match="neighbours must lie in 0 to 39, but reach from 1 to 40"):
+        field.temperatures(gaussians, neighbours.clamp_min(1) + (neighbours == 39), CAMERA, 3)
+
+
+@pytest.mark.parametrize("row", [-1, 40])
+def test_rows_that_do_not_exist_are_refused(row):
+    field = make_field()
+    gaussians = make_gaussians(field)
+    neighbours, rows = nearest_neighbours(gaussians.means, 8), torch.tensor([0, row])
+    with pytest.raises(IndexError, match="rows must lie in 0 to 39"):
+        field.colors(gaussians, CAMERA, 3, rows)
+    with pytest.raises(IndexError, match="rows must lie in 0 to 39"):
+        field.temperatures(gaussians, neighbours, CAMERA, 3, rows)
+
+
 @pytest.mark.parametrize(
     ("options", "k"),
     [({}, 8), ({"neighbours_n": 1}, 0), ({"neighbours_n": 5}, 24), ({"fourier": False}, 0), ({"residuals": False}, 0)],

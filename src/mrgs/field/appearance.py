@@ -11,9 +11,6 @@ from mrgs.field.encoding import positional_encoding
 SH_COEFFICIENTS = 48
 """16 basis functions times 3 colour channels."""
 
-CPU_BLOCK_ROWS = 4096
-"""Rows per block of an MLP on the CPU: its activations stay in the cache."""
-
 
 def reject(embedding: Float[Tensor, "n c"], direction: Float[Tensor, "n c"]) -> Float[Tensor, "n c"]:
     """e_orth = e_m − e_proj, the part of each embedding that is orthogonal to its direction SH'.
@@ -72,7 +69,8 @@ class ColorHead(nn.Module):
     def forward(self, embedding: Float[Tensor, "n c"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """ĉ of each Gaussian; directions are unit vectors from the camera to its centre."""
         inputs = torch.cat([embedding, positional_encoding(directions, self.frequencies)], dim=1)
-        return self.scale * _in_blocks(self.mlp, inputs)
+        residual: Tensor = self.scale * self.mlp(inputs)
+        return residual
 
 
 class ThermalFeatureHead(nn.Module):
@@ -100,12 +98,10 @@ class ThermalFeatureHead(nn.Module):
     def forward(self, e_t: Float[Tensor, "n c"], positions: Float[Tensor, "n 3"]) -> Float[Tensor, "n f"]:
         """F_t of each Gaussian; positions are normalised to about [-1, 1]."""
         inputs = torch.cat([e_t, positional_encoding(positions.detach(), self.frequencies)], dim=1)
-        return _in_blocks(self.mlp, inputs)
+        features: Tensor = self.mlp(inputs)
+        return features
 
 
-def _in_blocks(mlp: nn.Module, inputs: Float[Tensor, "n i"]) -> Float[Tensor, "n o"]:
-    """mlp(inputs); on the CPU block by block, which saves a quarter of the time and many large allocations."""
-    if inputs.device.type != "cpu":
-        output: Tensor = mlp(inputs)
-        return output
-    return torch.cat([mlp(block) for block in inputs.split(CPU_BLOCK_ROWS)])
+def linear_layers(mlp: nn.Sequential) -> list[tuple[Tensor, Tensor]]:
+    """Weight and bias of each linear layer, in their order."""
+    return [(layer.weight, layer.bias) for layer in mlp if isinstance(layer, nn.Linear)]

@@ -9,9 +9,11 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
-from mrgs.field.appearance import ColorHead, OrthogonalExtraction, ThermalFeatureHead
+from mrgs.field import cpu
+from mrgs.field.appearance import ColorHead, OrthogonalExtraction, ThermalFeatureHead, linear_layers
 from mrgs.field.encoding import fourier_embedding, position_frame
-from mrgs.field.heat import FourierHeatTransformation
+from mrgs.field.heat import FourierHeatTransformation, with_neighbours
+from mrgs.field.product import product
 from mrgs.field.spherical_harmonics import C0, evaluate_sh
 from mrgs.scene.gaussians import Gaussians
 
@@ -122,15 +124,15 @@ class RadianceField(nn.Module):
             gaussians: N Gaussians.
             camera_position: centre of projection in world coordinates.
             sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
-            rows: Gaussians to evaluate; all if None (V = N).
+            rows: distinct Gaussians to evaluate; all if None (V = N).
+
+        Raises:
+            IndexError: rows that do not exist.
         """
-        directions = _directions(_take(gaussians.means, rows), camera_position)
-        dc, rest = _take(gaussians.sh_dc, rows), _take(gaussians.sh_rest, rows)
-        colors = (evaluate_sh(dc, rest, directions, sh_degree) + 0.5).clamp_min(0)
-        if not self.config.residuals:
-            return colors
-        residual: Tensor = self.color_head(_take(gaussians.embedding, rows), directions)
-        return colors + residual
+        _check_places("rows", rows, len(gaussians))
+        camera_position = camera_position.to(gaussians.means)
+        colors = _shade(gaussians.means, gaussians.sh_dc, gaussians.sh_rest, camera_position, sh_degree, rows)
+        return colors + self._color_residual(gaussians, camera_position, rows) if self.config.residuals else colors
 
     def temperatures(
         self,
@@ -153,14 +155,29 @@ class RadianceField(nn.Module):
             rows: distinct Gaussians to evaluate; all if None (V = N).
 
         Raises:
-            ValueError: heat is exchanged, but ``neighbours`` is None.
+            ValueError: heat is exchanged, but ``neighbours`` is None or of another shape.
+            IndexError: rows or neighbours that do not exist.
         """
-        dc = _take(gaussians.temperature_dc, rows)
+        _check_places("rows", rows, len(gaussians))
         if self.config.residuals:
+            dc = _take(gaussians.temperature_dc, rows)
             return C0 * dc[:, 0] + 0.5 + self._temperature_residual(gaussians, neighbours, rows)
-        directions = _directions(_take(gaussians.means, rows), camera_position)
-        rest = _take(gaussians.temperature_rest, rows)
-        return (evaluate_sh(dc, rest, directions, sh_degree) + 0.5).clamp_min(0)
+        camera_position = camera_position.to(gaussians.means)
+        dc, rest = gaussians.temperature_dc, gaussians.temperature_rest
+        return _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows)
+
+    def _color_residual(
+        self, gaussians: Gaussians, camera_position: Float[Tensor, "3"], rows: Int64[Tensor, " v"] | None
+    ) -> Float[Tensor, "v 3"]:
+        """ĉ: the colour head on e_m and the viewing direction."""
+        head, means, embedding = self.color_head, gaussians.means, gaussians.embedding
+        if cpu.serves(means):
+            *hidden, (weight, bias) = linear_layers(head.mlp)
+            layers = [*hidden, (head.scale * weight, head.scale * bias)]
+            listed = _listed(rows, means)
+            return cpu.color_residual(layers, embedding, means, camera_position, head.frequencies, listed)
+        residual: Tensor = head(_take(embedding, rows), _directions(_take(means, rows), camera_position))
+        return residual
 
     def _temperature_residual(
         self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, " v"] | None
@@ -170,38 +187,80 @@ class RadianceField(nn.Module):
             neighbours = torch.empty(len(gaussians), 0, dtype=torch.int64, device=gaussians.means.device)
         if neighbours is None:
             raise ValueError(f"the heat transformation needs the {self.config.neighbours_k} nearest neighbours")
-        needed = rows
-        if rows is not None:
-            needed, neighbours = _with_neighbours(rows, neighbours)
-        sh = torch.cat([_take(gaussians.sh_dc, needed), _take(gaussians.sh_rest, needed)], dim=1)
-        e_t = self.extraction(_take(gaussians.embedding, needed), sh)
-        features = self.thermal_head(e_t, self._normalised(_take(gaussians.means, needed)))
+        if neighbours.shape != (len(gaussians), self.config.neighbours_k):
+            raise ValueError(
+                f"neighbours of {len(gaussians)} Gaussians are needed, not of shape {tuple(neighbours.shape)}"
+            )
+        _check_places("neighbours", neighbours, len(gaussians))
+        projected = self._projected_features(gaussians, None if rows is None else with_neighbours(rows, neighbours))
         opacity = _take(gaussians.opacity_thermal, rows)
-        residual = self.heat.readout(features, opacity, neighbours, self.temperature_output)
-        return self.config.residual_scale * residual
+        anchors = _listed(rows, gaussians.means)
+        return self.config.residual_scale * self.heat.readout(
+            projected, opacity, neighbours, anchors, self.temperature_output
+        )
+
+    def _projected_features(self, gaussians: Gaussians, rows: Int64[Tensor, " m"] | None) -> Float[Tensor, "n r"]:
+        """What neighbours read of each F_t (``FourierHeatTransformation.readout``); 0 where not asked for."""
+        readout_rows = self.heat.readout_rows(self.temperature_output)
+        means, embedding = gaussians.means, gaussians.embedding
+        if cpu.serves(means):
+            layers = (self.extraction.phi_sh.weight, self.extraction.phi_sh.bias, *self._merged_layers(readout_rows))
+            positions, frequencies = self._normalised(means.detach()), self.thermal_head.frequencies
+            return cpu.project_features(
+                embedding, gaussians.sh_dc, gaussians.sh_rest, layers, positions, frequencies, _listed(rows, means)
+            )
+        sh = torch.cat([_take(gaussians.sh_dc, rows), _take(gaussians.sh_rest, rows)], dim=1)
+        e_t = self.extraction(_take(embedding, rows), sh)
+        projected = self.thermal_head(e_t, self._normalised(_take(means, rows))) @ readout_rows.T
+        if rows is None:
+            return projected
+        return projected.new_zeros(len(means), projected.shape[1]).index_copy(0, rows, projected)
+
+    def _merged_layers(self, readout_rows: Float[Tensor, "r f"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Weight and bias of two layers around the thermal head's ReLU, each the product of two linear layers.
+
+        φ_e of Eq. 8 goes into the first, W (φ_e(x) ⊕ PE_p) = W_e φ_e x + W_e b_e + W_p PE_p; the read-out into the
+        second. Both biases pass through the product as one more column.
+        """
+        phi_e, ((weight, bias), last) = self.extraction.phi_e, linear_layers(self.thermal_head.mlp)
+        of_e_t, of_position = weight.tensor_split([len(phi_e.weight)], dim=1)
+        first = product(of_e_t, torch.cat([phi_e.weight, phi_e.bias[:, None]], dim=1))
+        second = product(readout_rows, torch.cat([last[0], last[1][:, None]], dim=1))
+        return torch.cat([first[:, :-1], of_position], dim=1), first[:, -1] + bias, second[:, :-1], second[:, -1]
 
     def _normalised(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return (means - self.center) / self.scale
 
 
+def _shade(
+    means: Float[Tensor, "n 3"],
+    dc: Float[Tensor, "n 1 c"],
+    rest: Float[Tensor, "n b c"],
+    camera_position: Float[Tensor, "3"],
+    degree: int,
+    rows: Int64[Tensor, " v"] | None,
+) -> Float[Tensor, "v c"]:
+    """SH2RGB: spherical harmonics plus 0.5, clamped at 0."""
+    if cpu.serves(means):
+        return cpu.shade(means, dc, rest, camera_position, degree, _listed(rows, means))
+    directions = _directions(_take(means, rows), camera_position)
+    return (evaluate_sh(_take(dc, rows), _take(rest, rows), directions, degree) + 0.5).clamp_min(0)
+
+
 def _directions(means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
     """Unit vectors from the camera to the Gaussians."""
-    return nn.functional.normalize(means - camera_position.to(means), dim=1)
+    return nn.functional.normalize(means - camera_position, dim=1)
 
 
 def _take(tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None) -> Float[Tensor, "v ..."]:
     return tensor if rows is None else tensor.index_select(0, rows)
 
 
-def _with_neighbours(
-    rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]
-) -> tuple[Int64[Tensor, " m"], Int64[Tensor, "v k"]]:
-    """The rows followed by those of their neighbours that are not among them, and the neighbours as places therein."""
-    gathered = neighbours.index_select(0, rows)
-    is_extra = torch.zeros(len(neighbours), dtype=torch.bool, device=rows.device)
-    is_extra[gathered.flatten()] = True
-    is_extra[rows] = False
-    needed = torch.cat([rows, is_extra.nonzero().squeeze(1)])
-    place = torch.empty(len(neighbours), dtype=torch.int64, device=rows.device)
-    place[needed] = torch.arange(len(needed), device=rows.device)
-    return needed, place[gathered]
+def _listed(rows: Int64[Tensor, " v"] | None, means: Float[Tensor, "n 3"]) -> Int64[Tensor, " v"]:
+    return torch.arange(len(means), device=means.device) if rows is None else rows
+
+
+def _check_places(name: str, places: Int64[Tensor, "..."] | None, count: int) -> None:
+    """The kernels do not look again."""
+    if places is not None and places.numel() and not (places.min() >= 0 and places.max() < count):
+        raise IndexError(f"{name} must lie in 0 to {count - 1}, but reach from {places.min()} to {places.max()}")

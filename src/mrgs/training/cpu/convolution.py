@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from numba import njit, prange
+from numba import prange
 
 from mrgs.training.cpu.address import address
+from mrgs.training.cpu.jit import kernel, parallel_kernel, summing_kernel
 
-_OPTIONS = {"cache": True, "error_model": "numpy"}
 
-
-@njit(parallel=True, fastmath={"contract"}, **_OPTIONS)
+@parallel_kernel()
 def correlate(padded, weights, result):
     """The nine weights over each pixel's neighbourhood: [H + 2, W + 2], [9] -> [H, W]."""
     height, width = result.shape
@@ -17,7 +16,7 @@ def correlate(padded, weights, result):
         _correlate_row(padded, row, weights, address(result, row * width), width)
 
 
-@njit(fastmath={"contract"}, **_OPTIONS)
+@kernel()
 def _correlate_row(padded, row, weights, result, count):
     stride = padded.shape[1]
     a, b, c = address(padded, row * stride), address(padded, (row + 1) * stride), address(padded, (row + 2) * stride)
@@ -30,7 +29,7 @@ def _correlate_row(padded, row, weights, result, count):
         result[i] = above + same + below
 
 
-@njit(parallel=True, **_OPTIONS)
+@parallel_kernel()
 def weights_gradient(padded, gradient, sums):
     """By the nine weights: each row's part in double precision [H, 9], from the gradient by the result [H, W]."""
     height, width = gradient.shape
@@ -40,7 +39,7 @@ def weights_gradient(padded, gradient, sums):
             sums[row, tap] = _dot(address(gradient, row * width), values, width)
 
 
-@njit(fastmath={"contract", "reassoc"}, **_OPTIONS)  # the order of the sum is the compiler's, but always the same
+@summing_kernel()
 def _dot(a, b, count):
     total = 0.0
     for i in range(count):

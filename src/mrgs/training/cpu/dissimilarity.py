@@ -15,9 +15,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from mrgs.training.cpu.address import address, moved
+from mrgs.training.cpu.jit import kernel, parallel_kernel
 
 RADIUS = 5
 TAPS = 2 * RADIUS + 1
@@ -30,8 +31,6 @@ BLOCK = 512
 
 MEAN_X, SQUARES, PRODUCT, MEAN_Y, ERROR = range(0, 5 * BLOCK, BLOCK)
 """Where a block holds μ_x, S, P, μ_y, then the derivatives by them in their place, and 1 − SSIM."""
-
-_OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
 
 
 class Comparison(NamedTuple):
@@ -62,14 +61,14 @@ class Comparison(NamedTuple):
     sums: np.ndarray
 
 
-@njit(parallel=True, **_OPTIONS)
+@parallel_kernel()
 def compare(comparison):
     """Σ weights ((1 − dssim) |x − y| + dssim (1 − SSIM)), as the sums over each strip and column: of them, the sum."""
     for strip in prange(comparison.sums.shape[0]):
         _walk_strip(comparison, np.int64(strip))  # prange counts in uint64, and uint64 less int64 is float64 in Numba
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _walk_strip(comparison, strip):
     height, width = comparison.x.shape
     first, last = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, height)
@@ -88,7 +87,7 @@ def _walk_strip(comparison, strip):
             _store_gradients(comparison, row - 2 * RADIUS, derivatives, block)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _enter_moments(comparison, row, rows, ring):
     """One row of x, y, x² + y² and x y, filtered along it, enters the ring."""
     height, width = comparison.x.shape
@@ -109,7 +108,7 @@ def _enter_moments(comparison, row, rows, ring):
     _filter_along(rows, comparison.channels, comparison.window, ring, row % TAPS, width)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _copy_counted(source, weights, result, count):
     zero = weights[0] - weights[0]
     for i in range(count):
@@ -117,7 +116,7 @@ def _copy_counted(source, weights, result, count):
         result[i] = value if weights[i] != zero else zero
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _enter_derivatives(comparison, row, moments, block, rows, ring):
     """One row's derivatives by the moments, filtered along it, enter the ring; ``rows`` keeps its 1 − SSIM."""
     height, width = comparison.x.shape
@@ -135,7 +134,7 @@ def _enter_derivatives(comparison, row, moments, block, rows, ring):
     _filter_along(rows, comparison.channels, comparison.window, ring, row % TAPS, width)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _differentiate_ssim(block, weights, count, scalars):
     """Moments to 1 − SSIM and the derivatives of weights dssim (1 − SSIM), each in the place of its moment.
 
@@ -159,7 +158,7 @@ def _differentiate_ssim(block, weights, count, scalars):
         block[ERROR + i] = one - luminance * structure
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _add_errors(comparison, row, rows, strip):
     """The row's part of the sum, column by column."""
     width = comparison.x.shape[1]
@@ -174,7 +173,7 @@ def _add_errors(comparison, row, rows, strip):
         _copy(errors, address(comparison.errors, at), width)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _store_gradients(comparison, row, derivatives, block):
     """The gradients of one row from its derivatives, filtered across, and L1's own."""
     width = comparison.x.shape[1]
@@ -190,7 +189,7 @@ def _store_gradients(comparison, row, derivatives, block):
             _gradient(y, x, weights, dissimilar, MEAN_Y, count, comparison.scalars, address(comparison.grad_y, at))
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _gradient(x, y, weights, block, mean, count, scalars, result):
     """By x; ``mean`` says where the block has w ∗ ∂L/∂μ_x."""
     l1 = scalars[1]
@@ -202,7 +201,7 @@ def _gradient(x, y, weights, block, mean, count, scalars, result):
         result[i] = gradient if weights[i] != zero else zero
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _filter_along(rows, channels, window, ring, slot, width):
     """The window along each of as many padded rows as the ring holds, into its ``slot``."""
     for k in range(ring.shape[0]):
@@ -210,7 +209,7 @@ def _filter_along(rows, channels, window, ring, slot, width):
         _weigh(row, 0, channels, window, result, width)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _filter_across(ring, row, start, count, width, window, block):
     """The window across the eleven rows about ``row``, ``count`` values from ``start`` on."""
     for k in range(ring.shape[0]):
@@ -218,7 +217,7 @@ def _filter_across(ring, row, start, count, width, window, block):
         _weigh(values, row - RADIUS, width, window, result, count)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _weigh(values, first, spacing, window, result, count):
     """The window over eleven runs of values, of which the k-th starts after (first + k) mod 11 times the spacing.
 
@@ -236,18 +235,18 @@ def _weigh(values, first, spacing, window, result, count):
         result[i] += d * (d0[i] + d1[i]) + e * (e0[i] + e1[i]) + f * f0[i]
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _run(values, tap, spacing):
     return moved(values, tap % TAPS * spacing)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _copy(source, result, count):
     for i in range(count):
         result[i] = source[i]
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _clear_slot(ring, slot, width):
     zero = ring.dtype.type(0)
     for k in range(ring.shape[0]):

@@ -7,17 +7,16 @@ for the pixel behind it: a pixel's gradient is the two steps that lead to it les
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from mrgs.training.cpu.address import address, moved
+from mrgs.training.cpu.jit import kernel, parallel_kernel
 
 STRIP_ROWS = 16
 """Rows of one task; the step that leads to its first row is computed by two tasks."""
 
-_OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
 
-
-@njit(parallel=True, **_OPTIONS)
+@parallel_kernel()
 def sum_differences(image, channels, row_weights, column_weights, scales, gradient, sums):
     """Σ scale weight |first difference|, as the sums over each strip and column: of them, the sum.
 
@@ -35,7 +34,7 @@ def sum_differences(image, channels, row_weights, column_weights, scales, gradie
         _walk_strip(image, channels, row_weights, column_weights, scales, gradient, sums, np.int64(strip))
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _walk_strip(image, channels, row_weights, column_weights, scales, gradient, sums, strip):
     """A row counts the differences within it and those to the next row."""
     height, width = image.shape
@@ -47,7 +46,7 @@ def _walk_strip(image, channels, row_weights, column_weights, scales, gradient, 
             _finish_row(image, row, channels, column_weights, scales, buffers, gradient, address(sums, strip * width))
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _step_to_next_row(image, row, channels, weights, scales, buffers):
     """The steps between two rows, into one of the two last buffers; the other holds those from the row before."""
     height, width = image.shape
@@ -60,7 +59,7 @@ def _step_to_next_row(image, row, channels, weights, scales, buffers):
             leaving[i] = 0
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _finish_row(image, row, channels, weights, scales, buffers, gradient, totals):
     """The steps within a row, the gradient from all four steps, and the row's part of the sum."""
     height, width = image.shape
@@ -77,7 +76,7 @@ def _finish_row(image, row, channels, weights, scales, buffers, gradient, totals
         result[i] = before[i] - behind[i] + above[i] - below[i]
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _spread(weights, row, scale, channels, factors, count):
     """Each pixel's weight, times the scale, for each of its channels."""
     if weights.size == 0:
@@ -89,7 +88,7 @@ def _spread(weights, row, scale, channels, factors, count):
             factors[pixel * channels + channel] = scale * weights[row, pixel]
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _step(pixels, distance, factors, count, steps):
     """The factor of each difference over a distance, with the difference's sign."""
     others, zero = moved(pixels, distance), factors[0] - factors[0]
@@ -98,7 +97,7 @@ def _step(pixels, distance, factors, count, steps):
         steps[i] = factors[i] if difference > zero else (-factors[i] if difference < zero else zero)
 
 
-@njit(**_OPTIONS)
+@kernel()
 def _add(pixels, distance, steps, count, totals):
     """Factor times |difference|, which is the step times the difference."""
     others = moved(pixels, distance)
