@@ -123,7 +123,8 @@ def gaussians(count: int, field: RadianceField, config: TrainConfig) -> Gaussian
 
 
 def training_state(count: int, config: TrainConfig) -> TrainingState:
-    """A state amid training, with its neighbours known."""
+    """A state amid training, with its neighbours known; the same each time."""
+    torch.manual_seed(4)
     field = radiance_field(count, config)
     parameters = gaussians(count, field, config)
     k = config.field.neighbours_k
