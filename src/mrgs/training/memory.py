@@ -15,11 +15,11 @@ _ADAM_COPIES = 4
 _BASE_BYTES = 450 * 2**20
 """Interpreter, torch, Numba and the compiled kernels."""
 
-_RASTER_FLOATS_PER_GAUSSIAN = 160
-"""Projected records and about six tiles per Gaussian with their gradient moments."""
+_RASTER_FLOATS_PER_GAUSSIAN = 80
+"""The projected record, and about four tiles per Gaussian with their gradient moments."""
 
-_PIXEL_FLOATS = 150
-"""Images, gradients and SSIM's local moments per pixel."""
+_PIXEL_FLOATS = 40
+"""Images and gradients per pixel."""
 
 
 def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
@@ -29,8 +29,7 @@ def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     activations = 0
     if field.residuals:
         parameters += field.embedding_width
-        inputs = 2 * field.embedding_width + 6 * (field.direction_frequencies + field.position_frequencies)
-        activations = 2 * (inputs + 3 * field.hidden_width + field.thermal_feature_width + 4 * field.neighbours_k)
+        activations = 3 * field.hidden_width + 4 * field.neighbours_k
     per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
     pixels = max(sum(camera.width * camera.height for camera in view.cameras) for view in scene.train)
     photos = sum(4 * _FLOAT * camera.width * camera.height for view in scene.train for camera in view.cameras)
