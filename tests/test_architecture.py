@@ -25,6 +25,7 @@ FLOORS = {
     "evaluation": 5.0,
     "synth": 5.0,
     "export": 5.2,
+    "report": 5.2,
     "viewer": 5.4,
     "terminal": 5.5,
     "cli": 6.0,

@@ -6,14 +6,29 @@ import os
 import shlex
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.terminal import TrainingProgress, counter, plain_warnings, print_metrics
+from mrgs.terminal import (
+    TrainingProgress,
+    counter,
+    note_unfinished,
+    plain_warnings,
+    print_baking_loss,
+    print_metrics,
+    say_where_to_look,
+    scene_if_there,
+)
+
+if TYPE_CHECKING:
+    from mrgs.scene import Scene
+    from mrgs.training import StepStatistics, TrainConfig
+    from mrgs.viewer import LiveView
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -51,6 +66,8 @@ class Train:
     """YAML file with other values for any field of a run's config.yaml, for instance field: {neighbours_n: 5}."""
     resume: bool = False
     """Continue the run in the output folder; all other options are the run's own."""
+    view: bool = False
+    """Show the model in the browser while it trains. Needs mrgs[view]."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +96,50 @@ class Render:
     """Colours of the thermal images."""
     frames: int = 120
     """Frames of the camera path."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at a run in the browser: colour, temperature, depth, °C under the cursor. Needs mrgs[view]."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines look too."""
+    port: int = 8080
+    """TCP port; 0 takes a free one."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a run for other programs: splats, points, a mesh, cameras, one HTML page that needs nothing else."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    format: Literal["all", "ply", "spz", "glb", "splat", "points", "las", "mesh", "cameras", "page"] = "all"
+    """What to write; docs/export.md says what is in each."""
+    output: Path | None = None
+    """The folder to write into; by default RUN/export."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    """Colours of the temperatures."""
+    range_c: tuple[float, float] | None = None
+    """°C of the palette's first and last colour; by default the scene's whole range."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write one page for a thermographer: hottest and coldest spots, scores, capture, limits. Prints to PDF."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    output: Path | None = None
+    """The file; by default RUN/report.html."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +175,9 @@ Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Synth, tyro.conf.subcommand("synth")]
 )
 
@@ -132,6 +196,9 @@ def main(argv: list[str] | None = None) -> int:
         Train: _train,
         Eval: _eval,
         Render: _render,
+        View: _view,
+        Export: _export,
+        Report: _report,
         Demo: _demo,
         Synth: _synth,
     }
@@ -162,21 +229,36 @@ def _train(command: Train) -> None:
     folder = command.scene.parent if command.scene.is_file() else command.scene
     output = command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
     progress = TrainingProgress()
-    with progress:
-        train(
-            command.scene,
-            output,
-            config,
-            resume=command.resume,
-            on_start=progress.start,
-            on_step=progress.step,
-        )
+    with progress, _live_view(output) if command.view else nullcontext() as live:
+        train(command.scene, output, config, resume=command.resume, **_hooks(progress, live))
     if progress.unfinished:
         go_on = shlex.join(["mrgs", "train", str(command.scene), "--output", str(output), "--resume"])
         print(f"a checkpoint is kept; go on with: {go_on}")
         raise KeyboardInterrupt
     quoted = shlex.quote(str(output))
     print(f"trained:   {output}\nscore it:  mrgs eval {quoted}\nrender it: mrgs render {quoted}")
+
+
+def _live_view(output: Path) -> LiveView:
+    from mrgs.viewer import LiveView
+
+    return LiveView(output, on_ready=say_where_to_look)
+
+
+def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
+    """What ``train`` calls: the terminal's line, and the view if there is one."""
+    if live is None:
+        return {"on_start": progress.start, "on_step": progress.step}
+
+    def on_start(scene: Scene, config: TrainConfig) -> None:
+        progress.start(scene, config)
+        live.on_start(scene, config)
+
+    def on_step(statistics: StepStatistics) -> bool:
+        live.on_step(statistics)
+        return progress.step(statistics)
+
+    return {"on_start": on_start, "on_model": live.on_model, "on_step": on_step}
 
 
 def _eval(command: Eval) -> None:
@@ -196,6 +278,37 @@ def _render(command: Render) -> None:
     run = load_run(command.run, command.scene)
     folder = render_run(run, command.split, command.palette, command.frames, counter("rendering"))
     print(f"images: {folder}")
+
+
+def _view(command: View) -> None:
+    from mrgs.run import load_run
+    from mrgs.viewer import view
+
+    run = load_run(command.run, command.scene)
+    note_unfinished(run)
+    view(run, scene_if_there(run), command.host, command.port, on_ready=say_where_to_look)
+
+
+def _export(command: Export) -> None:
+    from mrgs.export import export
+    from mrgs.run import load_run
+
+    run = load_run(command.run, command.scene)
+    note_unfinished(run)
+    folder = command.output or command.run / "export"
+    paths = export(
+        run, run.load_scene(), command.format, folder, command.palette, command.range_c, on_baked=print_baking_loss
+    )
+    print(*paths, sep="\n")
+
+
+def _report(command: Report) -> None:
+    from mrgs.report import write_report
+    from mrgs.run import load_run
+
+    run = load_run(command.run, command.scene)
+    note_unfinished(run)
+    print(f"report: {write_report(run, run.load_scene(), command.output or command.run / 'report.html')}")
 
 
 def _demo(command: Demo) -> None:

@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from mrgs.errors import MrgsWarning
+from mrgs.errors import MrgsWarning, SceneError
 
 if TYPE_CHECKING:
     from mrgs.evaluation import Metrics
+    from mrgs.export import BakingLoss
     from mrgs.run import Run
     from mrgs.scene import Scene
     from mrgs.training import StepStatistics, TrainConfig
@@ -50,6 +51,37 @@ def counter(verb: str) -> Callable[[int, int], None]:
             print(f"{verb} {done}/{total}")
 
     return show
+
+
+def say_where_to_look(url: str) -> None:
+    """The viewer is ready."""
+    print(f"open {url} in a browser; Ctrl-C here ends it", flush=True)
+
+
+def note_unfinished(run: Run) -> None:
+    """Say so if the run has not come to its end, since its newest checkpoint is what is used."""
+    if run.facts.step < run.config.max_steps:
+        print(
+            f"mrgs: note: the run is at step {run.facts.step:,} of {run.config.max_steps:,}; "
+            "its newest checkpoint is used",
+            file=sys.stderr,
+        )
+
+
+def print_baking_loss(loss: BakingLoss) -> None:
+    """What plain splats lose against the trained model, as PSNR on the held-out views."""
+    named = {"RGB": loss.rgb_db, "thermal": loss.thermal_db}
+    known = [f"{name} {round(value, 2) + 0.0:.2f} dB" for name, value in named.items() if value is not None]
+    print(f"baking costs {', '.join(known) if known else 'an unknown amount: there are no held-out views'}")
+
+
+def scene_if_there(run: Run) -> Scene | None:
+    """The run's scene, or None with a note where it has gone."""
+    try:
+        return run.load_scene()
+    except SceneError as error:
+        print(f"mrgs: note: no photos and no captured cameras: {error}", file=sys.stderr)
+        return None
 
 
 class TrainingProgress:

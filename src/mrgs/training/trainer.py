@@ -39,6 +39,7 @@ def train(
     stop_at: int | None = None,
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
+    on_model: Callable[[Model], None] | None = None,
 ) -> RunFolder:
     """Train a model of a scene folder into a run folder.
 
@@ -50,6 +51,7 @@ def train(
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
+        on_model: called after it with the model that is trained, which ``on_step`` may look at and must not change.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -70,6 +72,8 @@ def train(
             trainer = _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume)
             if on_start is not None:
                 on_start(loaded, config)
+            if on_model is not None:
+                on_model(trainer.model)
             trainer.run(stop_at, on_step)
         except (SceneError, KeyboardInterrupt):  # a photo that cannot be decoded is found when its turn comes
             if not folder.checkpoints():
@@ -130,6 +134,11 @@ class _Trainer:
         else:
             self._state = initial_state(scene, config)
         self._started = time.perf_counter()
+
+    @property
+    def model(self) -> Model:
+        """The model that is trained; the same object from the first step to the last."""
+        return self._state.model
 
     def run(self, stop_at: int | None, on_step: OnStep | None) -> None:
         """Step until the end of the schedule, or until somebody asks to stop; the last step is checkpointed."""

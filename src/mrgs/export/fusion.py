@@ -1,0 +1,125 @@
+"""Depth maps of many cameras into one truncated signed distance field, in a band about the surfaces.
+
+B. Curless and M. Levoy, "A Volumetric Method for Building Complex Models from Range Images", 1996.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from mrgs.scene import Camera
+
+TRUNCATION_VOXELS = 4
+"""Half width of the band."""
+
+MIN_VIEWS = 2
+"""A sample that fewer cameras saw is not known."""
+
+BOUNDS_PERCENTILE = 2.0
+"""The box holds the points between this percentile and its counterpart on each axis: far background is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """What one camera sees.
+
+    Attributes:
+        camera: of the images.
+        depth: z-depth in scene units, NaN where there is none, [H, W].
+        image: any C channels to be carried over to the surface, [H, W, C].
+    """
+
+    camera: Camera
+    depth: Float32[np.ndarray, "h w"]
+    image: Float32[np.ndarray, "h w c"]
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A regular grid: sample (i, j, k) lies at ``origin`` + ``step`` · (i, j, k).
+
+    Attributes:
+        origin: world coordinates of the first sample, [3].
+        step: distance between samples, scene units.
+        shape: samples along each axis.
+    """
+
+    origin: Float64[np.ndarray, "3"]
+    step: float
+    shape: tuple[int, int, int]
+
+
+def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray, "x y z"], Grid]:
+    """The distance field, in units of the truncation, positive before the surfaces; NaN where it is not known.
+
+    Args:
+        maps: depth maps of overlapping cameras; at least one depth is known.
+        resolution: samples along the longest side of the box about the scene; fewer where the pixels are coarser.
+    """
+    grid = _grid_of(maps, resolution)
+    samples = np.argwhere(_band(maps, grid))
+    positions = (grid.origin + grid.step * samples).astype(np.float32)
+    total, count = np.zeros(len(samples), np.float32), np.zeros(len(samples), np.int32)
+    truncation = TRUNCATION_VOXELS * grid.step
+    for item in maps:
+        rows, pixels, z = visible(item.camera, positions)
+        distance = (item.depth[pixels] - z) / truncation
+        seen = distance > -1  # false for NaN
+        total[rows[seen]] += distance[seen].clip(max=1)
+        count[rows[seen]] += 1
+    field = np.full(grid.shape, np.nan, dtype=np.float32)
+    known = count >= MIN_VIEWS
+    field[tuple(samples[known].T)] = total[known] / count[known]
+    return field, grid
+
+
+def visible(
+    camera: Camera, positions: Float32[np.ndarray, "n 3"]
+) -> tuple[Int64[np.ndarray, " m"], tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]], Float32[np.ndarray, " m"]]:
+    """The points inside a camera's image: their rows, their pixels (row, column) and their z-depth."""
+    viewmat, K = camera.viewmat.numpy().astype(np.float32), camera.K.numpy().astype(np.float32)
+    x, y, z = viewmat[:3, :3] @ positions.T + viewmat[:3, 3:]
+    before = z > 1e-6
+    safe = np.where(before, z, np.float32(1))
+    column, row = K[0, 0] * x / safe + K[0, 2], K[1, 1] * y / safe + K[1, 2]
+    rows = np.flatnonzero(before & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
+    return rows, (row[rows].astype(np.int64), column[rows].astype(np.int64)), z[rows]
+
+
+def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:
+    """A box about the seen points, its step no finer than the median width of a pixel on the surfaces."""
+    points = np.concatenate([unprojected for item in maps for unprojected in _unproject(item, (0.0,))])
+    low, high = np.percentile(points, [BOUNDS_PERCENTILE, 100 - BOUNDS_PERCENTILE], axis=0)
+    pixel = np.median([np.nanmedian(item.depth) / float(item.camera.K[0, 0]) for item in maps])
+    step = max(float((high - low).max()) / resolution, float(pixel), 1e-6)
+    margin = (TRUNCATION_VOXELS + 1) * step
+    shape = np.ceil((high - low + 2 * margin) / step).astype(int) + 1
+    return Grid(low - margin, step, (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def _band(maps: Sequence[DepthMap], grid: Grid) -> Bool[np.ndarray, "x y z"]:
+    """The samples close to a seen surface."""
+    band = np.zeros(grid.shape, dtype=bool)
+    offsets = tuple(grid.step * k for k in range(-TRUNCATION_VOXELS, TRUNCATION_VOXELS + 1))
+    for item in maps:
+        for points in _unproject(item, offsets):
+            nearest = np.rint((points - grid.origin) / grid.step).astype(np.int64)
+            nearest = nearest[((nearest >= 0) & (nearest < grid.shape)).all(axis=1)]
+            band[tuple(nearest.T)] = True
+    return scipy.ndimage.binary_dilation(band)
+
+
+def _unproject(item: DepthMap, offsets: Sequence[float]) -> Iterator[Float64[np.ndarray, "m 3"]]:
+    """World coordinates of the pixels whose depth is known, each offset added to the depth in turn."""
+    row, column = np.nonzero(np.isfinite(item.depth))
+    K, viewmat = item.camera.K.numpy(), item.camera.viewmat.numpy()
+    x, y = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
+    rays = np.stack([x, y, np.ones_like(x)], axis=1) @ viewmat[:3, :3]
+    depth = item.depth[row, column].astype(np.float64)
+    for offset in offsets:
+        yield item.camera.position.numpy() + (depth + offset)[:, None] * rays

@@ -1,0 +1,88 @@
+"""A triangle mesh with a colour and a temperature per vertex, from renderings of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse.csgraph
+from jaxtyping import Float, Float32, Int32, UInt8
+
+from mrgs.baked import BakedModel
+from mrgs.errors import RunError
+from mrgs.export.fusion import fuse
+from mrgs.export.ply import table, write_ply
+from mrgs.export.rendered import carry_over, depth_maps
+from mrgs.export.splats import temperature_name, to_bytes
+from mrgs.export.surface_nets import surface_nets
+from mrgs.scene import Scene
+
+RESOLUTION = 320
+"""Samples along the longest side of the scene."""
+
+SMALLEST_PART = 0.005
+"""Connected parts with fewer than this share of the largest part's faces are left out: floating specks."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalMesh:
+    """Triangles with a colour and a temperature per vertex.
+
+    Attributes:
+        vertices: world coordinates (scene units), [V, 3].
+        faces: rows of ``vertices``, counter-clockwise from outside, [F, 3].
+        colors: [V, 3].
+        temperatures: °C, or normalised where the scene has no °C, [V].
+    """
+
+    vertices: Float32[np.ndarray, "v 3"]
+    faces: Int32[np.ndarray, "f 3"]
+    colors: UInt8[np.ndarray, "v 3"]
+    temperatures: Float32[np.ndarray, " v"]
+
+
+def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) -> ThermalMesh:
+    """Render the training cameras, fuse their depths, and draw the surface; colours and °C are the renderings' means.
+
+    The depth is that of the RGB blend (of the thermal one where the scene has no RGB).
+
+    Raises:
+        RunError: the renderings show no surface.
+    """
+    maps = depth_maps(baked, scene)
+    field, grid = fuse(maps, resolution)
+    points, faces = surface_nets(field)
+    vertices = (grid.origin + grid.step * points).astype(np.float32)
+    values, seen = carry_over(maps, vertices, 2 * grid.step)
+    vertices, faces, values = _without_specks(vertices, faces[seen[faces].all(axis=1)], values)
+    if not len(faces):
+        raise RunError("the depths of the model's views agree nowhere, so there is no mesh: train it longer")
+    return ThermalMesh(vertices, faces, to_bytes(values[:, :3]), values[:, 3])
+
+
+def write_mesh_ply(path: Path, mesh: ThermalMesh, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
+    """Write vertices with colour and ``temperature_c`` (or ``temperature_normalised``), and faces; returns the path.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    columns: dict[str, np.ndarray] = {axis: mesh.vertices[:, i] for i, axis in enumerate("xyz")}
+    columns |= {name: mesh.colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
+    columns[temperature_name(baked)] = mesh.temperatures
+    return write_ply(path, {"vertex": table(columns), "face": mesh.faces}, comments)
+
+
+def _without_specks(
+    vertices: Float32[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"], values: Float[np.ndarray, "v c"]
+) -> tuple[Float32[np.ndarray, "w 3"], Int32[np.ndarray, "g 3"], Float32[np.ndarray, "w c"]]:
+    """The mesh without small parts and unused vertices."""
+    links = scipy.sparse.coo_matrix(
+        (np.ones(2 * len(faces), bool), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), shape=[len(vertices)] * 2
+    )
+    _, part = scipy.sparse.csgraph.connected_components(links, directed=False)
+    sizes = np.bincount(part[faces[:, 0]], minlength=1)
+    faces = faces[sizes[part[faces[:, 0]]] >= SMALLEST_PART * sizes.max(initial=0)]
+    used, flat = np.unique(faces, return_inverse=True)
+    return vertices[used], flat.reshape(-1, 3).astype(np.int32), values[used]

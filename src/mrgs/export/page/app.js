@@ -1,0 +1,327 @@
+// The page: its controls, its read-out, and when to draw.
+
+const MAX_PIXEL_RATIO = 2;
+const SLOW_FRAME_MS = 60;
+const COARSEST = 0.35;
+const REST_MS = 200;
+const SURFACE_ALPHA = 0.5;
+
+const element = (id) => document.getElementById(id);
+const json = (id) => JSON.parse(element(id).textContent);
+
+class Scale {
+  // The normalised values of the model as the numbers of the page: °C, or as they are where no °C is known.
+  constructor({ min, max, unit }) {
+    this.min = min;
+    this.span = max - min;
+    this.unit = unit;
+    this.decimals = this.span > 5 ? 1 : this.span > 0.5 ? 2 : 3;
+  }
+
+  shown(value) { return this.min + value * this.span; }
+  normalised(number) { return (number - this.min) / this.span; }
+  text(number) { return number.toFixed(this.decimals) + (this.unit ? ` ${this.unit}` : ""); }
+}
+
+class Page {
+  constructor(facts, model) {
+    this.facts = facts;
+    this.scale = new Scale(facts.temperature);
+    this.canvas = element("view");
+    const palettes = Object.fromEntries(Object.entries(facts.palettes).map(([name, text]) => [name, fromBase64(text)]));
+    this.palettes = palettes;
+    this.renderer = new Renderer(this.canvas, model, palettes);
+    this.startWorker(model);
+    this.viewpoint = new Viewpoint(facts.world, () => this.viewChanged());
+    this.version = 0;
+    this.resolution = 1;
+    this.lastMove = -Infinity;
+    this.lastFrame = 0;
+    this.inMotion = false;
+    this.mode = facts.modalities[0];
+    this.measures = facts.modalities.includes("thermal");
+    this.spot = null;
+    this.hover = null;
+    this.connectControls();
+    this.navigation = new Navigation(this.canvas, this.viewpoint, {
+      onHover: (x, y) => this.hoverAt(x, y),
+      onLeave: () => this.hoverAt(null),
+      onTap: (x, y) => this.placeSpot(x, y),
+      onMove: () => this.moving(),
+    });
+    new ResizeObserver(() => this.resize()).observe(this.canvas);
+    this.resize();
+    this.setRange(...facts.range);
+    this.viewpoint.jumpTo(facts.cameras[0]);
+  }
+
+  startWorker(model) {
+    const source = new Blob([element("worker").textContent], { type: "text/javascript" });
+    const address = URL.createObjectURL(source);
+    this.worker = new Worker(address);
+    this.sorting = false;
+    this.reading = false;
+    this.waiting = null;
+    const { count, means, covariances, largestScale, opacityThermal, temperature } = model;
+    this.worker.postMessage({ model: { count, means, covariances, largestScale, opacityThermal, temperature } });
+    this.worker.onmessage = ({ data }) => (data.order ? this.sorted(data) : this.answered(data));
+  }
+
+  connectControls() {
+    for (const name of ["rgb", "thermal"]) element(name).addEventListener("click", () => this.setMode(name));
+    element("palette").addEventListener("change", () => this.drawScale());
+    for (const id of ["low", "high"]) element(id).addEventListener("change", () => this.readRange());
+    element("auto").addEventListener("click", () => this.setRange(...this.facts.range));
+    element("whole").addEventListener("click", () => this.setRange(this.facts.temperature.min, this.facts.temperature.max));
+    for (const id of ["isotherm", "isotherm-low", "isotherm-high"]) {
+      element(id).addEventListener("change", () => this.readIsotherm());
+    }
+    const cameras = element("camera");
+    cameras.addEventListener("change", () => this.jumpTo(cameras.selectedIndex));
+    element("previous").addEventListener("click", () => this.jumpTo(cameras.selectedIndex - 1));
+    element("next").addEventListener("click", () => this.jumpTo(cameras.selectedIndex + 1));
+    element("back").addEventListener("click", () => this.jumpTo(cameras.selectedIndex));
+    this.canvas.addEventListener("webglcontextlost", () => showFailure("The graphics driver stopped: reload the page."));
+  }
+
+  jumpTo(index) {
+    const cameras = element("camera");
+    cameras.selectedIndex = (index + cameras.length) % cameras.length;
+    this.viewpoint.jumpTo(this.facts.cameras[cameras.selectedIndex]);
+  }
+
+  setMode(mode) {
+    this.mode = mode;
+    for (const name of ["rgb", "thermal"]) element(name).setAttribute("aria-pressed", String(name === mode));
+    this.requestFrame();
+  }
+
+  // Numbers as on the page.
+  setRange(low, high) {
+    const decimals = this.scale.decimals;
+    this.range = [low, high];
+    element("low").value = low.toFixed(decimals);
+    element("high").value = high.toFixed(decimals);
+    if (!element("isotherm-low").value) {
+      element("isotherm-low").value = (low + 0.75 * (high - low)).toFixed(decimals);
+      element("isotherm-high").value = this.facts.temperature.max.toFixed(decimals);
+    }
+    this.readIsotherm();
+    this.drawScale();
+  }
+
+  readRange() {
+    const [low, high] = [element("low").valueAsNumber, element("high").valueAsNumber];
+    const valid = Number.isFinite(low) && Number.isFinite(high) && low < high;
+    element("high").setCustomValidity(valid ? "" : "The upper end must be above the lower.");
+    element("high").reportValidity();
+    if (valid) this.setRange(low, high);
+  }
+
+  readIsotherm() {
+    const band = ["isotherm-low", "isotherm-high"].map((id) => element(id).valueAsNumber);
+    const on = element("isotherm").checked && band.every(Number.isFinite);
+    this.isotherm = on ? band.map((number) => this.scale.normalised(number)) : [1, 0];
+    this.requestFrame();
+  }
+
+  drawScale() {
+    const bar = element("bar");
+    const colours = this.palettes[element("palette").value];
+    const context = bar.getContext("2d");
+    const image = context.createImageData(256, 1);
+    for (let i = 0; i < 256; i++) image.data.set([...colours.subarray(3 * i, 3 * i + 3), 255], 4 * i);
+    context.putImageData(image, 0, 0);
+    const [low, high] = this.range;
+    [0, 0.25, 0.5, 0.75, 1].forEach((share, i) => {
+      element("ticks").children[i].textContent = (low + share * (high - low)).toFixed(this.scale.decimals);
+    });
+    this.requestFrame();
+  }
+
+  resize() {
+    const ratio = Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO);
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
+    if (width === this.canvas.width && height === this.canvas.height) return;
+    [this.canvas.width, this.canvas.height] = [width, height];
+    if (this.viewpoint.frame) this.viewChanged();
+  }
+
+  // --- when to draw ---
+
+  moving() {
+    this.lastMove = performance.now();
+  }
+
+  viewChanged() {
+    this.version++;
+    this.hover = null;
+    element("tip").hidden = true;
+    this.sortIfIdle();
+    this.requestFrame();
+  }
+
+  sortIfIdle() {
+    if (this.sorting || this.sortedVersion === this.version) return;
+    this.sorting = true;
+    const { rotation, translation } = this.viewpoint.cameraFor(this.canvas.width, this.canvas.height);
+    this.worker.postMessage({ sort: { rotation, translation, version: this.version } });
+  }
+
+  sorted({ order, version }) {
+    this.renderer.setOrder(order);
+    this.sorting = false;
+    this.sortedVersion = version;
+    this.sortIfIdle();
+    this.requestFrame();
+  }
+
+  requestFrame() {
+    this.canvas.dataset.settled = "false";
+    if (this.frameRequested) return;
+    this.frameRequested = true;
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  // While the view moves, a frame that took long makes the next ones coarser; at rest the image is sharp.
+  frame(now) {
+    this.frameRequested = false;
+    const inMotion = this.navigation.dragging || performance.now() - this.lastMove < REST_MS;
+    const elapsed = now - this.lastFrame;
+    const wasInMotion = this.inMotion;
+    this.lastFrame = now;
+    this.inMotion = inMotion;
+    if (inMotion && wasInMotion) {
+      if (elapsed > SLOW_FRAME_MS) this.resolution = Math.max(COARSEST, this.resolution * 0.75);
+      else if (elapsed < SLOW_FRAME_MS / 3) this.resolution = Math.min(1, this.resolution * 1.1);
+    }
+    const share = inMotion ? this.resolution : 1;
+    const [width, height] = [this.canvas.width, this.canvas.height].map((n) => Math.max(1, Math.round(n * share)));
+    this.renderer.draw(this.viewpoint.cameraFor(width, height), this.look());
+    this.placeMarker();
+    if (inMotion) {
+      clearTimeout(this.rest);
+      this.rest = setTimeout(() => this.requestFrame(), REST_MS);
+    } else if (this.sortedVersion === this.version) this.canvas.dataset.settled = "true";
+  }
+
+  look() {
+    return {
+      thermal: this.mode === "thermal",
+      palette: element("palette").value,
+      range: this.range.map((number) => this.scale.normalised(number)),
+      isotherm: this.isotherm,
+      backgroundRgb: this.facts.background.rgb,
+      backgroundThermal: this.facts.background.thermal,
+    };
+  }
+
+  // --- the read-out ---
+
+  hoverAt(x, y) {
+    this.hover = x === null ? null : [x, y];
+    if (x === null) element("tip").hidden = true;
+    else this.read(x, y, (reading) => this.showTip(reading, x, y));
+  }
+
+  placeSpot(x, y) {
+    this.hoverAt(null);
+    this.read(x, y, (reading, camera, pixel) => {
+      this.showReading(reading);
+      const seen = reading.alpha >= SURFACE_ALPHA;
+      if (seen) this.viewpoint.holdAt(reading.depth);
+      this.spot = seen ? { point: pointAt(camera, pixel, reading.depth), text: this.textOf(reading) } : null;
+      this.placeMarker();
+    });
+  }
+
+  // One question at a time: while one is being answered, only the newest waits.
+  read(x, y, then) {
+    if (!this.measures) return;
+    const { width, height, clientWidth, clientHeight } = this.canvas;
+    const pixel = [Math.floor((x * width) / clientWidth) + 0.5, Math.floor((y * height) / clientHeight) + 0.5];
+    this.waiting = { camera: this.viewpoint.cameraFor(width, height), pixel, then };
+    this.askIfIdle();
+  }
+
+  askIfIdle() {
+    if (this.reading || !this.waiting) return;
+    this.reading = this.waiting;
+    this.waiting = null;
+    const camera = { ...this.reading.camera, backgroundThermal: this.facts.background.thermal };
+    this.worker.postMessage({ read: { camera, x: this.reading.pixel[0], y: this.reading.pixel[1] } });
+  }
+
+  answered({ reading }) {
+    const asked = this.reading;
+    this.reading = null;
+    asked.then(reading, asked.camera, asked.pixel);
+    this.askIfIdle();
+  }
+
+  textOf(reading) {
+    return this.scale.text(this.scale.shown(reading.temperature));
+  }
+
+  showTip(reading, x, y) {
+    const tip = element("tip");
+    tip.hidden = this.hover === null;
+    tip.textContent = reading.alpha < SURFACE_ALPHA ? "no surface" : this.textOf(reading);
+    tip.style.transform = `translate(${x + 14}px, ${y + 14}px)`;
+    this.showReading(reading);
+  }
+
+  showReading(reading) {
+    const seen = reading.alpha >= SURFACE_ALPHA;
+    const value = this.scale.shown(reading.temperature);
+    element("value").textContent = seen ? this.textOf(reading) : "–";
+    element("depth").textContent = seen ? `depth ${reading.depth.toFixed(2)} scene units` : "no surface here";
+    element("clipped").hidden = !seen || (value > this.facts.temperature.min && value < this.facts.temperature.max);
+    element("value").dataset.value = seen ? String(value) : "";
+    element("value").dataset.depth = seen ? String(reading.depth) : "";
+  }
+
+  placeMarker() {
+    const marker = element("marker");
+    const { clientWidth, clientHeight } = this.canvas;
+    const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
+    const place = this.spot && project(camera, this.spot.point);
+    marker.hidden = !place || place[0] < 0 || place[1] < 0 || place[0] > clientWidth || place[1] > clientHeight;
+    if (marker.hidden) return;
+    marker.style.transform = `translate(${place[0]}px, ${place[1]}px)`;
+    element("marker-text").textContent = this.spot.text;
+  }
+}
+
+function pointAt(camera, [x, y], depth) {
+  const inCamera = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
+  const r = camera.rotation;
+  return [0, 1, 2].map((i) => camera.position[i] + r[i] * inCamera[0] + r[3 + i] * inCamera[1] + r[6 + i] * inCamera[2]);
+}
+
+function project(camera, point) {
+  const [x, y, z] = [0, 3, 6].map((row, i) => dot(camera.rotation.slice(row, row + 3), point) + camera.translation[i]);
+  return z > 0.01 ? [(camera.fx * x) / z + camera.cx, (camera.fy * y) / z + camera.cy] : null;
+}
+
+function showFailure(message) {
+  element("status").hidden = false;
+  element("status").textContent = message;
+}
+
+async function start() {
+  try {
+    if (!("DecompressionStream" in window)) {
+      throw new Error("This browser is too old for this page: use Chrome 80, Firefox 113, Safari 16.4 or later.");
+    }
+    const facts = json("facts");
+    const model = await decodeModel(element("model").textContent, facts.model);
+    element("model").remove();
+    new Page(facts, model);
+    element("status").hidden = true;
+  } catch (error) {
+    showFailure(error.message);
+  }
+}
+
+start();

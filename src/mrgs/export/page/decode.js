@@ -1,0 +1,111 @@
+// The model, from the text in the page to arrays. The layout is that of packing.py.
+
+const SQRT_HALF = Math.SQRT1_2;
+
+async function decodeModel(base64, header) {
+  const planes = splitPlanes(await gunzip(fromBase64(base64)), header.planes);
+  const count = header.count;
+  const model = {
+    count,
+    shDegree: header.sh_degree,
+    means: decodeMeans(planes, count, header.chunk),
+    covariances: new Float32Array(6 * count),
+    largestScale: new Float32Array(count),
+    opacityRgb: scaled(planes.opacity_rgb, 0, 1, 255),
+    opacityThermal: scaled(planes.opacity_thermal, 0, 1, 65535),
+    temperature: scaled(planes.temperature, ...header.limits.temperature, 65535),
+    sh: interleave(planes.sh, count, planes.sh.length / count),
+    shLimits: header.limits.sh,
+    shSteps: header.sh_steps,
+  };
+  decodeShapes(planes, header.limits.scales, model);
+  return model;
+}
+
+function fromBase64(text) {
+  const binary = atob(text);
+  const bytes = new Uint8Array(binary.length);
+  for (let i = 0; i < binary.length; i++) bytes[i] = binary.charCodeAt(i);
+  return bytes;
+}
+
+async function gunzip(bytes) {
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).arrayBuffer();
+}
+
+function splitPlanes(buffer, descriptions) {
+  const types = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
+  const planes = {};
+  let offset = 0;
+  for (const [name, type, length] of descriptions) {
+    planes[name] = new types[type](buffer, offset, length);
+    offset += planes[name].byteLength;
+  }
+  return planes;
+}
+
+function scaled(codes, low, high, steps) {
+  return Float32Array.from(codes, (code) => low + ((high - low) * code) / steps);
+}
+
+function decodeMeans(planes, count, chunk) {
+  const means = new Float32Array(3 * count);
+  for (let i = 0; i < count; i++) {
+    const bounds = 3 * Math.floor(i / chunk);
+    for (let axis = 0; axis < 3; axis++) {
+      const low = planes.chunk_low[bounds + axis];
+      const span = planes.chunk_high[bounds + axis] - low;
+      means[3 * i + axis] = low + (span * planes.positions[axis * count + i]) / 65535;
+    }
+  }
+  return means;
+}
+
+// Covariances as xx, xy, xz, yy, yz, zz.
+function decodeShapes(planes, [low, high], model) {
+  const { covariances, largestScale, count } = model;
+  const step = (high - low) / 1023;
+  const quat = new Float64Array(4);
+  for (let i = 0; i < count; i++) {
+    const code = planes.scales[i];
+    const sx = Math.exp(low + step * (code >>> 20));
+    const sy = Math.exp(low + step * ((code >>> 10) & 1023));
+    const sz = Math.exp(low + step * (code & 1023));
+    largestScale[i] = Math.max(sx, sy, sz);
+    decodeQuat(planes.rotations[i], quat);
+    const [w, x, y, z] = quat;
+    const a = [(1 - 2 * (y * y + z * z)) * sx, 2 * (x * y - w * z) * sy, 2 * (x * z + w * y) * sz];
+    const b = [2 * (x * y + w * z) * sx, (1 - 2 * (x * x + z * z)) * sy, 2 * (y * z - w * x) * sz];
+    const c = [2 * (x * z - w * y) * sx, 2 * (y * z + w * x) * sy, (1 - 2 * (x * x + y * y)) * sz];
+    const at = 6 * i;
+    covariances[at] = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
+    covariances[at + 1] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    covariances[at + 2] = a[0] * c[0] + a[1] * c[1] + a[2] * c[2];
+    covariances[at + 3] = b[0] * b[0] + b[1] * b[1] + b[2] * b[2];
+    covariances[at + 4] = b[0] * c[0] + b[1] * c[1] + b[2] * c[2];
+    covariances[at + 5] = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
+  }
+}
+
+function decodeQuat(code, quat) {
+  const largest = code >>> 30;
+  let squares = 0;
+  for (let component = 0, shift = 20; component < 4; component++) {
+    if (component === largest) continue;
+    quat[component] = (2 * ((code >>> shift) & 1023) / 1023 - 1) * SQRT_HALF;
+    squares += quat[component] ** 2;
+    shift -= 10;
+  }
+  quat[largest] = Math.sqrt(Math.max(0, 1 - squares));
+}
+
+// From one plane per coefficient to the coefficients of each splat side by side, filled up to whole texels of 16 bytes.
+function interleave(plane, count, coefficients) {
+  const stride = 16 * Math.ceil(coefficients / 16);
+  const bytes = new Uint8Array(count * stride);
+  for (let k = 0; k < coefficients; k++) {
+    for (let i = 0, from = k * count, to = k; i < count; i++, from++, to += stride) bytes[to] = plane[from];
+  }
+  return bytes;
+}

@@ -1,0 +1,142 @@
+// The image model of mrgs, as in its rasterizer: covariance plus 0.3 px², alpha from 1/255 to 0.999.
+
+const SPLAT_VERTEX = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp usampler2D;
+
+uniform sampler2D geometry;    // per splat: mean, opacity of the colours | covariance | its end, temperature, opacity
+uniform usampler2D harmonics;  // per splat: the coefficients as bytes
+uniform int splatsPerRow;
+uniform int texelsPerSplat;    // of the harmonics
+uniform bool thermal;
+uniform mat3 rotation;         // world to camera
+uniform vec3 translation;
+uniform vec3 eye;
+uniform vec2 focal;
+uniform vec2 centre;
+uniform vec2 size;
+uniform int degree;
+uniform vec2 bands[4];         // lowest value and step of each degree
+
+in uint splat;
+out vec2 offset;               // from the projected mean, pixels
+flat out vec3 conic;
+flat out vec4 value;           // what is blended, and the opacity
+
+uvec4 texels[3];
+
+float coefficient(int k) {
+  return float((texels[k / 16][(k / 4) % 4] >> (8 * (k % 4))) & 255u);
+}
+
+vec3 band(int function, int degreeOf) {
+  vec3 codes = vec3(coefficient(3 * function), coefficient(3 * function + 1), coefficient(3 * function + 2));
+  return bands[degreeOf].x + bands[degreeOf].y * codes;
+}
+
+vec3 colour(int index, vec3 d) {
+  ivec2 at = ivec2((index % splatsPerRow) * texelsPerSplat, index / splatsPerRow);
+  for (int k = 0; k < texelsPerSplat; k++) texels[k] = texelFetch(harmonics, at + ivec2(k, 0), 0);
+  vec3 sum = 0.5 + 0.28209479 * band(0, 0);
+  if (degree > 0) sum += 0.48860251 * (-d.y * band(1, 1) + d.z * band(2, 1) - d.x * band(3, 1));
+  vec3 q = d * d;
+  if (degree > 1) {
+    sum += 1.09254843 * (d.x * d.y * band(4, 2) - d.y * d.z * band(5, 2) - d.x * d.z * band(7, 2))
+      + 0.31539157 * (2.0 * q.z - q.x - q.y) * band(6, 2) + 0.54627422 * (q.x - q.y) * band(8, 2);
+  }
+  if (degree > 2) {
+    sum += -0.59004359 * d.y * (3.0 * q.x - q.y) * band(9, 3) + 2.89061144 * d.x * d.y * d.z * band(10, 3)
+      - 0.45704580 * d.y * (4.0 * q.z - q.x - q.y) * band(11, 3)
+      + 0.37317633 * d.z * (2.0 * q.z - 3.0 * q.x - 3.0 * q.y) * band(12, 3)
+      - 0.45704580 * d.x * (4.0 * q.z - q.x - q.y) * band(13, 3)
+      + 1.44530572 * d.z * (q.x - q.y) * band(14, 3) - 0.59004359 * d.x * (q.x - 3.0 * q.y) * band(15, 3);
+  }
+  return max(sum, 0.0);
+}
+
+void main() {
+  int index = int(splat);
+  ivec2 at = ivec2((index % splatsPerRow) * 3, index / splatsPerRow);
+  vec4 first = texelFetch(geometry, at, 0);
+  vec4 second = texelFetch(geometry, at + ivec2(1, 0), 0);
+  vec4 third = texelFetch(geometry, at + ivec2(2, 0), 0);
+  float opacity = thermal ? third.w : first.w;
+  vec3 mean = rotation * first.xyz + translation;
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (mean.z < 0.01 || opacity < 1.0 / 255.0) return;
+
+  vec2 slope = mean.xy / mean.z;
+  vec2 margin = 0.15 * size / focal;
+  vec2 uv = clamp(slope, -centre / focal - margin, (size - centre) / focal + margin);
+  vec3 depthRow = vec3(rotation[0].z, rotation[1].z, rotation[2].z);
+  vec3 jx = focal.x / mean.z * (vec3(rotation[0].x, rotation[1].x, rotation[2].x) - uv.x * depthRow);
+  vec3 jy = focal.y / mean.z * (vec3(rotation[0].y, rotation[1].y, rotation[2].y) - uv.y * depthRow);
+  mat3 sigma = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
+  float a = dot(jx, sigma * jx) + 0.3;
+  float b = dot(jx, sigma * jy);
+  float c = dot(jy, sigma * jy) + 0.3;
+  conic = vec3(c, -b, a) / (a * c - b * b);
+
+  float middle = 0.5 * (a + c);
+  float radius = length(vec2(0.5 * (a - c), b));
+  vec2 axis = radius < 1e-6 * middle ? vec2(1.0, 0.0)
+    : a > c ? normalize(vec2(middle + radius - c, b)) : normalize(vec2(b, middle + radius - a));
+  float tau = sqrt(2.0 * log(255.0 * opacity));
+  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+  offset = tau * (corner.x * sqrt(middle + radius) * axis
+    + corner.y * sqrt(max(middle - radius, 0.0)) * vec2(-axis.y, axis.x));
+  vec2 place = (focal * slope + centre + offset) / size;
+  gl_Position = vec4(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y, 0.0, 1.0);
+  value = vec4(vec3(third.z), opacity);
+  if (!thermal) value.rgb = colour(index, normalize(first.xyz - eye));
+}`;
+
+const SPLAT_FRAGMENT = `#version 300 es
+precision highp float;
+in vec2 offset;
+flat in vec3 conic;
+flat in vec4 value;
+out vec4 blended;
+
+void main() {
+  float squared = conic.x * offset.x * offset.x + 2.0 * conic.y * offset.x * offset.y + conic.z * offset.y * offset.y;
+  float alpha = min(0.999, value.a * exp(-0.5 * squared));
+  if (alpha < 1.0 / 255.0) discard;
+  blended = vec4(value.rgb * alpha, alpha);
+}`;
+
+const SCREEN_VERTEX = `#version 300 es
+out vec2 place;
+void main() {
+  place = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0;
+  gl_Position = vec4(place * 2.0 - 1.0, 0.0, 1.0);
+}`;
+
+const SCREEN_FRAGMENT = `#version 300 es
+precision highp float;
+uniform sampler2D blended;
+uniform sampler2D palette;
+uniform bool thermal;
+uniform float background;
+uniform vec2 range;        // normalised temperatures of the palette's ends
+uniform vec2 isotherm;     // of the band; empty where the first is larger
+in vec2 place;
+out vec4 shown;
+
+const vec3 NOTHING_SEEN = vec3(0.13, 0.14, 0.15);
+const vec3 ISOTHERM = vec3(0.20, 0.95, 0.35);
+
+void main() {
+  vec4 sum = texture(blended, place);
+  vec3 value = sum.rgb + (1.0 - sum.a) * background;
+  if (!thermal) {
+    shown = vec4(value, 1.0);
+    return;
+  }
+  float position = clamp((value.r - range.x) / (range.y - range.x), 0.0, 1.0);
+  vec3 mapped = texelFetch(palette, ivec2(int(position * 255.0 + 0.5), 0), 0).rgb;
+  if (value.r >= isotherm.x && value.r <= isotherm.y) mapped = ISOTHERM;
+  shown = vec4(sum.a < 0.5 ? NOTHING_SEEN : mapped, 1.0);
+}`;

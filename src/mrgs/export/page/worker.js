@@ -1,0 +1,108 @@
+// Beside the page's thread: the order of the splats, and what is under the cursor.
+"use strict";
+
+const NEAR_PLANE = 0.01;
+const DILATION = 0.3;
+const ALPHA_MAX = 0.999;
+const ALPHA_MIN = 1 / 255;
+const TRANSMITTANCE_MIN = 1e-4;
+const FRUSTUM_MARGIN = 0.3;
+const LARGEST_TAU2 = 2 * Math.log(255);
+
+let model;
+
+onmessage = ({ data }) => {
+  if (data.model) model = data.model;
+  if (data.sort) {
+    const order = farToNear(data.sort.rotation, data.sort.translation);
+    postMessage({ order, version: data.sort.version }, [order.buffer]);
+  }
+  if (data.read) postMessage({ reading: readPixel(data.read.camera, data.read.x, data.read.y), id: data.read.id });
+};
+
+// Indices of the splats in front of the camera, farthest first: two counting sorts by 16 bits of the depth. The bits of
+// a positive float rise with its value, so that both together sort exactly.
+function farToNear(rotation, translation) {
+  const { means, count } = model;
+  const depths = new Float32Array(count);
+  const [x, y, z, offset] = [rotation[6], rotation[7], rotation[8], translation[2]];
+  let visible = new Uint32Array(count);
+  let inFront = 0;
+  for (let i = 0; i < count; i++) {
+    const depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + offset;
+    depths[i] = depth;
+    if (depth >= NEAR_PLANE) visible[inFront++] = i;
+  }
+  const keys = new Uint32Array(depths.buffer);
+  visible = visible.subarray(0, inFront);
+  const byLowBits = countingSort(visible, (i) => ~keys[i] & 0xffff);
+  return countingSort(byLowBits, (i) => (~keys[i] >>> 16) & 0xffff);
+}
+
+function countingSort(indices, key) {
+  const starts = new Uint32Array(65537);
+  for (const i of indices) starts[key(i) + 1]++;
+  for (let k = 0; k < 65536; k++) starts[k + 1] += starts[k];
+  const sorted = new Uint32Array(indices.length);
+  for (const i of indices) sorted[starts[key(i)]++] = i;
+  return sorted;
+}
+
+// What the thermal image and its depth show at the pixel with the centre (x, y): blended here in full precision, because
+// what the screen holds is rounded.
+function readPixel(camera, x, y) {
+  const hits = [];
+  for (let i = 0; i < model.count; i++) {
+    const hit = splatAt(camera, x, y, i);
+    if (hit) hits.push(hit);
+  }
+  hits.sort((a, b) => a.depth - b.depth || a.index - b.index);
+  let transmittance = 1;
+  let temperature = 0;
+  let depth = 0;
+  for (const hit of hits) {
+    if (transmittance < TRANSMITTANCE_MIN) break;
+    const weight = hit.alpha * transmittance;
+    temperature += weight * model.temperature[hit.index];
+    depth += weight * hit.depth;
+    transmittance *= 1 - hit.alpha;
+  }
+  const alpha = 1 - transmittance;
+  return { temperature: temperature + transmittance * camera.backgroundThermal, depth: depth / Math.max(alpha, 1e-9), alpha };
+}
+
+// The splat's alpha in the thermal image at a pixel, or nothing below 1/255.
+function splatAt(camera, px, py, i) {
+  const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
+  const m = model.means;
+  const [mx, my, mz] = [m[3 * i], m[3 * i + 1], m[3 * i + 2]];
+  const z = r[6] * mx + r[7] * my + r[8] * mz + t[2];
+  if (z < NEAR_PLANE) return null;
+  const slopeX = (r[0] * mx + r[1] * my + r[2] * mz + t[0]) / z;
+  const slopeY = (r[3] * mx + r[4] * my + r[5] * mz + t[1]) / z;
+  const u = clampSlope(slopeX, cx, fx, camera.width);
+  const v = clampSlope(slopeY, cy, fy, camera.height);
+  const dx = px - (fx * slopeX + cx);
+  const dy = py - (fy * slopeY + cy);
+  const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
+  if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + DILATION)) return null;
+  const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
+  const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / (a * c - b * b));
+  const alpha = Math.min(ALPHA_MAX, model.opacityThermal[i] * falloff);
+  return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
+}
+
+function clampSlope(slope, centre, focal, size) {
+  const margin = (FRUSTUM_MARGIN * size) / (2 * focal);
+  return Math.min(Math.max(slope, -centre / focal - margin), (size - centre) / focal + margin);
+}
+
+function projectedCovariance(r, kx, ky, u, v, at) {
+  const s = model.covariances;
+  const [ax, ay, az] = [kx * (r[0] - u * r[6]), kx * (r[1] - u * r[7]), kx * (r[2] - u * r[8])];
+  const [bx, by, bz] = [ky * (r[3] - v * r[6]), ky * (r[4] - v * r[7]), ky * (r[5] - v * r[8])];
+  const [xx, xy, xz, yy, yz, zz] = [s[at], s[at + 1], s[at + 2], s[at + 3], s[at + 4], s[at + 5]];
+  const [px, py, pz] = [xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az];
+  const [qx, qy, qz] = [xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz];
+  return [ax * px + ay * py + az * pz + DILATION, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz + DILATION];
+}

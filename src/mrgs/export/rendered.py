@@ -1,0 +1,102 @@
+"""What the training cameras see of a model: depth, colour and temperature, carried over to points in space.
+
+A splat's own temperature is what it adds to a blend, which may be far from any surface's. What a camera sees is what
+was compared with the photos.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Bool, Float32
+
+from mrgs.baked import BakedModel
+from mrgs.errors import RunError
+from mrgs.export.fusion import DepthMap, visible
+from mrgs.export.splats import to_float32
+from mrgs.scene import Camera, Scene
+
+MAX_VIEWS = 64
+MAX_WIDTH_PX = 480
+"""At most so many training cameras, spread evenly, and so many pixels across, are rendered: memory and time."""
+
+MIN_ALPHA = 0.5
+"""A pixel that lets through more light than this has no depth."""
+
+MAX_STEP = 0.05
+"""A pixel whose depth differs by more than this share within its neighbours lies on an outline: it has no depth."""
+
+
+def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
+    """The renderings of the training cameras; the channels are red, green, blue, and °C (normalised without °C).
+
+    The depth is that of the RGB blend (of the thermal one where the scene has no RGB).
+
+    Raises:
+        RunError: no pixel is opaque enough to have a depth.
+    """
+    maps = [_depth_map(baked, camera, scene.has_rgb) for camera in _cameras(scene)]
+    if not any(np.isfinite(item.depth).any() for item in maps):
+        raise RunError("no view of the model is opaque enough to show a surface: train the model longer")
+    return maps
+
+
+def carry_over(
+    maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"], tolerance: float, relative_tolerance: float = 0.0
+) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
+    """Each point's image values: their mean over the cameras that see it, near ones first; and whether any does.
+
+    Args:
+        maps: of the cameras.
+        points: world coordinates.
+        tolerance: a point this far before or behind the depth of its pixel is still seen there, scene units.
+        relative_tolerance: the same as a share of its depth; the larger of the two holds.
+    """
+    total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
+    weight = np.zeros(len(points), dtype=np.float32)
+    for item in maps:
+        rows, pixels, z = visible(item.camera, points)
+        seen = np.abs(item.depth[pixels] - z) < np.maximum(tolerance, relative_tolerance * z)  # false for NaN
+        rows, pixels, near = rows[seen], (pixels[0][seen], pixels[1][seen]), 1 / z[seen] ** 2
+        total[rows] += near[:, None] * item.image[pixels]
+        weight[rows] += near
+    return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
+
+
+def _cameras(scene: Scene) -> list[Camera]:
+    """Of the training views' first images, at most ``MAX_VIEWS``, at most ``MAX_WIDTH_PX`` wide."""
+    chosen = np.unique(np.linspace(0, len(scene.train) - 1, min(MAX_VIEWS, len(scene.train))).round().astype(int))
+    cameras = [scene.train[index].cameras[0] for index in chosen]
+    return [
+        camera
+        if camera.width <= MAX_WIDTH_PX
+        else camera.resized(MAX_WIDTH_PX, max(1, round(camera.height * MAX_WIDTH_PX / camera.width)))
+        for camera in cameras
+    ]
+
+
+def _depth_map(baked: BakedModel, camera: Camera, by_color: bool) -> DepthMap:
+    """The mean depth of what a pixel shows, and its colour and temperature."""
+    rendering = baked.render(camera)
+    depth, alpha = (
+        (rendering.depth_rgb, rendering.alpha_rgb) if by_color else (rendering.depth_thermal, rendering.alpha_thermal)
+    )
+    assert rendering.rgb is not None
+    assert rendering.thermal is not None
+    assert depth is not None
+    assert alpha is not None
+    opaque = to_float32(alpha)
+    mean = np.where(opaque > MIN_ALPHA, to_float32(depth) / opaque.clip(MIN_ALPHA), np.nan).astype(np.float32)
+    mean[_on_outline(mean)] = np.nan
+    thermal = rendering.thermal if baked.temperature is None else baked.temperature.to_celsius(rendering.thermal)
+    image = np.concatenate([to_float32(rendering.rgb), to_float32(thermal)], axis=2)
+    return DepthMap(camera, mean, image)
+
+
+def _on_outline(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels where a near and a far surface meet; their mean depth lies on neither."""
+    near = scipy.ndimage.minimum_filter(np.nan_to_num(depth, nan=np.inf), 3)
+    far = scipy.ndimage.maximum_filter(np.nan_to_num(depth, nan=-np.inf), 3)
+    return far - near > MAX_STEP * np.nan_to_num(depth, nan=np.inf)

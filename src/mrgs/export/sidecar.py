@@ -1,0 +1,99 @@
+"""What the numbers in an exported file mean: header comments and a small JSON beside the file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.atomic import replacing
+from mrgs.baked import BakedModel
+from mrgs.export.loss import BakingLoss
+from mrgs.export.splats import ThermalScale, temperature_name
+from mrgs.scene import Scene
+
+MAX_TILT = 0.15
+"""Root mean square of the sine by which cameras may be tilted sideways for their photos to count as level."""
+
+
+def facts_of(
+    baked: BakedModel, scene: Scene, up: Float64[np.ndarray, "3"] | None, loss: BakingLoss | None
+) -> dict[str, Any]:
+    """What holds for every file of an export: program, frame, units, temperatures, what was lost by baking.
+
+    Args:
+        baked: the exported model.
+        scene: what it was trained on.
+        up: what is up in the scene's frame, see ``up_direction``.
+        loss: in dB; None where the trained model was not at hand.
+    """
+    known = baked.temperature
+    temperature: dict[str, Any] = {
+        "property": temperature_name(baked),
+        "of": "each splat, before blending: a surface shows the blend of many",
+    }
+    if known is None:
+        temperature |= {"unit": "normalised: no °C is known for this scene", "min": 0.0, "max": 1.0}
+    else:
+        temperature |= {"unit": "°C", "min": known.min_c, "max": known.max_c}
+    return {
+        "program": f"mrgs {version('mrgs')}",
+        "scene": scene.name,
+        "splats": len(baked),
+        "frame": "the scene's own world frame, right-handed, as in its camera file",
+        "length_unit": "scene unit (a metre if the scene's camera poses are in metres)",
+        "up": None if up is None else [round(float(x), 6) for x in up],
+        "up_from": "the cameras, taken to be level" if up is not None else "not known",
+        "camera_axes": "OpenCV: x right, y down, z forward",
+        "temperature": temperature,
+        "baking_loss_db": None if loss is None else {"rgb": loss.rgb_db, "thermal": loss.thermal_db},
+        "baking": "the view-dependent colour residual is folded into spherical harmonics of degree 3; baking_loss_db "
+        "is the mean PSNR over the held-out views that this costs (null: not measured)",
+    }
+
+
+def thermal_facts(scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
+    """What the colours of a colour-mapped export mean."""
+    unit = "normalised" if baked.temperature is None else "°C"
+    return {"colors": {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": unit}}
+
+
+def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
+    """What is up, unit length, if the photos were taken level: the direction across all cameras' horizontal axes.
+
+    None where those axes do not lie in one plane (tilted cameras), or are all parallel.
+    """
+    cameras = [camera for view in scene.train for camera in view.cameras]
+    rotations = np.stack([camera.viewmat[:3, :3].numpy() for camera in cameras])
+    right, down, forward = rotations.transpose(1, 0, 2)
+    variances, axes = np.linalg.eigh(right.T @ right / len(cameras))
+    if variances[0] > MAX_TILT**2 or variances[1] < 2 * MAX_TILT**2:
+        return None
+    # Cameras stand upright, and look down rather than up where their own up direction says nothing.
+    sign = np.sign(axes[:, 0] @ -(down + forward).mean(axis=0))
+    return axes[:, 0] * (sign or 1.0)
+
+
+def comment_lines(facts: Mapping[str, Any]) -> list[str]:
+    """The facts as lines for a file's header."""
+    return [
+        f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}"
+        for name, value in facts.items()
+    ]
+
+
+def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
+    """Write the facts about a file beside it, as ``NAME.SUFFIX.json``; returns that path.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    sidecar = path.with_name(f"{path.name}.json")
+    with replacing(sidecar) as temporary:
+        temporary.write_text(json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False), encoding="utf-8")
+    return sidecar

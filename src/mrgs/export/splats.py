@@ -1,0 +1,185 @@
+"""The splats of one modality as plain arrays: what every splat format stores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, UInt8
+from torch import Tensor
+
+from mrgs.baked import BakedModel
+from mrgs.errors import ConfigError, RunError
+from mrgs.evaluation.palette import PaletteName, palette_table
+from mrgs.field.spherical_harmonics import C0
+from mrgs.scene import Camera
+
+MEAN_OVER = 32
+"""Cameras over which a colour without direction is averaged."""
+
+UNSEEN_WEIGHT = 1e-3
+"""Of a camera that does not have the splat in its image; not zero, for splats that none has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """N coloured splats; row i of every array belongs to splat i.
+
+    Attributes:
+        means: centres in world coordinates (scene units), [N, 3].
+        quats: rotations wxyz, unit length, [N, 4].
+        scales: standard deviations along the rotated axes, [N, 3].
+        opacities: in (0, 1), [N].
+        sh: colour coefficients as 3DGS has them (colour = max(0, 0.5 + Σ)), [N, B, 3]; B is 1, 4, 9 or 16.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    scales: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n b 3"]
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Highest degree of the colour coefficients, 0 to 3."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+    @property
+    def base_colors(self) -> UInt8[np.ndarray, "n 3"]:
+        """The colours of degree 0 as bytes, for formats that do not know directions."""
+        return to_bytes(0.5 + C0 * self.sh[:, 0])
+
+
+@dataclass(frozen=True)
+class ThermalScale:
+    """The colours of temperatures.
+
+    Attributes:
+        palette: from cold to warm.
+        low: temperature of the first colour, °C; normalised for a scene without °C.
+        high: temperature of the last colour, in the same unit; larger than ``low``.
+    """
+
+    palette: PaletteName
+    low: float
+    high: float
+
+
+def thermal_scale(
+    baked: BakedModel, palette: PaletteName = "inferno", limits: tuple[float, float] | None = None
+) -> ThermalScale:
+    """The palette over the given temperatures, °C; over the scene's whole range where none are given.
+
+    Raises:
+        ConfigError: limits in °C for a model without °C, or limits that are not ascending.
+    """
+    if limits is None:
+        known = baked.temperature
+        return ThermalScale(palette, 0.0, 1.0) if known is None else ThermalScale(palette, known.min_c, known.max_c)
+    if baked.temperature is None:
+        raise ConfigError("a range in °C was given, but the scene has no temperature range: leave the range out")
+    low, high = limits
+    if not -np.inf < low < high < np.inf:
+        raise ConfigError(f"the temperature range {low:g} to {high:g} °C is not ascending: give the lower end first")
+    return ThermalScale(palette, float(low), float(high))
+
+
+def require_exportable(baked: BakedModel) -> None:
+    """Check that there is something to write, and that all of it is finite.
+
+    Raises:
+        RunError: the model has no splats, or some hold NaN or infinity.
+    """
+    if len(baked) == 0:
+        raise RunError("the model has no splats, so there is nothing to export: train it anew")
+    broken = torch.zeros(len(baked), dtype=torch.bool)
+    for tensor in _parameters(baked):
+        broken |= ~tensor.reshape(len(baked), -1).isfinite().all(dim=1).cpu()
+    if broken.any():
+        raise RunError(
+            f"{int(broken.sum())} of {len(baked)} splats hold NaN or infinity, so the model cannot be exported: "
+            "train it anew, or go on from an older checkpoint"
+        )
+
+
+def rgb_splats(baked: BakedModel) -> Splats:
+    """The colours with o_c, degrees 0 to 3."""
+    return _splats(baked, baked.opacity_rgb, to_float32(baked.sh))
+
+
+def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
+    """The temperatures with o_t in the colours of a palette, degree 0: they do not depend on the view.
+
+    A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour that is not on the
+    palette.
+    """
+    position = (shown_temperatures(baked) - scale.low) / (scale.high - scale.low)
+    colors = palette_table(scale.palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
+    sh = ((colors / np.float32(255) - np.float32(0.5)) / np.float32(C0))[:, None]
+    return _splats(baked, baked.opacity_thermal, sh.astype(np.float32))
+
+
+def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
+    """The RGB splats with one colour each: its mean over the cameras that have it in their image, in [0, 1].
+
+    Closer to the photos than leaving the higher degrees out, whose mean over the directions from which a splat was
+    seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those given, are asked.
+    """
+    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MEAN_OVER, len(cameras))).round().astype(int))
+    total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
+    for index in chosen:
+        camera = cameras[index]
+        seen = torch.where(_in_image(baked.means, camera), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
+        total += seen * baked.colors(camera.position.to(baked.means))
+        weight += seen
+    dc = ((total / weight).clamp(0, 1) - 0.5) / C0
+    return _splats(baked, baked.opacity_rgb, to_float32(dc[:, None]))
+
+
+def _in_image(means: Float[Tensor, "n 3"], camera: Camera) -> Bool[Tensor, " n"]:
+    viewmat, K = camera.viewmat.to(means), camera.K.to(means)
+    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)
+    column, row = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
+    return (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+
+
+def shown_temperatures(baked: BakedModel) -> Float32[np.ndarray, " n"]:
+    """°C of each splat; normalised where the scene has no °C."""
+    return to_float32(baked.temperatures if baked.temperature is None else baked.temperatures_c)
+
+
+def temperature_name(baked: BakedModel) -> str:
+    """What files call ``shown_temperatures``: ``temperature_c`` or ``temperature_normalised``."""
+    return "temperature_normalised" if baked.temperature is None else "temperature_c"
+
+
+def to_bytes(values: Float32[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
+    """Values in [0, 1], clamped, as 0 to 255."""
+    return np.rint(values.clip(0, 1) * 255).astype(np.uint8)
+
+
+def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
+    """A tensor as a float32 array in main memory."""
+    return tensor.detach().float().cpu().numpy()
+
+
+def _parameters(baked: BakedModel) -> list[Tensor]:
+    return [
+        baked.means,
+        baked.quats,
+        baked.scales,
+        baked.opacity_rgb,
+        baked.opacity_thermal,
+        baked.sh,
+        baked.temperatures,
+    ]
+
+
+def _splats(baked: BakedModel, opacities: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:
+    quats = torch.nn.functional.normalize(baked.quats, dim=1)
+    return Splats(to_float32(baked.means), to_float32(quats), to_float32(baked.scales), to_float32(opacities), sh)

@@ -1,0 +1,154 @@
+"""The report's pictures: photo and thermal rendering of one view with the spots marked, and a crop of each spot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image, ImageDraw
+
+from mrgs.evaluation.drawing import INK, Scale, draw_text, text_width
+from mrgs.evaluation.palette import colorize
+from mrgs.evaluation.pictures import to_array, to_rgb8
+from mrgs.render import Rendering
+from mrgs.report.spots import Renderer, Spot, project, surface
+from mrgs.scene import Camera, View
+
+OVERVIEW_PX = 720
+OVERVIEW_CANDIDATES = 24
+"""Views that are tried for the overview."""
+
+LABEL_PX = 18
+CROP_PX = 260
+CROP_SHARE = 0.4
+"""Of the image's shorter side."""
+
+SAME_DEPTH = 0.05
+"""A view sees a spot where its surface is within this share of the spot's depth."""
+
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+
+
+class Span(NamedTuple):
+    """Values of the normalised temperatures 0 and 1 on the scale of the pictures."""
+
+    low: float
+    high: float
+
+    def shown(self, values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Normalised values on that scale."""
+        return self.low + values * (self.high - self.low)
+
+
+class Marked(NamedTuple):
+    """Pictures of one view.
+
+    Attributes:
+        view: its index.
+        photo: None for a view without a colour image.
+        thermal: the rendering through the palette.
+    """
+
+    view: int
+    photo: Image.Image | None
+    thermal: Image.Image
+
+
+def overview(views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale, span: Span) -> Marked:
+    """Of some of the views, the one that sees the most spots, all that it sees marked with their names."""
+    thermal_views = [index for index, view in enumerate(views) if view.thermal is not None]
+    step = -(-len(thermal_views) // OVERVIEW_CANDIDATES)
+    candidates = thermal_views[::step]
+    index, seen = max(
+        ((index, _seen(views[index], spots, render)) for index in candidates), key=lambda pair: len(pair[1])
+    )
+    view = views[index]
+    assert view.thermal is not None
+    thermal = _enlarged(_thermal_picture(render(view.thermal.camera), scale, span), OVERVIEW_PX)
+    photo = None if view.rgb is None else _enlarged(Image.fromarray(to_rgb8(view.rgb.load().values)), OVERVIEW_PX)
+    for name in seen:
+        _mark(thermal, view.thermal.camera, spots[name], name)
+        if photo is not None and view.rgb is not None:
+            _mark(photo, view.rgb.camera, spots[name], name)
+    return Marked(index, photo, thermal)
+
+
+def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale, span: Span) -> Marked:
+    """The surroundings of a spot in the photo and in the thermal rendering of the view that shows it best."""
+    assert view.thermal is not None
+    thermal = _crop(_thermal_picture(rendering, scale, span), view.thermal.camera, spot)
+    photo = None
+    if view.rgb is not None:
+        photo = _crop(Image.fromarray(to_rgb8(view.rgb.load().values)), view.rgb.camera, spot)
+    return Marked(spot.view, photo, thermal)
+
+
+def photo_value(view: View, spot: Spot) -> float | None:
+    """What the view's thermal photo shows there: the mean of 3×3 pixels, normalised; None where it is not valid."""
+    assert view.thermal is not None
+    pixels = view.thermal.load()
+    values = to_array(pixels.values[..., 0])
+    if pixels.valid is not None:
+        values = np.where(pixels.valid.numpy(), values, np.nan)
+    x, y, _ = project(view.thermal.camera, spot.position)
+    row, column = int(y), int(x)
+    patch = values[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    return float(np.nanmean(patch)) if patch.size and np.isfinite(patch).any() else None
+
+
+def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
+    """Names of the spots that the view's thermal camera sees: inside the image and not hidden."""
+    assert view.thermal is not None
+    camera = view.thermal.camera
+    _, depth, _ = surface(render(camera))
+    seen = []
+    for name, spot in spots.items():
+        x, y, z = project(camera, spot.position)
+        inside = z > 0 and 0 <= x < camera.width and 0 <= y < camera.height
+        if inside and abs(depth[int(y), int(x)] - z) <= SAME_DEPTH * z:
+            seen.append(name)
+    return seen
+
+
+def _thermal_picture(rendering: Rendering, scale: Scale, span: Span) -> Image.Image:
+    assert rendering.thermal is not None
+    values = span.shown(to_array(rendering.thermal[..., 0]))
+    return Image.fromarray(colorize(values, scale.low, scale.high, scale.palette))
+
+
+def _enlarged(image: Image.Image, width: int) -> Image.Image:
+    return image.resize((width, max(1, round(image.height * width / image.width))), Image.Resampling.LANCZOS)
+
+
+def _mark(image: Image.Image, camera: Camera, spot: Spot, name: str) -> None:
+    """A ring around the spot, and its name beside it."""
+    x, y, z = project(camera, spot.position)
+    if z <= 0:
+        return
+    x, y = x * image.width / camera.width, y * image.height / camera.height
+    _ring(image, x, y)
+    side = -1 if x > image.width - 60 else 1
+    width = text_width(name, LABEL_PX)
+    middle = x + side * (20 + width / 2)
+    box = [middle - width / 2 - 5, y - 12, middle + width / 2 + 5, y + 12]
+    ImageDraw.Draw(image).rectangle(box, fill=INK)
+    draw_text(image, (middle, y), name, LABEL_PX, WHITE, anchor="mm")
+
+
+def _ring(image: Image.Image, x: float, y: float, radius: int = 10) -> None:
+    draw = ImageDraw.Draw(image)
+    for size, color, width in ((radius + 1, BLACK, 4), (radius, WHITE, 2)):
+        draw.ellipse([x - size, y - size, x + size, y + size], outline=color, width=width)
+
+
+def _crop(image: Image.Image, camera: Camera, spot: Spot) -> Image.Image:
+    """A square about the spot, shifted into the image where it would reach beyond, with a ring around the spot."""
+    x, y, _ = project(camera, spot.position)
+    side = max(8, round(CROP_SHARE * min(image.size)))
+    left = min(max(round(x - side / 2), 0), image.width - side)
+    top = min(max(round(y - side / 2), 0), image.height - side)
+    crop = image.crop((left, top, left + side, top + side)).resize((CROP_PX, CROP_PX), Image.Resampling.BICUBIC)
+    _ring(crop, (x - left) * CROP_PX / side, (y - top) * CROP_PX / side)
+    return crop

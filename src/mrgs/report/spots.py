@@ -1,0 +1,235 @@
+"""The hottest and the coldest places of a model: surfaces that several views agree on, never single splats.
+
+A splat's own temperature means little, because neighbours make up for each other, and a floater before one camera can
+be of any temperature. So the spots are read from renderings, as a thermographer reads them from photos:
+
+1. Every view's thermal camera is rendered. Pixels that show a surface (accumulated alpha at least 0.9) whose depth
+   does not jump within 3×3 pixels become points in the scene.
+2. The points are gathered in cubes of the size of 3×3 pixels, the usual spot of a spot meter. A view's value of a cube
+   is the mean of its points there.
+3. Cubes that fewer than three views see (all of them, where there are fewer) are left out. The value of the others is
+   the median over the views: a reflection that few views catch does not count.
+4. The extreme cubes are taken one by one, each at least 15 cube edges from those before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int64
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from mrgs.render import Rendering
+from mrgs.scene import Camera, View
+
+VIEWS = 60
+"""Views that are surveyed, evenly spread over those given."""
+
+WIDTH_PX = 320
+SURFACE_ALPHA = 0.9
+DEPTH_JUMP = 0.1
+"""Relative difference of depth within 3×3 pixels above which a pixel counts as an edge."""
+
+CUBE_PX = 3
+MIN_POINTS = 3
+"""Of one view in a cube; fewer are a sliver seen at a grazing angle."""
+
+MIN_VIEWS = 3
+SEPARATION_CUBES = 15
+
+Renderer = Callable[[Camera], Rendering]
+"""Renders the thermal image of a camera."""
+
+
+class Spot(NamedTuple):
+    """A place on a surface.
+
+    Attributes:
+        position: in world coordinates, scene units, [3].
+        value: normalised temperature, the median over the views that see it.
+        low: lowest of these views' values but for the lowest tenth.
+        high: highest but for the highest tenth.
+        views: how many views see it.
+        view: index of the view that shows it best (most pixels, away from the border).
+    """
+
+    position: Float[np.ndarray, "3"]
+    value: float
+    low: float
+    high: float
+    views: int
+    view: int
+
+
+class _Points(NamedTuple):
+    """Surface points of all views.
+
+    Attributes:
+        positions: [P, 3], scene units.
+        values: normalised temperatures, [P].
+        views: index of the view of each, [P].
+        central: whether the pixel is away from the image's border, [P].
+        footprint: median distance between neighbouring pixels on the surfaces, scene units.
+    """
+
+    positions: Float[np.ndarray, "p 3"]
+    values: Float[np.ndarray, " p"]
+    views: Int64[np.ndarray, " p"]
+    central: Bool[np.ndarray, " p"]
+    footprint: float
+
+
+class _Sightings(NamedTuple):
+    """What each view says of each cube, sorted by cube, S of them.
+
+    Attributes:
+        cubes: index of the cube, 0 to C − 1, [S].
+        views: [S].
+        values: mean of the view's points in the cube, [S].
+        positions: their mean, [S, 3].
+        points: how many, 0 if they touch the border, [S].
+    """
+
+    cubes: Int64[np.ndarray, " s"]
+    views: Int64[np.ndarray, " s"]
+    values: Float[np.ndarray, " s"]
+    positions: Float[np.ndarray, "s 3"]
+    points: Int64[np.ndarray, " s"]
+
+
+class _Cube(NamedTuple):
+    """What the views say of one cube.
+
+    Attributes:
+        median: of the values.
+        values: one per view, ascending, [V].
+        rows: the sightings that they come from, [V].
+    """
+
+    median: float
+    values: Float[np.ndarray, " v"]
+    rows: Int64[np.ndarray, " v"]
+
+
+def find_spots(views: Sequence[View], render: Renderer, count: int = 3) -> tuple[list[Spot], list[Spot]]:
+    """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
+
+    Args:
+        views: of the capture; those without a thermal image are not asked.
+        render: of the model.
+        count: how many.
+    """
+    thermal = [index for index, view in enumerate(views) if view.thermal is not None]
+    chosen = [
+        thermal[i] for i in np.unique(np.linspace(0, len(thermal) - 1, min(VIEWS, len(thermal))).round().astype(int))
+    ]
+    points = _survey(views, chosen, render)
+    if points is None:
+        return [], []
+    sightings, edge = _sightings(points)
+    cubes = _agreed(sightings, min(MIN_VIEWS, len(chosen)))
+    hottest, coldest = (_apart(row, sightings, count, SEPARATION_CUBES * edge) for row in (cubes[::-1], cubes))
+    return hottest, coldest
+
+
+def surface(
+    rendering: Rendering,
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Temperature (normalised), depth of the surface (divided by alpha), and where there is one."""
+    assert rendering.thermal is not None
+    assert rendering.depth_thermal is not None
+    assert rendering.alpha_thermal is not None
+    alpha = rendering.alpha_thermal.numpy()
+    depth = rendering.depth_thermal.numpy() / np.maximum(alpha, 1e-6)
+    jump = maximum_filter(depth, 3) - minimum_filter(depth, 3)
+    return rendering.thermal[..., 0].numpy(), depth, (alpha >= SURFACE_ALPHA) & (jump <= DEPTH_JUMP * depth)
+
+
+def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer) -> _Points | None:
+    """Step 1: the surface points of the chosen views; None if there are none."""
+    parts = []
+    for index in chosen:
+        image = views[index].thermal
+        assert image is not None
+        width = min(WIDTH_PX, image.camera.width)
+        camera = image.camera.resized(width, max(1, round(image.camera.height * width / image.camera.width)))
+        values, depth, seen = surface(render(camera))
+        rows, columns = np.nonzero(seen)
+        border = 0.1 * min(camera.width, camera.height)
+        central = (np.minimum(columns, camera.width - columns) > border) & (
+            np.minimum(rows, camera.height - rows) > border
+        )
+        footprint = depth[seen] / camera.K[0, 0].item()
+        positions = unproject(camera, columns + 0.5, rows + 0.5, depth[seen])
+        parts.append((positions, values[seen], np.full(len(rows), index), central, footprint))
+    if not sum(len(part[0]) for part in parts):
+        return None
+    positions, values, owners, central, footprints = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return _Points(positions, values, owners, central, float(np.median(footprints)))
+
+
+def unproject(
+    camera: Camera, x: Float[np.ndarray, " p"], y: Float[np.ndarray, " p"], depth: Float[np.ndarray, " p"]
+) -> Float[np.ndarray, "p 3"]:
+    """World coordinates of pixels at a z-depth."""
+    K, viewmat = camera.K.numpy(), camera.viewmat.numpy()
+    in_camera = np.stack([(x - K[0, 2]) / K[0, 0] * depth, (y - K[1, 2]) / K[1, 1] * depth, depth], axis=1)
+    return (in_camera - viewmat[:3, 3]) @ viewmat[:3, :3]
+
+
+def project(camera: Camera, position: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    """x and y in pixels, and z-depth, of a point in the world."""
+    x, y, z = (camera.viewmat[:3, :3] @ torch.from_numpy(position).double() + camera.viewmat[:3, 3]).tolist()
+    K = camera.K
+    return K[0, 0].item() * x / z + K[0, 2].item(), K[1, 1].item() * y / z + K[1, 2].item(), z
+
+
+def _sightings(points: _Points) -> tuple[_Sightings, float]:
+    """Step 2, and the edge of the cubes in scene units."""
+    edge = CUBE_PX * points.footprint
+    cells = np.floor(points.positions / edge).astype(np.int64)
+    _, cubes = np.unique(cells, axis=0, return_inverse=True)
+    order = np.lexsort((points.views, cubes.reshape(-1)))
+    cubes, views = cubes.reshape(-1)[order], points.views[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(cubes) != 0) | (np.diff(views) != 0)])
+    number = np.diff(np.r_[starts, len(order)])
+    values = np.add.reduceat(points.values[order].astype(np.float64), starts) / number
+    positions = np.add.reduceat(points.positions[order], starts) / number[:, None]
+    central = np.logical_and.reduceat(points.central[order], starts)
+    enough = number >= MIN_POINTS
+    sightings = (cubes[starts], views[starts], values, positions, np.where(central, number, 0))
+    return _Sightings(*(column[enough] for column in sightings)), edge
+
+
+def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
+    """Step 3: every cube that enough views see, the coldest first."""
+    order = np.lexsort((sightings.values, sightings.cubes))
+    values = sightings.values[order]
+    starts = np.flatnonzero(np.r_[True, np.diff(sightings.cubes) != 0][: len(values)])
+    numbers = np.diff(np.r_[starts, len(values)])
+    medians = (values[starts + (numbers - 1) // 2] + values[starts + numbers // 2]) / 2
+    enough = np.flatnonzero(numbers >= min_views)
+    return [
+        _Cube(medians[i], values[starts[i] : starts[i] + numbers[i]], order[starts[i] : starts[i] + numbers[i]])
+        for i in enough[np.argsort(medians[enough], kind="stable")]
+    ]
+
+
+def _apart(cubes: Iterable[_Cube], sightings: _Sightings, count: int, distance: float) -> list[Spot]:
+    """Step 4: the first cubes of the list that keep the distance from each other."""
+    kept: list[Spot] = []
+    for cube in cubes:
+        position = np.median(sightings.positions[cube.rows], axis=0)
+        if any(np.linalg.norm(position - other.position) < distance for other in kept):
+            continue
+        low, high = np.quantile(cube.values, [0.1, 0.9])
+        best = cube.rows[np.argmax(sightings.points[cube.rows])]
+        kept.append(
+            Spot(position, float(cube.median), float(low), float(high), len(cube.rows), int(sightings.views[best]))
+        )
+        if len(kept) == count:
+            break
+    return kept

@@ -1,0 +1,56 @@
+"""Write the report: one HTML file with everything in it, to be read in a browser or printed to PDF."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from datetime import date
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from mrgs.atomic import replacing
+from mrgs.report.sections import capture, contact_sheet, limits, metrics, spots, training
+from mrgs.run import Run
+from mrgs.scene import Scene
+
+
+def write_report(run: Run, scene: Scene, path: Path) -> Path:
+    """Write a page about the run for a thermographer; returns its path.
+
+    It holds the hottest and the coldest spots with their positions and pictures, the scores and the contact sheet of
+    ``RUN/eval`` (or how to get them), the data of the capture and of the training, and the limits of the measurement.
+    The page needs no script and nothing from the network; its style sheet also serves printing on A4.
+
+    Args:
+        run: what ``load_run`` returns.
+        scene: that the run was trained on, as ``run.load_scene()`` returns it.
+        path: ends with .html.
+
+    Raises:
+        SceneError: a photo that is to be shown cannot be read.
+        RunError: ``metrics.json`` or the contact sheet cannot be read, or the file cannot be written.
+    """
+    sections = [
+        spots(run, scene),
+        limits(scene.temperature),
+        capture(scene),
+        metrics(run),
+        contact_sheet(run),
+        training(run),
+    ]
+    style = files("mrgs.report").joinpath("report.css").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
+    page = Template(files("mrgs.report").joinpath("report.html").read_text(encoding="utf-8")).substitute(
+        title=escape(f"Thermal report: {scene.name}"),
+        subtitle=escape(f"{date.today().isoformat()}. Run {run.folder.path.resolve().name}, {run.config.method}."),
+        version=escape(version("mrgs")),
+        style=style,
+        style_hash=f"'sha256-{digest}'",
+        sections="\n".join(sections),
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return path

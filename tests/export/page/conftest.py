@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from mrgs.baked import BakedModel
+from mrgs.scene import Camera, TemperatureRange
+
+
+def look_at_origin(angle: float, height: float = 0.8, width: int = 96, rows: int = 64) -> Camera:
+    """A camera at a distance of about 3; fx and fy differ, and the axis misses the image's centre."""
+    position = torch.tensor([2.8 * math.cos(angle), 2.8 * math.sin(angle), height], dtype=torch.float64)
+    forward = -position / position.norm()
+    right = torch.linalg.cross(forward, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    right = right / right.norm()
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    viewmat[:3, 3] = -viewmat[:3, :3] @ position
+    K = torch.tensor([[110.0, 0, 46.0], [0, 104.0, 33.5], [0, 0, 1]], dtype=torch.float64)
+    return Camera(K, viewmat, 96, 64).resized(width, rows)
+
+
+@pytest.fixture
+def cameras() -> dict[str, Camera]:
+    return {f"view {i}": look_at_origin(2 * math.pi * i / 5) for i in range(5)}
+
+
+@pytest.fixture
+def baked() -> BakedModel:
+    """600 flat splats about the origin, whose colours depend much on the view."""
+    rng = torch.Generator().manual_seed(3)
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=rng)
+
+    means = 0.5 * normal(600, 3)
+    scales = (0.6 * normal(600, 3) - 2.6).exp()
+    opacity = (1.5 * normal(600, 2)).sigmoid()
+    sh = torch.cat([0.8 * normal(600, 1, 3), 0.15 * normal(600, 15, 3)], dim=1)
+    temperatures = 0.5 + 0.3 * means[:, 0].clamp(-1, 1) + 0.05 * normal(600)
+    quats = torch.nn.functional.normalize(normal(600, 4), dim=1)
+    return BakedModel(
+        means, quats, scales, opacity[:, 0], opacity[:, 1], sh, temperatures, TemperatureRange(-10.0, 90.0)
+    )

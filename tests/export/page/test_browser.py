@@ -1,0 +1,176 @@
+"""The page in a real browser: from a file, with the network off, on software WebGL."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.evaluation.palette import colorize
+from mrgs.export.page import write_page
+from mrgs.scene import Camera
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = [
+    "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync",
+    "--disable-component-update", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader",
+]  # fmt: skip
+SETTLED = "#view[data-settled=true]"
+PIXELS = [(0.5, 0.5), (0.4, 0.45), (0.6, 0.5), (0.45, 0.62), (0.55, 0.4), (0.5, 0.35), (0.35, 0.55), (0.62, 0.6)]
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
+    """Opens the page with the network off; whatever the page reports as an error fails the test."""
+    path = tmp_path / "page.html"
+    errors: list[str] = []
+    contexts = []
+
+    def open_it(modalities: tuple[str, ...] = ("rgb", "thermal"), **options: Any) -> Any:
+        write_page(baked, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities)
+        context = browser.new_context(offline=True, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.on("request", lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None)
+        page.goto(path.as_uri())
+        page.wait_for_selector(SETTLED, timeout=60_000)
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+    assert errors == []
+
+
+def fitted(camera: Camera, width: int, height: int) -> Camera:
+    """The camera whose image the page shows on a canvas of this size: the whole frame, centred."""
+    scale = min(width / camera.width, height / camera.height)
+    K = camera.K * scale
+    K[0, 2] += (width - scale * camera.width) / 2
+    K[1, 2] += (height - scale * camera.height) / 2
+    K[2, 2] = 1
+    return Camera(K, camera.viewmat, width, height)
+
+
+def picture(page: Any) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(page.locator("#view").screenshot())).convert("RGB"), dtype=np.float64)
+
+
+def psnr(got: np.ndarray, expected: np.ndarray) -> float:
+    return 10 * np.log10(255**2 / np.square(got - expected).mean())
+
+
+def read(page: Any, x: int, y: int) -> tuple[float, float]:
+    """The temperature in °C and the depth that the page tells under the cursor."""
+    box = page.locator("#view").bounding_box()
+    page.locator("#value").evaluate("element => { element.dataset.value = 'asked'; }")
+    page.mouse.move(box["x"] + x + 0.5, box["y"] + y + 0.5)
+    page.wait_for_selector("#value:not([data-value=asked])")
+    value = page.locator("#value")
+    return float(value.get_attribute("data-value")), float(value.get_attribute("data-depth"))
+
+
+def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path):
+    page = open_page(viewport={"width": 800, "height": 420})
+    page.select_option("#camera", "view 3")
+    page.wait_for_selector(SETTLED)
+    colours = picture(page)
+    height, width = colours.shape[:2]
+    expected = baked.render(fitted(cameras["view 3"], width, height))
+    assert psnr(colours, 255 * expected.rgb.clamp(0, 1).numpy()) > 45
+
+    page.click("#thermal")
+    page.wait_for_selector(SETTLED)
+    heat = picture(page)
+    celsius = baked.temperature.to_celsius(expected.thermal[..., 0]).numpy()
+    seen = expected.alpha_thermal.numpy() >= 0.5
+    assert psnr(heat[seen], colorize(celsius, 0.0, 80.0, "inferno")[seen]) > 40
+
+    depth = (expected.depth_thermal / expected.alpha_thermal).numpy()
+    for x, y in [(int(share_x * width), int(share_y * height)) for share_x, share_y in PIXELS]:
+        assert seen[y, x]
+        told_c, told_depth = read(page, x, y)
+        assert told_c == pytest.approx(celsius[y, x], abs=0.2)
+        assert told_depth == pytest.approx(depth[y, x], abs=0.01)
+    page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "export_page.png")
+
+
+def test_palette_range_and_isotherm_change_the_picture(open_page):
+    page = open_page(viewport={"width": 800, "height": 420})
+    page.click("#thermal")
+    page.wait_for_selector(SETTLED)
+    page.select_option("#palette", "grey")
+    page.wait_for_selector(SETTLED)
+    grey = picture(page)
+    assert np.ptp(grey, axis=2).mean() < 5
+    page.fill("#high", "160")
+    page.press("#high", "Enter")
+    page.wait_for_selector(SETTLED)
+    assert picture(page).mean() < 0.7 * grey.mean()
+    page.check("#isotherm")
+    page.fill("#isotherm-low", "30")
+    page.press("#isotherm-low", "Enter")
+    page.wait_for_selector(SETTLED)
+    red, green, _ = np.moveaxis(picture(page), 2, 0)
+    assert 0.02 < (green - red > 100).mean() < 0.9
+
+
+def test_orbit_zoom_and_the_way_back(open_page):
+    page = open_page(viewport={"width": 800, "height": 420})
+    start = picture(page)
+    box = page.locator("#view").bounding_box()
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 80, middle[1] + 20, steps=4)
+    page.mouse.up()
+    page.wait_for_selector(SETTLED)
+    turned = picture(page)
+    assert psnr(turned, start) < 30
+    page.mouse.wheel(0, 400)
+    page.wait_for_timeout(50)
+    page.wait_for_selector(SETTLED)
+    assert (picture(page).sum(axis=2) > 30).mean() < 0.8 * (turned.sum(axis=2) > 30).mean()
+    page.click("#back")
+    page.wait_for_selector(SETTLED)
+    assert np.abs(picture(page) - start).max() <= 1
+
+
+def test_a_tap_on_a_phone_reads_a_temperature(open_page):
+    page = open_page(viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
+    box = page.locator("#view").bounding_box()
+    page.touchscreen.tap(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_selector("#marker-text:text-matches('°C')")
+    assert page.locator("#value").inner_text() == page.locator("#marker-text").inner_text()
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_a_page_of_one_modality_shows_that_alone(open_page):
+    thermal = open_page(("thermal",), viewport={"width": 800, "height": 420})
+    assert not thermal.locator("#rgb").is_visible()
+    assert thermal.locator("#value").is_visible()
+    colour = open_page(("rgb",), viewport={"width": 800, "height": 420})
+    assert not any(colour.locator(name).is_visible() for name in ("#thermal", "#value", "#palette"))
+    assert psnr(picture(colour), picture(thermal)) < 20
+    colour.mouse.click(200, 200)
+    assert not colour.locator("#marker").is_visible()

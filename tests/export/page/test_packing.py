@@ -1,0 +1,142 @@
+"""The packed model is read back here by a decoder of its own, which follows the module's description."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.baked import BakedModel
+from mrgs.errors import ConfigError
+from mrgs.export.page.packing import PackedModel, morton_order, pack, smallest_three
+
+
+def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
+    header, stream = packed.header, gzip.decompress(packed.data)
+    planes, at = {}, 0
+    for name, kind, length in header["planes"]:
+        planes[name] = np.frombuffer(stream, np.dtype(kind).newbyteorder("<"), length, at)
+        at += planes[name].nbytes
+    assert at == len(stream)
+    count, limits = header["count"], header["limits"]
+
+    def between(codes: np.ndarray, low: float, high: float, steps: int) -> np.ndarray:
+        return low + (high - low) * codes.astype(np.float64) / steps
+
+    chunks = np.arange(count) // header["chunk"]
+    low, high = (planes[name].reshape(-1, 3)[chunks] for name in ("chunk_low", "chunk_high"))
+    codes = planes["sh"].reshape(-1, 3, count).transpose(2, 0, 1)
+    bands = [
+        between(codes[:, d**2 : (d + 1) ** 2], *limits["sh"][d], header["sh_steps"][d])
+        for d in range(header["sh_degree"] + 1)
+    ]
+    return {
+        "means": low + (high - low) * planes["positions"].reshape(3, count).T / 65535,
+        "scales": np.exp(between(ten_bits(planes["scales"]), *limits["scales"], 1023)),
+        "quats": quaternions(planes["rotations"]),
+        "opacity_rgb": planes["opacity_rgb"] / 255,
+        "opacity_thermal": planes["opacity_thermal"] / 65535,
+        "temperatures": between(planes["temperature"], *limits["temperature"], 65535),
+        "sh": np.concatenate(bands, axis=1),
+    }
+
+
+def ten_bits(codes: np.ndarray) -> np.ndarray:
+    return np.stack([codes >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+
+
+def quaternions(codes: np.ndarray) -> np.ndarray:
+    small = (ten_bits(codes) / 1023 * 2 - 1) * math.sqrt(0.5)
+    largest = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
+    return np.stack([np.insert(s, code >> 30, big) for s, code, big in zip(small, codes, largest, strict=True)])
+
+
+def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
+    tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in content.items()}
+    sh = tensors.pop("sh")
+    tensors["sh"] = torch.cat([sh, sh.new_zeros(len(sh), 16 - sh.shape[1], 3)], dim=1)
+    return replace(like, **tensors)
+
+
+def test_every_parameter_comes_back_within_half_a_step(baked):
+    packed = pack(baked)
+    content = unpack(packed)
+    rows = np.argmin(np.linalg.norm(content["means"][:, None] - baked.means.numpy(), axis=2), axis=1)
+    assert sorted(rows) == list(range(600))
+    expected = {name: getattr(baked, name).numpy()[rows] for name in content}
+    np.testing.assert_allclose(content["means"], expected["means"], atol=5 / 65535)
+    np.testing.assert_allclose(content["scales"], expected["scales"], rtol=0.003)
+    alike = np.abs((content["quats"] * expected["quats"]).sum(axis=1))
+    assert np.degrees(2 * np.arccos(alike.clip(0, 1))).max() < 0.25
+    np.testing.assert_allclose(content["opacity_rgb"], expected["opacity_rgb"], atol=0.51 / 255)
+    np.testing.assert_allclose(content["opacity_thermal"], expected["opacity_thermal"], atol=0.51 / 65535)
+    np.testing.assert_allclose(content["temperatures"], expected["temperatures"], atol=1e-5)
+    steps = [
+        (high - low) / steps
+        for (low, high), steps in zip(packed.header["limits"]["sh"], packed.header["sh_steps"], strict=True)
+    ]
+    tolerance = 0.51 * np.repeat(steps, [1, 3, 5, 7])[:, None]
+    assert (np.abs(content["sh"] - expected["sh"]) <= tolerance).mean() > 0.999  # all but the clipped ones
+
+
+def test_the_packed_model_renders_as_the_baked_one(baked, cameras):
+    packed = as_model(unpack(pack(baked)), baked)
+    for camera in cameras.values():
+        before, after = baked.render(camera), packed.render(camera)
+        error = (before.rgb.clamp(0, 1) - after.rgb.clamp(0, 1)).square().mean()
+        assert -10 * error.log10() > 45
+        error_c = (before.thermal - after.thermal).abs() * baked.temperature.span_c
+        assert error_c.mean() < 0.03
+        assert error_c.max() < 0.5  # one pixel at the steepest edge of a range of 100 °C
+
+
+def test_fewer_degrees_leave_the_higher_harmonics_out(baked):
+    full, flat = pack(baked), pack(baked, sh_degree=0)
+    np.testing.assert_array_equal(unpack(full)["sh"][:, :1], unpack(flat)["sh"])
+    assert len(flat.data) < 0.6 * len(full.data)
+
+
+def test_splats_that_no_pixel_can_show_are_left_out(baked):
+    opacity = torch.full_like(baked.opacity_rgb, 0.5)
+    opacity[:100] = 0.003
+    assert pack(replace(baked, opacity_rgb=opacity, opacity_thermal=opacity)).header["count"] == 500
+    assert pack(replace(baked, opacity_rgb=opacity)).header["count"] > 500
+
+
+def test_a_splat_far_away_costs_only_its_chunk_precision(baked):
+    means = baked.means.clone()
+    means[7] = 1e4
+    content = unpack(pack(replace(baked, means=means)))
+    distance = np.linalg.norm(content["means"][:, None] - means.numpy(), axis=2).min(axis=1)
+    assert (distance < 1e-4).sum() >= 600 - 256
+
+
+def test_packing_is_deterministic(baked):
+    assert pack(baked) == pack(baked)
+
+
+def test_an_invisible_model_is_named(baked):
+    nothing = torch.zeros_like(baked.opacity_rgb)
+    with pytest.raises(ConfigError, match="no splat that can be seen, so there is nothing to show; train it longer"):
+        pack(replace(baked, opacity_rgb=nothing, opacity_thermal=nothing))
+
+
+def test_the_degree_is_checked(baked):
+    with pytest.raises(ValueError, match="sh_degree must be from 0 to 3, not 4"):
+        pack(baked, sh_degree=4)
+
+
+def test_neighbours_on_the_curve_are_neighbours_in_space():
+    means = np.random.default_rng(0).uniform(size=(4096, 3)).astype(np.float32)
+    ordered = means[morton_order(means)]
+    step = np.linalg.norm(np.diff(ordered, axis=0), axis=1).mean()
+    assert step < 0.25 * np.linalg.norm(np.diff(means, axis=0), axis=1).mean()
+
+
+def test_both_signs_of_a_quaternion_are_one_rotation():
+    quats = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
+    np.testing.assert_array_equal(smallest_three(quats), smallest_three(-2 * quats))

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from mrgs.errors import ConfigError, RunError
+from mrgs.export.page import write_page
+from mrgs.export.page.packing import pack
+from mrgs.export.page.write import visible_range
+
+
+class Elements(HTMLParser):
+    """Tags with their attributes, and the text of each element with an id, of the title and of the script."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: dict[str, str] = {}
+        self._open = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        self._open = dict(attributes).get("id") or tag
+
+    def handle_data(self, data):
+        self.texts[self._open] = self.texts.get(self._open, "") + data
+
+    def handle_endtag(self, tag):
+        self._open = ""
+
+
+@pytest.fixture
+def page(baked, cameras, tmp_path):
+    return Elements(write_page(baked, cameras, "Kettle", tmp_path / "page.html").read_text(encoding="utf-8"))
+
+
+def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras):
+    facts, packed = json.loads(page.texts["facts"]), pack(baked)
+    assert base64.b64decode(page.texts["model"]) == packed.data
+    assert facts["model"] == packed.header
+    assert [camera["width"] for camera in facts["cameras"]] == [96] * 5
+    assert facts["cameras"][2]["position"] == pytest.approx(cameras["view 2"].position.tolist())
+    assert facts["temperature"] == {"min": -10.0, "max": 90.0, "unit": "°C"}
+    assert facts["range"] == pytest.approx(visible_range(baked, list(cameras.values())))
+    assert facts["world"]["up"][2] > 0.9
+
+
+def test_nothing_comes_from_elsewhere(page):
+    assert not [tag for tag in page.tags if tag[0] in ("link", "img", "iframe", "object", "embed", "base")]
+    assert not [value for _, attributes in page.tags for name, value in attributes.items() if name in ("src", "href")]
+    assert not [
+        text for name, text in page.texts.items() if name != "model" and re.search(r"https?:|//cdn|@import", text)
+    ]
+
+
+def test_the_policy_allows_this_script_and_style_only(page):
+    policy = next(a["content"] for tag, a in page.tags if tag == "meta" and "http-equiv" in a)
+    for name in ("script", "style"):
+        digest = base64.b64encode(hashlib.sha256(page.texts[name].encode()).digest()).decode()
+        assert f"{name}-src 'sha256-{digest}'" in policy
+    assert policy.startswith("default-src 'none';")
+    assert "unsafe" not in policy
+
+
+def test_all_text_is_escaped(baked, cameras, tmp_path):
+    evil = "</title><script>alert('x')</script>&\""
+    named = {evil + name: camera for name, camera in cameras.items()}
+    text = write_page(baked, named, evil, tmp_path / "page.html", notes=[evil]).read_text(encoding="utf-8")
+    assert "alert('x')" not in text
+    assert text.count("&lt;/title&gt;&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt;&amp;&quot;") == 3 + len(cameras)
+    assert Elements(text).texts["title"] == evil
+
+
+def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path):
+    notes = " ".join(page.texts[name] for name in ("li", "h2"))
+    for word in ("emissivity", "shiny", "guess", "-10 to 90 °C"):
+        assert word in notes
+    unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")
+    text = Elements(unknown.read_text(encoding="utf-8"))
+    assert "hold no °C" in text.texts["li"]
+    assert json.loads(text.texts["facts"])["temperature"] == {"min": 0.0, "max": 1.0, "unit": ""}
+
+
+def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
+    path = write_page(
+        baked, cameras, "t", tmp_path / "p.html", palette="iron", range_c=(10.0, 30.0), max_splats=150, sh_degree=1
+    )
+    page = Elements(path.read_text(encoding="utf-8"))
+    facts = json.loads(page.texts["facts"])
+    assert (facts["range"], facts["model"]["count"], facts["model"]["sh_degree"]) == ([10.0, 30.0], 150, 1)
+    assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [{"selected": None}]
+    assert "<option selected>iron</option>" in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"modalities": ()}, "the page needs rgb or thermal to show"),
+        ({"palette": "depth"}, "the page has no palette depth; choose one of inferno, iron, grey, rainbow"),
+        ({"range_c": (30.0, 30.0)}, "the temperature range 30 to 30 must rise"),
+        ({"range_c": (float("nan"), 30.0)}, "the temperature range nan to 30 must rise"),
+        ({"max_splats": 0}, "max_splats is 0; it must be at least 1"),
+        ({"sh_degree": 4}, "sh_degree is 4; it must be from 0 to 3"),
+    ],
+)
+def test_bad_options_are_named(baked, cameras, tmp_path, options, message):
+    with pytest.raises(ConfigError, match=message):
+        write_page(baked, cameras, "t", tmp_path / "page.html", **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_needs_a_camera(baked, tmp_path):
+    with pytest.raises(ConfigError, match="the page needs at least one camera to open on"):
+        write_page(baked, {}, "t", tmp_path / "page.html")
+
+
+def test_a_place_that_cannot_be_written_is_named(baked, cameras, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"page\.html cannot be written"):
+        write_page(baked, cameras, "t", tmp_path / "file" / "page.html")

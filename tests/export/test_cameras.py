@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.data import load_scene
+from mrgs.export.cameras import write_cameras
+from mrgs.scene import Pixels, PosedImage
+
+
+@pytest.fixture(params=[False, True], ids=["one camera", "two cameras"])
+def original(request, make_scene):
+    return load_scene(make_scene(two_cameras=request.param))
+
+
+def same_cameras(found, expected):
+    torch.testing.assert_close(found.K, expected.K, atol=1e-9, rtol=0)
+    torch.testing.assert_close(found.viewmat, expected.viewmat, atol=1e-9, rtol=0)
+    assert (found.width, found.height) == (expected.width, expected.height)
+
+
+def same_views(found, expected):
+    assert [view.name for view in found] == [view.name for view in expected]
+    for one, other in zip(found, expected, strict=True):
+        same_cameras(one.rgb.camera, other.rgb.camera)
+        same_cameras(one.thermal.camera, other.thermal.camera)
+        torch.testing.assert_close(one.rgb.load().values, other.rgb.load().values)
+        torch.testing.assert_close(one.thermal.load().values, other.thermal.load().values, atol=1e-6, rtol=0)
+
+
+def test_transforms_json_reads_back(tmp_path, original):
+    write_cameras(tmp_path / "out", original)
+    found = load_scene(tmp_path / "out")
+    same_views(found.train, original.train)
+    same_views(found.eval, original.eval)
+    assert found.temperature == original.temperature
+    torch.testing.assert_close(found.points.positions, original.points.positions)
+    assert (tmp_path / "out" / "images" / f"{original.train[0].name}.png").is_file()
+
+
+def test_the_colmap_model_reads_back(tmp_path, original):
+    write_cameras(tmp_path / "out", original)
+    (tmp_path / "out" / "transforms.json").unlink()
+    found = load_scene(tmp_path / "out")
+    same_views(found.train, original.train)
+    torch.testing.assert_close(found.points.positions, original.points.positions)
+    torch.testing.assert_close(found.points.colors, original.points.colors, atol=1e-6, rtol=0)
+
+
+def test_transforms_json_is_camera_to_world_with_opengl_axes(tmp_path, original):
+    write_cameras(tmp_path / "out", original)
+    frame = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"][0]
+    pose, camera = np.array(frame["transform_matrix"]), original.train[0].rgb.camera
+    np.testing.assert_allclose(pose[:3, 3], camera.position)
+    np.testing.assert_allclose(-pose[:3, 2], camera.forward)  # looks along −z
+    np.testing.assert_allclose(pose[:3, 1], -camera.viewmat[1, :3])  # y is up
+
+
+def test_colmap_is_world_to_camera_with_opencv_axes(tmp_path, original):
+    write_cameras(tmp_path / "out", original)
+    line = (tmp_path / "out" / "sparse" / "0" / "images.txt").read_text().splitlines()[1].split()
+    camera = original.train[0].rgb.camera
+    np.testing.assert_allclose([float(word) for word in line[5:8]], camera.viewmat[:3, 3], atol=1e-12)
+    name = f"{original.train[0].name}.png"
+    assert line[9] == (name if original.train[0].shares_camera else f"images/{name}")
+
+
+def test_without_celsius_thermal_images_are_16_bit(tmp_path, original):
+    write_cameras(tmp_path / "out", replace(original, temperature=None))
+    found = load_scene(tmp_path / "out")
+    assert found.temperature is None
+    values = found.train[0].thermal.load().values
+    torch.testing.assert_close(values, original.train[0].thermal.load().values, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("modality", ["rgb", "thermal"])
+def test_scenes_of_one_modality(tmp_path, original, modality):
+    other = {"rgb": "thermal", "thermal": "rgb"}[modality]
+    alone = replace(original, train=tuple(replace(view, **{other: None}) for view in original.train), eval=())
+    write_cameras(tmp_path / "out", alone)
+    for _ in range(2):  # transforms.json, then COLMAP
+        found = load_scene(tmp_path / "out")
+        views = [*found.train, *found.eval]
+        cameras = {view.name: getattr(view, modality).camera for view in views}
+        assert all(getattr(view, other) is None for view in views)
+        for view in alone.train:
+            same_cameras(cameras[view.name], getattr(view, modality).camera)
+        (tmp_path / "out" / "transforms.json").unlink(missing_ok=True)
+
+
+def test_masks_are_kept(tmp_path, original):
+    view = original.train[0]
+
+    def masked(image: PosedImage) -> PosedImage:
+        values = image.load().values
+        valid = torch.ones(values.shape[:2], dtype=torch.bool)
+        valid[:5] = False
+        return replace(image, load=lambda: Pixels(values, valid))
+
+    view = replace(view, rgb=masked(view.rgb), thermal=masked(view.thermal))
+    write_cameras(tmp_path / "out", replace(original, train=(view,), eval=()))
+    found = load_scene(tmp_path / "out").train[0]
+    for image in (found.rgb, found.thermal):
+        assert not image.load().valid[:5].any()
+        assert image.load().valid[5:].all()

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mrgs.errors import ConfigError, MrgsWarning, RunError
+from mrgs.export import FORMATS, export
+
+EXPECTED = {
+    "ply": {"rgb.ply", "thermal.ply", "rgb_thermal.ply"},
+    "spz": {"rgb.spz", "thermal.spz"},
+    "glb": {"rgb.glb", "thermal.glb"},
+    "splat": {"rgb.splat", "thermal.splat"},
+    "points": {"points.ply"},
+    "las": {"points.las"},
+    "mesh": {"mesh.ply"},
+}
+
+
+@pytest.fixture
+def solid(baked):
+    """The small model, opaque enough for points and a mesh."""
+    return replace(baked, opacity_rgb=torch.full_like(baked.opacity_rgb, 0.95), scales=baked.scales.clamp_min(0.1))
+
+
+@pytest.mark.parametrize("format", [format for format in FORMATS if format != "cameras"])
+def test_each_format_writes_its_files_and_says_what_they_hold(tmp_path, solid, scene, format):
+    paths = export(solid, scene, format, tmp_path / "out")
+    assert {path.name for path in paths} == EXPECTED[format] | {f"{name}.json" for name in EXPECTED[format]}
+    assert set((tmp_path / "out").iterdir()) == set(paths)
+    for path in paths:
+        if path.suffix == ".json":
+            facts = json.loads(path.read_text(encoding="utf-8"))
+            assert (facts["file"], facts["scene"]) == (path.stem, scene.name)
+            assert facts["temperature"]["unit"] == "°C"
+            of_surface = facts["temperature"]["of"].startswith("the surface")
+            assert of_surface == (format in ("points", "las", "mesh"))
+            assert ("colors" in facts) == path.name.startswith("thermal")
+
+
+def test_cameras_come_with_their_images(tmp_path, baked, scene):
+    paths = export(baked, scene, "cameras", tmp_path)
+    assert tmp_path / "cameras" / "transforms.json" in paths
+    assert tmp_path / "cameras" / "sparse" / "0" / "images.txt" in paths
+
+
+def test_all_writes_every_format(tmp_path, solid, scene):
+    names = {path.name for path in export(solid, scene, "all", tmp_path)}
+    assert set().union(*EXPECTED.values()) <= names
+    assert "transforms.json" in names
+
+
+def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):
+    export(run, scene, "splat", tmp_path)
+    rgb, thermal = (json.loads((tmp_path / f"{name}.splat.json").read_text()) for name in ("rgb", "thermal"))
+    assert isinstance(thermal["baking_loss_db"]["rgb"], float)
+    assert rgb["baking_loss_db"]["rgb"] > thermal["baking_loss_db"]["rgb"]  # without view dependence, more is lost
+    assert rgb["view_dependence"] == "left out"
+
+
+def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene, read_ply):
+    export(baked, scene, "ply", tmp_path, "grey", (15.0, 25.0))
+    colors = json.loads((tmp_path / "thermal.ply.json").read_text(encoding="utf-8"))["colors"]
+    assert colors == {"palette": "grey", "first": 15.0, "last": 25.0, "unit": "°C"}
+    assert any('"palette": "grey", "first": 15.0' in line for line in read_ply(tmp_path / "thermal.ply")[0])
+
+
+def test_a_modality_that_the_scene_has_not_is_left_out(tmp_path, baked, scene):
+    alone = replace(scene, train=tuple(replace(view, rgb=None) for view in scene.train))
+    assert {path.name for path in export(baked, alone, "spz", tmp_path)} == {"thermal.spz", "thermal.spz.json"}
+
+
+def test_an_unknown_format_is_named(tmp_path, baked, scene):
+    with pytest.raises(ConfigError, match="unknown export format 'obj': choose one of ply, spz, glb"):
+        export.__wrapped__(baked, scene, "obj", tmp_path)
+
+
+def test_a_missing_package_is_named_before_anything_is_done(tmp_path, baked, scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    with pytest.raises(ConfigError, match="LAS files need the package laspy"):
+        export(baked, scene, "las", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_all_goes_on_without_the_package(tmp_path, solid, scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    with pytest.warns(MrgsWarning, match="points.las is left out: LAS files need the package laspy"):
+        names = {path.name for path in export(solid, scene, "all", tmp_path)}
+    assert "points.las" not in names
+    assert "points.ply" in names
+
+
+def test_an_empty_model_and_a_file_in_the_folder_s_place_are_refused(tmp_path, make_baked, scene):
+    with pytest.raises(RunError, match="the model has no splats"):
+        export(make_baked(0), scene, "ply", tmp_path)
+    (tmp_path / "out").write_text("")
+    with pytest.raises(RunError, match="cannot be written"):
+        export(make_baked(), scene, "ply", tmp_path / "out")

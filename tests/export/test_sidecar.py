@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.export.loss import BakingLoss
+from mrgs.export.sidecar import comment_lines, facts_of, up_direction, write_sidecar
+from mrgs.scene import Camera
+
+
+def test_the_facts_say_units_axes_range_and_loss(make_baked, scene):
+    facts = facts_of(make_baked(), scene, np.array([0.0, 0.0, 1.0]), BakingLoss(0.12, 0.0))
+    assert facts["temperature"].items() >= {"property": "temperature_c", "unit": "°C", "min": 10.0, "max": 30.0}.items()
+    assert facts["baking_loss_db"] == {"rgb": 0.12, "thermal": 0.0}
+    assert facts["up"] == [0.0, 0.0, 1.0]
+    assert facts["program"].startswith("mrgs ")
+    assert "OpenCV" in facts["camera_axes"]
+
+
+def test_what_is_not_known_is_null(make_baked, scene):
+    facts = facts_of(make_baked(temperature=None), scene, None, None)
+    assert (facts["up"], facts["baking_loss_db"]) == (None, None)
+    assert "no °C is known" in facts["temperature"]["unit"]
+
+
+def test_the_sidecar_is_json_beside_the_file(tmp_path):
+    path = write_sidecar(tmp_path / "rgb.spz", {"unit": "°C"})
+    assert path == tmp_path / "rgb.spz.json"
+    assert json.loads(path.read_text(encoding="utf-8")) == {"file": "rgb.spz", "unit": "°C"}
+
+
+def test_facts_become_header_lines():
+    assert comment_lines({"unit": "m", "range": [1, 2]}) == ["unit: m", "range: [1, 2]"]
+
+
+def test_up_is_across_the_horizontal_axes_of_level_cameras(scene):
+    np.testing.assert_allclose(up_direction(scene), [0, 0, 1], atol=1e-9)
+
+
+def turned(scene, roll):
+    """The scene with each camera rolled about its own axis."""
+
+    def rolled(index, image):
+        cosine, sine = math.cos(roll(index)), math.sin(roll(index))
+        turn = torch.eye(4, dtype=torch.float64)
+        turn[:2, :2] = torch.tensor([[cosine, -sine], [sine, cosine]])
+        camera = image.camera
+        return replace(image, camera=Camera(camera.K, turn @ camera.viewmat, camera.width, camera.height))
+
+    views = (replace(view, rgb=rolled(i, view.rgb), thermal=None) for i, view in enumerate(scene.train))
+    return replace(scene, train=tuple(views))
+
+
+@pytest.mark.parametrize("roll", [lambda i: 1.0 * i, lambda i: 0.0])
+def test_up_is_not_guessed(scene, roll):
+    case = turned(scene, roll)
+    if roll(1) == 0:  # one camera's horizontal axis fits any up
+        case = replace(case, train=case.train[:1])
+    assert up_direction(case) is None

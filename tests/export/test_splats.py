@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.errors import ConfigError, RunError
+from mrgs.evaluation.metrics import psnr
+from mrgs.evaluation.palette import palette_table
+from mrgs.export.splats import (
+    require_exportable,
+    rgb_splats,
+    shown_temperatures,
+    temperature_name,
+    thermal_scale,
+    thermal_splats,
+    without_directions,
+)
+
+
+def test_the_colours_are_those_of_the_baked_model(baked, scene, draw):
+    camera = scene.eval[0].rgb.camera
+    torch.testing.assert_close(draw(rgb_splats(baked), camera), baked.render(camera).rgb, atol=1e-5, rtol=0)
+
+
+def test_temperatures_get_the_palette_s_colours(make_baked):
+    baked = replace(make_baked(3), temperatures=torch.tensor([-1.0, 0.5, 2.0]))
+    splats = thermal_splats(baked, thermal_scale(baked, "iron", (10.0, 30.0)))
+    np.testing.assert_array_equal(splats.base_colors, palette_table("iron")[[0, 128, 255]])
+    np.testing.assert_array_equal(splats.opacities, baked.opacity_thermal.numpy())
+    assert splats.sh_degree == 0
+
+
+def test_the_scale_is_the_scene_s_unless_it_is_given(make_baked):
+    assert (thermal_scale(make_baked()).low, thermal_scale(make_baked()).high) == (10.0, 30.0)
+    assert (thermal_scale(make_baked(temperature=None)).low, thermal_scale(make_baked(temperature=None)).high) == (0, 1)
+    assert thermal_scale(make_baked(), "grey", (12.5, 20)).low == 12.5
+
+
+def test_celsius_cannot_be_asked_of_a_model_without(make_baked):
+    with pytest.raises(ConfigError, match="a range in °C was given, but the scene has no temperature range"):
+        thermal_scale(make_baked(temperature=None), "inferno", (10.0, 30.0))
+    assert temperature_name(make_baked(temperature=None)) == "temperature_normalised"
+
+
+@pytest.mark.parametrize("limits", [(30.0, 10.0), (10.0, 10.0), (float("nan"), 20.0), (0.0, float("inf"))])
+def test_a_range_ascends(make_baked, limits):
+    with pytest.raises(ConfigError, match="is not ascending: give the lower end first"):
+        thermal_scale(make_baked(), "inferno", limits)
+
+
+def test_shown_temperatures_are_celsius_where_they_are_known(make_baked):
+    normalised = shown_temperatures(make_baked(temperature=None))
+    np.testing.assert_allclose(shown_temperatures(make_baked()), 10 + 20 * normalised, rtol=1e-6)
+
+
+def test_an_empty_model_is_refused(make_baked):
+    with pytest.raises(RunError, match="the model has no splats, so there is nothing to export"):
+        require_exportable(make_baked(0))
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacity_rgb", "opacity_thermal", "sh", "temperatures"])
+def test_numbers_that_are_not_finite_are_refused(make_baked, name):
+    values = getattr(make_baked(), name).clone()
+    values[7] = float("nan")
+    values[9] = float("inf")
+    with pytest.raises(RunError, match="2 of 50 splats hold NaN or infinity"):
+        require_exportable(replace(make_baked(), **{name: values}))
+
+
+def test_colours_without_directions_are_the_mean_over_the_cameras(make_baked, scene):
+    baked, cameras = make_baked(), [view.rgb.camera for view in scene.train]
+    flat = without_directions(baked, cameras)
+    colors = torch.stack([baked.colors(camera.position.float()) for camera in cameras])
+    base = torch.from_numpy(flat.sh[:, 0]) * 0.28209479 + 0.5
+    low, high = colors.amin(0).clamp(0, 1), colors.amax(0).clamp(0, 1)
+    assert ((base >= low - 1e-4) & (base <= high + 1e-4)).all()
+    one = without_directions(baked, cameras[:1])
+    torch.testing.assert_close(
+        torch.from_numpy(one.sh[:, 0]) * 0.28209479 + 0.5, colors[0].clamp(0, 1), atol=1e-4, rtol=0
+    )
+
+
+def test_colours_without_directions_beat_dropping_the_directions(baked, scene, draw):
+    flat = without_directions(baked, [view.rgb.camera for view in scene.train])
+    dropped = replace(rgb_splats(baked), sh=baked.sh[:, :1].numpy())
+    photos = [(view.rgb.camera, view.rgb.load().values) for view in scene.eval]
+    scores = [sum(psnr(draw(splats, camera), photo) for camera, photo in photos) for splats in (flat, dropped)]
+    assert scores[0] > scores[1]

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.baked import BakedModel
+from mrgs.report.spots import find_spots, project, unproject
+from mrgs.scene import Camera, Pixels, PosedImage, TemperatureRange, View
+
+HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
+"""Places on the plane z = 0."""
+
+WARM = 0.5
+
+
+def camera_at(angle: float) -> Camera:
+    position = torch.tensor([1.2 * math.cos(angle), 1.2 * math.sin(angle), 2.0], dtype=torch.float64)
+    forward = -position / position.norm()
+    right = torch.linalg.cross(forward, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    right = right / right.norm()
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    viewmat[:3, 3] = -viewmat[:3, :3] @ position
+    K = torch.tensor([[150.0, 0, 80.0], [0, 150.0, 60.0], [0, 0, 1]], dtype=torch.float64)
+    return Camera(K, viewmat, 160, 120)
+
+
+def views(count: int = 8, thermal: bool = True) -> list[View]:
+    cameras = [camera_at(2 * math.pi * i / count) for i in range(count)]
+    images = [PosedImage(camera, lambda: Pixels(torch.zeros(120, 160, 1))) for camera in cameras]
+    return [
+        View(f"view_{i}", image if not thermal else None, image if thermal else None) for i, image in enumerate(images)
+    ]
+
+
+def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedModel:  # noqa: B006
+    """An opaque plane of 81 × 81 flat splats with a hot and a cold patch, and extra balls (place, temperature)."""
+    grid = torch.linspace(-0.8, 0.8, 81)
+    x, y = (axis.flatten() for axis in torch.meshgrid(grid, grid, indexing="ij"))
+    means = torch.stack([x, y, torch.zeros_like(x)], dim=1)
+    temperatures = torch.full_like(x, WARM)
+    for (centre_x, centre_y), value in ((HOT, 0.9), (COLD, 0.1)):
+        temperatures[(x - centre_x) ** 2 + (y - centre_y) ** 2 < 0.1**2] = value
+    scales = torch.tensor([0.02, 0.02, 0.001]).expand(len(x), 3)
+    for place, value in extra:
+        means = torch.cat([means, torch.tensor([place])])
+        temperatures = torch.cat([temperatures, torch.tensor([value])])
+        scales = torch.cat([scales, torch.full((1, 3), 0.03)])
+    n = len(means)
+    opacity, quats = torch.full((n,), 0.98), torch.tensor([1.0, 0, 0, 0]).repeat(n, 1)
+    return BakedModel(
+        means, quats, scales, opacity, opacity, torch.zeros(n, 16, 3), temperatures, TemperatureRange(0.0, 100.0)
+    )
+
+
+def test_the_known_extremes_are_found():
+    hottest, coldest = find_spots(views(), plane().render)
+    for spot, place, value in ((hottest[0], HOT, 0.9), (coldest[0], COLD, 0.1)):
+        assert spot.value == pytest.approx(value, abs=0.01)
+        assert np.hypot(*(spot.position[:2] - place)) < 0.1
+        assert abs(spot.position[2]) < 0.02
+        assert spot.low <= spot.value <= spot.high
+        assert spot.high - spot.low < 0.02
+        assert spot.views >= 6
+
+
+def test_spots_of_a_list_keep_their_distance():
+    hottest, _ = find_spots(views(), plane().render)
+    assert [spot.value for spot in hottest] == sorted((spot.value for spot in hottest), reverse=True)
+    for i, spot in enumerate(hottest):
+        assert all(np.linalg.norm(spot.position - other.position) > 0.15 for other in hottest[:i])
+
+
+def test_a_floater_before_one_camera_does_not_count():
+    first = views()[0].thermal.camera
+    place = tuple((first.position + 0.4 * first.forward).float().tolist())
+    model = plane([(place, 1.0)])
+    assert model.render(first).thermal.max() > 0.95
+    hottest, _ = find_spots(views(), model.render)
+    assert hottest[0].value == pytest.approx(0.9, abs=0.01)
+    assert np.hypot(*(hottest[0].position[:2] - HOT)) < 0.1
+
+
+def test_the_view_that_is_named_sees_the_spot():
+    all_views = views()
+    hottest, _ = find_spots(all_views, plane().render)
+    camera = all_views[hottest[0].view].thermal.camera
+    x, y, depth = project(camera, hottest[0].position)
+    rendering = plane().render(camera)
+    assert rendering.thermal[int(y), int(x), 0].item() == pytest.approx(0.9, abs=0.01)
+    assert rendering.depth_thermal[int(y), int(x)].item() == pytest.approx(depth, rel=0.02)
+
+
+def test_two_views_are_enough_where_there_are_no_more():
+    hottest, _ = find_spots(views(2), plane().render)
+    assert hottest[0].views == 2
+
+
+def test_nothing_is_found_where_nothing_is_seen():
+    assert find_spots(views(), BakedModel(
+        torch.tensor([[0.0, 0.0, 50.0]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.01),
+        torch.tensor([0.5]), torch.tensor([0.5]), torch.zeros(1, 16, 3), torch.tensor([0.5]), None,
+    ).render) == ([], [])  # fmt: skip
+    assert find_spots(views(thermal=False), plane().render) == ([], [])
+
+
+def test_unprojecting_undoes_projecting():
+    camera, point = camera_at(0.7), np.array([0.2, -0.1, 0.3])
+    x, y, depth = project(camera, point)
+    np.testing.assert_allclose(unproject(camera, *(np.array([v]) for v in (x, y, depth)))[0], point, atol=1e-12)

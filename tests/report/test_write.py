@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.errors import RunError
+from mrgs.report import write_report
+from mrgs.run import Run, load_run
+from mrgs.training import make_config, train
+
+METRICS = {
+    "steps": 60,
+    "mean": {"thermal": {"psnr": 41.239, "mae_c": 0.25, "lpips": None}, "rgb": {"psnr": 27.4, "ssim": 0.84}},
+}
+
+
+@pytest.fixture(scope="module")
+def trained(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    return train(small_scene, folder, make_config(max_steps=60, max_gaussians=150)).path
+
+
+@pytest.fixture
+def run(trained: Path) -> Run:
+    """The run, made solid (60 steps leave mist), without what a test before left in its folder."""
+    for path in (trained / "eval").glob("*"):
+        path.unlink()
+    (trained / "eval").mkdir(exist_ok=True)
+    run = load_run(trained)
+    gaussians = run.model.gaussians
+    solid = replace(
+        gaussians,
+        log_scales=torch.full_like(gaussians.log_scales, -1.2),
+        opacity_thermal_logit=torch.full_like(gaussians.opacity_thermal_logit, 4.0),
+    )
+    return replace(run, model=replace(run.model, gaussians=solid))
+
+
+class Page(HTMLParser):
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.images: list[str] = []
+        self.words: list[str] = []
+        self.tags: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.add(tag)
+        if tag == "img":
+            self.images.append(dict(attributes)["src"])
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
+    page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
+    for words in (
+        "Hottest and coldest spots", "H1", "C1", "position x, y, z",
+        "6 to learn from, 2 held out", "8, 40 × 30 pixels", "10 °C to 30 °C", "not in the scene's files",
+        "60 of 60", "Emissivity", "Reflections", "Where no photo looked", "The thermal photo reads",
+    ):  # fmt: skip
+        assert words in page.text
+    spots = [float(value) for value in re.findall(r"[HC]\d: (-?\d+\.\d) °C", page.text)]
+    assert spots
+    assert all(5 < value < 35 for value in spots)
+
+
+def test_everything_is_in_the_file(run, tmp_path):
+    page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
+    assert page.images
+    assert all(source.startswith("data:image/") for source in page.images)
+    assert not page.tags & {"script", "link", "iframe", "object"}
+
+
+def test_without_scores_it_says_how_to_get_them(run, tmp_path):
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    assert text.count(f"mrgs eval {run.folder.path}") == 2
+    assert "Not scored yet" in text
+    assert "No contact sheet yet" in text
+
+
+def test_scores_and_contact_sheet_are_shown(run, tmp_path):
+    (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS), encoding="utf-8")
+    Image.new("RGB", (64, 32), (200, 10, 10)).save(run.folder.path / "eval" / "contact_sheet.png")
+    page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
+    assert "Thermal PSNR, dB 41.24" in page.text
+    assert "Colour SSIM 0.8400" in page.text
+    assert "LPIPS" not in page.text
+    assert "mrgs eval" not in page.text
+
+
+def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
+    (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS | {"steps": 30}), encoding="utf-8")
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    assert "Scored at step 30, but the model is now at step 60" in text
+
+
+@pytest.mark.parametrize(
+    "content", ["{", "[]", '{"mean": {}}', '{"steps": 1, "mean": {"thermal": {"x": 1}, "rgb": {}}}']
+)
+def test_foreign_metrics_are_named(run, tmp_path, content):
+    (run.folder.path / "eval" / "metrics.json").write_text(content, encoding="utf-8")
+    with pytest.raises(RunError, match=r"metrics\.json is not what `mrgs eval` writes .*; run `mrgs eval` again"):
+        write_report(run, run.load_scene(), tmp_path / "report.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_broken_contact_sheet_is_named(run, tmp_path):
+    (run.folder.path / "eval" / "contact_sheet.png").write_bytes(b"not a picture")
+    with pytest.raises(RunError, match=r"contact_sheet\.png cannot be read .*; make it anew with `mrgs eval`"):
+        write_report(run, run.load_scene(), tmp_path / "report.html")
+
+
+def test_names_from_files_are_escaped(run, tmp_path):
+    scene = run.load_scene()
+    evil = "<script>alert(1)</script>"
+    scene = replace(
+        scene, name=evil, notes=(evil,), train=tuple(replace(view, name=evil + view.name) for view in scene.train)
+    )
+    page = Page(write_report(run, scene, tmp_path / "report.html"))
+    assert "script" not in page.tags
+    assert page.text.count("alert(1)") >= 3
+
+
+def test_a_scene_without_celsius_has_relative_values(run, tmp_path):
+    unknown = replace(run, facts=run.facts._replace(temperature=None))
+    scene = replace(run.load_scene(), temperature=None)
+    text = Page(write_report(unknown, scene, tmp_path / "report.html")).text
+    assert "There are no °C" in text
+    assert re.search(r"H1: \d\.\d{3}", text)
+
+
+def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):
+    run = load_run(trained)
+    assert "No surface is seen by enough views" in Page(write_report(run, run.load_scene(), tmp_path / "r.html")).text
+
+
+def test_a_scene_without_thermal_photos_has_no_spots(make_scene, tmp_path):
+    folder = train(make_scene(thermal=False), tmp_path / "run", make_config(max_steps=2, max_gaussians=60))
+    run = load_run(folder.path)
+    assert "no thermal photos" in Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
