@@ -1,0 +1,37 @@
+"""The address to listen on, checked before anything is opened."""
+
+from __future__ import annotations
+
+import importlib.util
+import socket
+
+from mrgs.errors import ConfigError
+
+
+def require_viser() -> None:
+    """Check that the extra is installed.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise ConfigError('the viewer needs viser: pip install "mrgs[view]"')
+
+
+def require_free(host: str, port: int) -> None:
+    """Check that the port can be used; viser would take the next one in silence.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    if not 0 <= port <= 65535:
+        raise ConfigError(f"--port must be from 0 to 65535, not {port}")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise ConfigError(
+            f"cannot listen on {host}:{port} ({error.strerror or error}): choose another --port, or end what uses it"
+        ) from error

@@ -1,0 +1,166 @@
+"""Cameras: the browser's, the captured one nearest to it, and those of a path through keyframes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from mrgs.atomic import replacing
+from mrgs.errors import ConfigError
+from mrgs.evaluation.paths import focus_point
+from mrgs.scene import Camera, View
+
+
+class Pose(NamedTuple):
+    """An orbiting camera.
+
+    Attributes:
+        position: in world coordinates, [3].
+        target: the point that it looks at and turns about, [3].
+        up: the direction that stands upright, [3].
+        fov: vertical field of view, radians.
+    """
+
+    position: Float[np.ndarray, "3"]
+    target: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, "3"]
+    fov: float
+
+
+def pinhole(
+    wxyz: Float[np.ndarray, "4"], position: Float[np.ndarray, "3"], fov: float, width: int, height: int
+) -> Camera:
+    """A camera with square pixels.
+
+    Args:
+        wxyz: rotation from the camera's OpenCV axes to the world, a unit quaternion.
+        position: in world coordinates.
+        fov: vertical field of view, radians.
+        width: pixels.
+        height: pixels.
+    """
+    focal = 0.5 * height / math.tan(0.5 * fov)
+    K = torch.tensor([[focal, 0, 0.5 * width], [0, focal, 0.5 * height], [0, 0, 1]], dtype=torch.float64)
+    rotation = Rotation.from_quat(np.roll(np.asarray(wxyz, dtype=np.float64), -1)).as_matrix().T
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = torch.from_numpy(rotation.copy())
+    viewmat[:3, 3] = torch.from_numpy(-rotation @ np.asarray(position, dtype=np.float64))
+    return Camera(K, viewmat, width, height)
+
+
+def rotation_wxyz(camera: Camera) -> Float[np.ndarray, "4"]:
+    """Rotation from the camera's axes to the world, as a quaternion."""
+    return np.roll(Rotation.from_matrix(camera.viewmat[:3, :3].numpy().T).as_quat(), 1)
+
+
+def vertical_fov(camera: Camera) -> float:
+    """Radians."""
+    return 2 * math.atan(0.5 * camera.height / camera.K[1, 1].item())
+
+
+def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
+    """The size, reduced so that its longer side has at most so many pixels; each side at least 1."""
+    scale = min(1.0, longest / max(width, height, 1))
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def pose_at(view: View, views: Sequence[View]) -> Pose:
+    """Look from a captured camera, turning about the point that it has in common with the others.
+
+    The target lies on the camera's own axis; upright is the mean of all cameras, so that orbiting stays level.
+    """
+    cameras = [each.cameras[0] for each in views]
+    camera = view.cameras[0]
+    position, forward = camera.position.numpy(), camera.forward.numpy()
+    centre = focus_point(cameras)
+    distance = float((centre - position) @ forward)
+    if distance <= 0:
+        distance = float(np.linalg.norm(centre - position)) or 1.0
+    up = -np.stack([each.viewmat[1, :3].numpy() for each in cameras]).mean(axis=0)
+    if np.linalg.norm(np.cross(up, forward)) < 1e-3:
+        up = -camera.viewmat[1, :3].numpy()
+    return Pose(position, position + distance * forward, up / np.linalg.norm(up), vertical_fov(camera))
+
+
+def pose_around(means: Float[np.ndarray, "n 3"]) -> Pose:
+    """Look at the middle of a model of which no cameras are known; z is up."""
+    centre = np.median(means, axis=0).astype(np.float64)
+    radius = float(np.median(np.linalg.norm(means - centre, axis=1))) or 1.0
+    return Pose(centre + 2.5 * radius * np.array([1.0, -1.0, 0.6]), centre, np.array([0.0, 0.0, 1.0]), math.radians(50))
+
+
+def nearest_view(views: Sequence[View], camera: Camera, extent: float, preferred: int | None = None) -> int:
+    """Index of the captured view that looks most alike, by place and direction; ties go to ``preferred``.
+
+    Args:
+        views: at least one.
+        camera: the one to compare with.
+        extent: of the scene; a way of this length weighs as much as a right angle.
+        preferred: index of the view shown now.
+    """
+    costs = []
+    for index, view in enumerate(views):
+        other = view.cameras[0]
+        way = (other.position - camera.position).norm().item() / extent
+        turn = 1 - (other.forward @ camera.forward).item()
+        costs.append(way + turn - (1e-3 if index == preferred else 0.0))
+    return int(np.argmin(costs))
+
+
+def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
+    """Cameras along a smooth curve through the keyframes, evenly in time; the size is that of the first.
+
+    Raises:
+        ConfigError: fewer than two keyframes.
+    """
+    if len(keyframes) < 2:
+        raise ConfigError("a camera path needs at least two keyframes: add them from two places")
+    times = np.arange(len(keyframes), dtype=np.float64)
+    wanted = np.linspace(0, times[-1], max(frames, 2))
+    positions = CubicSpline(times, np.stack([camera.position.numpy() for camera in keyframes]), bc_type="natural")
+    turns = Rotation.from_quat(np.stack([np.roll(rotation_wxyz(camera), -1) for camera in keyframes]))
+    rotations = RotationSpline(times, turns)(wanted).as_quat()
+    fovs = np.interp(wanted, times, [vertical_fov(camera) for camera in keyframes])
+    width, height = keyframes[0].width, keyframes[0].height
+    return [
+        pinhole(np.roll(quat, 1), position, float(fov), width, height)
+        for quat, position, fov in zip(rotations, positions(wanted), fovs, strict=True)
+    ]
+
+
+def save_path(path: Path, keyframes: Sequence[Camera], seconds: float, fps: int) -> Path:
+    """Write the keyframes as nerfstudio's camera-path JSON (camera to world, OpenGL axes); returns the path.
+
+    Raises:
+        ConfigError: there are no keyframes.
+        RunError: the file cannot be written.
+    """
+    if not keyframes:
+        raise ConfigError("there are no keyframes to save: add some first")
+    entries = []
+    for camera in keyframes:
+        world = np.linalg.inv(camera.viewmat.numpy()) * [1, -1, -1, 1]
+        degrees = math.degrees(vertical_fov(camera))
+        entries.append(
+            {"camera_to_world": world.flatten().tolist(), "fov": degrees, "aspect": camera.width / camera.height}
+        )
+    document = {
+        "camera_type": "perspective",
+        "render_width": keyframes[0].width,
+        "render_height": keyframes[0].height,
+        "seconds": seconds,
+        "fps": fps,
+        "camera_path": entries,
+    }
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return path

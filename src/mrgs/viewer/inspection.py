@@ -1,0 +1,305 @@
+"""What one person does with a model: look, read points, keep spots and boxes, record a path. No browser in it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from mrgs.errors import ConfigError
+from mrgs.evaluation.pictures import write_png
+from mrgs.evaluation.video import can_write_mp4, write_frames
+from mrgs.scene import Camera, View
+from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
+from mrgs.viewer.fields import Fields, difference, photo_fields, render_pane
+from mrgs.viewer.layout import Pane, panes_of, place_at
+from mrgs.viewer.painting import Mark, Scales, compose, measure_scales
+from mrgs.viewer.picking import Box, BoxReading, Reading, read_box, read_point
+from mrgs.viewer.settings import Settings, Subject
+
+COARSE_SIDE_PX = 400
+"""Longest side that is rendered while the camera moves."""
+
+VIDEO_SIDE_PX = 960
+VIDEO_FPS = 24
+PHOTOS_KEPT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The latest picture: its size, its parts, and what they were painted from."""
+
+    size: tuple[int, int]
+    panes: tuple[Pane, ...]
+    fields: tuple[Fields, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PointReading:
+    """A reading, and what the photo has there: °C, or normalised; None where no thermal photo is shown."""
+
+    reading: Reading
+    photo_value: float | None
+
+
+class Inspection:
+    """State and actions of one browser. Pictures are drawn on one thread; actions may come from others.
+
+    Attributes:
+        subject: what is looked at.
+        settings: the choices that the next picture is drawn with.
+        camera: of the latest picture, at its size; None before the first.
+        view_index: of the captured view nearest to it, in ``subject.views``.
+        point: what was read last.
+        spots: points that were kept.
+        boxes: rectangles that were drawn.
+        box_readings: what was seen in them in the latest sharp picture.
+        keyframes: of the path to be filmed.
+    """
+
+    def __init__(self, subject: Subject) -> None:
+        self.subject = subject
+        self.settings = Settings(mode=subject.modes[0])
+        self.camera: Camera | None = None
+        self.view_index: int | None = None
+        self.point: PointReading | None = None
+        self.spots: tuple[Mark, ...] = ()
+        self.boxes: tuple[Box, ...] = ()
+        self.box_readings: tuple[BoxReading | None, ...] = ()
+        self.keyframes: tuple[Camera, ...] = ()
+        self._frame: Frame | None = None
+        self._scales = Scales()
+        self._photos: dict[int, Fields] = {}
+        self._photo_lock = threading.Lock()
+
+    @property
+    def view(self) -> View | None:
+        """The captured view that the modes with photos show."""
+        return None if self.view_index is None else self.subject.views[self.view_index]
+
+    @property
+    def shows_photos(self) -> bool:
+        """Whether the picture is bound to a captured camera."""
+        return self.settings.mode in ("photos", "difference")
+
+    @property
+    def scales(self) -> Scales:
+        """Of the latest sharp picture."""
+        return self._scales
+
+    def picture(self, camera: Camera, coarse: bool) -> UInt8[np.ndarray, "h w 3"]:
+        """Draw what the camera sees; the modes with photos show the captured camera nearest to it.
+
+        Args:
+            camera: the browser's, as large as its window.
+            coarse: few pixels, and the scales of the last sharp picture, so that colours do not flicker on the way.
+        """
+        camera = camera.resized(*fitted_size(camera.width, camera.height, self.subject.source.max_side_px))
+        if self.subject.scene is not None:
+            self.view_index = nearest_view(self.subject.views, camera, self.subject.scene.extent, self.view_index)
+        settings = self.settings
+        frame = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
+        started = time.thread_time()
+        scales = measure_scales(frame.panes, frame.fields, settings, self.subject.unit)
+        if coarse:
+            scales = _known(self._scales, scales, settings)
+        boxes = [(box, [_box_reading(field, box) for field in frame.fields]) for box in self.boxes]
+        image = compose(frame.size, frame.panes, frame.fields, scales, settings, self._marks(), boxes)
+        self.camera, self._frame = camera, frame
+        if not coarse:
+            self._scales = scales
+            self.box_readings = tuple(next(filter(None, readings), None) for _, readings in boxes)
+        self.subject.source.charge(time.thread_time() - started)
+        return image
+
+    def _render(self, settings: Settings, camera: Camera, longest: int | None) -> Frame:
+        panes = panes_of(settings.mode, camera, self.view)
+        scale = 1.0 if longest is None else min(1.0, longest / max(camera.width, camera.height))
+        fields = tuple(self._fields(pane, scale) for pane in panes)
+        return Frame((camera.width, camera.height), panes, fields)
+
+    def _fields(self, pane: Pane, scale: float) -> Fields:
+        subject = self.subject
+        if pane.photo is not None and pane.content in ("rgb_photo", "thermal_photo"):
+            return self._photo(pane)
+        camera = pane.camera
+        if pane.content == "difference":
+            assert pane.photo is not None
+            camera = pane.photo.camera
+        elif scale < 1:
+            camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        fields = subject.source.run(lambda model: render_pane(model, camera, subject))
+        return difference(fields, self._photo(pane)) if pane.content == "difference" else fields
+
+    def _photo(self, pane: Pane) -> Fields:
+        """The pane's photo; the last few are kept."""
+        assert pane.photo is not None
+        key = id(pane.photo)
+        with self._photo_lock:
+            if key not in self._photos:
+                self._photos[key] = photo_fields(pane.photo, self.subject.temperature)
+                while len(self._photos) > PHOTOS_KEPT:
+                    del self._photos[next(iter(self._photos))]
+            return self._photos[key]
+
+    def _marks(self) -> list[Mark]:
+        point = self.point
+        if point is None:
+            return list(self.spots)
+        value = point.reading.value
+        label = "point" if value is None else self.subject.format_value(value)
+        return [*self.spots, Mark(point.reading.position, label)]
+
+    def click(self, x: float, y: float) -> PointReading | None:
+        """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None if it is empty."""
+        self.point = None
+        frame = self._frame
+        place = None if frame is None else place_at(frame.panes, x * frame.size[0], y * frame.size[1])
+        if place is None:
+            return None
+        pane, subject = place.pane, self.subject
+        camera = pane.photo.camera if pane.photo is not None else pane.camera
+        reading = subject.source.run(lambda model: read_point(model, camera, place.u, place.v, subject))
+        if reading is not None:
+            self.point = PointReading(reading, self._photo_value(pane, place.u, place.v))
+        return self.point
+
+    def _photo_value(self, pane: Pane, u: float, v: float) -> float | None:
+        values = None if pane.photo is None else self._photo(pane).values
+        if values is None:
+            return None
+        value = float(values[int(v * values.shape[0]), int(u * values.shape[1])])
+        return value if np.isfinite(value) else None
+
+    def keep_spot(self) -> None:
+        """Keep the point that was read last as a numbered spot.
+
+        Raises:
+            ConfigError: no point has been read.
+        """
+        if self.point is None:
+            raise ConfigError("click on the picture first, then keep the point as a spot")
+        reading = self.point.reading
+        name = f"S{len(self.spots) + 1}"
+        label = name if reading.value is None else f"{name}  {self.subject.format_value(reading.value)}"
+        self.spots, self.point = (*self.spots, Mark(reading.position, label)), None
+
+    def add_box(self, x0: float, y0: float, x1: float, y1: float) -> None:
+        """Add a box over a rectangle of the latest picture, corners 0 to 1; it stays at its place of the pane.
+
+        Raises:
+            ConfigError: the rectangle does not begin in the picture, or is a mere line.
+        """
+        frame = self._frame
+        (x0, x1), (y0, y1) = sorted((x0, x1)), sorted((y0, y1))
+        place = None
+        if frame is not None:
+            middle = 0.5 * (x0 + x1) * frame.size[0], 0.5 * (y0 + y1) * frame.size[1]
+            place = place_at(frame.panes, *middle)
+        if frame is None or place is None or x1 - x0 < 0.005 or y1 - y0 < 0.005:
+            raise ConfigError("drag a larger box within the picture")
+        pane = place.pane
+        u0, u1 = ((x * frame.size[0] - pane.left) / pane.camera.width for x in (x0, x1))
+        v0, v1 = ((y * frame.size[1] - pane.top) / pane.camera.height for y in (y0, y1))
+        self.boxes = (*self.boxes, Box(max(u0, 0.0), max(v0, 0.0), min(u1, 1.0), min(v1, 1.0)))
+
+    def clear(self) -> None:
+        """Remove the point, the spots and the boxes."""
+        self.point, self.spots, self.boxes, self.box_readings = None, (), (), ()
+
+    def add_keyframe(self) -> None:
+        """Add the current camera to the path.
+
+        Raises:
+            ConfigError: no picture has been drawn yet.
+        """
+        if self.camera is None:
+            raise ConfigError("wait for the first picture, then add a keyframe")
+        self.keyframes = (*self.keyframes, self.camera)
+
+    def screenshot(self) -> Path:
+        """Write the current view, sharp and with its marks, into ``renders/screenshots``; returns the file.
+
+        Raises:
+            ConfigError: no picture has been drawn yet.
+            RunError: the file cannot be written.
+        """
+        if self.camera is None:
+            raise ConfigError("wait for the first picture, then take a screenshot")
+        folder = self.subject.folder / "renders" / "screenshots"
+        return write_png(_next_free(folder, ".png"), self.picture(self.camera, coarse=False))
+
+    def save_path(self, seconds: float) -> Path:
+        """Write the keyframes into ``renders/paths``, in nerfstudio's format; returns the file.
+
+        Raises:
+            ConfigError: there are no keyframes.
+            RunError: the file cannot be written.
+        """
+        folder = self.subject.folder / "renders" / "paths"
+        return save_path(_next_free(folder, ".json"), self.keyframes, seconds, VIDEO_FPS)
+
+    def render_video(self, seconds: float, progress: Callable[[int, int], None]) -> Path:
+        """Render the path with the current settings into ``renders/videos``; returns the mp4, or the frames' folder.
+
+        The colour scale is the current one throughout. Spots are drawn, boxes are not.
+
+        Args:
+            seconds: length of the video.
+            progress: told the number of frames done and of all.
+
+        Raises:
+            ConfigError: fewer than two keyframes, or a mode that is bound to photos.
+            RunError: a file cannot be written.
+        """
+        if self.shows_photos:
+            raise ConfigError("a video needs a free camera: choose another picture than those with photos")
+        cameras = smooth_path(self.keyframes, round(seconds * VIDEO_FPS))
+        folder = self.subject.folder / "renders" / "videos"
+        target = _next_free(folder, "")
+        write_frames(folder, target.name, self._video_frames(cameras, progress), VIDEO_FPS)
+        return target.with_suffix(".mp4") if can_write_mp4() else target
+
+    def _video_frames(
+        self, cameras: Sequence[Camera], progress: Callable[[int, int], None]
+    ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        settings, scales, marks = self.settings, self._scales, self.spots
+        for number, camera in enumerate(cameras, start=1):
+            camera = camera.resized(*fitted_size(camera.width, camera.height, VIDEO_SIDE_PX))
+            frame = self._render(settings, camera, None)
+            measured = measure_scales(frame.panes, frame.fields, settings, self.subject.unit)
+            scales = _known(scales, measured, settings)
+            yield compose(frame.size, frame.panes, frame.fields, scales, settings, marks)
+            progress(number, len(cameras))
+
+
+def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
+    """The known scales; the measured ones where there is none, or where the user's choices have changed."""
+    thermal = known.thermal
+    if thermal is None or settings.limits is not None or measured.thermal is None:
+        thermal = measured.thermal
+    else:
+        thermal = thermal._replace(palette=settings.palette)
+    return replace(
+        measured,
+        thermal=thermal,
+        depth=known.depth or measured.depth,
+        difference=known.difference or measured.difference,
+    )
+
+
+def _box_reading(fields: Fields, box: Box) -> BoxReading | None:
+    return None if fields.values is None else read_box(fields.values, fields.solid, box)
+
+
+def _next_free(folder: Path, suffix: str) -> Path:
+    """``FOLDER/0001`` with the first number that no file or folder has."""
+    number = 1
+    while any(folder.glob(f"{number:04d}*")):
+        number += 1
+    return folder / f"{number:04d}{suffix}"

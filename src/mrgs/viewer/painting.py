@@ -1,0 +1,218 @@
+"""Fields to colours: palettes, isotherm, blends; then marks, scale bars and titles on top."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from PIL import Image, ImageDraw
+
+from mrgs.evaluation.drawing import INK, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
+from mrgs.evaluation.palette import PaletteName, colorize, display_range
+from mrgs.viewer.fields import Fields
+from mrgs.viewer.layout import Pane
+from mrgs.viewer.picking import Box, BoxReading, project
+from mrgs.viewer.settings import Settings
+
+ISOTHERM_COLOR = (0, 230, 118)
+ISOTHERM_ON_RAINBOW = (255, 0, 220)
+"""Green stands in the rainbow already."""
+
+EMPTY_COLOR = (38, 41, 48)
+"""Around the panes."""
+
+TEXT_PX = 14
+SCALE_FROM_PX = 180
+"""Panes lower than this have no room for a scale bar."""
+
+HIDDEN_BEHIND = 1.05
+"""A mark whose point lies this much deeper than what is seen there is hidden by it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A labelled point in the world, [3]."""
+
+    position: Float[np.ndarray, "3"]
+    label: str
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What the colours of the current picture mean; None for what has not been seen yet."""
+
+    thermal: Scale | None = None
+    depth: Scale | None = None
+    difference: Scale | None = None
+
+    def of(self, pane: Pane) -> Scale | None:
+        """The scale of a pane's colours."""
+        if pane.content == "difference":
+            return self.difference
+        return self.depth if pane.content == "depth" else self.thermal if pane.shows_temperature else None
+
+
+def measure_scales(panes: Sequence[Pane], fields: Sequence[Fields], settings: Settings, unit: str) -> Scales:
+    """The scales that suit a picture: percentiles of what is seen, or the limits that the user has set."""
+    thermal, depth, error = [], [], []
+    for pane, field in zip(panes, fields, strict=True):
+        if pane.content == "difference" and field.values is not None:
+            error.append(np.abs(field.values[field.solid]))
+        elif pane.shows_temperature and field.values is not None:
+            thermal.append(field.values[field.solid])
+        elif pane.content == "depth" and field.depth is not None:
+            depth.append(field.depth[field.solid])
+    limits = settings.limits or (display_range(np.concatenate(thermal)) if thermal else None)
+    near_far = display_range(np.concatenate(depth)) if depth else None
+    largest = display_range(np.concatenate(error))[1] if error else None
+    return Scales(
+        None if limits is None else Scale(settings.palette, *limits, unit),
+        None if near_far is None else Scale("depth", near_far[1], near_far[0], ""),
+        None if largest is None else Scale("error", -largest, largest, unit),
+    )
+
+
+def paint(pane: Pane, fields: Fields, scales: Scales, settings: Settings) -> UInt8[np.ndarray, "h w 3"]:
+    """The colours of a pane at the size of its fields."""
+    scale = scales.of(pane)
+    if pane.content in ("rgb", "rgb_photo"):
+        assert fields.rgb is not None
+        return fields.rgb
+    assert scale is not None
+    if pane.content == "depth":
+        assert fields.depth is not None
+        return colorize(fields.depth, scale.low, scale.high, "depth")
+    assert fields.values is not None
+    # What the model does not cover has no temperature; the background's colour would look like a cold one.
+    heat = colorize(np.where(fields.solid, fields.values, np.nan), scale.low, scale.high, scale.palette)
+    if pane.content == "difference":
+        return heat
+    if settings.isotherm is not None:
+        heat[fields.solid & _in_band(fields.values, settings.isotherm)] = isotherm_color(settings.palette)
+    if pane.content not in ("blend", "split"):
+        return heat
+    assert fields.rgb is not None
+    return (blend if pane.content == "blend" else split)(fields.rgb, heat, settings.share)
+
+
+def isotherm_color(palette: PaletteName) -> tuple[int, int, int]:
+    """The colour of the isotherm band, one that the palette does not have."""
+    return ISOTHERM_ON_RAINBOW if palette == "rainbow" else ISOTHERM_COLOR
+
+
+def blend(
+    below: UInt8[np.ndarray, "h w 3"], above: UInt8[np.ndarray, "h w 3"], share: float
+) -> UInt8[np.ndarray, "h w 3"]:
+    """One image over the other: ``share`` 0 shows only the lower, 1 only the upper."""
+    return np.rint((1 - share) * below + share * above.astype(np.float32)).astype(np.uint8)
+
+
+def split(
+    left: UInt8[np.ndarray, "h w 3"], right: UInt8[np.ndarray, "h w 3"], share: float
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Two images that meet at a white line; the right one takes ``share`` of the width."""
+    width = left.shape[1]
+    column = round((1 - share) * width)
+    image = np.concatenate([left[:, :column], right[:, column:]], axis=1)
+    if 0 < column < width:
+        image[:, column - 1 : column + 1] = 255
+    return image
+
+
+def _in_band(values: Float[np.ndarray, "h w"], band: tuple[float, float]) -> Bool[np.ndarray, "h w"]:
+    low, high = min(band), max(band)
+    return (values >= low) & (values <= high)
+
+
+def compose(
+    size: tuple[int, int],
+    panes: Sequence[Pane],
+    fields: Sequence[Fields],
+    scales: Scales,
+    settings: Settings,
+    marks: Sequence[Mark] = (),
+    boxes: Sequence[tuple[Box, Sequence[BoxReading | None]]] = (),
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The whole picture with its marks, boxes, titles and scale bars.
+
+    Args:
+        size: width and height of the picture.
+        panes: its parts.
+        fields: of each pane, at any size; they are stretched to the pane.
+        scales: what the colours mean.
+        settings: palette, isotherm, slider.
+        marks: points to label where they are seen.
+        boxes: rectangles to draw into every pane, each with what was read in each pane.
+    """
+    image = Image.new("RGB", size, EMPTY_COLOR)
+    for number, (pane, field) in enumerate(zip(panes, fields, strict=True)):
+        part = Image.fromarray(np.ascontiguousarray(paint(pane, field, scales, settings)))
+        wanted = (pane.camera.width, pane.camera.height)
+        if part.size != wanted:
+            part = part.resize(wanted, Image.Resampling.BILINEAR)
+        _draw_marks(part, pane, field, marks)
+        for name, (box, readings) in enumerate(boxes, start=1):
+            _draw_box(part, box, f"B{name}", readings[number])
+        if pane.title:
+            _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
+        scale = scales.of(pane)
+        # One bar serves the photo and the model beside it.
+        if scale is not None and part.height >= SCALE_FROM_PX and pane.content != "thermal_photo":
+            _draw_scale(part, scale)
+        image.paste(part, (pane.left, pane.top))
+    return np.asarray(image)
+
+
+def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[Mark]) -> None:
+    draw = ImageDraw.Draw(image)
+    for mark in marks:
+        place = project(pane.camera, mark.position)
+        if place is None or _is_hidden(place, fields, image.size):
+            continue
+        x, y = round(place[0]), round(place[1])
+        for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
+            draw.line([(x - 9, y), (x + 9, y)], fill=color, width=width)
+            draw.line([(x, y - 9), (x, y + 9)], fill=color, width=width)
+        _draw_card(image, (x + 12, y - TEXT_PX - 10), mark.label)
+
+
+def _is_hidden(place: tuple[float, float, float], fields: Fields, size: tuple[int, int]) -> bool:
+    """Whether something stands before the point; without depth (photos) nothing does."""
+    if fields.depth is None:
+        return False
+    height, width = fields.depth.shape
+    seen = fields.depth[int(place[1] / size[1] * height), int(place[0] / size[0] * width)]
+    return bool(place[2] > HIDDEN_BEHIND * seen)
+
+
+def _draw_box(image: Image.Image, box: Box, name: str, reading: BoxReading | None) -> None:
+    draw = ImageDraw.Draw(image)
+    corners = (box.u0 * image.width, box.v0 * image.height, box.u1 * image.width - 1, box.v1 * image.height - 1)
+    for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
+        draw.rectangle(corners, outline=color, width=width)
+    _draw_card(image, (corners[0], corners[1] - TEXT_PX - 9), name)
+    if reading is None:
+        return
+    for extreme, color in ((reading.lowest, (70, 150, 255)), (reading.highest, (255, 70, 60))):
+        x, y = extreme.u * image.width, extreme.v * image.height
+        draw.ellipse((x - 5, y - 5, x + 5, y + 5), fill=color, outline=(255, 255, 255), width=2)
+
+
+def _draw_card(image: Image.Image, corner: tuple[float, float], text: str) -> None:
+    """A line of text on a white card, moved so that it lies within the image."""
+    width, height = round(text_width(text, TEXT_PX)) + 12, TEXT_PX + 8
+    x = max(0, min(round(corner[0]), image.width - width))
+    y = max(0, min(round(corner[1]), image.height - height))
+    ImageDraw.Draw(image).rounded_rectangle((x, y, x + width, y + height), 4, fill=PAPER)
+    draw_text(image, (x + 6, y + height // 2), text, TEXT_PX, INK, anchor="lm")
+
+
+def _draw_scale(image: Image.Image, scale: Scale) -> None:
+    """A scale bar on a white card in the lower left corner."""
+    bar = scale_bar(scale, min(260, image.height - 80), "vertical", TEXT_PX)
+    left, top = 8, image.height - bar.height - 24
+    card = (left, top, left + bar.width + 16, image.height - 8)
+    ImageDraw.Draw(image).rounded_rectangle(card, 4, fill=PAPER)
+    image.paste(bar, (left + 8, top + 8))

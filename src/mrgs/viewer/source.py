@@ -1,0 +1,123 @@
+"""Access to the model: at once for a trained run, between two steps while it trains.
+
+Kernels may not run from two threads at once (Numba's portable threading layer ends the process), so every use of the
+model goes through a source, one after the other.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, TypeAlias, TypeVar
+
+from mrgs.render import Model
+
+Result = TypeVar("Result")
+
+LIVE_SHARE = 0.04
+"""Share of the training's time that looking at it may take; the promise is 5 %."""
+
+MAX_CREDIT_S = 0.5
+"""Time saved up while nobody looks; more would make the first pictures a hiccup."""
+
+
+class TrainedSource:
+    """A model that no longer changes."""
+
+    max_side_px = 1280
+    """Longest side of a sharp picture."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._lock = threading.Lock()
+
+    def run(self, job: Callable[[Model], Result]) -> Result:
+        """Run a job on the model, now or after those before it, and return what it returns."""
+        with self._lock:
+            return job(self._model)
+
+    def charge(self, seconds: float) -> None:
+        """Nothing else waits for the processor."""
+
+
+class LiveSource:
+    """A model in training: jobs run on the training's thread between two steps, within a share of its time.
+
+    Args:
+        share: of the time that jobs may take.
+        clock: seconds, monotonic.
+    """
+
+    max_side_px = 640
+
+    def __init__(self, share: float = LIVE_SHARE, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._share = share
+        self._clock = clock
+        self._credit_s = 0.0
+        self._expected_s = 0.0
+        self._last = clock()
+        self._jobs: deque[tuple[Future[Any], Callable[[Model], Any]]] = deque()
+        self._lock = threading.Lock()
+        self._closed = False
+
+    @property
+    def waiting(self) -> int:
+        """Jobs that have not had their turn."""
+        with self._lock:
+            return len(self._jobs)
+
+    def run(self, job: Callable[[Model], Result]) -> Result:
+        """Wait until the training has run the job between two steps, and return what it returns.
+
+        Raises:
+            CancelledError: the source was closed.
+        """
+        future: Future[Result] = Future()
+        with self._lock:
+            if self._closed:
+                future.cancel()
+            else:
+                self._jobs.append((future, job))
+        return future.result()
+
+    def charge(self, seconds: float) -> None:
+        """Account for processor time that was spent on a picture outside ``run``."""
+        with self._lock:
+            self._credit_s -= seconds
+
+    def serve(self, model: Model) -> None:
+        """Run the oldest job if the credit allows; called by the training between two steps. Raises nothing."""
+        now = self._clock()
+        with self._lock:
+            self._credit_s = min(self._credit_s + self._share * (now - self._last), MAX_CREDIT_S)
+            self._last = now
+            ready = model.neighbours is not None or model.field.config.neighbours_k == 0
+            # A job that is dearer than all the credit there can be must still get its turn.
+            if not self._jobs or not ready or self._credit_s < min(self._expected_s, MAX_CREDIT_S):
+                return
+            future, job = self._jobs.popleft()
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(job(model))
+            except Exception as error:  # the training goes on, whatever the viewer does
+                future.set_exception(error)
+        spent = self._clock() - now
+        with self._lock:
+            self._credit_s -= spent
+            # The first job may compile; its time is paid for, and soon forgotten.
+            self._expected_s = spent if self._expected_s == 0 else 0.5 * (self._expected_s + spent)
+
+    def close(self) -> None:
+        """Cancel what waits, and what will be asked."""
+        with self._lock:
+            self._closed = True
+            waiting = list(self._jobs)
+            self._jobs.clear()
+        for future, _ in waiting:
+            future.cancel()
+
+
+Source: TypeAlias = TrainedSource | LiveSource

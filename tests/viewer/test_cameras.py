@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Camera, Pixels, PosedImage, View
+from mrgs.viewer.cameras import (
+    fitted_size,
+    nearest_view,
+    pinhole,
+    pose_around,
+    pose_at,
+    rotation_wxyz,
+    save_path,
+    smooth_path,
+    vertical_fov,
+)
+
+
+def test_a_browser_camera_is_a_pinhole(camera):
+    torch.testing.assert_close(camera.position, torch.tensor([3.0, 0, 0], dtype=torch.float64))
+    torch.testing.assert_close(camera.forward, torch.tensor([-1.0, 0, 0], dtype=torch.float64))
+    assert vertical_fov(camera) == pytest.approx(math.radians(45))
+    again = pinhole(rotation_wxyz(camera), camera.position.numpy(), vertical_fov(camera), 160, 120)
+    torch.testing.assert_close(again.viewmat, camera.viewmat)
+    torch.testing.assert_close(again.K, camera.K)
+
+
+def test_sizes_are_reduced_only():
+    assert fitted_size(1600, 800, 400) == (400, 200)
+    assert fitted_size(300, 200, 400) == (300, 200)
+    assert fitted_size(5000, 1, 400) == (400, 1)
+
+
+def test_a_pose_looks_along_the_captured_axis(balls):
+    view = balls.train[0]
+    pose = pose_at(view, balls.train)
+    camera = view.cameras[0]
+    np.testing.assert_allclose(pose.position, camera.position.numpy())
+    direction = (pose.target - pose.position) / np.linalg.norm(pose.target - pose.position)
+    np.testing.assert_allclose(direction, camera.forward.numpy(), atol=1e-9)
+    np.testing.assert_allclose(pose.up, [0, 0, 1], atol=0.01)
+
+
+def test_a_pose_without_cameras_sees_the_model():
+    means = np.random.default_rng(0).normal([5, 0, 0], 0.3, (200, 3)).astype(np.float32)
+    pose = pose_around(means)
+    np.testing.assert_allclose(pose.target, [5, 0, 0], atol=0.1)
+    assert 0.5 < np.linalg.norm(pose.position - pose.target) < 3
+
+
+def test_the_nearest_view_is_found_and_ties_are_kept(balls):
+    views = balls.train
+    for index, view in enumerate(views):
+        assert nearest_view(views, view.cameras[0], balls.extent) == index
+    twice = (views[0], views[0])
+    assert nearest_view(twice, views[0].cameras[0], balls.extent, preferred=1) == 1
+
+
+def test_a_path_goes_through_its_keyframes(balls):
+    keyframes = [view.cameras[0] for view in balls.train[:3]]
+    path = smooth_path(keyframes, 21)
+    assert len(path) == 21
+    for keyframe, found in zip(keyframes, (path[0], path[10], path[20]), strict=True):
+        np.testing.assert_allclose(found.viewmat.numpy(), keyframe.viewmat.numpy(), atol=1e-6)
+    steps = [np.linalg.norm((a.position - b.position).numpy()) for a, b in pairwise(path)]
+    assert max(steps) < 2.5 * min(steps)
+
+
+def test_one_keyframe_is_no_path(camera):
+    with pytest.raises(ConfigError, match="a camera path needs at least two keyframes"):
+        smooth_path([camera], 10)
+
+
+def test_a_saved_path_is_nerfstudios(camera, tmp_path):
+    document = json.loads(save_path(tmp_path / "path.json", [camera, camera], 4.0, 24).read_text())
+    assert (document["render_width"], document["render_height"], document["seconds"]) == (160, 120, 4.0)
+    entry = document["camera_path"][0]
+    world = np.array(entry["camera_to_world"]).reshape(4, 4)
+    np.testing.assert_allclose(world[:3, 3], [3, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(world[:3, 2], [1, 0, 0], atol=1e-9)  # OpenGL: backwards
+    np.testing.assert_allclose(world[:3, 1], [0, 0, 1], atol=1e-9)  # up
+    assert entry["fov"] == pytest.approx(45)
+
+
+def test_a_path_without_keyframes_is_not_saved(tmp_path):
+    with pytest.raises(ConfigError, match="there are no keyframes to save"):
+        save_path(tmp_path / "path.json", [], 4.0, 24)
+    assert not list(tmp_path.iterdir())
+
+
+def test_cameras_may_be_parallel_to_upright(camera):
+    """A camera that looks straight down has no mean up of its own: its image's is taken."""
+    viewmat = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 5], [0, 0, 0, 1]], dtype=torch.float64)
+    down = Camera(camera.K, viewmat, 160, 120)
+
+    view = View("down", PosedImage(down, lambda: Pixels(torch.zeros(120, 160, 3))), None)
+    np.testing.assert_allclose(pose_at(view, [view]).up, [0, 1, 0], atol=1e-9)

@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.errors import ConfigError, RunError
+from mrgs.run import load_run
+from mrgs.training import make_config, train
+from mrgs.viewer import texts
+from mrgs.viewer.inspection import Inspection
+from mrgs.viewer.settings import Settings
+
+
+@pytest.fixture
+def inspection(subject):
+    return Inspection(subject)
+
+
+@pytest.mark.parametrize(
+    "mode", ["rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"]
+)
+def test_every_mode_fills_the_picture(inspection, camera, mode):
+    inspection.settings = Settings(mode=mode)
+    coarse, sharp = inspection.picture(camera, coarse=True), inspection.picture(camera, coarse=False)
+    assert coarse.shape == sharp.shape == (120, 160, 3)
+    assert len(np.unique(sharp.reshape(-1, 3), axis=0)) > 30
+    assert np.abs(coarse.astype(int) - sharp).mean() < 40
+
+
+def test_large_windows_are_drawn_smaller(inspection, camera):
+    assert inspection.picture(camera.resized(2560, 1920), coarse=True).shape == (960, 1280, 3)
+
+
+def test_a_click_reads_what_is_drawn(inspection, camera, small_run):
+    inspection.picture(camera, coarse=False)
+    shown = inspection.click(0.5, 0.5)
+    expected = small_run.temperatures_c(small_run.render(camera))[60, 80].item()
+    assert shown.reading.value == pytest.approx(expected, abs=1e-3)
+    assert shown.photo_value is None
+    assert f"{expected:.1f} °C" in texts.point(inspection)
+
+
+def test_a_click_into_the_void_says_so(inspection, camera):
+    assert inspection.click(0.5, 0.5) is None  # no picture yet
+    inspection.picture(camera, coarse=False)
+    assert inspection.click(0.0, 0.0) is None
+    assert texts.CLICK_HINT in texts.point(inspection)
+
+
+def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
+    inspection.settings = Settings(mode="difference")
+    captured = balls.train[2].thermal.camera
+    inspection.picture(captured.resized(160, 120), coarse=False)
+    assert inspection.view is balls.train[2]
+    shown = inspection.click(20.5 / 40, 15.5 / 30)
+    model = small_run.temperatures_c(small_run.render(captured))[15, 20].item()
+    photo = small_run.temperature.to_celsius(balls.train[2].thermal.load().values[15, 20, 0].item())
+    assert (shown.reading.value, shown.photo_value) == pytest.approx((model, photo), abs=1e-3)
+    assert f"photo {photo:.1f} °C" in texts.point(inspection)
+
+
+def test_coarse_pictures_keep_the_colours_of_the_last_sharp_one(inspection, camera):
+    inspection.picture(camera, coarse=False)
+    scale = inspection.scales.thermal
+    far = replace(camera, viewmat=camera.viewmat.clone())
+    far.viewmat[2, 3] += 3
+    inspection.picture(far, coarse=True)
+    assert inspection.scales.thermal == scale
+    inspection.picture(far, coarse=False)
+    assert inspection.scales.thermal != scale
+
+
+def test_spots_are_numbered_and_removed(inspection, camera):
+    with pytest.raises(ConfigError, match="click on the picture first"):
+        inspection.keep_spot()
+    inspection.picture(camera, coarse=False)
+    for x in (0.5, 0.45):
+        inspection.click(x, 0.5)
+        inspection.keep_spot()
+    assert re.fullmatch(r"S1  \d+\.\d °C", inspection.spots[0].label)
+    assert inspection.spots[1].label.startswith("S2 ")
+    assert "S2 " in texts.spots(inspection)
+    inspection.clear()
+    assert (inspection.spots, inspection.point, inspection.boxes) == ((), None, ())
+
+
+def test_boxes_read_what_is_in_them(inspection, camera, small_run):
+    inspection.picture(camera, coarse=False)
+    inspection.add_box(0.6, 0.65, 0.4, 0.35)
+    inspection.picture(camera, coarse=False)
+    (reading,) = inspection.box_readings
+    rendering = small_run.render(camera)
+    solid = torch.maximum(rendering.alpha_thermal, rendering.alpha_rgb) >= 0.5
+    inside = small_run.temperatures_c(rendering)[42:78, 64:96][solid[42:78, 64:96]]
+    assert reading.highest.value == pytest.approx(inside.max().item(), abs=1e-3)
+    assert reading.mean == pytest.approx(inside.mean().item(), abs=1e-3)
+    assert f"{reading.mean:.1f}" in texts.boxes(inspection.box_readings, inspection.subject)
+
+
+def test_a_box_side_by_side_belongs_to_its_pane(inspection, camera):
+    inspection.settings = Settings(mode="side_by_side")
+    inspection.picture(camera, coarse=False)
+    inspection.add_box(0.6, 0.25, 0.8, 0.75)
+    (box,) = inspection.boxes
+    assert (box.u0, box.v0, box.u1, box.v1) == pytest.approx((0.2, 0.25, 0.6, 0.75))
+
+
+def test_a_line_is_no_box(inspection, camera):
+    with pytest.raises(ConfigError, match="drag a larger box"):
+        inspection.add_box(0.1, 0.1, 0.5, 0.5)  # no picture yet
+    inspection.picture(camera, coarse=False)
+    with pytest.raises(ConfigError, match="drag a larger box"):
+        inspection.add_box(0.1, 0.1, 0.1, 0.5)
+
+
+def test_screenshots_are_numbered(inspection, camera, subject):
+    with pytest.raises(ConfigError, match="wait for the first picture"):
+        inspection.screenshot()
+    image = inspection.picture(camera, coarse=False)
+    paths = [inspection.screenshot(), inspection.screenshot()]
+    assert [path.relative_to(subject.folder).as_posix() for path in paths] == [
+        "renders/screenshots/0001.png",
+        "renders/screenshots/0002.png",
+    ]
+    with Image.open(paths[0]) as written:
+        assert (np.asarray(written) == image).all()
+
+
+def test_what_cannot_be_written_is_named(subject, camera):
+    inspection = Inspection(replace(subject, folder=subject.folder / "file"))
+    (subject.folder / "file").write_text("in the way")
+    inspection.picture(camera, coarse=False)
+    with pytest.raises(RunError, match=r"0001\.png cannot be written"):
+        inspection.screenshot()
+
+
+def test_a_path_becomes_a_video(inspection, camera, balls, monkeypatch):
+    monkeypatch.setattr("mrgs.evaluation.video.can_write_mp4", lambda: False)
+    monkeypatch.setattr("mrgs.viewer.inspection.can_write_mp4", lambda: False)
+    for view in balls.train[:2]:
+        inspection.picture(view.cameras[0].resized(80, 60), coarse=False)
+        inspection.add_keyframe()
+    told = []
+    folder = inspection.render_video(0.25, lambda done, total: told.append((done, total)))
+    assert folder.name == "0001"
+    assert [path.name for path in sorted(folder.iterdir())] == [f"{index:05d}.png" for index in range(6)]
+    with Image.open(folder / "00000.png") as first:
+        assert first.size == (80, 60)
+    assert told[-1] == (6, 6)
+    document = json.loads(inspection.save_path(0.25).read_text())
+    assert len(document["camera_path"]) == 2
+
+
+def test_a_video_needs_a_free_camera_and_two_keyframes(inspection, camera):
+    with pytest.raises(ConfigError, match="wait for the first picture"):
+        inspection.add_keyframe()
+    with pytest.raises(ConfigError, match="at least two keyframes"):
+        inspection.render_video(1.0, lambda *_: None)
+    inspection.settings = Settings(mode="photos")
+    with pytest.raises(ConfigError, match="a video needs a free camera"):
+        inspection.render_video(1.0, lambda *_: None)
+
+
+def test_without_celsius_values_are_called_normalised(make_subject, small_run, balls, camera):
+    unknown = replace(small_run, facts=small_run.facts._replace(temperature=None))
+    inspection = Inspection(make_subject(unknown, balls))
+    inspection.picture(camera, coarse=False)
+    inspection.click(0.5, 0.5)
+    assert "(normalised)" in texts.point(inspection)
+    assert "°C</" not in texts.point(inspection)
+    assert "no known °C" in texts.header(inspection.subject, "")
+    assert inspection.scales.thermal.unit == "normalised"
+
+
+@pytest.mark.parametrize(
+    ("options", "modes"),
+    [
+        ({"thermal": False}, ("rgb", "depth", "photos")),
+        ({"rgb": False}, ("temperature", "depth", "photos", "difference")),
+        (
+            {"two_cameras": True},
+            ("temperature", "rgb", "depth", "side_by_side", "blend", "split", "photos", "difference"),
+        ),
+    ],
+)
+def test_other_captures(make_scene, make_subject, tmp_path, camera, options, modes):
+    folder = train(make_scene(**options), tmp_path / "run", make_config(max_steps=3, max_gaussians=100))
+    run = load_run(folder.path)
+    subject = make_subject(run, run.load_scene())
+    assert subject.modes == modes
+    inspection = Inspection(subject)
+    for mode in modes:
+        inspection.settings = Settings(mode=mode)
+        assert inspection.picture(camera, coarse=False).shape == (120, 160, 3)
+        inspection.click(0.5, 0.5)
+        assert texts.point(inspection)
+
+
+def test_without_the_scene_there_are_no_photos(make_subject, small_run, camera):
+    inspection = Inspection(make_subject(small_run, None))
+    assert "photos" not in inspection.subject.modes
+    assert inspection.picture(camera, coarse=False).shape == (120, 160, 3)
+    assert inspection.view is None
+
+
+def test_names_are_escaped(subject):
+    assert "<script>" not in texts.header(subject, "<script>alert(1)</script>")
+    assert "<script>" not in texts.paragraph("<script>")

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.viewer.layout import panes_of, place_at
+from mrgs.viewer.picking import project
+
+
+@pytest.mark.parametrize("mode", ["rgb", "temperature", "depth", "blend", "split"])
+def test_one_pane_fills_the_picture(mode, camera):
+    (pane,) = panes_of(mode, camera, None)
+    assert (pane.content, pane.left, pane.top) == (mode, 0, 0)
+    assert pane.camera is camera
+
+
+def test_side_by_side_shows_the_same_middle_twice(camera):
+    left, right = panes_of("side_by_side", camera, None)
+    assert (left.content, right.content) == ("rgb", "temperature")
+    assert (left.left, right.left, left.camera.width) == (0, 80, 80)
+    whole = project(camera, np.array([0.0, 0.1, 0.2]))
+    half = project(right.camera, np.array([0.0, 0.1, 0.2]))
+    assert half[0] == pytest.approx(whole[0] - 40)
+    assert half[1:] == pytest.approx(whole[1:])
+
+
+def test_photos_stand_beside_the_model(camera, balls):
+    view = balls.train[0]
+    panes = panes_of("photos", camera, view)
+    assert [pane.content for pane in panes] == ["rgb_photo", "rgb", "thermal_photo", "temperature"]
+    for pane in panes:
+        assert pane.left + pane.camera.width <= 160
+        assert pane.top + pane.camera.height <= 120
+        assert pane.camera.width / pane.camera.height == pytest.approx(4 / 3, rel=0.03)
+        torch.testing.assert_close(pane.camera.viewmat, view.rgb.camera.viewmat)
+
+
+def test_panes_do_not_overlap(camera, balls):
+    for mode in ("side_by_side", "photos"):
+        covered = np.zeros((120, 160), int)
+        for pane in panes_of(mode, camera, balls.train[0]):
+            covered[pane.top : pane.top + pane.camera.height, pane.left : pane.left + pane.camera.width] += 1
+        assert covered.max() == 1
+
+
+def test_each_thermal_pane_has_the_thermal_camera(camera, make_scene):
+    from mrgs.data import load_scene
+
+    view = load_scene(make_scene(two_cameras=True)).train[0]
+    panes = {pane.content: pane for pane in panes_of("photos", camera, view)}
+    torch.testing.assert_close(panes["temperature"].camera.viewmat, view.thermal.camera.viewmat)
+    torch.testing.assert_close(panes["rgb"].camera.viewmat, view.rgb.camera.viewmat)
+    assert not torch.equal(view.thermal.camera.viewmat, view.rgb.camera.viewmat)
+    (difference,) = panes_of("difference", camera, view)
+    torch.testing.assert_close(difference.camera.viewmat, view.thermal.camera.viewmat)
+
+
+def test_places_are_found_in_their_panes(camera):
+    panes = panes_of("side_by_side", camera, None)
+    place = place_at(panes, 120, 30)
+    assert place.pane is panes[1]
+    assert (place.u, place.v) == (0.5, 0.25)
+    assert place_at(panes, 161, 30) is None
+    assert place_at(panes, 10, -1) is None
+
+
+def test_a_view_without_thermal_has_no_difference(camera, make_scene):
+    from mrgs.data import load_scene
+
+    view = load_scene(make_scene(thermal=False)).train[0]
+    assert panes_of("difference", camera, view) == ()
+    assert [pane.content for pane in panes_of("photos", camera, view)] == ["rgb_photo", "rgb"]

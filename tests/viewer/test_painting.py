@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mrgs.evaluation.palette import INVALID_COLOR, palette_table
+from mrgs.viewer.fields import Fields, difference
+from mrgs.viewer.layout import Pane
+from mrgs.viewer.painting import (
+    ISOTHERM_COLOR,
+    ISOTHERM_ON_RAINBOW,
+    Mark,
+    blend,
+    compose,
+    measure_scales,
+    paint,
+    split,
+)
+from mrgs.viewer.picking import Box, read_box
+from mrgs.viewer.settings import Settings
+
+SIZE = (160, 120)
+
+
+def heat(depth: float = 3.0) -> Fields:
+    """A ramp from 10 to 30 °C, all at one depth, over grey."""
+    values = np.tile(np.linspace(10, 30, 160, dtype=np.float32), (120, 1))
+    return Fields(
+        np.full((120, 160, 3), 100, np.uint8), values, np.full((120, 160), depth, np.float32), np.ones((120, 160), bool)
+    )
+
+
+def painted(camera, content: str = "temperature", **choices) -> np.ndarray:
+    pane, settings = Pane(content, camera), Settings(**choices)
+    return paint(pane, heat(), measure_scales([pane], [heat()], settings, "°C"), settings)
+
+
+def test_the_automatic_range_follows_what_is_seen(camera):
+    scale = measure_scales([Pane("temperature", camera)], [heat()], Settings(), "°C").thermal
+    assert (scale.low, scale.high, scale.unit) == (10, 30, "°C")
+
+
+def test_empty_pixels_do_not_count_for_the_range(camera):
+    fields = heat()
+    fields.solid[:, 80:] = False
+    scale = measure_scales([Pane("temperature", camera)], [fields], Settings(), "°C").thermal
+    assert scale.high < 20.1
+
+
+def test_the_range_can_be_set_by_hand(camera):
+    image = painted(camera, limits=(20.0, 40.0), palette="iron")
+    table = palette_table("iron")
+    assert (image[0, 0] == table[0]).all()
+    assert (image[0, -1] == table[128]).all()
+
+
+def test_the_isotherm_marks_the_band_and_nothing_else(camera):
+    plain, marked = painted(camera), painted(camera, isotherm=(25.0, 15.0))
+    band = (heat().values >= 15) & (heat().values <= 25)
+    assert (marked[band] == ISOTHERM_COLOR).all()
+    assert (marked[~band] == plain[~band]).all()
+    assert (painted(camera, isotherm=(15.0, 25.0), palette="rainbow")[band] == ISOTHERM_ON_RAINBOW).all()
+
+
+def test_what_the_model_does_not_cover_has_no_temperature(camera):
+    pane, fields = Pane("temperature", camera), heat()
+    fields.solid[:60] = False
+    settings = Settings(isotherm=(10.0, 30.0))
+    image = paint(pane, fields, measure_scales([pane], [fields], settings, "°C"), settings)
+    assert (image[:60] == INVALID_COLOR).all()
+    assert (image[60:] == ISOTHERM_COLOR).all()
+
+
+def test_near_is_light(camera):
+    pane, fields = Pane("depth", camera), heat()
+    fields.depth[:] = np.linspace(1, 5, 160)
+    image = paint(pane, fields, measure_scales([pane], [fields], Settings(mode="depth"), "°C"), Settings(mode="depth"))
+    assert image[0, 0].sum() > image[0, -1].sum()
+
+
+def test_the_slider_blends_and_splits():
+    dark, light = np.full((4, 10, 3), 10, np.uint8), np.full((4, 10, 3), 210, np.uint8)
+    assert (blend(dark, light, 0.25) == 60).all()
+    assert (blend(dark, light, 0) == dark).all()
+    assert (blend(dark, light, 1) == light).all()
+    row = split(dark, light, 0.3)[0, :, 0]
+    assert row.tolist() == [10] * 6 + [255, 255] + [210] * 2
+    assert (split(dark, light, 0) == dark).all()
+    assert (split(dark, light, 1) == light).all()
+
+
+def test_the_difference_is_model_minus_photo():
+    model, photo = heat(), Fields(None, heat().values - 0.5, None, np.ones((120, 160), bool))
+    photo.solid[0, 0] = False
+    fields = difference(model, photo)
+    assert np.isnan(fields.values[0, 0])
+    np.testing.assert_allclose(fields.values[1:], 0.5)
+
+
+def test_the_scale_of_a_difference_is_even_about_zero(camera):
+    pane = Pane("difference", camera)
+    fields = Fields(None, np.linspace(-1, 3, 19200, dtype=np.float32).reshape(120, 160), None, heat().solid)
+    scale = measure_scales([pane], [fields], Settings(), "°C").difference
+    assert scale.low == -scale.high
+    assert scale.high == pytest.approx(3, abs=0.05)
+
+
+def compose_one(camera, depth: float = 3.0, **extras) -> np.ndarray:
+    pane, settings = Pane("temperature", camera), Settings(palette="grey")
+    fields = heat(depth)
+    return compose(SIZE, [pane], [fields], measure_scales([pane], [fields], settings, "°C"), settings, **extras)
+
+
+def test_marks_stand_where_their_points_are_seen(camera):
+    changed = (compose_one(camera, marks=[Mark(np.zeros(3), "S1  20.0 °C")]) != compose_one(camera)).any(axis=2)
+    assert changed[60, 80]
+    assert not changed[100:].any()
+
+
+def test_marks_behind_something_are_hidden(camera):
+    marks = [Mark(np.zeros(3), "S1")]
+    assert (compose_one(camera, depth=2.0, marks=marks) == compose_one(camera, depth=2.0)).all()
+
+
+def test_boxes_are_drawn_with_their_extremes(camera):
+    box = Box(0.5, 0.25, 0.75, 0.75)
+    reading = read_box(heat().values, heat().solid, box)
+    image = compose_one(camera, boxes=[(box, [reading])])
+    assert (image[60, 80] == 255).all()
+    assert (compose_one(camera)[60, 80] != 255).all()
+
+
+def test_a_coarse_rendering_is_stretched_to_its_pane(camera):
+    small = Fields(None, heat().values[::4, ::4], heat().depth[::4, ::4], heat().solid[::4, ::4])
+    pane, settings = Pane("temperature", camera), Settings()
+    image = compose(SIZE, [pane], [small], measure_scales([pane], [small], settings, "°C"), settings)
+    assert image.shape == (120, 160, 3)

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.rasterizer import Layer, rasterize
+from mrgs.viewer.fields import SOLID_ALPHA
+from mrgs.viewer.picking import Box, project, read_box, read_point
+
+
+def solid_pixel(rendering) -> tuple[int, int]:
+    row, column = divmod(int(rendering.alpha_thermal.argmax()), rendering.alpha_thermal.shape[1])
+    return row, column
+
+
+def test_a_reading_is_the_rendered_value_at_its_place(small_run, camera, subject):
+    rendering = small_run.render(camera)
+    row, column = solid_pixel(rendering)
+    reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
+    assert reading.value == pytest.approx(small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3)
+    alpha = rendering.alpha_thermal[row, column].item()
+    assert reading.depth == pytest.approx(rendering.depth_thermal[row, column].item() / alpha, rel=1e-5)
+    x, y, z = project(camera, reading.position)
+    assert (x, y, z) == pytest.approx((column + 0.5, row + 0.5, reading.depth), rel=1e-5)
+
+
+def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
+    """Against the weights of the splats, each rendered alone in a channel of its own."""
+    rendering = small_run.render(camera)
+    row, column = solid_pixel(rendering)
+    gaussians = small_run.model.gaussians
+    count = len(gaussians)
+    weights = torch.zeros(count)
+    for first in range(0, count, 3):
+        features = torch.eye(count)[:, first : first + 3]
+        features = torch.nn.functional.pad(features, (0, 3 - features.shape[1]))
+        layer = Layer(gaussians.opacity_thermal, features, torch.zeros(3))
+        raster = rasterize(
+            gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat, camera.K, 160, 120
+        )
+        weights[first : first + 3] = raster.blends[0].image[row, column][: min(3, count - first)]
+    weights = weights.double()
+    alpha = weights.sum()
+    reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
+    depths = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    variance = (weights * (depths - reading.depth).square()).sum() / alpha
+    assert reading.depth_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
+    celsius = small_run.temperature.to_celsius(small_run.model.temperatures[:, 0].double())
+    variance = (weights * (celsius - reading.value).square()).sum()
+    variance += (1 - alpha) * (small_run.temperature.min_c - reading.value) ** 2
+    assert reading.value_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
+
+
+def test_where_nothing_is_nothing_is_read(small_run, camera, subject):
+    assert small_run.render(camera).alpha_rgb[0, 0] < SOLID_ALPHA
+    assert read_point(small_run.model, camera, 0.0, 0.0, subject) is None
+
+
+def test_what_is_cold_and_transparent_to_the_thermal_blend_is_read_all_the_same(small_run, camera, subject):
+    gaussians = small_run.model.gaussians
+    faint = replace(gaussians, opacity_thermal_logit=torch.full_like(gaussians.opacity_thermal_logit, -9.0))
+    reading = read_point(replace(small_run.model, gaussians=faint), camera, 0.5, 0.5, subject)
+    assert reading.value == pytest.approx(subject.temperature.min_c, abs=0.01)
+    rendering = small_run.render(camera)
+    assert reading.depth == pytest.approx((rendering.depth_rgb[60, 80] / rendering.alpha_rgb[60, 80]).item(), rel=1e-5)
+
+
+def test_without_celsius_values_are_normalised(small_run, camera, subject):
+    rendering = small_run.render(camera)
+    row, column = solid_pixel(rendering)
+    unknown = replace(subject, temperature=None)
+    reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, unknown)
+    assert reading.value == pytest.approx(rendering.thermal[row, column, 0].item(), abs=1e-5)
+
+
+def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, subject):
+    views = tuple(replace(view, thermal=None) for view in subject.scene.train)
+    colour_only = replace(subject, scene=replace(subject.scene, train=views))
+    rendering = small_run.render(camera)
+    row, column = divmod(int(rendering.alpha_rgb.argmax()), 160)
+    reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, colour_only)
+    assert (reading.value, reading.value_spread) == (None, None)
+    alpha = rendering.alpha_rgb[row, column].item()
+    assert reading.depth == pytest.approx(rendering.depth_rgb[row, column].item() / alpha, rel=1e-5)
+
+
+def test_a_model_in_training_is_read_too(small_run, camera, subject):
+    """Its temperatures are not computed beforehand."""
+    known = read_point(small_run.model, camera, 0.5, 0.5, subject)
+    live = read_point(replace(small_run.model, temperatures=None), camera, 0.5, 0.5, subject)
+    assert live.value == pytest.approx(known.value, abs=1e-3)
+    assert live.value_spread == pytest.approx(known.value_spread, abs=1e-3)
+
+
+def test_points_behind_or_beside_the_image_are_not_projected(camera):
+    assert project(camera, np.array([4.0, 0, 0])) is None
+    assert project(camera, np.array([0.0, 50, 0])) is None
+    assert project(camera, np.array([0.0, 0, 0])) == pytest.approx((80, 60, 3))
+
+
+def test_a_box_has_minimum_mean_and_maximum():
+    values = np.arange(48, dtype=np.float32).reshape(6, 8)
+    reading = read_box(values, np.ones((6, 8), bool), Box(0.25, 0.5, 0.5, 1.0))
+    assert (reading.lowest.value, reading.highest.value, reading.pixels) == (26, 43, 6)
+    assert reading.mean == np.mean([26, 27, 34, 35, 42, 43])
+    assert (reading.highest.u, reading.highest.v) == (3.5 / 8, 5.5 / 6)
+
+
+def test_a_box_leaves_out_what_is_empty_or_unknown():
+    values = np.array([[1, 2, np.nan, 90]], dtype=np.float32)
+    solid = np.array([[True, True, True, False]])
+    reading = read_box(values, solid, Box(0, 0, 1, 1))
+    assert (reading.lowest.value, reading.mean, reading.highest.value, reading.pixels) == (1, 1.5, 2, 2)
+    assert read_box(values, np.zeros((1, 4), bool), Box(0, 0, 1, 1)) is None

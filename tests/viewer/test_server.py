@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import socket
+import threading
+import time
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from mrgs.errors import ConfigError, MrgsWarning, RunError
+from mrgs.render import render
+from mrgs.run import load_run
+from mrgs.scene import Camera, Gaussians
+from mrgs.training import StepStatistics, make_config, train
+from mrgs.viewer import LiveView, view
+from mrgs.viewer.address import require_free
+from mrgs.viewer.source import LiveSource
+
+pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
+
+from mrgs.viewer.browser import Browser
+from mrgs.viewer.web import open_viewer
+
+
+def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
+    stop, seen = threading.Event(), []
+
+    def ready(url):
+        seen.append((url, urllib.request.urlopen(url, timeout=10).status))
+        stop.set()
+
+    view(small_run, balls, port=0, on_ready=ready, stop=stop)
+    ((url, status),) = seen
+    assert url.startswith("http://127.0.0.1:")
+    assert status == 200
+    with pytest.raises(OSError, match=r"refused|reset"):
+        socket.create_connection(("127.0.0.1", int(url.rsplit(":", 1)[1])), timeout=5)
+    assert capsys.readouterr().out == ""
+
+
+def test_ctrl_c_ends_the_serving(small_run):
+    def ready(_):
+        raise KeyboardInterrupt
+
+    view(small_run, None, port=0, on_ready=ready)
+
+
+def test_only_this_computer_is_served_unless_told(small_run):
+    viewer = open_viewer(small_run, None, "127.0.0.1", 0)
+    try:
+        assert viewer._server.get_host() == "127.0.0.1"
+    finally:
+        viewer.close()
+
+
+def test_a_port_in_use_is_named(small_run):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port} .*choose another --port"):
+            view(small_run, None, port=port)
+        with pytest.raises(ConfigError, match=f"{port}"):
+            LiveView("nowhere", port=port)
+
+
+def test_addresses_that_cannot_be_are_named():
+    with pytest.raises(ConfigError, match="--port must be from 0 to 65535, not 70000"):
+        require_free("127.0.0.1", 70000)
+    with pytest.raises(ConfigError, match=r"cannot listen on no\.such\.invalid:8080"):
+        require_free("no.such.invalid", 8080)
+
+
+def test_viser_missing_is_named_with_its_extra(small_run, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None if name == "viser" else find(name, *rest))
+    for open_it in (lambda: view(small_run, None, port=0), lambda: LiveView("nowhere", port=0)):
+        with pytest.raises(ConfigError, match=r'the viewer needs viser: pip install "mrgs\[view\]"'):
+            open_it()
+
+
+def test_an_empty_model_is_named(small_run):
+    tensors = small_run.model.gaussians.tensors()
+    empty = Gaussians(**{name: tensor[:0] for name, tensor in tensors.items()})
+    with pytest.raises(RunError, match="the model has no Gaussians, so there is nothing to see"):
+        view(replace(small_run, model=replace(small_run.model, gaussians=empty)), None, port=0)
+
+
+def test_a_run_still_training_is_shown_from_its_checkpoint(small_run):
+    with small_run.folder.locked():
+        with pytest.warns(MrgsWarning, match="is still training: showing its checkpoint of step 60 of 60"):
+            viewer = open_viewer(small_run, None, "127.0.0.1", 0)
+        assert "Still training" in viewer.note
+        viewer.close()
+
+
+CAMERA = Camera(torch.tensor([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]).double(), torch.eye(4).double(), 40, 30)
+
+
+class FakeBrowser(Browser):
+    """Stands for somebody who looks."""
+
+    def __init__(self, raises: bool = False) -> None:  # nothing of the real one
+        self.notes: list[str] = []
+        self.raises = raises
+
+    def set_note(self, note: str) -> None:
+        if self.raises:
+            raise RuntimeError("the browser burst")
+        self.notes.append(note)
+
+    def refresh(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
+    urls, values = [], []
+    browser = FakeBrowser()
+    with LiveView(tmp_path / "run", port=0, on_ready=urls.append) as live:
+
+        def on_model(model):
+            live.on_model(model)
+            live._viewer._browsers[0] = browser
+
+        def look():
+            values.append(live._source.run(lambda model: len(model.gaussians)))
+
+        looker = threading.Thread(target=look, daemon=True)
+        looker.start()
+        train(
+            small_scene, tmp_path / "run", make_config(max_steps=6, max_gaussians=60),
+            on_start=live.on_start, on_model=on_model, on_step=live.on_step,
+        )  # fmt: skip
+        looker.join(10)
+    assert urls[0].startswith("http://127.0.0.1:")
+    assert browser.notes[0] == "Training: step 1 of 6."
+    assert values[0] > 0
+
+
+def test_watching_changes_nothing(small_scene, tmp_path):
+    """The same seed gives the same model, watched or not."""
+    config = make_config(max_steps=6, max_gaussians=60)
+    alone = train(small_scene, tmp_path / "alone", config)
+    seen: list[Tensor] = []
+
+    def look(model):
+        with torch.no_grad():
+            seen.append(render(model, CAMERA, CAMERA)[0].thermal)
+
+    with ThreadPoolExecutor(1) as pool, LiveView(tmp_path / "watched", port=0) as live:
+        live._source = LiveSource(share=1.0)
+
+        def on_step(statistics):
+            live._viewer._browsers.setdefault(0, FakeBrowser())
+            pool.submit(live._source.run, look)
+            time.sleep(0.05)  # the credit that the picture needs
+            return live.on_step(statistics)
+
+        watched = train(small_scene, tmp_path / "watched", config, on_model=live.on_model, on_step=on_step)
+    assert seen
+    first, second = load_run(alone.path).model.gaussians, load_run(watched.path).model.gaussians
+    for name, tensor in first.tensors().items():
+        assert torch.equal(tensor, second.tensors()[name]), name
+
+
+def test_a_burst_viewer_does_not_stop_the_training(small_scene, tmp_path, caplog):
+    with LiveView(tmp_path / "run", port=0) as live, caplog.at_level(logging.WARNING):
+
+        def on_step(statistics):
+            if live._viewer is not None:
+                live._viewer._browsers.setdefault(0, FakeBrowser(raises=True))
+            return live.on_step(statistics)
+
+        folder = train(
+            small_scene, tmp_path / "run", make_config(max_steps=4, max_gaussians=60),
+            on_model=live.on_model, on_step=on_step,
+        )  # fmt: skip
+    assert "the training goes on without its view: the browser burst" in caplog.text
+    steps = [json.loads(line)["step"] for line in folder.log_file.read_text().splitlines()]
+    assert steps[-1] == 4
+
+
+def test_a_port_that_is_taken_meanwhile_does_not_stop_the_training(small_scene, tmp_path, caplog, small_run):
+    live = LiveView(tmp_path / "run", port=0)
+    with socket.socket() as taken, caplog.at_level(logging.WARNING):
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        live._port = taken.getsockname()[1]
+        live.on_model(small_run.model)
+        live.on_step(StepStatistics(1, 0.0, {}, None, 10, False))
+    assert "the training goes on without its view" in caplog.text
+    live.close()
