@@ -79,6 +79,7 @@ AVX2_ONLY = {"ATEN_CPU_CAPABILITY": "avx2", "ONEDNN_MAX_CPU_ISA": "AVX2", "MKL_E
 
 _STAGES = "benchmarks.stages"
 _PROTOTYPE_CASES = ((50_000, (320, 240)), (50_000, (640, 480)), (200_000, (640, 480)))
+_PAPER_CASES = ((50_000, (320, 240)), (50_000, (640, 480)))
 _REFERENCE_CASES = ((10_000, (320, 240)), (50_000, (640, 480)))
 
 GROUPS = {
@@ -87,11 +88,19 @@ GROUPS = {
         Group("rasterizer", "Rasterizer, both modalities", f"{_STAGES}.rasterizer:stages"),
         Group("render", "Rendering only, temperatures computed beforehand", f"{_STAGES}.training:rendering"),
         Group("losses", "Losses, forward and backward", f"{_STAGES}.losses:stages", by_gaussians=False),
-        Group("heads", "Heads, forward and backward, all rows", f"{_STAGES}.heads:stages", by_pixels=False),
+        Group(
+            "heads",
+            "Heads of the paper preset, forward and backward, all rows",
+            f"{_STAGES}.heads:stages",
+            by_pixels=False,
+        ),
         Group("neighbours", "Neighbours", f"{_STAGES}.heads:neighbours", by_pixels=False),
         Group("densification", "Densification event", f"{_STAGES}.training:densification", by_pixels=False),
         Group("adam", "Adam over the Gaussians", f"{_STAGES}.training:adam", by_pixels=False),
         Group("mrgs", "Whole step, MrGS", f"{_STAGES}.training:mrgs_step"),
+        Group(
+            "mrgs-paper", "Whole step, MrGS, heads of the paper preset", f"{_STAGES}.training:paper_step", _PAPER_CASES
+        ),
         Group("3dgs-rgbt", "Whole step, 3DGS_RGB-T", f"{_STAGES}.training:baseline_step"),
         Group("prototype", "Known workloads", f"{_STAGES}.prototype:stages", _PROTOTYPE_CASES),
         Group(

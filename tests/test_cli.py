@@ -264,10 +264,11 @@ BAD_RUNS: dict[str, tuple[Damage, str]] = {
 @pytest.mark.parametrize(("damage", "message"), BAD_RUNS.values(), ids=BAD_RUNS)
 def test_a_bad_run_is_one_line_for_every_command(damage, message, own_run, small_scene, capsys):
     damage(own_run)
-    for arguments in (("train", small_scene, "--resume", "--output", own_run), ("eval", own_run), ("render", own_run)):
-        refused(capsys, message, *arguments)
-    assert not (own_run / "eval").exists()
-    assert not (own_run / "renders").exists()
+    refused(capsys, message, "train", small_scene, "--resume", "--output", own_run)
+    for command in ("eval", "render", "export", "report", "view"):
+        refused(capsys, message, command, own_run)
+    for name in ("eval", "renders", "export", "report.html"):
+        assert not (own_run / name).exists()
     assert capsys.readouterr().out == ""
 
 
@@ -275,7 +276,7 @@ def test_a_scene_that_has_moved_is_named(make_scene, tmp_path, capsys):
     scene, output = make_scene(), tmp_path / "run"
     run("train", scene, "--output", output, *TINY)
     scene.rename(tmp_path / "elsewhere")
-    for command in ("eval", "render"):
+    for command in ("eval", "render", "export", "report"):
         refused(
             capsys, r"/scene: the scene that .*/run was trained on is no longer there; say where it is", command, output
         )
@@ -438,6 +439,49 @@ def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
     assert 0 < depth.max() < 10
 
 
+@pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
+def test_export_and_report(own_run, capsys):
+    assert run("export", own_run, "--format", "ply") == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^baking costs RGB -?\d+\.\d\d dB, thermal -?\d+\.\d\d dB$", out, re.MULTILINE)
+    assert (own_run / "export" / "rgb_thermal.ply").read_bytes().startswith(b"ply\n")
+    assert run("export", own_run, "--format", "page", "--output", own_run / "mail", "--palette", "iron") == 0
+    assert capsys.readouterr().out.endswith(f"{own_run / 'mail' / 'page.html'}\n")
+    assert run("report", own_run) == 0
+    assert "Limits of the measurement" in (own_run / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_range_of_an_export_must_rise(own_run, capsys):
+    refused(capsys, "", "export", own_run, "--format", "ply", "--range-c", 30, 20)
+
+
+def test_an_unfinished_run_is_used_and_said(small_scene, tmp_path, monkeypatch, capsys):
+    output = tmp_path / "run"
+    monkeypatch.setattr(terminal.TrainingProgress, "step", lambda self, statistics: statistics.step == 2)
+    run("train", small_scene, "--output", output, *TINY)
+    capsys.readouterr()
+    run("export", output, "--format", "splat")
+    assert "the run is at step 2 of 3; its newest checkpoint is used" in capsys.readouterr().err
+
+
+def test_view_serves_and_says_where_to_look(own_run, monkeypatch, capsys):
+    pytest.importorskip("viser")
+
+    def serve(run_, scene, host, port, on_ready) -> None:
+        assert (scene.name, host, port) == (run_.load_scene().name, "127.0.0.1", 0)
+        on_ready("http://127.0.0.1:4711")
+
+    monkeypatch.setattr("mrgs.viewer.view", serve)
+    assert run("view", own_run, "--port", 0) == 0
+    assert "open http://127.0.0.1:4711 in a browser" in capsys.readouterr().out
+
+
+def test_a_training_can_be_watched(small_scene, tmp_path, capsys):
+    pytest.importorskip("viser")
+    assert run("train", small_scene, "--output", tmp_path / "run", "--view", "--port", 0, *TINY) == 0
+    assert re.search(r"open http://127\.0\.0\.1:\d+", capsys.readouterr().out)
+
+
 def test_a_transforms_file_names_the_scene_too(make_scene, tmp_path, monkeypatch, capsys):
     scene = make_scene()
     monkeypatch.chdir(tmp_path)
@@ -479,7 +523,10 @@ def test_time_left_is_readable():
     ]
 
 
-@pytest.mark.parametrize("command", [cli.Demo, cli.Train, cli.Eval, cli.Render, cli.Synth])
+COMMANDS = [cli.Demo, cli.Train, cli.Eval, cli.Render, cli.View, cli.Export, cli.Report, cli.Synth]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_explains_every_option(command, capsys):
     with pytest.raises(SystemExit, match="0"):
         run(command.__name__.lower(), "--help")
@@ -493,4 +540,4 @@ def test_help_lists_the_commands(capsys):
     with pytest.raises(SystemExit, match="0"):
         run("--help")
     text = capsys.readouterr().out
-    assert all(name in text for name in ("demo", "train", "eval", "render", "synth"))
+    assert all(command.__name__.lower() in text for command in COMMANDS)

@@ -13,7 +13,7 @@ from mrgs.field import nearest_neighbours
 from mrgs.render import bake_temperatures, render_view
 from mrgs.scene import Gaussians
 from mrgs.training.checkpoint import make_state
-from mrgs.training.config import Method, TrainConfig, make_config
+from mrgs.training.config import Method, Preset, TrainConfig, make_config
 from mrgs.training.densification import ScreenStatistics
 from mrgs.training.step import TrainingState, control_density, training_step
 
@@ -27,17 +27,22 @@ DENSIFIED_SHARE = 0.1
 
 def mrgs_step(case: Case) -> Stages:
     """Both heads, heat transformation, all losses, Adam."""
-    return _step(case, "mrgs")
+    return _step(case, "mrgs", "default")
+
+
+def paper_step(case: Case) -> Stages:
+    """The same with heads as wide as in the paper preset."""
+    return _step(case, "mrgs", "paper")
 
 
 def baseline_step(case: Case) -> Stages:
     """Spherical harmonics, one opacity, the photometric losses, Adam."""
-    return _step(case, "3dgs-rgbt")
+    return _step(case, "3dgs-rgbt", "default")
 
 
-def _step(case: Case, method: Method) -> Stages:
+def _step(case: Case, method: Method, preset: Preset) -> Stages:
     count, width, height = case.size
-    config = make_config(method, "paper")
+    config = make_config(method, preset)
     state = training_state(count, config)
     seen, targets = view(width, height), photos(width, height)
     return Stages([Timing(STEP, lambda _: training_step(state, seen, targets, config, EXTENT, TEMPERATURE))])
@@ -46,7 +51,7 @@ def _step(case: Case, method: Method) -> Stages:
 def rendering(case: Case) -> Stages:
     """A view of a trained MrGS model, whose temperatures are computed once for all views."""
     count, width, height = case.size
-    model = bake_temperatures(training_state(count, make_config("mrgs", "paper")).model)
+    model = bake_temperatures(training_state(count, make_config("mrgs", "default")).model)
     seen = view(width, height)
     return Stages([Timing(RENDER, lambda _: render_view(model, seen))])
 

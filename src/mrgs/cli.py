@@ -53,7 +53,7 @@ class Train:
     method: str = "mrgs"
     """mrgs, mrgs-base, mrgs-fourier, mrgs-boltz, or 3dgs-rgbt."""
     preset: str = "default"
-    """fast (1,100 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
+    """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: int | None = None
     """Steps; the preset's whole schedule is stretched or shrunk to them."""
     max_gaussians: int | None = None
@@ -68,6 +68,8 @@ class Train:
     """Continue the run in the output folder; all other options are the run's own."""
     view: bool = False
     """Show the model in the browser while it trains. Needs mrgs[view]."""
+    port: int = 8080
+    """TCP port of --view; 0 takes a free one."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +231,7 @@ def _train(command: Train) -> None:
     folder = command.scene.parent if command.scene.is_file() else command.scene
     output = command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
     progress = TrainingProgress()
-    with progress, _live_view(output) if command.view else nullcontext() as live:
+    with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
         train(command.scene, output, config, resume=command.resume, **_hooks(progress, live))
     if progress.unfinished:
         go_on = shlex.join(["mrgs", "train", str(command.scene), "--output", str(output), "--resume"])
@@ -239,10 +241,10 @@ def _train(command: Train) -> None:
     print(f"trained:   {output}\nscore it:  mrgs eval {quoted}\nrender it: mrgs render {quoted}")
 
 
-def _live_view(output: Path) -> LiveView:
+def _live_view(output: Path, port: int) -> LiveView:
     from mrgs.viewer import LiveView
 
-    return LiveView(output, on_ready=say_where_to_look)
+    return LiveView(output, port=port, on_ready=say_where_to_look)
 
 
 def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
