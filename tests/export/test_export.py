@@ -27,7 +27,7 @@ def solid(baked):
     return replace(baked, opacity_rgb=torch.full_like(baked.opacity_rgb, 0.95), scales=baked.scales.clamp_min(0.1))
 
 
-@pytest.mark.parametrize("format", [format for format in FORMATS if format != "cameras"])
+@pytest.mark.parametrize("format", EXPECTED)
 def test_each_format_writes_its_files_and_says_what_they_hold(tmp_path, solid, scene, format):
     paths = export(solid, scene, format, tmp_path / "out")
     assert {path.name for path in paths} == EXPECTED[format] | {f"{name}.json" for name in EXPECTED[format]}
@@ -48,10 +48,20 @@ def test_cameras_come_with_their_images(tmp_path, baked, scene):
     assert tmp_path / "cameras" / "sparse" / "0" / "images.txt" in paths
 
 
+def test_the_page_is_one_file(tmp_path, baked, scene):
+    (path,) = export(baked, scene, "page", tmp_path)
+    assert path == tmp_path / "page.html"
+    assert scene.name in path.read_text(encoding="utf-8")
+
+
+def test_every_format_has_a_test_here():
+    assert {*EXPECTED, "cameras", "page"} == set(FORMATS)
+
+
 def test_all_writes_every_format(tmp_path, solid, scene):
     names = {path.name for path in export(solid, scene, "all", tmp_path)}
     assert set().union(*EXPECTED.values()) <= names
-    assert "transforms.json" in names
+    assert {"transforms.json", "page.html"} <= names
 
 
 def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):

@@ -124,7 +124,7 @@ def test_another_format_is_named(path):
 
 
 def test_another_configuration_is_named(path, config):
-    other = replace(config, field=replace(config.field, hidden_width=64))
+    other = replace(config, field=replace(config.field, hidden_width=2 * config.field.hidden_width))
     for load in (load_model, lambda path, config: load_state(path, config, 6)):
         with pytest.raises(RunError) as caught:
             load(path, other)
