@@ -16,7 +16,7 @@ from torch import Tensor
 from mrgs.field.spherical_harmonics import C0, evaluate_sh
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, Rendering, bake_temperatures
-from mrgs.scene import Camera, TemperatureRange
+from mrgs.scene import Camera, TemperatureRange, spread
 
 SH_DEGREE = 3
 COEFFICIENTS = (SH_DEGREE + 1) ** 2
@@ -108,8 +108,7 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
     if not cameras:
         raise ValueError("colours cannot be fitted without a camera")
     gaussians = model.gaussians
-    chosen = torch.linspace(0, len(cameras) - 1, min(DIRECTIONS, len(cameras))).round().long().unique()
-    positions = torch.stack([cameras[index].position for index in chosen.tolist()]).to(gaussians.means)
+    positions = torch.stack([cameras[index].position for index in spread(len(cameras), DIRECTIONS)]).to(gaussians.means)
     blocks = torch.arange(len(gaussians)).split(BLOCK_ROWS)
     return BakedModel(
         means=gaussians.means.detach(),

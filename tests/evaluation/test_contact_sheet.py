@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, contact_sheet, sheet_row, spread
+from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, evaluate
 from mrgs.evaluation.report import RunFacts
 from mrgs.render import Rendering
-from mrgs.scene import TemperatureRange, View
+from mrgs.scene import TemperatureRange, View, spread
 
 FACTS = RunFacts("mrgs", "board", 1200, 41_000, 63.5, None, "cpu")
 MakeView = Callable[..., View]

@@ -54,7 +54,7 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
     )
     camera = Camera(K, source.viewmat, pinhole.width, pinhole.height)
     if resolution is not None and resolution < camera.width:
-        camera = camera.resized(resolution, max(1, round(camera.height * resolution / camera.width)))
+        camera = camera.with_width(resolution)
     return PosedImage(camera, partial(_load, source, decoder, camera.width, camera.height))
 
 

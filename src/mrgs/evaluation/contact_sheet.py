@@ -87,11 +87,6 @@ def sheet_row(view: View, rendering: Rendering, metrics: ViewMetrics, temperatur
     )
 
 
-def spread(count: int, rows: int = 5) -> list[int]:
-    """Indices of at most ``rows`` of ``count`` views, evenly spread, the first and the last among them."""
-    return sorted({round(index) for index in np.linspace(0, count - 1, min(count, rows))})
-
-
 def contact_sheet(
     rows: Sequence[SheetRow],
     facts: RunFacts,

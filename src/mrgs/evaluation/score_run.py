@@ -11,7 +11,7 @@ import torch
 from jaxtyping import UInt8
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.evaluation.contact_sheet import SheetRow, contact_sheet, sheet_row, spread
+from mrgs.evaluation.contact_sheet import SheetRow, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.palette import PaletteName, colorize
@@ -22,7 +22,7 @@ from mrgs.evaluation.truth import Truth
 from mrgs.evaluation.video import write_frames
 from mrgs.render import Rendering, render, render_view
 from mrgs.run import Run
-from mrgs.scene import Camera, View
+from mrgs.scene import Camera, View, spread
 
 PATH_FRAMES = 120
 

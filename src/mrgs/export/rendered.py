@@ -16,7 +16,7 @@ from mrgs.baked import BakedModel
 from mrgs.errors import RunError
 from mrgs.export.fusion import DepthMap, visible
 from mrgs.export.splats import to_float32
-from mrgs.scene import Camera, Scene
+from mrgs.scene import Camera, Scene, spread
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -67,14 +67,8 @@ def carry_over(
 
 def _cameras(scene: Scene) -> list[Camera]:
     """Of the training views' first images, at most ``MAX_VIEWS``, at most ``MAX_WIDTH_PX`` wide."""
-    chosen = np.unique(np.linspace(0, len(scene.train) - 1, min(MAX_VIEWS, len(scene.train))).round().astype(int))
-    cameras = [scene.train[index].cameras[0] for index in chosen]
-    return [
-        camera
-        if camera.width <= MAX_WIDTH_PX
-        else camera.resized(MAX_WIDTH_PX, max(1, round(camera.height * MAX_WIDTH_PX / camera.width)))
-        for camera in cameras
-    ]
+    cameras = [scene.train[index].cameras[0] for index in spread(len(scene.train), MAX_VIEWS)]
+    return [camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX) for camera in cameras]
 
 
 def _depth_map(baked: BakedModel, camera: Camera, by_color: bool) -> DepthMap:

@@ -14,7 +14,7 @@ from mrgs.baked import BakedModel
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.palette import PaletteName, palette_table
 from mrgs.field.spherical_harmonics import C0
-from mrgs.scene import Camera
+from mrgs.scene import Camera, spread
 
 MEAN_OVER = 32
 """Cameras over which a colour without direction is averaged."""
@@ -130,9 +130,8 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
     Closer to the photos than leaving the higher degrees out, whose mean over the directions from which a splat was
     seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those given, are asked.
     """
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MEAN_OVER, len(cameras))).round().astype(int))
     total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
-    for index in chosen:
+    for index in spread(len(cameras), MEAN_OVER):
         camera = cameras[index]
         seen = torch.where(_in_image(baked.means, camera), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
         total += seen * baked.colors(camera.position.to(baked.means))

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from mrgs.render import Rendering
-from mrgs.scene import Camera, View
+from mrgs.scene import Camera, View, spread
 
 VIEWS = 60
 """Views that are surveyed, evenly spread over those given."""
@@ -123,9 +123,7 @@ def find_spots(views: Sequence[View], render: Renderer, count: int = 3) -> tuple
         count: how many.
     """
     thermal = [index for index, view in enumerate(views) if view.thermal is not None]
-    chosen = [
-        thermal[i] for i in np.unique(np.linspace(0, len(thermal) - 1, min(VIEWS, len(thermal))).round().astype(int))
-    ]
+    chosen = [thermal[place] for place in spread(len(thermal), VIEWS)]
     points = _survey(views, chosen, render)
     if points is None:
         return [], []
@@ -154,8 +152,7 @@ def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer) -> _
     for index in chosen:
         image = views[index].thermal
         assert image is not None
-        width = min(WIDTH_PX, image.camera.width)
-        camera = image.camera.resized(width, max(1, round(image.camera.height * width / image.camera.width)))
+        camera = image.camera.with_width(min(WIDTH_PX, image.camera.width))
         values, depth, seen = surface(render(camera))
         rows, columns = np.nonzero(seen)
         border = 0.1 * min(camera.width, camera.height)

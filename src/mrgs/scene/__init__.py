@@ -4,6 +4,6 @@ from mrgs.scene.camera import Camera
 from mrgs.scene.gaussians import Gaussians
 from mrgs.scene.scene import PointCloud, Scene
 from mrgs.scene.temperature import TemperatureRange
-from mrgs.scene.view import Pixels, PosedImage, View
+from mrgs.scene.view import Pixels, PosedImage, View, spread
 
-__all__ = ["Camera", "Gaussians", "Pixels", "PointCloud", "PosedImage", "Scene", "TemperatureRange", "View"]
+__all__ = ["Camera", "Gaussians", "Pixels", "PointCloud", "PosedImage", "Scene", "TemperatureRange", "View", "spread"]

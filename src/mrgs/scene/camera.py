@@ -44,6 +44,10 @@ class Camera:
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)
         return Camera(self.K * scale[:, None], self.viewmat, width, height)
 
+    def with_width(self, width: int) -> Camera:
+        """The same camera on a pixel grid of this width, its height in proportion."""
+        return self.resized(width, max(1, round(self.height * width / self.width)))
+
     def coincides_with(self, other: Camera) -> bool:
         """Whether both cameras see the same rays on the same pixel grid, so that one pass can serve both."""
         return (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
@@ -64,3 +65,8 @@ class View:
     def shares_camera(self) -> bool:
         """Whether both images are there and one camera serves both."""
         return self.rgb is not None and self.thermal is not None and self.rgb.camera.coincides_with(self.thermal.camera)
+
+
+def spread(count: int, most: int = 5) -> list[int]:
+    """Indices of at most ``most`` of ``count`` views, evenly spread, the first and the last among them."""
+    return sorted({round(index) for index in np.linspace(0, count - 1, min(count, most))})

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from mrgs.baked import BakedModel
 from mrgs.rasterizer import Layer, rasterize
-from mrgs.scene import Camera
+from mrgs.scene import Camera, spread
 
 VIEWS = 16
 """Cameras that are asked, evenly spread over those given."""
@@ -23,11 +23,9 @@ def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tens
 
     An image is linear in the features that it blends, so its gradient in them is the sum of the weights.
     """
-    chosen = torch.linspace(0, len(cameras) - 1, min(VIEWS, len(cameras))).round().long().unique()
     weights = torch.zeros(2, len(baked))
-    for index in chosen.tolist():
-        camera = cameras[index]
-        small = camera.resized(WIDTH_PX, max(1, round(camera.height * WIDTH_PX / camera.width)))
+    for index in spread(len(cameras), VIEWS):
+        small = cameras[index].with_width(WIDTH_PX)
         features = [torch.zeros(len(baked), channels, requires_grad=True) for channels in (3, 1)]
         opacities = (baked.opacity_rgb, baked.opacity_thermal)
         layers = [Layer(o, f, f.new_zeros(f.shape[1])) for o, f in zip(opacities, features, strict=True)]

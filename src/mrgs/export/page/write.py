@@ -25,7 +25,7 @@ from mrgs.evaluation.paths import focus_point
 from mrgs.evaluation.pictures import to_array
 from mrgs.export.page.packing import pack
 from mrgs.export.page.visibility import most_visible
-from mrgs.scene import Camera, TemperatureRange
+from mrgs.scene import Camera, TemperatureRange, spread
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
@@ -103,11 +103,9 @@ def write_page(
 
 def visible_range(baked: BakedModel, cameras: Sequence[Camera]) -> tuple[float, float]:
     """Limits that hold all but half a percent, at each end, of what some of the cameras see; °C where known."""
-    chosen = torch.linspace(0, len(cameras) - 1, min(RANGE_VIEWS, len(cameras))).round().long().unique()
     seen = []
-    for index in chosen.tolist():
-        camera = cameras[index]
-        small = camera.resized(RANGE_WIDTH_PX, max(1, round(camera.height * RANGE_WIDTH_PX / camera.width)))
+    for index in spread(len(cameras), RANGE_VIEWS):
+        small = cameras[index].with_width(RANGE_WIDTH_PX)
         rendering = baked.render(small)
         assert rendering.thermal is not None
         assert rendering.alpha_thermal is not None
