@@ -4,14 +4,26 @@ import numpy as np
 import pytest
 
 from mrgs.synth.cameras import CameraArc
+from mrgs.synth.electronics import electronics
+from mrgs.synth.facade import facade
 from mrgs.synth.shapes import box
-from mrgs.synth.stage import Lamp, Material, Solid, Stage
+from mrgs.synth.stage import Lamp, Material, Solid, Stage, constant
 from mrgs.synth.tabletop import tabletop
 
 
 @pytest.fixture(scope="session")
 def table() -> Stage:
     return tabletop(0)
+
+
+@pytest.fixture(scope="session")
+def house() -> Stage:
+    return facade(0)
+
+
+@pytest.fixture(scope="session")
+def circuit_board() -> Stage:
+    return electronics(0)
 
 
 @pytest.fixture
@@ -28,5 +40,5 @@ def two_boxes() -> Stage:
         sky=(0.5, 0.5, 0.5),
         exposure=1.0,
         cameras=CameraArc((0.0, 0.0, 0.1), (-90.0, 90.0), ((35.0, 1.2), (60.0, 1.2))),
-        beyond_c=-5.0,
+        beyond_c=constant(-5.0),
     )

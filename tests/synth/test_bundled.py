@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
+from mrgs.scene import Camera, TemperatureRange
 from mrgs.synth.generate import RAYS_PER_SIDE
 from mrgs.synth.hits import Triangles, exact_temperature, first_hits
+from mrgs.synth.sensor import ThermalSensor, quantise
 from mrgs.synth.stage import Stage
+from mrgs.synth.tracer import PathTracer
 
 SCENE = Path(__file__).parents[2] / "examples" / "tabletop"
 EVAL_NAMES = [f"frame_eval_{number:05d}" for number in range(1, 9)]
@@ -70,16 +74,36 @@ def test_depths_of_neighbouring_views_agree(transforms: dict) -> None:
         assert np.mean(error < -0.03) < 0.02  # nothing stands before what the second view sees first
 
 
-def test_the_generator_still_makes_this_scene(table: Stage, transforms: dict) -> None:
-    train_count, count = 40, len(EVAL_NAMES)
+def third_eval_camera(table: Stage) -> Camera:
     rng = np.random.default_rng([0, 3])
-    table.cameras.train(train_count, 320, 240, rng)
-    camera = table.cameras.between(count, train_count, 320, 240, rng)[2]
+    table.cameras.train(40, 320, 240, rng)
+    return table.cameras.between(len(EVAL_NAMES), 40, 320, 240, rng)[2]
+
+
+def test_the_generator_still_makes_this_scene(table: Stage, transforms: dict) -> None:
+    train_count = 40
+    camera = third_eval_camera(table)
     pose = np.array(transforms["frames"][train_count + 2]["transform_matrix"])
     np.testing.assert_allclose(camera.position.numpy(), pose[:3, 3], atol=1e-9)
     triangles = Triangles.of(table.solids)
     exact_c = exact_temperature(camera, table, triangles, RAYS_PER_SIDE)
     depth_m = first_hits(camera, triangles).depth_m
+    bounds = json.loads((SCENE / "temperature_bounds.json").read_text())
+    low, high = bounds["absolute_min_temperature"], bounds["absolute_max_temperature"]
+    thermal = ThermalSensor().photograph(exact_c, train_count + 2, seed=0)
+    grey = quantise(thermal, TemperatureRange(low, high)).astype(int)
+    assert np.mean(grey != read(SCENE / f"thermal/{EVAL_NAMES[2]}.png")) < 1e-3
     # Another processor may round a ray to the other side of an outline.
     assert np.mean(np.abs(exact_c - read(SCENE / f"truth/temperature/{EVAL_NAMES[2]}.tiff")) > 0.01) < 1e-3
     assert np.mean(np.abs(depth_m - read(SCENE / f"truth/depth/{EVAL_NAMES[2]}.tiff")) > 0.001) < 1e-3
+
+
+def test_the_generator_still_paints_this_scene(tmp_path: Path, table: Stage) -> None:
+    """With fewer paths the photo is noisier than the bundled one, but nothing in it has another colour or place."""
+    pytest.importorskip("mitsuba", reason="the extra synth is not installed")
+    photo = PathTracer(table, tmp_path).photograph(third_eval_camera(table), samples=4, seed=0)
+    bundled = read(SCENE / f"images/{EVAL_NAMES[2]}.jpg")
+    blurred = [gaussian_filter(image.astype(float), (3, 3, 0)) for image in (photo, bundled)]
+    difference = np.abs(blurred[0] - blurred[1]).mean(axis=2)
+    assert difference.mean() < 2.5
+    assert np.quantile(difference, 0.995) < 12.0

@@ -56,7 +56,18 @@ def test_rays_that_meet_nothing(two_boxes: Stage) -> None:
     assert (hits.solid == -1).all()
     assert (hits.depth_m == 0.0).all()
     celsius = exact_temperature(up, two_boxes, Triangles.of(two_boxes.solids), 2)
-    np.testing.assert_array_equal(celsius, two_boxes.beyond_c)
+    np.testing.assert_array_equal(celsius, -5.0)
+
+
+def test_temperature_beyond_the_surfaces_depends_on_the_direction(two_boxes: Stage) -> None:
+    sky = dataclasses.replace(two_boxes, beyond_c=lambda directions: directions[:, 2])
+    triangles = Triangles.of(two_boxes.solids)
+    camera = camera_at([0.0, -1.0, 1.0], [0.0, 1.0, 1.0], 65, 49)
+    celsius = exact_temperature(camera, sky, triangles, 1)
+    assert celsius[24, 32] == pytest.approx(0.0, abs=1e-9)  # straight ahead, along the horizon
+    focal = camera.K[0, 0].item()
+    assert celsius[0, 32] == pytest.approx(np.sin(np.arctan(24 / focal)))
+    assert celsius[48, 32] == 20.0  # the floor
 
 
 def test_temperature_is_the_mean_within_the_pixel(two_boxes: Stage) -> None:

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from mrgs.errors import ConfigError
+from mrgs.scene import Camera
+from mrgs.synth.cameras import look_at, pinhole
 from mrgs.synth.hits import Triangles, first_hits
+from mrgs.synth.shapes import box
 from mrgs.synth.stage import Stage
 from mrgs.synth.tracer import PathTracer, load_mitsuba, to_srgb
 
@@ -34,12 +39,24 @@ def test_photos_and_first_hits_see_the_same_outlines(tmp_path: Path, two_boxes: 
     assert photo.max(axis=-1).min() > 20  # no black areas
 
 
+def test_a_panorama_is_seen_where_it_should_be(tmp_path: Path, two_boxes: Stage) -> None:
+    pytest.importorskip("mitsuba", reason="the extra synth is not installed")
+    sky = np.zeros((64, 128, 3))
+    sky[:8], sky[24:32, 28:36], sky[24:32, 60:68] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    stage = dataclasses.replace(two_boxes, lamps=(), sky=sky)
+    tracer = PathTracer(stage, tmp_path)
+    above = np.tan(np.radians(11.25))  # the elevation of the rows 24 to 32
+    for direction, colour in (((0.0, 0.01, 1.0), 0), ((1.0, 0.0, above), 1), ((0.0, -1.0, above), 2)):
+        position = np.array([0.0, 0.0, 5.0])
+        viewmat = torch.from_numpy(look_at(position, position + np.array(direction)))
+        camera = Camera(pinhole(6.0, 32, 24), viewmat, 32, 24)
+        middle = tracer.photograph(camera, 4, 0)[8:16, 10:22].reshape(-1, 3).mean(axis=0)
+        assert middle[colour] > 200.0
+        assert np.delete(middle, colour).max() < 20.0
+
+
 def test_texture_stands_upright(tmp_path: Path, two_boxes: Stage) -> None:
     pytest.importorskip("mitsuba", reason="the extra synth is not installed")
-    import dataclasses
-
-    from mrgs.synth.shapes import box
-
     texture = np.full((8, 8, 3), 30, dtype=np.uint8)
     texture[:4, :, 0] = texture[:, :4, 2] = 250  # red in the upper half, blue in the left half
     wall = dataclasses.replace(

@@ -13,16 +13,18 @@ from jaxtyping import Float, UInt8
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
+from mrgs.synth.electronics import electronics
+from mrgs.synth.facade import facade
 from mrgs.synth.hits import Hits, Triangles, exact_temperature, first_hits
-from mrgs.synth.points import POINT_NOISE_M, sparse_points
+from mrgs.synth.points import sparse_points
 from mrgs.synth.sensor import ThermalSensor, quantise, rounded_range
 from mrgs.synth.stage import Stage
 from mrgs.synth.tabletop import tabletop
 from mrgs.synth.tracer import PathTracer
 from mrgs.synth.write import DEPTH_STEP_M, TEMPERATURE_STEP_C, SceneFolder
 
-SceneKind = Literal["tabletop"]
-STAGES: dict[SceneKind, Callable[[int], Stage]] = {"tabletop": tabletop}
+SceneKind = Literal["tabletop", "facade", "electronics"]
+STAGES: dict[SceneKind, Callable[[int], Stage]] = {"tabletop": tabletop, "facade": facade, "electronics": electronics}
 
 RAYS_PER_SIDE = 4
 POINTS = 7000
@@ -92,10 +94,11 @@ def synthesize(
             [shots[name].hits for name in train],
             [shots[name].photo for name in train],
             POINTS,
+            stage.point_noise_m,
             rng,
         )
     )
-    target.parameters({"scene": scene, "seed": seed, "samples": samples, **_fixed_parameters(sensor)})
+    target.parameters({"scene": scene, "seed": seed, "samples": samples, **_fixed_parameters(stage, sensor)})
     target.transforms(cameras)
 
 
@@ -145,7 +148,7 @@ def _write_thermal(target: SceneFolder, sensor: ThermalSensor, shots: dict[str, 
     target.temperature_bounds(temperature)
 
 
-def _fixed_parameters(sensor: ThermalSensor) -> dict[str, Any]:
+def _fixed_parameters(stage: Stage, sensor: ThermalSensor) -> dict[str, Any]:
     return {
         "thermal_sensor": asdict(sensor) | {"detector_pixels_per_image_pixel": 0.5, "image_bits": 8},
         "truth": {
@@ -154,5 +157,5 @@ def _fixed_parameters(sensor: ThermalSensor) -> dict[str, Any]:
             "depth_step_m": DEPTH_STEP_M,
             "emissivity": 1.0,
         },
-        "sparse_point_noise_m": POINT_NOISE_M,
+        "sparse_point_noise_m": stage.point_noise_m,
     }

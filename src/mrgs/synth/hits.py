@@ -51,9 +51,7 @@ def first_hits(camera: Camera, triangles: Triangles) -> Hits:
     """Follow the ray through the centre of each pixel to the first surface, seen from either side."""
     rotation, translation = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3].numpy()
     corners = triangles.corners @ rotation.T + translation
-    K = camera.K.numpy()
-    x = (np.arange(camera.width) + 0.5 - K[0, 2]) / K[0, 0]
-    y = (np.arange(camera.height) + 0.5 - K[1, 2]) / K[1, 1]
+    x, y = _ray_slopes(camera)
     depth = np.full((camera.height, camera.width), np.inf)
     nearest = np.full((camera.height, camera.width), -1)
     _nearest_triangles(corners, x, y, depth, nearest)
@@ -70,7 +68,9 @@ def exact_temperature(
     """The mean temperature of the surfaces within each pixel, °C, from ``rays_per_side``² rays per pixel."""
     fine = camera.resized(camera.width * rays_per_side, camera.height * rays_per_side)
     hits = first_hits(fine, triangles)
-    celsius = np.full(hits.solid.shape, stage.beyond_c)
+    celsius = np.empty(hits.solid.shape)
+    beyond = hits.solid < 0
+    celsius[beyond] = stage.beyond_c(_directions(fine)[beyond])
     for index, solid in enumerate(stage.solids):
         here = hits.solid == index
         celsius[here] = solid.temperature_at(hits.points[here])
@@ -78,6 +78,22 @@ def exact_temperature(
         axis=(1, 3)
     )
     return mean
+
+
+def _ray_slopes(camera: Camera) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, " h"]]:
+    """x and y of the rays (x, y, 1) through the centres of the columns and rows, in camera coordinates."""
+    K = camera.K.numpy()
+    x = (np.arange(camera.width) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (np.arange(camera.height) + 0.5 - K[1, 2]) / K[1, 1]
+    return x, y
+
+
+def _directions(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+    """Unit vectors, in the world, from the camera through the centres of its pixels."""
+    x, y = _ray_slopes(camera)
+    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ camera.viewmat[:3, :3].numpy()
+    directions: Float[np.ndarray, "h w 3"] = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return directions
 
 
 @njit(cache=True)

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, UInt8
 from mrgs.scene import Camera
 from mrgs.synth.hits import Hits
 
-POINT_NOISE_M = 0.002
 MIN_CAMERAS = 2
 DEPTH_TOLERANCE = 0.01
 
@@ -20,15 +19,17 @@ def sparse_points(
     hits: Sequence[Hits],
     photos: Sequence[UInt8[np.ndarray, "h w 3"]],
     count: int,
+    noise_m: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Draw at most ``count`` points from the pixels of the cameras, evenly, with 2 mm of noise.
+    """Draw at most ``count`` points from the pixels of the cameras, evenly, and stray from the surface.
 
     Args:
         cameras: the training cameras.
         hits: what each of them sees first, at the size of its photo.
         photos: their photos, for the colours.
         count: how many points to keep.
+        noise_m: standard deviation of each coordinate, metres.
         rng: chooses the pixels and the noise.
 
     Returns:
@@ -47,7 +48,7 @@ def sparse_points(
         colors.append(photo[rows[chosen], columns[chosen]][kept])
     all_positions, all_colors = np.concatenate(positions), np.concatenate(colors)
     order = rng.permutation(len(all_positions))[:count]
-    return all_positions[order] + rng.normal(0.0, POINT_NOISE_M, (len(order), 3)), all_colors[order]
+    return all_positions[order] + rng.normal(0.0, noise_m, (len(order), 3)), all_colors[order]
 
 
 def visible(points: Float[np.ndarray, "n 3"], camera: Camera, hits: Hits) -> Bool[np.ndarray, " n"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,7 +87,12 @@ def box_faces(length: float, width: float, height: float) -> dict[str, Mesh]:
         "left": [(-x, y, 0), (-x, -y, 0), (-x, -y, z), (-x, y, z)],
         "right": [(x, -y, 0), (x, y, 0), (x, y, z), (x, -y, z)],
     }
-    return {name: _quad(np.array(corners[name], dtype=np.float64)) for name in BOX_FACES}
+    return {name: quad(np.array(corners[name], dtype=np.float64)) for name in BOX_FACES}
+
+
+def without(faces: Mapping[str, Mesh], name: str) -> Mesh:
+    """All sides of a box but one, as one mesh."""
+    return merge([mesh for side, mesh in faces.items() if side != name])
 
 
 def box(length: float, width: float, height: float) -> Mesh:
@@ -95,7 +100,8 @@ def box(length: float, width: float, height: float) -> Mesh:
     return merge(list(box_faces(length, width, height).values()))
 
 
-def _quad(corners: Float[np.ndarray, "4 3"]) -> Mesh:
+def quad(corners: Float[np.ndarray, "4 3"]) -> Mesh:
+    """A flat quadrilateral that carries the whole texture: lower left, lower right, upper right, upper left corner."""
     normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
     points = np.stack([corners[[0, 1]], corners[[3, 2]]])
     uv = np.array([[[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [1.0, 1.0]]])

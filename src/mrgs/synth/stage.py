@@ -15,6 +15,11 @@ from mrgs.synth.shapes import Mesh, rotation_z
 TemperatureField: TypeAlias = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]]
 
 
+def constant(celsius: float) -> TemperatureField:
+    """One temperature everywhere, °C."""
+    return lambda points: np.full(len(points), celsius)
+
+
 @dataclass(frozen=True, eq=False)
 class Material:
     """How a surface looks.
@@ -76,15 +81,18 @@ class Stage:
     Attributes:
         solids: every surface.
         lamps: the lamps; no camera may see one.
-        sky: radiance that comes from beyond the solids, per colour; None indoors.
+        sky: radiance that comes from beyond the solids; None indoors. One value per colour, or a panorama [h, w, 3]
+            whose rows run from the zenith to the nadir and whose columns run once around, clockwise from +y.
         exposure: factor on the radiance before the sRGB curve; 1 turns into white.
         cameras: where the camera moves.
-        beyond_c: temperature seen where no surface is, °C.
+        beyond_c: temperature seen where no surface is, °C, for unit vectors that point there.
+        point_noise_m: standard deviation of the sparse points' positions, metres.
     """
 
     solids: tuple[Solid, ...]
     lamps: tuple[Lamp, ...]
-    sky: tuple[float, float, float] | None
+    sky: tuple[float, float, float] | Float[np.ndarray, "h w 3"] | None
     exposure: float
     cameras: CameraArc
-    beyond_c: float
+    beyond_c: TemperatureField
+    point_noise_m: float = 0.002

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from mrgs.synth import textures
 from mrgs.synth.cameras import CameraArc
 from mrgs.synth.conduction import Contact, Plate, PlateTemperature, solve
-from mrgs.synth.shapes import box, box_faces, lathe, merge, sphere, tube
-from mrgs.synth.stage import Lamp, Material, Solid, Stage, TemperatureField
+from mrgs.synth.shapes import box, box_faces, lathe, merge, sphere, tube, without
+from mrgs.synth.stage import Lamp, Material, Solid, Stage, constant
 
 AMBIENT_C = 21.0
 TABLE = Plate(length_m=1.2, width_m=0.8, spread_m=0.035, ambient_c=AMBIENT_C)
@@ -63,7 +63,7 @@ def tabletop(seed: int) -> Stage:
         cameras=CameraArc(
             target=(0.0, 0.0, 0.05), azimuth_deg=(-145.0, 55.0), rings=((24.0, 1.08), (38.0, 1.0), (54.0, 0.96))
         ),
-        beyond_c=AMBIENT_C,
+        beyond_c=constant(AMBIENT_C),
     )
 
 
@@ -85,10 +85,6 @@ def _contacts(plate: Plate) -> list[Contact]:
         Contact((np.abs(along) < 0.08) & (np.abs(across) < 0.055), 34.0, 0.8),
         Contact(disc(GHOST_RING, 0.04) & ~disc(GHOST_RING, 0.03), 52.0, 0.6),
     ]
-
-
-def _constant(celsius: float) -> TemperatureField:
-    return lambda points: np.full(len(points), celsius)
 
 
 def _room(rng: np.random.Generator) -> list[Solid]:
@@ -141,7 +137,7 @@ def _table(table: PlateTemperature, rng: np.random.Generator) -> list[Solid]:
     top = Material(textures.wood(800, 1200, 6, rng), "glossy", 0.25)
     edge = Material(textures.wood(64, 512, 1, rng))
     faces = box_faces(TABLE.length_m, TABLE.width_m, TABLE_THICKNESS_M)
-    sides = merge([mesh for name, mesh in faces.items() if name != "top"])
+    sides = without(faces, "top")
     place = (0.0, 0.0, -TABLE_THICKNESS_M)
     leg = box(0.06, 0.06, -FLOOR_M - TABLE_THICKNESS_M)
     legs = merge([leg.placed(x, y, FLOOR_M) for x in (-0.54, 0.54) for y in (-0.34, 0.34)])
@@ -158,7 +154,7 @@ def _table(table: PlateTemperature, rng: np.random.Generator) -> list[Solid]:
     return [
         Solid("table_top", faces["top"], top, table.at, place),
         Solid("table_sides", sides, edge, table.at, place),
-        Solid("table_legs", legs, edge, _constant(20.4)),
+        Solid("table_legs", legs, edge, constant(20.4)),
         Solid("cloth", box(0.4, 0.3, CLOTH_M), Material(cloth), cloth_c, CLOTH, yaw),
     ]
 
@@ -281,7 +277,7 @@ def _ice(rng: np.random.Generator) -> list[Solid]:
     frost = textures.blend((150, 186, 206), (240, 248, 252), textures.noise(128, 128, (6, 6), rng))
     return [
         Solid("ice_plate", plate, Material(glaze, "glossy", 0.15), _ice_plate_c, ICE_PLATE),
-        Solid("ice_cubes", cube, Material(frost, "glossy", 0.2), _constant(0.0), ICE_PLATE),
+        Solid("ice_cubes", cube, Material(frost, "glossy", 0.2), constant(0.0), ICE_PLATE),
     ]
 
 
@@ -292,7 +288,7 @@ def _ice_plate_c(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
 def _electronics(rng: np.random.Generator) -> list[Solid]:
     """A powered box with a hot component under its lid."""
     faces = box_faces(0.17, 0.115, 0.036)
-    sides = merge([mesh for name, mesh in faces.items() if name != "top"])
+    sides = without(faces, "top")
     lid = Material(textures.instrument_panel(240, 360, rng), "glossy", 0.25)
     ports = textures.bands(48, 256, [(0.25, (58, 62, 70)), (0.6, (30, 32, 36)), (1.0, (58, 62, 70))], rng)
     ports[14:28, 30:226:28] = ports[14:28, 31:226:28] = ports[14:28, 32:226:28] = (210, 180, 90)
@@ -323,7 +319,7 @@ def _books(rng: np.random.Generator) -> list[Solid]:
         spine = Material(textures.geometric(48, 340, palette, 16, rng), "glossy", 0.2)
         edge = Material(textures.pages(48, 340, rng))
         covers, cut = merge([faces["top"], faces["bottom"]]), merge([faces[k] for k in ("back", "left", "right")])
-        field = _hand_warm_c if name == "upper" else _constant(20.8)
+        field = _hand_warm_c if name == "upper" else constant(20.8)
         parts = [("cover", covers, cover), ("spine", faces["front"], spine), ("pages", cut, edge)]
         solids += [Solid(f"book_{name}_{part}", mesh, look, field, place, yaw) for part, mesh, look in parts]
     return solids
@@ -351,7 +347,7 @@ def _decoration(rng: np.random.Generator) -> list[Solid]:
     copper = textures.blend((190, 104, 70), (250, 170, 124), textures.noise(256, 512, (8, 16), rng))
     peel = textures.speckles(textures.plain((240, 140, 34), rng, 256), (196, 92, 18), 700, 1.4, rng)
     return [
-        Solid("vase", vase, Material(glaze, "glossy", 0.08), _constant(20.6), VASE),
-        Solid("copper_ball", sphere(0.042), Material(copper, "metal", 0.22), _constant(21.6), COPPER_BALL),
-        Solid("orange", sphere(0.037), Material(peel, "glossy", 0.3), _constant(18.5), ORANGE),
+        Solid("vase", vase, Material(glaze, "glossy", 0.08), constant(20.6), VASE),
+        Solid("copper_ball", sphere(0.042), Material(copper, "metal", 0.22), constant(21.6), COPPER_BALL),
+        Solid("orange", sphere(0.037), Material(peel, "glossy", 0.3), constant(18.5), ORANGE),
     ]

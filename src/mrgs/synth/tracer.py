@@ -36,7 +36,7 @@ class PathTracer:
             "integrator": {"type": "path", "max_depth": MAX_BOUNCES + 1},
         }
         if stage.sky is not None:
-            description["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": list(stage.sky)}}
+            description["sky"] = self._sky(stage.sky)
         for number, lamp in enumerate(stage.lamps):
             description[f"lamp_{number}"] = self._lamp(lamp)
         for number, solid in enumerate(stage.solids):
@@ -67,6 +67,13 @@ class PathTracer:
                 "sampler": {"type": "multijitter"},
             }
         )
+
+    def _sky(self, sky: tuple[float, float, float] | Float[np.ndarray, "h w 3"]) -> dict[str, Any]:
+        if isinstance(sky, tuple):
+            return {"type": "constant", "radiance": {"type": "rgb", "value": list(sky)}}
+        panorama = self._mitsuba.Bitmap(np.array(sky, dtype=np.float32))
+        upright = self._mitsuba.ScalarTransform4f().rotate([1, 0, 0], 90.0)  # Mitsuba: y up
+        return {"type": "envmap", "bitmap": panorama, "to_world": upright}
 
     def _lamp(self, lamp: Lamp) -> dict[str, Any]:
         transform = self._mitsuba.ScalarTransform4f
