@@ -1,0 +1,19 @@
+"""Thermal photos of many makers in; temperatures in °C, their mask, and what the camera noted about them out."""
+
+from mrgs.data.radiometric.exif import ExifFacts, GpsPosition, read_exif
+from mrgs.data.radiometric.measurement import ObjectParameters
+from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
+from mrgs.data.radiometric.read import read_thermal_photo
+from mrgs.data.radiometric.visible import VisibleImage
+
+__all__ = [
+    "ExifFacts",
+    "GpsPosition",
+    "ObjectParameters",
+    "Overrides",
+    "PhotoFacts",
+    "ThermalPhoto",
+    "VisibleImage",
+    "read_exif",
+    "read_thermal_photo",
+]

@@ -1,0 +1,123 @@
+"""What a thermal photo is read into, and what the user may say about it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from mrgs.data.radiometric.exif import GpsPosition
+from mrgs.data.radiometric.measurement import PARAMETER_LIMITS, ObjectParameters
+from mrgs.data.radiometric.visible import VisibleImage
+from mrgs.errors import ConfigError
+
+UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What the user knows better than the file; None leaves what the file says.
+
+    The first seven are those of :class:`~mrgs.data.radiometric.measurement.ObjectParameters`, and need a file with the
+    camera's raw signal. The last two say what the numbers mean in a file that does not.
+
+    Attributes:
+        unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples: ``kelvin*100``.
+        bounds_c: the temperatures of black and white, °C, for integers that are shades of grey.
+
+    Raises:
+        ConfigError: a value that cannot be true.
+    """
+
+    emissivity: float | None = None
+    distance_m: float | None = None
+    reflected_c: float | None = None
+    atmospheric_c: float | None = None
+    humidity: float | None = None
+    window_c: float | None = None
+    window_transmission: float | None = None
+    unit: str | None = None
+    bounds_c: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.of_parameters():
+            value, (low, high, unit) = getattr(self, name), PARAMETER_LIMITS[name]
+            if not low <= value <= high:
+                raise ConfigError(f"{name} = {value:g} is not between {low:g} and {high:g}{unit}; correct it")
+        if self.unit is not None and not (known := UNIT.fullmatch(self.unit)):
+            raise ConfigError(f"the unit {self.unit!r} is not known; write celsius, kelvin, or such as kelvin*100")
+        if self.unit is not None and known and known[2] is not None and float(known[2]) == 0:
+            raise ConfigError(f"the unit {self.unit!r} has a factor of 0; write such as kelvin*100")
+        if self.bounds_c is not None and not -273.15 <= self.bounds_c[0] < self.bounds_c[1] < 1e5:
+            raise ConfigError(f"{self.bounds_c[0]:g} to {self.bounds_c[1]:g} is no range in °C; give the smaller first")
+        if self.unit is not None and self.bounds_c is not None:
+            raise ConfigError("a unit and bounds are both given; give one of the two")
+
+    def of_parameters(self) -> dict[str, float]:
+        """Those that are given for the measurement, by name."""
+        given = {name: getattr(self, name) for name in PARAMETER_LIMITS}
+        return {name: value for name, value in given.items() if value is not None}
+
+    def applied_to(self, parameters: ObjectParameters) -> ObjectParameters:
+        """The parameters with the given ones replaced."""
+        return replace(parameters, **self.of_parameters())
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoFacts:
+    """What a file says besides the temperatures.
+
+    Attributes:
+        source: the kind of file, in words, such as "FLIR radiometric JPEG".
+        camera: maker's name of the model; None if the file does not say.
+        serial: the camera's serial number; None if the file does not say.
+        taken: time by the camera's own clock, without a time zone; None if the file does not say.
+        gps: position; None if the file does not say.
+        parameters: with which the temperatures were computed; None where the file holds finished numbers.
+        calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does not say.
+        scale_c: ends of the colour scale beside the picture, °C; None if the file does not say.
+        visible: a photo in visible light inside the file; None if there is none.
+        notes: how the file was understood, one sentence each.
+        warnings: what the user should know before trusting the numbers, one sentence each.
+    """
+
+    source: str
+    camera: str | None = None
+    serial: str | None = None
+    taken: datetime | None = None
+    gps: GpsPosition | None = None
+    parameters: ObjectParameters | None = None
+    calibrated_c: tuple[float, float] | None = None
+    scale_c: tuple[float, float] | None = None
+    visible: VisibleImage | None = None
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def adding(self, **more: object) -> PhotoFacts:
+        """A copy with other values; ``notes`` and ``warnings`` are appended."""
+        joined = {name: (*getattr(self, name), *more.pop(name, ())) for name in ("notes", "warnings")}  # type: ignore[misc]
+        return replace(self, **joined, **more)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalPhoto:
+    """A thermal photo. Exactly one of ``temperature_c`` and ``relative`` is there.
+
+    Attributes:
+        temperature_c: [H, W], °C; NaN where not valid.
+        relative: [H, W], 0 to 1, from an image without temperatures: brighter is not always warmer.
+        valid: [H, W], False where a pixel has no temperature.
+        facts: what the file says besides.
+    """
+
+    temperature_c: Float32[np.ndarray, "h w"] | None
+    relative: Float32[np.ndarray, "h w"] | None
+    valid: Bool[np.ndarray, "h w"]
+    facts: PhotoFacts
+
+    def __post_init__(self) -> None:
+        if (self.temperature_c is None) == (self.relative is None):
+            raise ValueError("a thermal photo holds either temperatures or relative values")

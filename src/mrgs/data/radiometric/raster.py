@@ -1,0 +1,107 @@
+"""TIFF, PNG and JPEG images without a thermal record: finished temperatures, shades of grey, or a colour palette."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+from PIL import Image
+
+from mrgs.data.files import scene_error
+from mrgs.data.radiometric.exif import ExifFacts
+from mrgs.data.radiometric.measurement import masked
+from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
+from mrgs.data.radiometric.pixels import opened
+from mrgs.data.radiometric.units import FLOAT_UNITS, INTEGER_UNITS, Unit, guess_unit
+
+_LUMINANCE = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+"""ITU-R BT.601, as in JPEG."""
+
+_GREY_TOLERANCE = 8
+"""Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG in colour."""
+
+_NO_CELSIUS = "relative values from 0 to 1 are used, and °C cannot be had from it."
+
+
+def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
+    """The photo in an image file, given its content.
+
+    Raises:
+        SceneError: damaged, of an unknown scale, or with bounds for what is not grey.
+    """
+    with opened(io.BytesIO(data), path, ("TIFF", "PNG", "JPEG")) as image:
+        kind, mode = str(image.format), image.mode
+        pixels = np.array(image.convert(_plain_mode(image)))
+    facts = PhotoFacts(f"{kind} image", camera=exif.model, taken=exif.taken, gps=exif.gps)
+    if pixels.ndim == 3:
+        return _from_colours(pixels, path, facts, overrides)
+    if mode == "F":
+        return finished(pixels, FLOAT_UNITS, path, facts, overrides)
+    if pixels.dtype == np.uint8:
+        return _from_grey(pixels.astype(np.float32) / 255, path, facts, overrides)
+    values = pixels.astype(np.float32)
+    if overrides.bounds_c is not None:
+        if values.min() < 0 or values.max() > 65535:
+            raise scene_error(path, "holds integers that are no 16-bit shades of grey; give --unit instead of --bounds")
+        return _from_grey(values / 65535, path, facts, overrides)
+    return finished(values, INTEGER_UNITS, path, facts, overrides)
+
+
+def finished(
+    values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], path: Path, facts: PhotoFacts, overrides: Overrides
+) -> ThermalPhoto:
+    """The photo of numbers that are temperatures in the given unit, or in the one candidate that is plausible.
+
+    A single candidate is certain: the file says so.
+
+    Raises:
+        SceneError: the unit is not given and not plain, or no number is a temperature.
+    """
+    text = overrides.unit or (candidates[0] if len(candidates) == 1 else guess_unit(values, candidates, path))
+    with np.errstate(invalid="ignore"):  # damaged files hold signalling NaN
+        celsius, valid = masked(Unit.parse(text).celsius(values.astype(np.float64)))
+    if not valid.any():
+        raise scene_error(path, f"none of its numbers is a temperature in {text}; give the right --unit")
+    notes = () if overrides.unit else (f"The numbers are taken for {text}.",)
+    unused = () if overrides.bounds_c is None else ("bounds_c had no effect: the numbers are temperatures.",)
+    return ThermalPhoto(celsius, None, valid, facts.adding(notes=notes, warnings=unused))
+
+
+def _plain_mode(image: Image.Image) -> str:
+    """A mode whose array is [H, W] of integers or floats, or [H, W, 3] of 8-bit colours."""
+    if image.mode == "F" or image.mode.startswith("I"):
+        return image.mode
+    return "L" if image.mode in ("1", "L", "LA", "La") else "RGB"
+
+
+def _from_grey(values: Float32[np.ndarray, "h w"], path: Path, facts: PhotoFacts, overrides: Overrides) -> ThermalPhoto:
+    """Shades of grey, 0 to 1: temperatures if their bounds are given, else relative."""
+    if overrides.unit is not None:
+        raise scene_error(path, "holds shades of grey, not temperatures; give --bounds with the °C of black and white")
+    everywhere = np.ones(values.shape, dtype=bool)
+    if overrides.bounds_c is None:
+        doubt = f"The file holds shades of grey without a scale: {_NO_CELSIUS[:-1]} without --bounds."
+        return ThermalPhoto(None, values, everywhere, facts.adding(warnings=(doubt,)))
+    low, high = overrides.bounds_c
+    return ThermalPhoto(low + values * np.float32(high - low), None, everywhere, facts)
+
+
+def _from_colours(pixels: np.ndarray, path: Path, facts: PhotoFacts, overrides: Overrides) -> ThermalPhoto:
+    grey = pixels.astype(np.float32) @ _LUMINANCE / 255
+    if _is_grey(pixels):
+        return _from_grey(grey, path, facts, overrides)
+    if overrides.bounds_c is not None or overrides.unit is not None:
+        raise scene_error(
+            path, "shows a colour palette, from which °C cannot be had; export it in white-hot grey, or as 16-bit TIFF"
+        )
+    doubt = f"The file shows colours and holds no temperatures: {_NO_CELSIUS} Brighter need not be warmer."
+    return ThermalPhoto(None, grey, np.ones(grey.shape, dtype=bool), facts.adding(warnings=(doubt,)))
+
+
+def _is_grey(pixels: np.ndarray) -> bool:
+    """Whether nearly all pixels have three equal channels; a printed logo may be coloured."""
+    spread = pixels.max(axis=2).astype(int) - pixels.min(axis=2)
+    coloured: Bool[np.ndarray, "h w"] = spread > _GREY_TOLERANCE
+    return float(coloured.mean()) < 0.01

@@ -1,0 +1,58 @@
+"""The photo in visible light that many thermal cameras store beside the thermal one, and where it lies on it."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from mrgs.data.radiometric.pixels import opened
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the camera lays its visible photo over the thermal one, at the distance it was focused on.
+
+    Attributes:
+        real_to_ir: width of the visible photo over the width of the part of it that the thermal photo shows.
+        offset_x_px: from the visible photo's centre to that of the thermal photo in it, its pixels, to the right.
+        offset_y_px: the same, downwards.
+        picture_in_picture_px: the thermal inset in the displayed picture: left, right, top, bottom.
+    """
+
+    real_to_ir: float
+    offset_x_px: int
+    offset_y_px: int
+    picture_in_picture_px: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleImage:
+    """A visible photo inside a thermal one.
+
+    Attributes:
+        data: the image file, JPEG or PNG, as the camera wrote it.
+        source: the file that it was found in, for messages.
+        alignment: None if the camera does not say.
+    """
+
+    data: bytes
+    source: Path
+    alignment: Alignment | None
+
+    def pixels(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The photo in RGB.
+
+        Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red, green and blue.
+
+        Raises:
+            SceneError: the photo is damaged.
+        """
+        with opened(io.BytesIO(self.data), self.source, ("JPEG", "PNG")) as image:
+            if image.format == "PNG" and image.mode == "RGB":
+                image = Image.merge("YCbCr", image.split())
+            return np.array(image.convert("RGB"), dtype=np.uint8)

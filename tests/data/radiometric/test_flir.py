@@ -1,0 +1,265 @@
+"""FLIR photos: what is written by hand comes back, and what is damaged is named."""
+
+from __future__ import annotations
+
+import io
+import struct
+from datetime import datetime
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.data.radiometric import GpsPosition, Overrides, read_thermal_photo
+from mrgs.errors import SceneError
+
+
+def expected_celsius(counts: np.ndarray, planck: dict, parameters: dict) -> np.ndarray:
+    """The measurement formula, solved by bisection on the object's temperature: nothing is inverted by hand."""
+    alpha1, alpha2, beta1, beta2, x = 0.006569, 0.01262, -0.002276, -0.00667, 1.9
+    t = parameters["atmospheric_c"]
+    water = parameters["humidity"] * np.exp(1.5587 + 6.939e-2 * t - 2.7816e-4 * t**2 + 6.8455e-7 * t**3)
+    root = np.sqrt(parameters["distance_m"])
+    tau = x * np.exp(-root * (alpha1 + beta1 * np.sqrt(water)))
+    tau += (1 - x) * np.exp(-root * (alpha2 + beta2 * np.sqrt(water)))
+    eps, window = parameters["emissivity"], parameters["window_transmission"]
+
+    def signal(celsius):
+        exponential = np.exp(planck["b"] / (celsius + 273.15))
+        return planck["r1"] / (planck["r2"] * (exponential - planck["f"])) - planck["o"]
+
+    def total(celsius):
+        at_window = eps * tau * signal(celsius) + (1 - eps) * tau * signal(parameters["reflected_c"])
+        at_window += (1 - tau) * signal(parameters["atmospheric_c"])
+        return window * at_window + (1 - window) * signal(parameters["window_c"])
+
+    low, high = np.full(counts.shape, -100.0), np.full(counts.shape, 400.0)
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = total(middle) > counts
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return low
+
+
+@pytest.mark.parametrize("storage", ["bare", "png", "swapped png"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_every_storage_gives_the_same_temperatures(flir, save, storage, order):
+    written = flir(storage=storage, order=order)
+    photo = read_thermal_photo(save("a.jpg", written.jpeg()))
+    expected = expected_celsius(written.raw.astype(float), written.planck, written.parameters)
+    assert photo.temperature_c.dtype == np.float32
+    np.testing.assert_allclose(photo.temperature_c, expected, atol=1e-3)
+    assert photo.valid.all()
+    assert photo.relative is None
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"emissivity": 0.6},
+        {"distance_m": 150.0},
+        {"reflected_c": -40.0},
+        {"atmospheric_c": 35.0, "distance_m": 80.0},
+        {"humidity": 0.9, "distance_m": 80.0},
+        {"window_c": 60.0, "window_transmission": 0.7},
+    ],
+)
+def test_parameters_from_the_file_and_given_by_hand_are_equal(flir, save, changed):
+    plain, stored = flir(), flir()
+    stored.parameters.update(changed)
+    expected = expected_celsius(plain.raw.astype(float), plain.planck, stored.parameters)
+    from_file = read_thermal_photo(save("a.jpg", stored.jpeg()))
+    by_hand = read_thermal_photo(save("b.jpg", plain.jpeg()), Overrides(**changed))
+    np.testing.assert_allclose(from_file.temperature_c, expected, atol=2e-3)
+    np.testing.assert_allclose(by_hand.temperature_c, expected, atol=2e-3)
+    before = read_thermal_photo(save("b.jpg", plain.jpeg())).temperature_c
+    assert np.abs(by_hand.temperature_c - before).max() > 0.05
+    assert by_hand.facts.parameters == from_file.facts.parameters
+
+
+def test_humidity_in_per_cent(flir, save):
+    written = flir()
+    written.parameters["humidity"] = 40.0
+    assert read_thermal_photo(save("a.jpg", written.jpeg())).facts.parameters.humidity == 0.4
+
+
+def test_facts(flir, save):
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = "FLIR Systems AB", "Ex"
+    exif.get_ifd(0x8769)[0x9003] = "2024:02:03 04:05:06"
+    exif.get_ifd(0x8769)[0x9291] = "50"
+    exif.get_ifd(0x8825).update({1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 0.0, 0.0), 5: b"\1", 6: 12.5})
+    facts = read_thermal_photo(save("a.jpg", flir(exif=exif).jpeg())).facts
+    assert (facts.camera, facts.serial) == ("Test Camera", "4711")
+    assert facts.taken == datetime(2024, 2, 3, 4, 5, 6, 500_000)
+    assert facts.gps == GpsPosition(-33.51, 151.0, -12.5)
+    assert facts.calibrated_c == (-20.0, 120.0)
+    assert facts.parameters.emissivity == 0.95
+    assert facts.visible is None
+
+
+def test_the_scale_of_the_picture_follows_the_formula(flir, save):
+    written = flir()
+    low, high = read_thermal_photo(save("a.jpg", written.jpeg())).facts.scale_c
+    ends = expected_celsius(np.array([15000.0, 17000.0]), written.planck, written.parameters)
+    np.testing.assert_allclose([low, high], ends, atol=0.01)
+
+
+def test_a_bare_record_and_its_time(flir, save):
+    photo = read_thermal_photo(save("a.fff", flir().record()))
+    assert photo.facts.taken == datetime(2013, 3, 12, 16, 31, 23, 250_000)
+    assert photo.facts.source == "FLIR thermal record"
+    assert photo.valid.all()
+
+
+def test_many_parts(flir, save):
+    written = flir(part_bytes=9)  # more parts than one byte counts
+    photo = read_thermal_photo(save("a.jpg", written.jpeg()))
+    reference = read_thermal_photo(save("b.jpg", flir().jpeg()))
+    np.testing.assert_array_equal(photo.temperature_c, reference.temperature_c)
+
+
+def colours() -> np.ndarray:
+    pixels = np.zeros((16, 24, 3), dtype=np.uint8)
+    pixels[:, :12] = (200, 40, 30)
+    pixels[:, 12:] = (20, 60, 190)
+    return pixels
+
+
+def test_visible_photo_as_jpeg(flir, save):
+    file = io.BytesIO()
+    Image.fromarray(colours()).save(file, "JPEG", quality=95)
+    visible = read_thermal_photo(save("a.jpg", flir(visible=file.getvalue()).jpeg())).facts.visible
+    assert visible.data == file.getvalue()
+    assert np.abs(visible.pixels().astype(int) - colours())[:, [2, 20]].max() < 12
+    assert (visible.alignment.real_to_ir, visible.alignment.offset_x_px, visible.alignment.offset_y_px) == (1.5, 3, -4)
+    assert visible.alignment.picture_in_picture_px == (10, 20, 30, 40)
+
+
+def test_visible_photo_as_png_holds_luma_and_chroma(flir, save):
+    file = io.BytesIO()
+    luma_chroma = np.array(Image.fromarray(colours()).convert("YCbCr"))
+    Image.fromarray(luma_chroma).save(file, "PNG")
+    visible = read_thermal_photo(save("a.jpg", flir(visible=file.getvalue()).jpeg())).facts.visible
+    assert np.abs(visible.pixels().astype(int) - colours()).max() <= 4
+
+
+def test_a_visible_photo_of_another_kind_is_left_out_and_said(flir, save):
+    facts = read_thermal_photo(save("a.jpg", flir(visible=b"GIF89a").jpeg())).facts
+    assert facts.visible is None
+    assert any("unknown kind" in warning for warning in facts.warnings)
+
+
+def test_a_damaged_visible_photo_leaves_the_temperatures(flir, save):
+    photo = read_thermal_photo(save("a.jpg", flir(visible=b"\xff\xd8\xff nothing").jpeg()))
+    assert photo.valid.all()
+    with pytest.raises(SceneError, match="cannot be decoded as an image"):
+        photo.facts.visible.pixels()
+
+
+def test_an_alignment_that_cannot_be_is_none(flir, save):
+    written = flir(visible=b"\xff\xd8\xff", alignment=(0.0, 1, 2, 3, 4, 5, 6))
+    assert read_thermal_photo(save("a.jpg", written.jpeg())).facts.visible.alignment is None
+
+
+def test_pixels_without_a_temperature_are_masked(flir, save):
+    written = flir()
+    written.raw[0, :3] = (0, 65535, 1)  # no data, saturated, colder than its surroundings allow
+    photo = read_thermal_photo(save("a.jpg", written.jpeg()))
+    assert not photo.valid[0, :3].any()
+    assert photo.valid.sum() == photo.valid.size - 3
+    np.testing.assert_array_equal(np.isfinite(photo.temperature_c), photo.valid)
+    assert any("are masked" in warning for warning in photo.facts.warnings)
+
+
+def test_temperatures_outside_of_the_calibration_are_said(flir, save):
+    written = flir(info_fields={0x90: struct.pack("<2f", 250 + 273.15, 100 + 273.15)})
+    warnings = read_thermal_photo(save("a.jpg", written.jpeg())).facts.warnings
+    assert any("100 to 250 °C that the camera is calibrated for" in warning for warning in warnings)
+
+
+def test_overrides_without_effect_are_said(flir, save):
+    photo = read_thermal_photo(save("a.jpg", flir().jpeg()), Overrides(unit="kelvin"))
+    assert "unit had no effect: the temperatures follow from the camera's signal." in photo.facts.warnings
+
+
+@pytest.mark.parametrize("record", [0x01, 0x20])
+def test_a_missing_record(flir, save, record, monkeypatch):
+    whole = flir().contents()
+    monkeypatch.setattr(flir, "contents", lambda self: {kind: whole[kind] for kind in whole if kind != record})
+    with pytest.raises(SceneError, match=r"its thermal record holds no (raw image|camera info with the Planck)"):
+        read_thermal_photo(save("a.jpg", flir().jpeg()))
+
+
+@pytest.mark.parametrize("kept", [30, 100, 500, 1400, 2000])
+def test_a_record_that_is_cut_off(flir, save, kept):
+    with pytest.raises(SceneError, match=r"its thermal record (is cut off|does not start as FLIR's do)"):
+        read_thermal_photo(save("a.jpg", flir().jpeg(flir().record()[:kept])))
+
+
+def test_a_file_that_is_cut_off(flir, save):
+    whole = flir(part_bytes=1000).jpeg()
+    for kept in (500, 1500, len(whole) - 900):
+        with pytest.raises(SceneError, match=r"its thermal record is cut off or damaged \(\d of 3 parts are whole\)"):
+            read_thermal_photo(save("a.jpg", whole[:kept]))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({0x58: bytes(12), 0x308: bytes(8)}, "its Planck constants are missing"),
+        ({0x58: struct.pack("<f", float("nan"))}, r"its Planck constants are absurd \(not a number\)"),
+        ({0x58: struct.pack("<f", -3.0)}, r"its Planck constants are absurd \(R1 = -3"),
+        ({0x5C: struct.pack("<f", 3.0)}, r"its Planck constants are absurd \(B = 3\)"),
+        ({0x60: struct.pack("<f", 99.0)}, r"its Planck constants are absurd \(F = 99\)"),
+        ({0x308: struct.pack("<i", -(10**9))}, "its Planck constants are absurd: they give no plausible"),
+        ({0x20: struct.pack("<f", 0.0)}, "its emissivity of 0 is not between 0.01 and 1; .* --emissivity"),
+        ({0x24: struct.pack("<f", float("inf"))}, "its distance_m of inf is not between .* --distance"),
+        ({0x2C: struct.pack("<f", 0.0)}, "its atmospheric_c of -273.15 is not between .* --atmospheric"),
+        ({0x70: struct.pack("<5f", 9, 9, 9, 9, 9)}, "of the radiation pass; give --distance 0"),
+        ({0x00: b"\7\7"}, "its camera info is damaged"),
+    ],
+)
+def test_camera_info_that_cannot_be(flir, save, fields, message):
+    with pytest.raises(SceneError, match=message):
+        read_thermal_photo(save("a.jpg", flir(info_fields=fields).jpeg()))
+
+
+def test_an_absurd_parameter_is_mended_by_hand(flir, save):
+    path = save("a.jpg", flir(info_fields={0x20: struct.pack("<f", 0.0)}).jpeg())
+    assert read_thermal_photo(path, Overrides(emissivity=0.9)).valid.all()
+
+
+def with_raw_data(flir, monkeypatch, content: bytes) -> bytes:
+    monkeypatch.setattr(flir, "raw_data", lambda self: content)
+    return flir().jpeg()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (struct.pack("<3H26x", 2, 0, 9), "its raw image of 0 x 9 pixels cannot be"),
+        (struct.pack("<3H26x", 2, 60000, 60000), "its raw image of 60000 x 60000 pixels cannot be"),
+        (struct.pack("<3H26x", 0, 8, 8), "the header of its raw image is damaged"),
+        (struct.pack("<3H26x", 2, 8, 8) + bytes(100), r"cut off \(100 of 128 bytes of the raw image\)"),
+        (struct.pack("<3H26x", 2, 8, 8) + b"\xff\xd8\xff\xf7", "compressed with JPEG-LS, which is not read"),
+        (struct.pack("<3H26x", 2, 8, 8) + b"\x89PNG\r\n\x1a\n", "its raw image cannot be decoded"),
+    ],
+)
+def test_raw_images_that_cannot_be(flir, save, monkeypatch, content, message):
+    with pytest.raises(SceneError, match=message):
+        read_thermal_photo(save("a.jpg", with_raw_data(flir, monkeypatch, content)))
+
+
+def test_a_raw_png_of_another_size(flir, save, monkeypatch):
+    written = flir(storage="png").raw_data()
+    content = struct.pack("<3H26x", 2, 8, 8) + written[32:]
+    with pytest.raises(SceneError, match=r"32 x 24 pixels of type .* where 8 x 8 of 16 bits are announced"):
+        read_thermal_photo(save("a.jpg", with_raw_data(flir, monkeypatch, content)))
+
+
+def test_a_directory_without_end(flir, save):
+    record = bytearray(flir().record())
+    record[0x1C:0x20] = b"\x7f\xff\xff\xff"
+    with pytest.raises(SceneError, match="lists 2147483647 parts; it is damaged"):
+        read_thermal_photo(save("a.jpg", flir().jpeg(bytes(record))))

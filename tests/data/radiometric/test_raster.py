@@ -1,0 +1,191 @@
+"""Images without a thermal record."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.data.radiometric import Overrides, read_thermal_photo
+from mrgs.errors import ConfigError, SceneError
+
+SCENE_C = np.linspace(5, 30, 20 * 30, dtype=np.float32).reshape(20, 30)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.png"])
+@pytest.mark.parametrize(
+    ("unit", "counts"),
+    [("celsius*100", 100 * SCENE_C), ("kelvin*100", 100 * (SCENE_C + 273.15))],
+)
+def test_sixteen_bits_whose_unit_is_plain(save, name, unit, counts):
+    photo = read_thermal_photo(save(name, np.rint(counts).astype(np.uint16)))
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.0051)
+    assert photo.facts.notes == (f"The numbers are taken for {unit}.",)
+
+
+@pytest.mark.parametrize(
+    ("unit", "counts"),
+    [
+        ("kelvin*10", 10 * (SCENE_C + 273.15)),
+        ("kelvin*25", 25 * (SCENE_C + 273.15)),
+        ("celsius", SCENE_C),
+        ("fahrenheit*100", 100 * (SCENE_C * 1.8 + 32)),
+    ],
+)
+def test_a_given_unit(save, unit, counts):
+    photo = read_thermal_photo(save("a.png", np.rint(counts).astype(np.uint16)), Overrides(unit=unit))
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.51)
+    assert photo.facts.notes == ()
+
+
+def test_signed_sixteen_bits(save):
+    photo = read_thermal_photo(save("a.tif", np.rint(100 * (SCENE_C - 20)).astype(np.int16)))
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C - 20, atol=0.0051)
+
+
+def test_two_units_that_both_fit_are_not_guessed(save):
+    path = save("a.png", np.rint(10 * (SCENE_C + 285)).astype(np.uint16))
+    with pytest.raises(
+        SceneError, match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) may be celsius\*100 or kelvin\*10; give the unit"
+    ):
+        read_thermal_photo(path)
+
+
+def test_no_unit_that_fits(save):
+    with pytest.raises(SceneError, match=r"fit no usual unit; give the unit, such as --unit celsius\*100"):
+        read_thermal_photo(save("a.png", np.full((4, 5), 60000, dtype=np.uint16)))
+
+
+def test_a_unit_that_cannot_be(save):
+    with pytest.raises(SceneError, match="none of its numbers is a temperature in celsius"):
+        read_thermal_photo(save("a.png", np.full((4, 5), 60000, dtype=np.uint16)), Overrides(unit="celsius"))
+
+
+def test_nothing_but_zeros(save):
+    with pytest.raises(SceneError, match="holds no number but 0; it is empty"):
+        read_thermal_photo(save("a.png", np.zeros((4, 5), dtype=np.uint16)))
+
+
+@pytest.mark.parametrize(("unit", "offset"), [("celsius", 0), ("kelvin", 273.15)])
+def test_float_tiff(save, unit, offset):
+    values = SCENE_C + np.float32(offset)
+    values[0, :3] = (np.nan, np.inf, -9999)
+    photo = read_thermal_photo(save("a.tiff", values))
+    assert not photo.valid[0, :3].any()
+    assert photo.valid.sum() == photo.valid.size - 3
+    np.testing.assert_array_equal(np.isfinite(photo.temperature_c), photo.valid)
+    np.testing.assert_allclose(photo.temperature_c[photo.valid], SCENE_C[photo.valid], atol=1e-4)
+    assert photo.facts.notes == (f"The numbers are taken for {unit}.",)
+
+
+def test_signalling_nan_is_masked(save):
+    values = SCENE_C.copy()
+    values.view(np.uint32)[0, 0] = 0x7F800001
+    photo = read_thermal_photo(save("a.tiff", values))
+    assert photo.valid.sum() == photo.valid.size - 1
+
+
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_grey_with_bounds(save, dtype, white):
+    pixels = np.array([[0, white], [white // 5, white // 3]], dtype=dtype)
+    photo = read_thermal_photo(save("a.png", pixels), Overrides(bounds_c=(-10, 40)))
+    np.testing.assert_allclose(photo.temperature_c, [[-10, 40], [0, 20 / 3]], atol=1e-3)
+    assert photo.facts.warnings == ()
+
+
+def test_grey_without_bounds_is_relative(save):
+    photo = read_thermal_photo(save("a.png", np.array([[0, 51], [102, 255]], dtype=np.uint8)))
+    np.testing.assert_allclose(photo.relative, [[0, 0.2], [0.4, 1]], atol=1e-6)
+    assert photo.temperature_c is None
+    assert "°C cannot be had from it without --bounds." in photo.facts.warnings[0]
+
+
+def grey_in_colour() -> np.ndarray:
+    return np.repeat(np.rint(SCENE_C * 8)[..., None], 3, axis=2).astype(np.uint8)
+
+
+def test_grey_saved_as_a_jpeg_in_colour(tmp_path):
+    path = tmp_path / "a.jpg"
+    Image.fromarray(grey_in_colour()).save(path, quality=95)
+    photo = read_thermal_photo(path, Overrides(bounds_c=(0, 255 / 8)))
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.6)
+
+
+def test_a_colour_palette_has_no_temperatures_but_is_used(save):
+    pixels = np.zeros((4, 6, 3), dtype=np.uint8)
+    pixels[:, :3], pixels[:, 3:] = (40, 0, 120), (255, 220, 60)
+    path = save("a.png", pixels)
+    photo = read_thermal_photo(path, Overrides(emissivity=0.9))
+    assert photo.temperature_c is None
+    assert photo.valid.all()
+    assert 0 < photo.relative[0, 0] < photo.relative[0, 5] < 1
+    assert "shows colours and holds no temperatures" in photo.facts.warnings[0]
+    assert photo.facts.warnings[1].startswith("emissivity had no effect: the file holds finished numbers")
+    with pytest.raises(SceneError, match="shows a colour palette, from which °C cannot be had"):
+        read_thermal_photo(path, Overrides(bounds_c=(0, 1)))
+
+
+def test_grey_with_a_unit(save):
+    with pytest.raises(SceneError, match="shades of grey, not temperatures; give --bounds"):
+        read_thermal_photo(save("a.png", np.eye(3, dtype=np.uint8)), Overrides(unit="kelvin"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "a.tif: is empty; copy the photo from the camera again"),
+        (b"hello", "a.tif: is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables"),
+        (b"\x89PNG\r\n\x1a\n", "a.tif: it cannot be decoded as an image"),
+        (b"\xff\xd8\xff\xe0", "a.tif: it cannot be decoded as an image"),
+    ],
+)
+def test_no_image(save, content, message):
+    with pytest.raises(SceneError, match=message):
+        read_thermal_photo(save("a.tif", content))
+
+
+def test_an_image_that_is_cut_off(save):
+    file = io.BytesIO()
+    Image.fromarray(np.rint(100 * SCENE_C).astype(np.uint16)).save(file, "PNG")
+    with pytest.raises(SceneError, match="cannot be decoded as an image"):
+        read_thermal_photo(save("a.png", file.getvalue()[:200]))
+
+
+def test_an_image_that_is_too_large(save, monkeypatch):
+    monkeypatch.setattr("mrgs.data.radiometric.pixels.MAX_PIXELS", 10)
+    with pytest.raises(SceneError, match="megapixels; reduce it before use"):
+        read_thermal_photo(save("a.png", np.zeros((4, 5), dtype=np.uint8)))
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(SceneError, match="cannot be read"):
+        read_thermal_photo(tmp_path / "none.jpg")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"emissivity": 0.0}, "emissivity = 0 is not between 0.01 and 1"),
+        ({"humidity": 50.0}, r"humidity = 50 is not between 0 and 1 \(write 50 % as 0.5\)"),
+        ({"distance_m": float("nan")}, "distance_m = nan is not between"),
+        ({"unit": "rankine"}, "the unit 'rankine' is not known"),
+        ({"unit": "kelvin*0"}, r"the unit 'kelvin\*0' has a factor of 0"),
+        ({"bounds_c": (30.0, 10.0)}, "30 to 10 is no range in °C; give the smaller first"),
+        ({"bounds_c": (1.0, 2.0), "unit": "kelvin"}, "a unit and bounds are both given"),
+    ],
+)
+def test_overrides_that_cannot_be(given, message):
+    with pytest.raises(ConfigError, match=message):
+        Overrides(**given)
+
+
+def test_bounds_without_effect_are_said(save):
+    photo = read_thermal_photo(save("a.tiff", SCENE_C), Overrides(bounds_c=(0, 50)))
+    assert photo.facts.warnings == ("bounds_c had no effect: the numbers are temperatures.",)
+
+
+def test_bounds_for_other_integers(save):
+    with pytest.raises(SceneError, match="no 16-bit shades of grey; give --unit instead of --bounds"):
+        read_thermal_photo(save("a.tif", np.full((3, 4), -5, dtype=np.int16)), Overrides(bounds_c=(0, 50)))

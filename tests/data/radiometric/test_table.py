@@ -1,0 +1,88 @@
+"""Tables of temperatures, in the locales that cameras' programs write."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrgs.data.radiometric import Overrides, read_thermal_photo
+from mrgs.data.radiometric.table import MAX_BYTES
+from mrgs.errors import SceneError
+
+TABLE_C = np.array([[20.5, 21.25, -3.0], [19.0, 18.75, 22.0], [1.5, 2.0, 2.5]])
+
+
+def read(tmp_path, text: str, encoding: str = "utf-8", overrides: Overrides | None = None):
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode(encoding))
+    return read_thermal_photo(path, overrides)
+
+
+def lines(separator: str, decimal: str = ".") -> str:
+    return "".join(separator.join(str(v).replace(".", decimal) for v in row) + "\r\n" for row in TABLE_C.tolist())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        lines(","),
+        lines(";"),
+        lines("\t"),
+        lines(";", ","),
+        lines("\t", ","),
+        lines(", "),
+        lines(";", ",").replace("\r\n", ";\r\n"),
+        '"20,5","21,25","-3,0"\n"19,0","18,75","22,0"\n"1,5","2,0","2,5"\n',
+        "File:;C:\\IR_0001.jpg\nEmissivity:;0,95\n\n" + lines(";", ","),
+        "sep=;\nFrame 1;20,5;21,25;-3\nFrame 2;19;18,75;22\nFrame 3;1,5;2;2,5\nend\n",
+        ",0,1,2\n0,20.5,21.25,-3.0\n1,19,18.75,22\n2,1.5,2,2.5\n",
+        "0,1,2\n20.5,21.25,-3.0\n19,18.75,22\n1.5,2,2.5\n",
+        ";0;1;2\n0;20,5;21,25;-3\n1;19;18,75;22\n2;1,5;2;2,5\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_locales_and_headers(tmp_path, text, encoding):
+    photo = read(tmp_path, text, encoding)
+    np.testing.assert_allclose(photo.temperature_c, TABLE_C, atol=1e-5)
+    assert photo.valid.all()
+
+
+def test_units(tmp_path):
+    assert read(tmp_path, "Temperatur °F\n68;50;32\n14;50;77\n", "latin-1").temperature_c[0].tolist() == [20, 10, 0]
+    np.testing.assert_allclose(
+        read(tmp_path, "293.15,283.15,273.15\n280,281,282\n").temperature_c[0], [20, 10, 0], atol=1e-4
+    )
+    given = read(tmp_path, "273.15,283.15,573.15\n573,573,573\n", overrides=Overrides(unit="kelvin"))
+    np.testing.assert_allclose(given.temperature_c[0], [0, 10, 300], atol=1e-4)
+
+
+def test_missing_numbers_are_masked(tmp_path):
+    photo = read(tmp_path, "20;nan;21\n-9999;20;1e999\n")
+    assert photo.valid.tolist() == [[True, False, True], [False, True, False]]
+    np.testing.assert_array_equal(np.isfinite(photo.temperature_c), photo.valid)
+
+
+@pytest.mark.parametrize("text", ["no table here\n", "a,b,c\nd,e,f\n", "1;2\n", "\n\n"])
+def test_no_table(tmp_path, text):
+    with pytest.raises(SceneError, match="holds no table of numbers; export the temperatures of all pixels as CSV"):
+        read(tmp_path, text)
+
+
+def test_a_text_that_is_too_long(tmp_path):
+    with pytest.raises(SceneError, match="too long for a table of one photo"):
+        read(tmp_path, "1" * (MAX_BYTES + 1))
+
+
+@given(st.lists(st.lists(st.floats(-50, 90), min_size=4, max_size=4), min_size=2, max_size=6), st.sampled_from(";\t"))
+def test_every_table_comes_back(tmp_path_factory, rows, separator):
+    path = tmp_path_factory.mktemp("tables") / "a.csv"
+    path.write_text("\n".join(separator.join(f"{v:.3f}".replace(".", ",") for v in row) for row in rows))
+    photo = read_thermal_photo(path, Overrides(unit="celsius"))
+    np.testing.assert_allclose(photo.temperature_c, rows, atol=6e-4)
+
+
+def test_numbers_that_no_float32_holds_are_masked(tmp_path):
+    photo = read(tmp_path, "20;1e300;inf\n20;21;22\n", overrides=Overrides(unit="celsius"))
+    assert photo.valid.tolist() == [[True, False, False], [True, True, True]]
