@@ -87,6 +87,19 @@ def test_temperatures_are_celsius_where_the_scale_is_known():
         _ = bake(model, CAMERAS, None).temperatures_c
 
 
+def test_a_subset_has_the_rows_in_their_order():
+    baked = bake(make_model(), CAMERAS, TemperatureRange(10.0, 30.0))
+    rows = torch.tensor([7, 3, 40])
+    subset = baked.subset(rows)
+    assert len(subset) == 3
+    assert set(subset.tensors()) == {
+        "means", "quats", "scales", "opacity_rgb", "opacity_thermal", "sh", "temperatures"
+    }  # fmt: skip
+    for name, tensor in baked.tensors().items():
+        assert torch.equal(subset.tensors()[name], tensor[rows]), name
+    assert subset.temperature == baked.temperature
+
+
 def test_a_camera_is_needed():
     with pytest.raises(ValueError, match="without a camera"):
         bake(make_model(), [], None)

@@ -7,10 +7,11 @@ spherical harmonics by least squares over the directions from which the photos w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, evaluate_sh
@@ -61,6 +62,16 @@ class BakedModel:
 
     def __len__(self) -> int:
         return self.means.shape[0]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """What each splat has, by name, in the order of declaration (not copied)."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, Tensor)}
+
+    def subset(self, rows: Int64[Tensor, " k"]) -> BakedModel:
+        """Some of the splats, in the order of ``rows``."""
+        picked: dict[str, Any] = {name: tensor[rows] for name, tensor in self.tensors().items()}
+        return replace(self, **picked)
 
     @property
     def temperatures_c(self) -> Float[Tensor, " n"]:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mrgs.baked import BakedModel
-from mrgs.report.spots import find_spots, project, unproject
+from mrgs.report.spots import find_spots
 from mrgs.scene import Camera, Pixels, PosedImage, TemperatureRange, View
 
 HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
@@ -88,10 +88,11 @@ def test_the_view_that_is_named_sees_the_spot():
     all_views = views()
     hottest, _ = find_spots(all_views, plane().render)
     camera = all_views[hottest[0].view].thermal.camera
-    x, y, depth = project(camera, hottest[0].position)
+    pixel, depth = camera.project(torch.from_numpy(hottest[0].position))
+    column, row = pixel.int().tolist()
     rendering = plane().render(camera)
-    assert rendering.thermal[int(y), int(x), 0].item() == pytest.approx(0.9, abs=0.01)
-    assert rendering.depth_thermal[int(y), int(x)].item() == pytest.approx(depth, rel=0.02)
+    assert rendering.thermal[row, column, 0].item() == pytest.approx(0.9, abs=0.01)
+    assert rendering.depth_thermal[row, column].item() == pytest.approx(depth.item(), rel=0.02)
 
 
 def test_two_views_are_enough_where_there_are_no_more():
@@ -105,9 +106,3 @@ def test_nothing_is_found_where_nothing_is_seen():
         torch.tensor([0.5]), torch.tensor([0.5]), torch.zeros(1, 16, 3), torch.tensor([0.5]), None,
     ).render) == ([], [])  # fmt: skip
     assert find_spots(views(thermal=False), plane().render) == ([], [])
-
-
-def test_unprojecting_undoes_projecting():
-    camera, point = camera_at(0.7), np.array([0.2, -0.1, 0.3])
-    x, y, depth = project(camera, point)
-    np.testing.assert_allclose(unproject(camera, *(np.array([v]) for v in (x, y, depth)))[0], point, atol=1e-12)

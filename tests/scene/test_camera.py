@@ -9,6 +9,8 @@ from mrgs.scene import Camera
 SIZES = st.integers(1, 5_000)
 FOCALS = st.floats(0.2, 5.0)
 PLACES = st.floats(0.0, 1.0)
+SHARES = st.floats(-3.0, 3.0)
+DEPTHS = st.floats(0.01, 1_000.0)
 
 
 def camera(width: int = 40, height: int = 30, fx: float = 35.0, fy: float = 50.0) -> Camera:
@@ -35,6 +37,56 @@ def test_resizing_keeps_every_ray(width, height, new_width, new_height, fx, fy, 
     assert (resized.width, resized.height) == (new_width, new_height)
     torch.testing.assert_close(ray(resized, u, v), ray(original, u, v), rtol=1e-9, atol=1e-9)
     assert torch.equal(resized.viewmat, original.viewmat)
+
+
+@given(st.lists(st.tuples(SHARES, SHARES, DEPTHS), min_size=1, max_size=4), FOCALS, FOCALS)
+def test_unprojecting_and_projecting_undo_each_other(places, fx, fy):
+    """Within the image and beside it, near and far; also in batches of more than one axis."""
+    original = camera(40, 30, 40 * fx, 30 * fy)
+    u, v, depth = torch.tensor(places, dtype=torch.float64).unbind(dim=1)
+    pixels = torch.stack([40 * u, 30 * v], dim=1)
+    points = original.unproject(pixels, depth)
+    seen_at, seen_depth = original.project(points)
+    torch.testing.assert_close(seen_at, pixels, rtol=1e-9, atol=1e-6)
+    torch.testing.assert_close(seen_depth, depth, rtol=1e-9, atol=1e-9)
+    again = original.unproject(seen_at[:, None], seen_depth[:, None])[:, 0]
+    torch.testing.assert_close(again, points, rtol=1e-9, atol=1e-6)
+
+
+@given(st.tuples(*[st.floats(-50, 50)] * 3))
+def test_projecting_is_the_pinhole_equation(place):
+    """K · (R X + t), divided by its third coordinate."""
+    original, point = camera(), torch.tensor(place, dtype=torch.float64)
+    homogeneous = original.K @ (original.viewmat[:3, :3] @ point + original.viewmat[:3, 3])
+    pixel, depth = original.project(point)
+    torch.testing.assert_close(depth, homogeneous[2])
+    if depth > 1e-3:
+        torch.testing.assert_close(pixel, homogeneous[:2] / homogeneous[2])
+    else:
+        assert depth > 0 or pixel.isnan().all()
+
+
+def test_what_is_not_before_the_camera_appears_nowhere():
+    original = camera()
+    beside = original.position + original.viewmat[0, :3]
+    pixels, depth = original.project(torch.stack([original.position - original.forward, beside, original.position]))
+    assert pixels.isnan().all()
+    torch.testing.assert_close(depth, torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64), rtol=0, atol=1e-12)
+    assert not original.contains(pixels).any()
+
+
+def test_an_image_contains_its_upper_and_left_border_but_not_the_others():
+    inside = torch.tensor([[0.0, 0.0], [39.99, 29.99]])
+    outside = torch.tensor([[40.0, 5.0], [5.0, 30.0], [-0.01, 5.0], [5.0, -0.01], [float("nan"), 5.0]])
+    assert camera().contains(inside).all()
+    assert not camera().contains(outside).any()
+
+
+def test_the_precision_is_that_of_what_is_given():
+    point = torch.tensor([0.5, 1.0, 5.0])
+    pixel, depth = camera().project(point)
+    assert {pixel.dtype, depth.dtype} == {torch.float32}
+    torch.testing.assert_close(camera().unproject(pixel, depth), point)
 
 
 def test_position_and_forward_are_the_axes_of_the_camera():

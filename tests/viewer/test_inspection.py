@@ -140,15 +140,17 @@ def test_what_cannot_be_written_is_named(subject, camera):
         inspection.screenshot()
 
 
-def test_a_path_becomes_a_video(inspection, camera, balls, monkeypatch):
-    monkeypatch.setattr("mrgs.evaluation.video.can_write_mp4", lambda: False)
-    monkeypatch.setattr("mrgs.viewer.inspection.can_write_mp4", lambda: False)
+@pytest.mark.parametrize("with_mp4", [True, False])
+def test_a_path_becomes_a_video(inspection, balls, monkeypatch, with_mp4):
+    monkeypatch.setattr("mrgs.evaluation.video.can_write_mp4", lambda: with_mp4)
+    monkeypatch.setattr("mrgs.viewer.inspection.can_write_mp4", lambda: with_mp4)
     for view in balls.train[:2]:
         inspection.picture(view.cameras[0].resized(80, 60), coarse=False)
         inspection.add_keyframe()
     told = []
-    folder = inspection.render_video(0.25, lambda done, total: told.append((done, total)))
-    assert folder.name == "0001"
+    path = inspection.render_video(0.25, lambda done, total: told.append((done, total)))
+    folder = path.with_suffix("")
+    assert (path.name, path.is_file()) == (("0001.mp4", True) if with_mp4 else ("0001", False))
     assert [path.name for path in sorted(folder.iterdir())] == [f"{index:05d}.png" for index in range(6)]
     with Image.open(folder / "00000.png") as first:
         assert first.size == (80, 60)

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from mrgs.viewer.layout import panes_of, place_at
-from mrgs.viewer.picking import project
 
 
 @pytest.mark.parametrize("mode", ["rgb", "temperature", "depth", "blend", "split"])
@@ -19,10 +18,10 @@ def test_side_by_side_shows_the_same_middle_twice(camera):
     left, right = panes_of("side_by_side", camera, None)
     assert (left.content, right.content) == ("rgb", "temperature")
     assert (left.left, right.left, left.camera.width) == (0, 80, 80)
-    whole = project(camera, np.array([0.0, 0.1, 0.2]))
-    half = project(right.camera, np.array([0.0, 0.1, 0.2]))
-    assert half[0] == pytest.approx(whole[0] - 40)
-    assert half[1:] == pytest.approx(whole[1:])
+    whole, depth = camera.project(torch.tensor([0.0, 0.1, 0.2]))
+    half, same_depth = right.camera.project(torch.tensor([0.0, 0.1, 0.2]))
+    torch.testing.assert_close(half, whole - torch.tensor([40.0, 0.0]))
+    assert same_depth == depth
 
 
 def test_photos_stand_beside_the_model(camera, balls):

@@ -80,9 +80,10 @@ def test_looking_never_takes_more_than_its_share(small_run, pool):
 
 
 def test_painting_counts_too(small_run, pool):
-    clock = Clock()
-    source = LiveSource(clock=clock)
-    source.charge(1.0)
+    clock, thread_clock = Clock(), Clock()
+    source = LiveSource(clock=clock, thread_clock=thread_clock)
+    for thread_clock.now in (0.4, 1.0):  # each counts from the one before
+        source.charge()
     future = queued(source, pool, lambda _: "drawn")
     clock.now = 20.0
     source.serve(small_run.model)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
+import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from mrgs.scene import Camera
@@ -82,13 +83,10 @@ def visible(
     camera: Camera, positions: Float32[np.ndarray, "n 3"]
 ) -> tuple[Int64[np.ndarray, " m"], tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]], Float32[np.ndarray, " m"]]:
     """The points inside a camera's image: their rows, their pixels (row, column) and their z-depth."""
-    viewmat, K = camera.viewmat.numpy().astype(np.float32), camera.K.numpy().astype(np.float32)
-    x, y, z = viewmat[:3, :3] @ positions.T + viewmat[:3, 3:]
-    before = z > 1e-6
-    safe = np.where(before, z, np.float32(1))
-    column, row = K[0, 0] * x / safe + K[0, 2], K[1, 1] * y / safe + K[1, 2]
-    rows = np.flatnonzero(before & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
-    return rows, (row[rows].astype(np.int64), column[rows].astype(np.int64)), z[rows]
+    pixels, depth = camera.project(torch.from_numpy(positions))
+    rows = camera.contains(pixels).nonzero()[:, 0]
+    column, row = pixels[rows].long().unbind(dim=1)
+    return rows.numpy(), (row.numpy(), column.numpy()), depth[rows].numpy()
 
 
 def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:
@@ -117,9 +115,7 @@ def _band(maps: Sequence[DepthMap], grid: Grid) -> Bool[np.ndarray, "x y z"]:
 def _unproject(item: DepthMap, offsets: Sequence[float]) -> Iterator[Float64[np.ndarray, "m 3"]]:
     """World coordinates of the pixels whose depth is known, each offset added to the depth in turn."""
     row, column = np.nonzero(np.isfinite(item.depth))
-    K, viewmat = item.camera.K.numpy(), item.camera.viewmat.numpy()
-    x, y = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
-    rays = np.stack([x, y, np.ones_like(x)], axis=1) @ viewmat[:3, :3]
-    depth = item.depth[row, column].astype(np.float64)
+    pixels = torch.from_numpy(np.stack([column, row], axis=1) + 0.5)
+    depth = torch.from_numpy(item.depth[row, column].astype(np.float64))
     for offset in offsets:
-        yield item.camera.position.numpy() + (depth + offset)[:, None] * rays
+        yield item.camera.unproject(pixels, depth + offset).numpy()

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.ndimage
 from jaxtyping import Bool, Float32
 
 from mrgs.baked import BakedModel
@@ -74,23 +73,9 @@ def _cameras(scene: Scene) -> list[Camera]:
 def _depth_map(baked: BakedModel, camera: Camera, by_color: bool) -> DepthMap:
     """The mean depth of what a pixel shows, and its colour and temperature."""
     rendering = baked.render(camera)
-    depth, alpha = (
-        (rendering.depth_rgb, rendering.alpha_rgb) if by_color else (rendering.depth_thermal, rendering.alpha_thermal)
-    )
+    depth = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
     assert rendering.rgb is not None
     assert rendering.thermal is not None
-    assert depth is not None
-    assert alpha is not None
-    opaque = to_float32(alpha)
-    mean = np.where(opaque > MIN_ALPHA, to_float32(depth) / opaque.clip(MIN_ALPHA), np.nan).astype(np.float32)
-    mean[_on_outline(mean)] = np.nan
     thermal = rendering.thermal if baked.temperature is None else baked.temperature.to_celsius(rendering.thermal)
     image = np.concatenate([to_float32(rendering.rgb), to_float32(thermal)], axis=2)
-    return DepthMap(camera, mean, image)
-
-
-def _on_outline(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels where a near and a far surface meet; their mean depth lies on neither."""
-    near = scipy.ndimage.minimum_filter(np.nan_to_num(depth, nan=np.inf), 3)
-    far = scipy.ndimage.maximum_filter(np.nan_to_num(depth, nan=-np.inf), 3)
-    return far - near > MAX_STEP * np.nan_to_num(depth, nan=np.inf)
+    return DepthMap(camera, to_float32(depth), image)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from mrgs.baked import BakedModel
@@ -98,7 +98,7 @@ def require_exportable(baked: BakedModel) -> None:
     if len(baked) == 0:
         raise RunError("the model has no splats, so there is nothing to export: train it anew")
     broken = torch.zeros(len(baked), dtype=torch.bool)
-    for tensor in _parameters(baked):
+    for tensor in baked.tensors().values():
         broken |= ~tensor.reshape(len(baked), -1).isfinite().all(dim=1).cpu()
     if broken.any():
         raise RunError(
@@ -133,18 +133,11 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
     total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
     for index in spread(len(cameras), MEAN_OVER):
         camera = cameras[index]
-        seen = torch.where(_in_image(baked.means, camera), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
+        seen = torch.where(camera.contains(camera.project(baked.means)[0]), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
         total += seen * baked.colors(camera.position.to(baked.means))
         weight += seen
     dc = ((total / weight).clamp(0, 1) - 0.5) / C0
     return _splats(baked, baked.opacity_rgb, to_float32(dc[:, None]))
-
-
-def _in_image(means: Float[Tensor, "n 3"], camera: Camera) -> Bool[Tensor, " n"]:
-    viewmat, K = camera.viewmat.to(means), camera.K.to(means)
-    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)
-    column, row = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
-    return (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
 
 
 def shown_temperatures(baked: BakedModel) -> Float32[np.ndarray, " n"]:
@@ -165,18 +158,6 @@ def to_bytes(values: Float32[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape
 def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
     """A tensor as a float32 array in main memory."""
     return tensor.detach().float().cpu().numpy()
-
-
-def _parameters(baked: BakedModel) -> list[Tensor]:
-    return [
-        baked.means,
-        baked.quats,
-        baked.scales,
-        baked.opacity_rgb,
-        baked.opacity_thermal,
-        baked.sh,
-        baked.temperatures,
-    ]
 
 
 def _splats(baked: BakedModel, opacities: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:

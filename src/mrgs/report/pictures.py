@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from PIL import Image, ImageDraw
 
@@ -13,7 +15,7 @@ from mrgs.evaluation.drawing import INK, Scale, draw_text, text_width
 from mrgs.evaluation.palette import colorize
 from mrgs.evaluation.pictures import to_array, to_rgb8
 from mrgs.render import Rendering
-from mrgs.report.spots import Renderer, Spot, project, surface
+from mrgs.report.spots import Renderer, Spot
 from mrgs.scene import Camera, View
 
 OVERVIEW_PX = 720
@@ -92,8 +94,7 @@ def photo_value(view: View, spot: Spot) -> float | None:
     values = to_array(pixels.values[..., 0])
     if pixels.valid is not None:
         values = np.where(pixels.valid.numpy(), values, np.nan)
-    x, y, _ = project(view.thermal.camera, spot.position)
-    row, column = int(y), int(x)
+    column, row = (int(value) for value in _pixel(view.thermal.camera, spot))
     patch = values[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
     return float(np.nanmean(patch)) if patch.size and np.isfinite(patch).any() else None
 
@@ -102,14 +103,21 @@ def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
     """Names of the spots that the view's thermal camera sees: inside the image and not hidden."""
     assert view.thermal is not None
     camera = view.thermal.camera
-    _, depth, _ = surface(render(camera))
+    surface = render(camera).surface_depth("thermal")
     seen = []
     for name, spot in spots.items():
-        x, y, z = project(camera, spot.position)
-        inside = z > 0 and 0 <= x < camera.width and 0 <= y < camera.height
-        if inside and abs(depth[int(y), int(x)] - z) <= SAME_DEPTH * z:
-            seen.append(name)
+        pixel, depth = camera.project(torch.from_numpy(spot.position))
+        if camera.contains(pixel):
+            column, row = pixel.int().tolist()
+            if abs(surface[row, column] - depth) <= SAME_DEPTH * depth:  # false for NaN
+                seen.append(name)
     return seen
+
+
+def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
+    """Column and row of a spot, which may lie outside the image; NaN if it is not before the camera."""
+    column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
+    return column, row
 
 
 def _thermal_picture(rendering: Rendering, scale: Scale, span: Span) -> Image.Image:
@@ -124,8 +132,8 @@ def _enlarged(image: Image.Image, width: int) -> Image.Image:
 
 def _mark(image: Image.Image, camera: Camera, spot: Spot, name: str) -> None:
     """A ring around the spot, and its name beside it."""
-    x, y, z = project(camera, spot.position)
-    if z <= 0:
+    x, y = _pixel(camera, spot)
+    if math.isnan(x):
         return
     x, y = x * image.width / camera.width, y * image.height / camera.height
     _ring(image, x, y)
@@ -145,7 +153,7 @@ def _ring(image: Image.Image, x: float, y: float, radius: int = 10) -> None:
 
 def _crop(image: Image.Image, camera: Camera, spot: Spot) -> Image.Image:
     """A square about the spot, shifted into the image where it would reach beyond, with a ring around the spot."""
-    x, y, _ = project(camera, spot.position)
+    x, y = _pixel(camera, spot)
     side = max(8, round(CROP_SHARE * min(image.size)))
     left = min(max(round(x - side / 2), 0), image.width - side)
     top = min(max(round(y - side / 2), 0), image.height - side)

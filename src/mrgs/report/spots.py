@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from mrgs.render import Rendering
 from mrgs.scene import Camera, View, spread
@@ -133,19 +132,6 @@ def find_spots(views: Sequence[View], render: Renderer, count: int = 3) -> tuple
     return hottest, coldest
 
 
-def surface(
-    rendering: Rendering,
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Temperature (normalised), depth of the surface (divided by alpha), and where there is one."""
-    assert rendering.thermal is not None
-    assert rendering.depth_thermal is not None
-    assert rendering.alpha_thermal is not None
-    alpha = rendering.alpha_thermal.numpy()
-    depth = rendering.depth_thermal.numpy() / np.maximum(alpha, 1e-6)
-    jump = maximum_filter(depth, 3) - minimum_filter(depth, 3)
-    return rendering.thermal[..., 0].numpy(), depth, (alpha >= SURFACE_ALPHA) & (jump <= DEPTH_JUMP * depth)
-
-
 def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts = []
@@ -153,35 +139,23 @@ def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer) -> _
         image = views[index].thermal
         assert image is not None
         camera = image.camera.with_width(min(WIDTH_PX, image.camera.width))
-        values, depth, seen = surface(render(camera))
-        rows, columns = np.nonzero(seen)
+        rendering = render(camera)
+        assert rendering.thermal is not None
+        depth_map = rendering.surface_depth("thermal", SURFACE_ALPHA, DEPTH_JUMP).double().numpy()
+        rows, columns = np.nonzero(np.isfinite(depth_map))
+        values, depth = rendering.thermal[..., 0].numpy()[rows, columns], depth_map[rows, columns]
         border = 0.1 * min(camera.width, camera.height)
         central = (np.minimum(columns, camera.width - columns) > border) & (
             np.minimum(rows, camera.height - rows) > border
         )
-        footprint = depth[seen] / camera.K[0, 0].item()
-        positions = unproject(camera, columns + 0.5, rows + 0.5, depth[seen])
-        parts.append((positions, values[seen], np.full(len(rows), index), central, footprint))
+        footprint = depth / camera.K[0, 0].item()
+        pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
+        positions = camera.unproject(pixels, torch.from_numpy(depth)).numpy()
+        parts.append((positions, values, np.full(len(rows), index), central, footprint))
     if not sum(len(part[0]) for part in parts):
         return None
     positions, values, owners, central, footprints = (np.concatenate(column) for column in zip(*parts, strict=True))
     return _Points(positions, values, owners, central, float(np.median(footprints)))
-
-
-def unproject(
-    camera: Camera, x: Float[np.ndarray, " p"], y: Float[np.ndarray, " p"], depth: Float[np.ndarray, " p"]
-) -> Float[np.ndarray, "p 3"]:
-    """World coordinates of pixels at a z-depth."""
-    K, viewmat = camera.K.numpy(), camera.viewmat.numpy()
-    in_camera = np.stack([(x - K[0, 2]) / K[0, 0] * depth, (y - K[1, 2]) / K[1, 1] * depth, depth], axis=1)
-    return (in_camera - viewmat[:3, 3]) @ viewmat[:3, :3]
-
-
-def project(camera: Camera, position: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    """x and y in pixels, and z-depth, of a point in the world."""
-    x, y, z = (camera.viewmat[:3, :3] @ torch.from_numpy(position).double() + camera.viewmat[:3, 3]).tolist()
-    K = camera.K
-    return K[0, 0].item() * x / z + K[0, 2].item(), K[1, 1].item() * y / z + K[1, 2].item(), z
 
 
 def _sightings(points: _Points) -> tuple[_Sightings, float]:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float64
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
+
+MIN_DEPTH = 1e-6
+"""Scene units; a point nearer to the plane through the camera's centre may lie on either side of it, by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,41 @@ class Camera:
     def forward(self) -> Float64[Tensor, "3"]:
         """The viewing direction (the optical axis) in world coordinates, unit length."""
         return self.viewmat[2, :3]
+
+    def project(self, points: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch"]]:
+        """Where points of the world appear, in the points' precision.
+
+        Args:
+            points: world coordinates in scene units, [..., 3].
+
+        Returns:
+            Pixel coordinates x (right) and y (down), [..., 2], which may lie outside the image, and are NaN for points
+            that are not before the camera (z below ``MIN_DEPTH``); and the z-depths in scene units, [...].
+        """
+        K, viewmat = self.K.to(points), self.viewmat.to(points)
+        in_camera = points @ viewmat[:3, :3].mT + viewmat[:3, 3]
+        depth = in_camera[..., 2]
+        before = torch.where(depth >= MIN_DEPTH, depth, torch.nan)
+        return in_camera[..., :2] / before[..., None] * K.diagonal()[:2] + K[:2, 2], depth
+
+    def unproject(self, pixels: Float[Tensor, "*batch 2"], depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3"]:
+        """The points of the world that appear at pixel coordinates, in the precision of these; undoes ``project``.
+
+        Args:
+            pixels: x and y, [..., 2].
+            depth: z-depths in scene units, [...].
+
+        Returns:
+            World coordinates in scene units, [..., 3].
+        """
+        K, viewmat = self.K.to(pixels), self.viewmat.to(pixels)
+        rays = torch.nn.functional.pad((pixels - K[:2, 2]) / K.diagonal()[:2], (0, 1), value=1.0)
+        return (rays * depth[..., None] - viewmat[:3, 3]) @ viewmat[:3, :3]
+
+    def contains(self, pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
+        """Whether pixel coordinates x and y, [..., 2], lie in the image; NaN does not."""
+        size = pixels.new_tensor([self.width, self.height])
+        return ((pixels >= 0) & (pixels < size)).all(dim=-1)
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera on another pixel grid; the field of view is kept exactly."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -77,7 +76,7 @@ class Browser:
 
     def _connect(self) -> None:
         panel, client = self._panel, self._client
-        client.camera.on_update(lambda _: self._scheduler.moved())
+        client.camera.on_update(self._moved)
         client.scene.on_click()(self._contained(self._clicked))
         for control in panel.pictures():
             control.on_update(self._contained(self._changed))
@@ -94,6 +93,11 @@ class Browser:
         panel.clear_path.on_click(self._contained(self._clear_path))
         panel.save_path.on_click(self._contained(self._save_path))
         panel.render_video.on_click(self._contained(self._render_video))
+
+    async def _moved(self, _: viser.CameraHandle) -> None:
+        """The camera has moved. Being asynchronous, it runs on the server's own thread, whose time it accounts for."""
+        self._subject.source.charge()
+        self._scheduler.moved()
 
     def _contained(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
         """The action; what it raises becomes a line in the panel."""
@@ -131,9 +135,7 @@ class Browser:
         inspection = self.inspection
         image = inspection.picture(self._camera(), coarse)
         quality = COARSE_JPEG_QUALITY if coarse else SHARP_JPEG_QUALITY
-        started = time.thread_time()
         self._client.scene.set_background_image(image, format="jpeg", jpeg_quality=quality)
-        self._subject.source.charge(time.thread_time() - started)
         if coarse:
             return
         panel = self._panel

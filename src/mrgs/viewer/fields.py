@@ -60,16 +60,12 @@ def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
     The thermal blend's where it covers the pixel, else the colour blend's: over a black background the coldest things
     may well be transparent in the thermal blend.
     """
-    depth = None
-    for blended, alpha in (
-        (rendering.depth_rgb, rendering.alpha_rgb),
-        (rendering.depth_thermal, rendering.alpha_thermal),
-    ):
-        if blended is not None and alpha is not None:
-            below = torch.full_like(blended, torch.nan) if depth is None else depth
-            depth = torch.where(alpha >= SOLID_ALPHA, blended / alpha.clamp_min(SOLID_ALPHA), below)
-    assert depth is not None
-    return depth
+    if rendering.thermal is None:
+        return rendering.surface_depth("rgb", SOLID_ALPHA)
+    depth = rendering.surface_depth("thermal", SOLID_ALPHA)
+    if rendering.rgb is None:
+        return depth
+    return torch.where(depth.isnan(), rendering.surface_depth("rgb", SOLID_ALPHA), depth)
 
 
 def photo_fields(photo: PosedImage, temperature: TemperatureRange | None) -> Fields:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from jaxtyping import UInt8
 
 from mrgs.errors import ConfigError
 from mrgs.evaluation.pictures import write_png
-from mrgs.evaluation.video import can_write_mp4, write_frames
+from mrgs.evaluation.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, View
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import Fields, difference, photo_fields, render_pane
@@ -26,7 +25,6 @@ COARSE_SIDE_PX = 400
 """Longest side that is rendered while the camera moves."""
 
 VIDEO_SIDE_PX = 960
-VIDEO_FPS = 24
 PHOTOS_KEPT = 4
 
 
@@ -104,7 +102,6 @@ class Inspection:
             self.view_index = nearest_view(self.subject.views, camera, self.subject.scene.extent, self.view_index)
         settings = self.settings
         frame = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
-        started = time.thread_time()
         scales = measure_scales(frame.panes, frame.fields, settings, self.subject.unit)
         if coarse:
             scales = _known(self._scales, scales, settings)
@@ -114,7 +111,7 @@ class Inspection:
         if not coarse:
             self._scales = scales
             self.box_readings = tuple(next(filter(None, readings), None) for _, readings in boxes)
-        self.subject.source.charge(time.thread_time() - started)
+        self.subject.source.charge()
         return image
 
     def _render(self, settings: Settings, camera: Camera, longest: int | None) -> Frame:
@@ -259,10 +256,13 @@ class Inspection:
         """
         if self.shows_photos:
             raise ConfigError("a video needs a free camera: choose another picture than those with photos")
-        cameras = smooth_path(self.keyframes, round(seconds * VIDEO_FPS))
+        path = smooth_path(self.keyframes, round(seconds * VIDEO_FPS))
+        size = fitted_size(path[0].width, path[0].height, VIDEO_SIDE_PX)
         folder = self.subject.folder / "renders" / "videos"
         target = _next_free(folder, "")
-        write_frames(folder, target.name, self._video_frames(cameras, progress), VIDEO_FPS)
+        with frame_writer(folder, target.name, size) as add:
+            for frame in self._video_frames([camera.resized(*size) for camera in path], progress):
+                add(frame)
         return target.with_suffix(".mp4") if can_write_mp4() else target
 
     def _video_frames(
@@ -270,11 +270,11 @@ class Inspection:
     ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         settings, scales, marks = self.settings, self._scales, self.spots
         for number, camera in enumerate(cameras, start=1):
-            camera = camera.resized(*fitted_size(camera.width, camera.height, VIDEO_SIDE_PX))
             frame = self._render(settings, camera, None)
             measured = measure_scales(frame.panes, frame.fields, settings, self.subject.unit)
             scales = _known(scales, measured, settings)
             yield compose(frame.size, frame.panes, frame.fields, scales, settings, marks)
+            self.subject.source.charge()
             progress(number, len(cameras))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw
 
@@ -13,7 +14,7 @@ from mrgs.evaluation.drawing import INK, PAPER, Scale, draw_text, fit_text, scal
 from mrgs.evaluation.palette import PaletteName, colorize, display_range
 from mrgs.viewer.fields import Fields
 from mrgs.viewer.layout import Pane
-from mrgs.viewer.picking import Box, BoxReading, project
+from mrgs.viewer.picking import Box, BoxReading
 from mrgs.viewer.settings import Settings
 
 ISOTHERM_COLOR = (0, 230, 118)
@@ -168,10 +169,10 @@ def compose(
 def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[Mark]) -> None:
     draw = ImageDraw.Draw(image)
     for mark in marks:
-        place = project(pane.camera, mark.position)
-        if place is None or _is_hidden(place, fields, image.size):
+        pixel, depth = pane.camera.project(torch.from_numpy(mark.position))
+        if not pane.camera.contains(pixel) or _is_hidden((*pixel.tolist(), depth.item()), fields, image.size):
             continue
-        x, y = round(place[0]), round(place[1])
+        x, y = (round(value) for value in pixel.tolist())
         for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
             draw.line([(x - 9, y), (x + 9, y)], fill=color, width=width)
             draw.line([(x, y - 9), (x, y + 9)], fill=color, width=width)
@@ -179,7 +180,7 @@ def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[
 
 
 def _is_hidden(place: tuple[float, float, float], fields: Fields, size: tuple[int, int]) -> bool:
-    """Whether something stands before the point; without depth (photos) nothing does."""
+    """Whether something stands before a point (x, y, z-depth); without depth (photos) nothing does."""
     if fields.depth is None:
         return False
     height, width = fields.depth.shape

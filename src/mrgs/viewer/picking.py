@@ -96,7 +96,9 @@ def read_point(model: Model, camera: Camera, u: float, v: float, subject: Subjec
             spread = math.sqrt(_blend(model, camera, model.gaussians.opacity_thermal, squares, beyond)[row, column])
     if value is not None and spread is not None and subject.temperature is not None:
         value, spread = subject.temperature.to_celsius(value), spread * subject.temperature.span_c
-    return Reading(_world_point(camera, column, row, depth), depth, depth_spread, value, spread)
+    pixel = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64)
+    position = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
+    return Reading(position, depth, depth_spread, value, spread)
 
 
 def _depth_spread(model: Model, camera: Camera, rendering: Rendering, depth: float, column: int, row: int) -> float:
@@ -131,23 +133,6 @@ def _temperatures(model: Model, camera: Camera) -> Float[Tensor, " n"]:
         position = camera.position.to(model.gaussians.means)
         values = model.field.temperatures(model.gaussians, model.neighbours, position, model.sh_degree)
     return values[:, 0]
-
-
-def _world_point(camera: Camera, column: int, row: int, depth: float) -> Float[np.ndarray, "3"]:
-    """The point at a z-depth behind the centre of a pixel."""
-    K, viewmat = camera.K.numpy(), camera.viewmat.numpy()
-    x, y = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
-    return viewmat[:3, :3].T @ (depth * np.array([x, y, 1.0]) - viewmat[:3, 3])
-
-
-def project(camera: Camera, position: Float[np.ndarray, "3"]) -> tuple[float, float, float] | None:
-    """Pixel coordinates and z-depth of a point; None where it lies behind the camera or outside the image."""
-    x, y, z = camera.viewmat.numpy()[:3, :3] @ position + camera.viewmat.numpy()[:3, 3]
-    if z <= 0:
-        return None
-    K = camera.K.numpy()
-    column, row = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
-    return (float(column), float(row), float(z)) if 0 <= column < camera.width and 0 <= row < camera.height else None
 
 
 def read_box(values: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], box: Box) -> BoxReading | None:

@@ -39,7 +39,7 @@ class TrainedSource:
         with self._lock:
             return job(self._model)
 
-    def charge(self, seconds: float) -> None:
+    def charge(self) -> None:
         """Nothing else waits for the processor."""
 
 
@@ -49,13 +49,21 @@ class LiveSource:
     Args:
         share: of the time that jobs may take.
         clock: seconds, monotonic.
+        thread_clock: processor time of the calling thread, seconds.
     """
 
     max_side_px = 640
 
-    def __init__(self, share: float = LIVE_SHARE, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self,
+        share: float = LIVE_SHARE,
+        clock: Callable[[], float] = time.perf_counter,
+        thread_clock: Callable[[], float] = time.thread_time,
+    ) -> None:
         self._share = share
         self._clock = clock
+        self._thread_clock = thread_clock
+        self._charged = threading.local()
         self._credit_s = 0.0
         self._expected_s = 0.0
         self._last = clock()
@@ -83,10 +91,15 @@ class LiveSource:
                 self._jobs.append((future, job))
         return future.result()
 
-    def charge(self, seconds: float) -> None:
-        """Account for processor time that was spent on a picture outside ``run``."""
+    def charge(self) -> None:
+        """Account for the processor time that the calling thread has used since it last called this, or since it began.
+
+        For the viewer's own threads: painting and serving take time from the training as rendering does.
+        """
+        now = self._thread_clock()
         with self._lock:
-            self._credit_s -= seconds
+            self._credit_s -= now - getattr(self._charged, "until_s", 0.0)
+        self._charged.until_s = now
 
     def serve(self, model: Model) -> None:
         """Run the oldest job if the credit allows; called by the training between two steps. Raises nothing."""

@@ -77,7 +77,7 @@ def write_page(
     _check(modalities, cameras, palette, range_c, max_splats, sh_degree)
     shown = list(cameras.values())
     if max_splats is not None:
-        baked = _rows(baked, most_visible(baked, shown, max_splats))
+        baked = baked.subset(most_visible(baked, shown, max_splats))
     packed = pack(baked, sh_degree)
     kinds = [name for name in MODALITIES if name in modalities]
     facts = {
@@ -160,22 +160,6 @@ def _check(
         raise ConfigError(f"max_splats is {max_splats}; it must be at least 1")
     if sh_degree not in range(4):
         raise ConfigError(f"sh_degree is {sh_degree}; it must be from 0 to 3")
-
-
-def _rows(baked: BakedModel, rows: torch.Tensor) -> BakedModel:
-    """Some of the splats."""
-    return BakedModel(
-        means=baked.means[rows],
-        quats=baked.quats[rows],
-        scales=baked.scales[rows],
-        opacity_rgb=baked.opacity_rgb[rows],
-        opacity_thermal=baked.opacity_thermal[rows],
-        sh=baked.sh[rows],
-        temperatures=baked.temperatures[rows],
-        temperature=baked.temperature,
-        background_rgb=baked.background_rgb,
-        background_thermal=baked.background_thermal,
-    )
 
 
 def _camera(camera: Camera) -> dict[str, Any]:
