@@ -190,3 +190,65 @@ def test_baked_temperatures_give_the_same_images_without_the_thermal_branch(monk
 
 def test_temperatures_that_depend_on_the_view_are_not_baked():
     assert bake_temperatures(make_model(residuals=False)).temperatures is None
+
+
+def rendering_of(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:
+    """A thermal rendering whose surfaces have these depths."""
+    alpha = torch.tensor(alphas)
+    return Rendering(depth_thermal=torch.tensor(depths) * alpha, alpha_thermal=alpha)
+
+
+def test_a_surfaces_depth_is_that_of_the_blend_without_the_background():
+    rendering = rendering_of([[2.0, 2.0, 3.0]], [[0.8, 0.5, 0.4]])
+    expected = torch.tensor([[2.0, 2.0, torch.nan]])
+    torch.testing.assert_close(rendering.surface_depth("thermal"), expected, equal_nan=True)
+    expected[0, 1] = torch.nan
+    torch.testing.assert_close(rendering.surface_depth("thermal", min_alpha=0.6), expected, equal_nan=True)
+
+
+def test_outlines_have_no_depth_where_they_are_not_wanted():
+    """A near and a far surface, both slightly slanted, and a hole, which is no outline of what is beside it."""
+    row = [2.0, 2.01, 2.02, 4.0, 4.02, 4.04, 9.0, 4.1]
+    rendering = rendering_of([row] * 3, [[1.0] * 6 + [0.1, 1.0]] * 3)
+    found = rendering.surface_depth("thermal", max_step=0.05)
+    expected = torch.tensor([row] * 3)
+    expected[:, [2, 3, 6]] = torch.nan
+    torch.testing.assert_close(found, expected, equal_nan=True)
+    assert rendering.surface_depth("thermal").isnan().sum() == 3
+
+
+def test_where_nothing_is_there_is_no_surface():
+    nothing = render(make_model(), *[make_camera(distance=-50.0)] * 2)[0]
+    for modality in ("rgb", "thermal"):
+        assert nothing.surface_depth(modality, max_step=0.1).isnan().all()
+
+
+def test_a_motion_of_the_thermal_camera_is_another_camera():
+    from mrgs.training.image_model import ThermalPoses
+
+    model, camera = make_model(fourier=False), make_camera(0.3)
+    poses = ThermalPoses(views=1, extent=1.0)
+    poses.twists[0].data = torch.tensor([0.05, -0.1, 0.2, 0.1, -0.2, 0.3])
+    motion = poses(0).detach()
+    moved = Camera(camera.K, motion.double() @ camera.viewmat, camera.width, camera.height)
+    # The heads look at the Gaussians where they are, and thermal heads do not look at the camera at all.
+    expected, _ = render(model, None, moved)
+    found, _ = render(model, None, camera, motion)
+    for name, image in images_of(expected).items():
+        torch.testing.assert_close(images_of(found)[name], image, rtol=1e-3, atol=1e-4)
+
+
+def test_the_gradient_of_a_motion(monkeypatch):
+    from mrgs.training.image_model import ThermalPoses
+
+    monkeypatch.setattr(mrgs.render, "rasterize", reference.rasterize)
+    model, camera = make_model(torch.float64, count=8, fourier=False), make_camera(0.3, width=12, height=10)
+    poses = ThermalPoses(views=1, extent=1.0).double()
+
+    def temperature(twist: torch.Tensor) -> torch.Tensor:
+        poses.twists[0].data = twist.detach()
+        motion = torch.func.functional_call(poses, {"twists.0": twist}, (0,))
+        return render(model, None, camera, motion)[0].thermal
+
+    twist = torch.tensor([0.02, -0.03, 0.04, 0.05, 0.0, -0.1], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(temperature, twist, atol=1e-5)

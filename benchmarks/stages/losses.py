@@ -54,7 +54,7 @@ class Losses:
     def smoothness(self) -> tuple[Tensor, ...]:
         """L_smooth of both modalities."""
         terms = [
-            smoothness_loss(image, depth, target, None, EXTENT, self._config)
+            smoothness_loss(image, depth, target, None, EXTENT, 1.0, self._config)
             for image, depth, target in zip(self._images, self._depths, self._targets, strict=True)
         ]
         return torch.autograd.grad(torch.stack(terms).sum(), [*self._images, *self._depths])

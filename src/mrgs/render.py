@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float, Int64
@@ -60,6 +60,30 @@ class Rendering(NamedTuple):
     alpha_rgb: Float[Tensor, "h w"] | None = None
     alpha_thermal: Float[Tensor, "h2 w2"] | None = None
 
+    def surface_depth(
+        self, modality: Literal["rgb", "thermal"], min_alpha: float = 0.5, max_step: float | None = None
+    ) -> Float[Tensor, "h3 w3"]:
+        """z-depth of the surface that a pixel shows, D / A: the blended depth without the share of the background.
+
+        Args:
+            modality: whose blend; it must have been rendered.
+            min_alpha: a pixel that is covered less shows no surface.
+            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one of more lies on an
+                outline, where the mean depth is that of neither surface. None to keep outlines.
+
+        Returns:
+            Scene units, NaN where there is no surface, the image's size.
+        """
+        depth, alpha = (
+            (self.depth_rgb, self.alpha_rgb) if modality == "rgb" else (self.depth_thermal, self.alpha_thermal)
+        )
+        assert depth is not None
+        assert alpha is not None
+        surface = torch.where(alpha >= min_alpha, depth / alpha.clamp_min(min_alpha), torch.nan)
+        if max_step is None:
+            return surface
+        return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
+
 
 class ScreenPoints(NamedTuple):
     """The projected centres of one pass, for densification.
@@ -97,11 +121,21 @@ def render_view(model: Model, view: View) -> Rendering:
 
 
 def render(
-    model: Model, rgb_camera: Camera | None, thermal_camera: Camera | None
+    model: Model,
+    rgb_camera: Camera | None,
+    thermal_camera: Camera | None,
+    thermal_motion: Float[Tensor, "4 4"] | None = None,
 ) -> tuple[Rendering, list[ScreenPoints]]:
     """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in one pass each.
 
-    Differentiable in the Gaussians' parameters and the field's.
+    Differentiable in the Gaussians' parameters, the field's, and the motion.
+
+    Args:
+        model: what to render.
+        rgb_camera: of the RGB image.
+        thermal_camera: of the thermal image.
+        thermal_motion: from the thermal camera's axes to those it is moved to, a rotation and a translation; only
+            where the two cameras differ.
 
     Returns:
         the images, and the projected centres of each pass.
@@ -113,15 +147,27 @@ def render(
         return _rendering(*raster.blends), [points]
     blends: list[Blend | None] = []
     passes = []
-    for camera, make_layer in ((rgb_camera, _rgb_layer), (thermal_camera, _thermal_layer)):
+    for camera, make_layer, motion in (
+        (rgb_camera, _rgb_layer, None),
+        (thermal_camera, _thermal_layer, thermal_motion),
+    ):
         if camera is None:
             blends.append(None)
             continue
         rows = _rows_in_view(model.gaussians, camera)
-        raster, points = _pass(model, [make_layer(model, camera, rows)], camera)
+        raster, points = _pass(model, [make_layer(model, camera, rows)], camera, motion)
         blends.append(raster.blends[0])
         passes.append(points)
     return _rendering(*blends), passes
+
+
+def _depth_range(depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    """Largest minus smallest depth within 3×3 pixels; NaN does not count."""
+    far, minus_near = (
+        torch.nn.functional.max_pool2d(signed.nan_to_num(nan=-torch.inf)[None], 3, stride=1, padding=1)[0]
+        for signed in (depth, -depth)
+    )
+    return far + minus_near
 
 
 def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
@@ -180,15 +226,19 @@ def _scatter(values: Float[Tensor, "v c"], rows: Int64[Tensor, " v"] | None, cou
     return values.new_zeros(count, values.shape[1]).index_copy(0, rows, values)
 
 
-def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, ScreenPoints]:
+def _pass(
+    model: Model, layers: list[Layer], camera: Camera, motion: Float[Tensor, "4 4"] | None = None
+) -> tuple[Raster, ScreenPoints]:
     gaussians = model.gaussians
-    means = gaussians.means
+    means, quats = gaussians.means, gaussians.quats
+    if motion is not None:
+        means, quats = _moved(means, quats, camera.viewmat.to(means), motion)
     offset = torch.zeros(
         len(gaussians), 2, dtype=means.dtype, device=means.device, requires_grad=torch.is_grad_enabled()
     )
     raster = rasterize(
         means,
-        gaussians.quats,
+        quats,
         gaussians.scales,
         layers,
         camera.viewmat.to(means.device),
@@ -198,3 +248,29 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         offset,
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))
+
+
+def _moved(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    viewmat: Float[Tensor, "4 4"],
+    motion: Float[Tensor, "4 4"],
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 4"]]:
+    """The Gaussians moved in the world as the camera's motion moves them in its axes; differentiable in the motion."""
+    R, t = viewmat[:3, :3], viewmat[:3, 3]
+    in_camera = means @ R.T + t
+    moved = in_camera @ motion[:3, :3].T + motion[:3, 3]
+    rotation = R.T @ motion[:3, :3] @ R
+    return (moved - t) @ R, _rotated(quats, rotation)
+
+
+def _rotated(quats: Float[Tensor, "n 4"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "n 4"]:
+    """Quaternions wxyz behind a rotation of less than half a turn."""
+    w = 0.5 * (1 + rotation.diagonal().sum()).sqrt()
+    skew = torch.stack(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    r = skew / (4 * w)
+    crossed = torch.linalg.cross(r.expand(len(quats), 3), quats[:, 1:])
+    scalar = w * quats[:, :1] - (quats[:, 1:] @ r)[:, None]
+    return torch.cat([scalar, w * quats[:, 1:] + quats[:, :1] * r + crossed], dim=1)

@@ -31,7 +31,7 @@ def train(method: str, steps: int = 3) -> dict[str, torch.Tensor]:
     view, photos = workload.view(160, 120), workload.photos(160, 120)
     losses = []
     for _ in range(steps):
-        statistics = training_step(state, view, photos, config, workload.EXTENT, workload.TEMPERATURE)
+        statistics = training_step(state, view, 0, photos, config, workload.SCALE)
         losses.append(statistics.loss)
     tensors = {**state.model.gaussians.tensors(), **state.model.field.state_dict(), "losses": torch.tensor(losses)}
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}

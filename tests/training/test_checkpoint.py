@@ -14,12 +14,14 @@ from mrgs.errors import RunError
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
-from mrgs.training.step import Photos, TrainingState
+from mrgs.training.image_model import Capture
+from mrgs.training.step import TrainingState
+from mrgs.training.terms import Photos, SceneScale
 
 FACTS = CheckpointFacts(
     step=2,
     scene="/somewhere/balls",
-    extent=3.25,
+    capture=Capture(views=6, thermal_size=(40, 30), extent=3.25),
     temperature=TemperatureRange(10.0, 30.0),
     train_seconds=1.5,
     peak_memory_bytes=1_000,
@@ -37,9 +39,10 @@ def state(make_start, config) -> TrainingState:
     """After two steps."""
     scene, state = make_start(config)
     for _ in range(2):
-        view = scene.train[state.sampler.next()]
+        number = state.sampler.next()
+        view = scene.train[number]
         photos = Photos(view.rgb.load(), view.thermal.load())
-        step.training_step(state, view, photos, config, scene.extent, scene.temperature)
+        step.training_step(state, view, number, photos, config, SceneScale(scene.extent, scene.temperature))
     return state
 
 
@@ -61,7 +64,7 @@ def change_header(path: Path, **changes) -> None:
 def test_everything_comes_back(state, path, config, snapshot):
     state.skipped_in_a_row = 2
     save(path, state, FACTS)
-    found, facts = load_state(path, config, view_count=6), load_facts(path)
+    found, facts = load_state(path, config), load_facts(path)
     assert facts == FACTS
     assert load_facts(path) == FACTS
     expected, tensors = snapshot(state), snapshot(found)
@@ -75,7 +78,7 @@ def test_everything_comes_back(state, path, config, snapshot):
 
 
 def test_the_model_comes_back(state, path, config):
-    model, facts = load_model(path, replace(config, sh_every=1, background_rgb=0.5))
+    model, facts, _ = load_model(path, replace(config, sh_every=1, background_rgb=0.5))
     assert facts == FACTS
     assert (model.sh_degree, model.background_rgb, model.background_thermal) == (2, 0.5, 0.0)
     for name, tensor in state.model.gaussians.tensors().items():
@@ -90,7 +93,7 @@ def test_no_known_temperatures_stay_unknown(state, path):
 @pytest.mark.parametrize("keep", [0, 7, 500, -1])
 def test_a_truncated_checkpoint_is_named(keep, path, config):
     path.write_bytes(path.read_bytes()[:keep])
-    for load in (load_facts, lambda path: load_model(path, config), lambda path: load_state(path, config, 6)):
+    for load in (load_facts, lambda path: load_model(path, config), lambda path: load_state(path, config)):
         with pytest.raises(RunError) as caught:
             load(path)
         assert (
@@ -109,7 +112,10 @@ def test_a_file_of_something_else_is_named(header, path):
         load_facts(path)
 
 
-@pytest.mark.parametrize("changes", [{"extent": "removed"}, {"temperature": [30.0, 10.0]}, {"temperature": [1.0]}])
+@pytest.mark.parametrize(
+    "changes",
+    [{"capture": "removed"}, {"capture": {"views": 6}}, {"temperature": [30.0, 10.0]}, {"temperature": [1.0]}],
+)
 def test_a_header_that_lacks_facts_is_named(changes, path):
     change_header(path, **changes)
     with pytest.raises(RunError, match="is not a whole checkpoint"):
@@ -120,12 +126,12 @@ def test_another_format_is_named(path):
     change_header(path, format=99)
     with pytest.raises(RunError) as caught:
         load_facts(path)
-    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 1: train anew"
+    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 2: train anew"
 
 
 def test_another_configuration_is_named(path, config):
     other = replace(config, field=replace(config.field, hidden_width=2 * config.field.hidden_width))
-    for load in (load_model, lambda path, config: load_state(path, config, 6)):
+    for load in (load_model, lambda path, config: load_state(path, config)):
         with pytest.raises(RunError) as caught:
             load(path, other)
         assert str(caught.value) == (

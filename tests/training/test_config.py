@@ -12,9 +12,11 @@ from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
 from mrgs.training.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config, to_yaml
 from mrgs.training.densification import DensificationConfig
+from mrgs.training.image_model import ImageModelConfig
 from mrgs.training.losses import LossConfig
 from mrgs.training.optimizer import OptimizerConfig
 from mrgs.training.radiation import RadiationConfig
+from mrgs.training.relocation import RelocationConfig
 
 COUNTS = st.integers(1, 10**9)
 WEIGHTS = st.floats(0, 1e6, allow_subnormal=True)
@@ -34,6 +36,8 @@ CONFIGS = st.builds(
     loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS, edge_aware=st.booleans()),
     radiation=st.none() | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
     optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=WEIGHTS),
+    image_model=st.builds(ImageModelConfig, point_spread=st.booleans(), exposure_rate=WEIGHTS),
+    relocation=st.none() | st.builds(RelocationConfig, start=st.integers(0, 24_999), noise=WEIGHTS),
     densification=st.builds(DensificationConfig, every=COUNTS, max_gaussians=COUNTS, gradient_threshold=WEIGHTS),
 )
 
@@ -133,6 +137,7 @@ def test_methods_are_the_rows_of_the_ablation_table():
         "mrgs-fourier": (True, True, False),
         "mrgs-boltz": (True, False, True),
         "3dgs-rgbt": (False, False, False),
+        "mrgs-plus": (True, True, True),
     }
     baseline = rows.pop("3dgs-rgbt")
     assert (baseline.shares_opacity, baseline.temperature_degree, baseline.loss.smooth) == (True, 3, 0.0)

@@ -11,6 +11,7 @@ from mrgs.training.losses import (
     _photometric_loss,
     _total_variation,
     difference_weights,
+    opaqueness_loss,
     photometric_loss,
     smoothness_loss,
     total_loss,
@@ -74,14 +75,14 @@ def test_photometric_gradient():
 
 def test_constants_are_smooth():
     constant, depth = torch.full((8, 9, 3), 0.4), torch.full((8, 9), 5.0)
-    assert smoothness_loss(constant, depth, constant, None, 2.0, LossConfig()) == 0
+    assert smoothness_loss(constant, depth, constant, None, 2.0, 1.0, LossConfig()) == 0
 
 
 def test_smoothness_is_the_mean_of_first_differences():
     ramp = 0.1 * torch.arange(6, dtype=torch.float64).expand(5, 6)
     depth = 4 * torch.arange(5, dtype=torch.float64)[:, None].expand(5, 6)
-    config = LossConfig(smooth_image=2.0, smooth_depth=0.5)
-    loss = smoothness_loss(ramp[:, :, None], depth, ramp[:, :, None], None, 8.0, config)
+    config = LossConfig(smooth_depth=0.5)
+    loss = smoothness_loss(ramp[:, :, None], depth, ramp[:, :, None], None, 8.0, 2.0, config)
     assert loss.item() == pytest.approx(2.0 * 0.1 + 0.5 * 4 / 8)
 
 
@@ -89,8 +90,8 @@ def test_edges_of_the_photo_cut_the_weight():
     step = torch.zeros(4, 4, 1, dtype=torch.float64)
     step[:, 2:] = 1.0
     depth = step[:, :, 0]
-    plain = smoothness_loss(step, depth, step, None, 1.0, LossConfig())
-    aware = smoothness_loss(step, depth, step, None, 1.0, LossConfig(edge_aware=True, beta=3.0))
+    plain = smoothness_loss(step, depth, step, None, 1.0, 1.0, LossConfig())
+    aware = smoothness_loss(step, depth, step, None, 1.0, 1.0, LossConfig(edge_aware=True, beta=3.0))
     assert aware.item() == pytest.approx(plain.item() * math.exp(-3.0))
 
 
@@ -137,15 +138,16 @@ def test_a_value_that_is_not_finite_is_not_hidden():
 def test_total_loss_weighs_its_terms():
     values = {"rgb": 1.0, "thermal": 2.0, "smooth": 3.0, "boltzmann": 4.0}
     terms = {name: torch.tensor(value) for name, value in values.items()}
-    assert total_loss(terms, 0.6, 0.05).item() == pytest.approx(1 + 2 + 0.6 * 3 + 0.05 * 4)
-    assert total_loss({"thermal": torch.tensor(2.0)}, 0.6, 0.05).item() == 2
+    weights = {"rgb": 1.0, "thermal": 1.0, "smooth": 0.6, "boltzmann": 0.05}
+    assert total_loss(terms, weights).item() == pytest.approx(1 + 2 + 0.6 * 3 + 0.05 * 4)
+    assert total_loss({"thermal": torch.tensor(2.0)}, weights).item() == 2
 
 
 def test_total_loss_refuses_what_it_does_not_know():
     with pytest.raises(KeyError, match="tempreature"):
-        total_loss({"tempreature": torch.tensor(1.0)}, 0.6, 0.05)
+        total_loss({"tempreature": torch.tensor(1.0)}, {"temperature": 1.0})
     with pytest.raises(ValueError, match="a loss needs at least one term"):
-        total_loss({}, 0.6, 0.05)
+        total_loss({}, {})
 
 
 @pytest.mark.parametrize(
@@ -170,7 +172,16 @@ def test_smoothness_ignores_pixels_that_do_not_count(edge_aware):
     for value in (0.0, 7.0):
         filled = [torch.where(valid[:, :, None], tensor, value) for tensor in (image, depth, target)]
         losses.append(
-            smoothness_loss(filled[0], filled[1][..., 0], filled[2], valid, 1.0, LossConfig(edge_aware=edge_aware))
+            smoothness_loss(filled[0], filled[1][..., 0], filled[2], valid, 1.0, 1.0, LossConfig(edge_aware=edge_aware))
         )
     assert losses[0] == losses[1]
     assert losses[0] > 0
+
+
+def test_heat_is_blocked_where_light_is():
+    light, heat = torch.tensor([[1.0, 0.2, 0.9]]), torch.tensor([[0.4, 1.0, 0.9]], requires_grad=True)
+    loss = opaqueness_loss(heat, light.requires_grad_())
+    assert loss.item() == pytest.approx(0.6 / 3)
+    loss.backward()
+    assert heat.grad.tolist() == [[pytest.approx(-1 / 3), 0, 0]]
+    assert light.grad is None

@@ -8,7 +8,7 @@ import torch
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Gaussians
-from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig
+from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig, set_rates
 
 EXTENT = 2.0
 
@@ -168,3 +168,25 @@ def test_every_parameter_has_its_learning_rate(make_gaussians):
 def test_impossible_learning_rates_are_named(options, message):
     with pytest.raises(ConfigError, match=message):
         replace(OptimizerConfig(), **options)
+
+
+def test_rates_fall_at_the_end_alone(make_gaussians):
+    config = OptimizerConfig(slowdown_from=0.5, slowdown_to=0.01)
+    assert [config.slowdown_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == pytest.approx([1, 1, 0.1, 0.01])
+    assert OptimizerConfig().slowdown_at(1.0) == 1.0
+    optimizer = GaussianOptimizer(make_gaussians(6), config, EXTENT)
+    give_gradients(optimizer.gaussians, torch.arange(6), seed=0)
+    before = optimizer.gaussians.quats.detach().clone()
+    optimizer.step(1.0)
+    moved = (optimizer.gaussians.quats.detach() - before).abs()
+    torch.testing.assert_close(moved, torch.full_like(moved, 0.01 * config.quats), rtol=0.02, atol=1e-8)
+
+
+def test_all_groups_are_slowed_alike():
+    weights = [torch.zeros(1, requires_grad=True), torch.zeros(1, requires_grad=True)]
+    adam = torch.optim.Adam(
+        [{"params": [w], "lr": r, "initial_lr": r} for w, r in zip(weights, (1.0, 4.0), strict=True)]
+    )
+    for factor in (0.5, 0.25):
+        set_rates(adam, factor)
+        assert [group["lr"] for group in adam.param_groups] == [factor, 4 * factor]

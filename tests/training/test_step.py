@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from mrgs.scene import Pixels
-from mrgs.training import step
+from mrgs.training import terms as terms_module
 from mrgs.training.losses import LossConfig, photometric_loss
-from mrgs.training.step import Photos, control_density, training_step
+from mrgs.training.step import control_density, training_step
+from mrgs.training.terms import Photos, SceneScale
 
 
 def photos_of(view) -> Photos:
@@ -17,7 +18,9 @@ def photos_of(view) -> Photos:
 
 def take(state, scene, config, number: int = 0, photos: Photos | None = None):
     view = scene.train[number]
-    return training_step(state, view, photos or photos_of(view), config, scene.extent, scene.temperature)
+    return training_step(
+        state, view, number, photos or photos_of(view), config, SceneScale(scene.extent, scene.temperature)
+    )
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
@@ -47,7 +50,7 @@ def test_the_loss_is_the_weighted_sum_of_its_terms(make_start, make_short_config
 
 def poison_loss(monkeypatch, photos: Photos) -> Photos:
     """A loss that is NaN."""
-    monkeypatch.setattr(step, "photometric_loss", lambda *args: photometric_loss(*args) * float("nan"))
+    monkeypatch.setattr(terms_module, "photometric_loss", lambda *args: photometric_loss(*args) * float("nan"))
     return photos
 
 
@@ -57,7 +60,7 @@ def poison_gradient(monkeypatch, photos: Photos) -> Photos:
     def loss(render, *args):
         return photometric_loss(render, *args) + (0 * render).sum().sqrt()
 
-    monkeypatch.setattr(step, "photometric_loss", loss)
+    monkeypatch.setattr(terms_module, "photometric_loss", loss)
     return photos
 
 

@@ -51,7 +51,7 @@ def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
     assert sum(entry.thermal_error for entry in last) < 0.5 * sum(entry.thermal_error for entry in first)
 
     scene = load_scene(small_scene)
-    model, _ = load_model(folder.newest_checkpoint(), folder.read_config())
+    model, _, _ = load_model(folder.newest_checkpoint(), folder.read_config())
     for view in scene.eval:
         rendering = render_view(model, view)
         photo = view.thermal.load().values
@@ -79,7 +79,7 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp
     facts = load_facts(folder.newest_checkpoint())
     scene = load_scene(small_scene)
     assert (facts.step, facts.scene, facts.skipped_steps) == (45, str(small_scene), 0)
-    assert (facts.extent, facts.temperature) == (scene.extent, scene.temperature)
+    assert (facts.capture.extent, facts.temperature) == (scene.extent, scene.temperature)
     assert facts.train_seconds > 0
     assert facts.peak_memory_bytes > 2**20
 
@@ -91,10 +91,11 @@ def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
     assert [entry.skipped for entry in statistics] == [False] * 3
     expected = {"rgb", "thermal"}
     expected |= set() if method == "3dgs-rgbt" else {"smooth"}
-    expected |= {"boltzmann"} if method in ("mrgs", "mrgs-boltz") else set()
+    expected |= {"boltzmann"} if method in ("mrgs", "mrgs-boltz", "mrgs-plus") else set()
+    expected |= {"opaque"} if method == "mrgs-plus" else set()
     assert set(statistics[0].terms) == expected
     tensors = load_file(folder.newest_checkpoint())
-    assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier"))
+    assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier", "mrgs-plus"))
     assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (0 if method == "3dgs-rgbt" else 1)
 
 

@@ -19,12 +19,13 @@ from mrgs.render import Model
 from mrgs.scene import Gaussians, Scene, TemperatureRange
 from mrgs.training.config import TrainConfig
 from mrgs.training.densification import ScreenStatistics
+from mrgs.training.image_model import Capture, ImageModel
 from mrgs.training.optimizer import GaussianOptimizer
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.step import TrainingState
 from mrgs.training.views import ViewSampler
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever older files can no longer be read."""
 
 
@@ -34,7 +35,7 @@ class CheckpointFacts(NamedTuple):
     Attributes:
         step: steps done.
         scene: absolute path of the scene's folder.
-        extent: of the scene.
+        capture: what the image model must know of the scene's photos.
         temperature: the scene's scale; None without known °C.
         train_seconds: time spent in training so far.
         peak_memory_bytes: largest memory of the process so far.
@@ -43,7 +44,7 @@ class CheckpointFacts(NamedTuple):
 
     step: int
     scene: str
-    extent: float
+    capture: Capture
     temperature: TemperatureRange | None
     train_seconds: float
     peak_memory_bytes: int
@@ -59,6 +60,7 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     tensors = {f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()}
     tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
     tensors |= {f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()}
+    tensors |= {f"image_model.{name}": tensor for name, tensor in state.image_model.state_dict().items()}
     tensors |= {f"layer_optimizer.{name}": tensor for name, tensor in _layer_moments(state.layer_optimizer).items()}
     tensors["statistics.gradient_sum"] = state.statistics.gradient_sum
     tensors["statistics.views"] = state.statistics.views
@@ -66,12 +68,22 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     tensors["generator"] = state.generator.get_state()
     if state.model.neighbours is not None:
         tensors["neighbours"] = state.model.neighbours
+    write(path, tensors, facts, state.skipped_in_a_row)
+
+
+def write(path: Path, tensors: dict[str, Tensor], facts: CheckpointFacts, skipped_in_a_row: int) -> None:
+    """Write a checkpoint of any method.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
     temperature = facts.temperature
     header = {
         **facts._asdict(),
         "format": FORMAT,
+        "capture": facts.capture._asdict(),
         "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
-        "skipped_in_a_row": state.skipped_in_a_row,
+        "skipped_in_a_row": skipped_in_a_row,
     }
     contiguous = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
@@ -93,7 +105,8 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     Raises:
         RunError: the scene has others.
     """
-    if not math.isclose(facts.extent, scene.extent, rel_tol=1e-6):
+    same_views = facts.capture.views == len(scene.train)
+    if not same_views or not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
         raise RunError(f"{scene.name} has other cameras than the run's scene: use {facts.scene} as it was")
     if facts.temperature != scene.temperature:
         raise RunError(
@@ -102,8 +115,8 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
         )
 
 
-def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]:
-    """The model of a checkpoint, to render with.
+def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts, ImageModel]:
+    """The model of a checkpoint, to render with, and what its scene's cameras do to the images.
 
     Raises:
         RunError: not a whole checkpoint of this format, or not of this configuration.
@@ -112,20 +125,21 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts]
     facts = _facts(path, header)
     try:
         model = _model(tensors, config, facts.step)
+        image_model = ImageModel(config.image_model, facts.capture)
+        image_model.load_state_dict(_below(tensors, "image_model."))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
     if model.neighbours is None and config.field.neighbours_k > 0:  # saved right after a densification
         model.neighbours = nearest_neighbours(model.gaussians.means, config.field.neighbours_k)
-    return model, facts
+    return model, facts, image_model
 
 
-def load_state(path: Path, config: TrainConfig, view_count: int) -> TrainingState:
+def load_state(path: Path, config: TrainConfig) -> TrainingState:
     """The whole state of a checkpoint, to train on.
 
     Args:
         path: the checkpoint.
         config: the run's configuration.
-        view_count: number of training views of the scene.
 
     Raises:
         RunError: not a whole checkpoint of this format, or not of this configuration.
@@ -138,7 +152,8 @@ def load_state(path: Path, config: TrainConfig, view_count: int) -> TrainingStat
         uncertainty.load_state_dict(_below(tensors, "uncertainty."))
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
-        state = make_state(model, uncertainty, config, facts.extent, view_count, generator)
+        state = make_state(model, uncertainty, config, facts.capture, generator)
+        state.image_model.load_state_dict(_below(tensors, "image_model."))
         state.gaussian_optimizer.load_moments(_below(tensors, "gaussians."))
         _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
         state.statistics = ScreenStatistics(tensors["statistics.gradient_sum"], tensors["statistics.views"])
@@ -154,25 +169,28 @@ def make_state(
     model: Model,
     uncertainty: DepthUncertainty,
     config: TrainConfig,
-    extent: float,
-    view_count: int,
+    capture: Capture,
     generator: torch.Generator,
 ) -> TrainingState:
     """A state at step 0: fresh optimizers around a model."""
-    gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, extent)
+    image_model = ImageModel(config.image_model, capture)
+    gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, capture.extent)
     model.gaussians = gaussian_optimizer.gaussians
     groups = [{"params": list(uncertainty.parameters()), "lr": config.optimizer.uncertainty}]
     layers = list(model.field.parameters())
     if layers:
         groups.append({"params": layers, "lr": config.optimizer.heads})
+    groups += image_model.parameter_groups()
+    groups = [{**group, "initial_lr": group["lr"]} for group in groups]
     return TrainingState(
         step=0,
         model=model,
         uncertainty=uncertainty,
+        image_model=image_model,
         gaussian_optimizer=gaussian_optimizer,
         layer_optimizer=torch.optim.Adam(groups, fused=True),
         statistics=ScreenStatistics.empty(len(model.gaussians)),
-        sampler=ViewSampler(view_count, generator),
+        sampler=ViewSampler(capture.views, generator),
         generator=generator,
     )
 
@@ -196,7 +214,9 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
         bounds = values["temperature"]
         if not isinstance(values["scene"], str):
             raise TypeError("the scene is a path")
-        return CheckpointFacts(**{**values, "temperature": None if bounds is None else TemperatureRange(*bounds)})
+        values["temperature"] = None if bounds is None else TemperatureRange(*bounds)
+        values["capture"] = Capture.from_json(values["capture"])
+        return CheckpointFacts(**values)
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path) from error
 

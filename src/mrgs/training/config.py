@@ -13,14 +13,20 @@ import yaml
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
 from mrgs.training.densification import DensificationConfig
+from mrgs.training.image_model import ImageModelConfig
 from mrgs.training.losses import LossConfig
 from mrgs.training.optimizer import OptimizerConfig
 from mrgs.training.radiation import RadiationConfig
+from mrgs.training.relocation import RelocationConfig
 
-Method = Literal["mrgs", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "3dgs-rgbt"]
+Method = Literal["mrgs", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "3dgs-rgbt", "mrgs-plus"]
 Preset = Literal["fast", "default", "paper"]
 METHODS: tuple[Method, ...] = get_args(Method)
 PRESETS: tuple[Preset, ...] = get_args(Preset)
+
+PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_poses=True)
+PLUS_OPAQUE = 0.05
+"""What ``mrgs-plus`` adds to ``mrgs``."""
 
 CPU_HIDDEN_WIDTH = 64
 """Width of the heads' hidden layers in the presets for CPUs: half of that in ``paper``, and as good."""
@@ -47,8 +53,10 @@ class TrainConfig:
         field: the radiance field.
         loss: L_c, L_t and L_smooth.
         radiation: L_boltz; None leaves it out.
+        image_model: what the cameras do to the images; nothing as published.
         optimizer: learning rates.
         densification: adaptive density control.
+        relocation: moves and adds Gaussians instead, up to densification.max_gaussians; None as published.
     """
 
     method: Method = "mrgs"
@@ -65,8 +73,10 @@ class TrainConfig:
     field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
     loss: LossConfig = dataclasses.field(default_factory=LossConfig)
     radiation: RadiationConfig | None = dataclasses.field(default_factory=RadiationConfig)
+    image_model: ImageModelConfig = dataclasses.field(default_factory=ImageModelConfig)
     optimizer: OptimizerConfig = dataclasses.field(default_factory=OptimizerConfig)
     densification: DensificationConfig = dataclasses.field(default_factory=DensificationConfig)
+    relocation: RelocationConfig | None = None
 
     def __post_init__(self) -> None:
         for name in ("max_steps", "sh_every", "neighbours_every", "checkpoint_every"):
@@ -124,8 +134,10 @@ def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
     return replace(
         config,
         method=method,
-        field=replace(config.field, fourier=method in ("mrgs", "mrgs-fourier")),
-        radiation=config.radiation if method in ("mrgs", "mrgs-boltz") else None,
+        field=replace(config.field, fourier=method in ("mrgs-plus", "mrgs", "mrgs-fourier")),
+        radiation=config.radiation if method in ("mrgs-plus", "mrgs", "mrgs-boltz") else None,
+        loss=replace(config.loss, opaque=PLUS_OPAQUE) if method == "mrgs-plus" else config.loss,
+        image_model=PLUS_IMAGE_MODEL if method == "mrgs-plus" else config.image_model,
     )
 
 
@@ -138,7 +150,9 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     config = _with_steps(config, steps)
     densification = replace(config.densification, max_gaussians=max_gaussians)
     field = replace(config.field, hidden_width=CPU_HIDDEN_WIDTH)
-    return replace(config, densification=densification, field=field)
+    loss = replace(config.loss, smooth_rgb=0.0, smooth_thermal=0.1, smooth_depth=0.0)
+    optimizer = replace(config.optimizer, slowdown_from=0.7, slowdown_to=0.05)
+    return replace(config, densification=densification, field=field, loss=loss, optimizer=optimizer)
 
 
 def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
@@ -159,11 +173,16 @@ def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     if radiation is not None:
         start = scaled(radiation.decay_from)
         radiation = replace(radiation, decay_from=start, decay_until=max(scaled(radiation.decay_until), start + 1))
+    relocation = config.relocation
+    if relocation is not None:
+        start = scaled(relocation.start)
+        relocation = replace(relocation, start=start, stop=max(scaled(relocation.stop), start + 1))
     return replace(
         config,
         max_steps=steps,
         sh_every=scaled(config.sh_every),
         radiation=radiation,
+        relocation=relocation,
         densification=replace(old, start=scaled(old.start), stop=scaled(old.stop)),
     )
 

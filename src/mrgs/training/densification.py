@@ -167,12 +167,12 @@ def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
         **{name: tensor.repeat_interleave(SPLIT_INTO, 0) for name, tensor in gaussians.tensors().items()}
     )
     noise = torch.randn(halves.means.shape, generator=generator) * halves.scales
-    halves.means = halves.means + _rotate(halves.quats, noise)
+    halves.means = halves.means + rotate(halves.quats, noise)
     halves.log_scales = halves.log_scales - torch.tensor(SPLIT_SHRINK).log()
     return halves
 
 
-def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """Vectors rotated by quaternions wxyz: v + 2w (r × v) + 2 r × (r × v)."""
     unit = torch.nn.functional.normalize(quats, dim=1)
     w, r = unit[:, :1], unit[:, 1:]

@@ -25,23 +25,27 @@ class LossConfig:
     Attributes:
         dssim: λ_D-SSIM of Eq. 17, between 0 (L1 alone) and 1.
         smooth: λ_smooth of Eq. 20.
-        smooth_image: weight of the image's part of Eq. 18; 1 in the paper.
-        smooth_depth: weight of the depth's part of Eq. 18; 1 in the paper.
+        smooth_rgb: weight of the colours' part of Eq. 18; 1 in the paper.
+        smooth_thermal: weight of the temperatures' part; 1 in the paper.
+        smooth_depth: weight of the depths' part; 1 in the paper.
+        opaque: weight of L_opaque; 0 in the paper.
         edge_aware: weigh the smoothness by exp(−β |∇ target|), so that it stops at the photo's edges.
         beta: β of the edge weight; the paper names it without using it.
     """
 
     dssim: float = 0.2
     smooth: float = 0.6
-    smooth_image: float = 1.0
+    smooth_rgb: float = 1.0
+    smooth_thermal: float = 1.0
     smooth_depth: float = 1.0
+    opaque: float = 0.0
     edge_aware: bool = False
     beta: float = 1.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
-        for name in ("smooth", "smooth_image", "smooth_depth", "beta"):
+        for name in ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque", "beta"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
@@ -85,6 +89,7 @@ def smoothness_loss(
     target: Float[Tensor, "h w c"],
     valid: Bool[Tensor, "h w"] | None,
     extent: float,
+    image_weight: float,
     config: LossConfig,
 ) -> Float[Tensor, ""]:
     """L_smooth of one modality; the sum over both is Eq. 19 (smooth_total).
@@ -98,13 +103,18 @@ def smoothness_loss(
         target: the photo, whose edges count if ``config.edge_aware``.
         valid: pixels that count, all if None.
         extent: the scene's extent in scene units.
-        config: the weights of the two parts, and the edge weight.
+        image_weight: of the image's part.
+        config: the weight of the depth's part, and the edge weight.
     """
     edges = target if config.edge_aware else None
     weights = [difference_weights(image[:, :, 0], axis, valid, edges, config.beta) for axis in (0, 1)]
     variation = total_variation if image.device.type == "cpu" else _total_variation
-    loss = config.smooth_image * variation(image, weights)
-    return loss + config.smooth_depth / extent * variation(depth[:, :, None], weights)
+    loss = image.new_zeros(())
+    if image_weight > 0:
+        loss = loss + image_weight * variation(image, weights)
+    if config.smooth_depth > 0:
+        loss = loss + config.smooth_depth / extent * variation(depth[:, :, None], weights)
+    return loss
 
 
 class DifferenceWeights(NamedTuple):
@@ -180,23 +190,28 @@ def _total_variation(image: Tensor, weights: Sequence[DifferenceWeights]) -> Ten
     return total
 
 
-def total_loss(
-    terms: Mapping[str, Float[Tensor, ""]], smooth_weight: float, boltzmann_weight: float
-) -> Float[Tensor, ""]:
+def opaqueness_loss(alpha_thermal: Float[Tensor, "h w"], alpha_rgb: Float[Tensor, "h w"]) -> Float[Tensor, ""]:
+    """L_opaque, the mean of max(0, α_c − α_t): what blocks light blocks heat radiation too; not in the paper.
+
+    Without it a surface near the cold end of the range may as well be transparent. Glass, which lets light pass alone,
+    is left free: α_c carries no gradient.
+    """
+    return (alpha_rgb.detach() - alpha_thermal).relu().mean()
+
+
+def total_loss(terms: Mapping[str, Float[Tensor, ""]], weights: Mapping[str, float]) -> Float[Tensor, ""]:
     """Eq. 20 (final_loss), Sec. Total Loss: L_c + L_t + λ_smooth L_smooth + λ_boltz L_boltz.
 
     Args:
-        terms: any of "rgb", "thermal", "smooth" and "boltzmann"; what a view or a method lacks is left out.
-        smooth_weight: λ_smooth.
-        boltzmann_weight: λ_boltz of this step.
+        terms: any of those that have a weight; what a view or a method lacks is left out.
+        weights: by the names of the terms.
 
     Raises:
-        KeyError: a term of another name.
+        KeyError: a term without a weight.
         ValueError: no term at all.
     """
     if not terms:
         raise ValueError("a loss needs at least one term")
-    weights = {"rgb": 1.0, "thermal": 1.0, "smooth": smooth_weight, "boltzmann": boltzmann_weight}
     return torch.stack([weights[name] * term for name, term in terms.items()]).sum()
 
 

@@ -33,6 +33,8 @@ class OptimizerConfig:
         embedding: of e_m.
         heads: of the field's layers.
         uncertainty: of ψ.
+        slowdown_from: share of the training after which all rates but that of the means fall; 1 for never.
+        slowdown_to: the share of the rates that is left at the last step.
     """
 
     means: float = 1.6e-4
@@ -47,6 +49,8 @@ class OptimizerConfig:
     embedding: float = 5e-3
     heads: float = 5e-4
     uncertainty: float = 1e-3
+    slowdown_from: float = 1.0
+    slowdown_to: float = 0.1
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -60,10 +64,22 @@ class OptimizerConfig:
         """Learning rate of the means after this share of the training, in scene extents."""
         return math.exp((1 - progress) * math.log(self.means) + progress * math.log(self.means_final))
 
+    def slowdown_at(self, progress: float) -> float:
+        """Factor on all learning rates but that of the means after this share of the training; falls log-linearly."""
+        if progress <= self.slowdown_from:
+            return 1.0
+        return self.slowdown_to ** ((progress - self.slowdown_from) / (1 - self.slowdown_from))
+
     def of(self, parameter: str) -> float:
         """Learning rate of a field of ``Gaussians``."""
         rate: float = getattr(self, "opacities" if parameter.startswith("opacity_") else parameter)
         return rate
+
+
+def set_rates(adam: torch.optim.Adam, factor: float) -> None:
+    """Learning rates of all groups as this factor of their ``initial_lr``."""
+    for group in adam.param_groups:
+        group["lr"] = factor * group["initial_lr"]
 
 
 class GaussianOptimizer:
@@ -81,7 +97,7 @@ class GaussianOptimizer:
         self.gaussians = Gaussians(**{name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()})
         self._adam = torch.optim.Adam(
             [
-                {"params": [tensor], "lr": config.of(name), "name": name}
+                {"params": [tensor], "lr": config.of(name), "initial_lr": config.of(name), "name": name}
                 for name, tensor in self.gaussians.tensors().items()
                 if tensor.numel() > 0
             ],
@@ -92,6 +108,7 @@ class GaussianOptimizer:
 
     def step(self, progress: float) -> None:
         """One Adam step from the gradients, which are then cleared; ``progress`` is the share of the training done."""
+        set_rates(self._adam, self._config.slowdown_at(progress))
         self._group("means")["lr"] = self._config.means_at(progress) * self._extent
         self._adam.step()
         self.zero_grad()

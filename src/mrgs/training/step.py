@@ -6,22 +6,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from mrgs.field import nearest_neighbours
 from mrgs.render import Model, Rendering, render
-from mrgs.scene import Pixels, TemperatureRange, View
+from mrgs.scene import View
 from mrgs.training.config import TrainConfig
-from mrgs.training.densification import DensificationCounts, ScreenStatistics, densify
-from mrgs.training.losses import photometric_loss, smoothness_loss, total_loss
-from mrgs.training.optimizer import GaussianOptimizer
-from mrgs.training.radiation import (
-    DepthUncertainty,
-    boltzmann_loss,
-    boltzmann_weight,
-    normalise_radiation,
-    thermal_radiation,
-)
+from mrgs.training.densification import DensificationConfig, DensificationCounts, ScreenStatistics, densify
+from mrgs.training.image_model import ImageModel
+from mrgs.training.losses import total_loss
+from mrgs.training.optimizer import GaussianOptimizer, set_rates
+from mrgs.training.radiation import DepthUncertainty
+from mrgs.training.relocation import RelocationConfig, RelocationCounts, explore, relocate, sparsity_loss
+from mrgs.training.terms import Photos, SceneScale, loss_terms, loss_weights
 from mrgs.training.views import ViewSampler
 
 
@@ -33,8 +29,9 @@ class TrainingState:
         step: steps done.
         model: what is trained; its Gaussians are those of ``gaussian_optimizer``.
         uncertainty: ψ of L_boltz.
+        image_model: what the cameras do to the images.
         gaussian_optimizer: Adam over the Gaussians.
-        layer_optimizer: Adam over the field's layers and ψ.
+        layer_optimizer: Adam over the field's layers, ψ and the image model.
         statistics: of the screen-space gradients since the last densification.
         sampler: the order of the views.
         generator: of every random choice after the start.
@@ -44,19 +41,13 @@ class TrainingState:
     step: int
     model: Model
     uncertainty: DepthUncertainty
+    image_model: ImageModel
     gaussian_optimizer: GaussianOptimizer
     layer_optimizer: torch.optim.Adam
     statistics: ScreenStatistics
     sampler: ViewSampler
     generator: torch.Generator
     skipped_in_a_row: int = 0
-
-
-class Photos(NamedTuple):
-    """A view's photos; None for a modality that the view lacks."""
-
-    rgb: Pixels | None
-    thermal: Pixels | None
 
 
 class StepStatistics(NamedTuple):
@@ -82,23 +73,37 @@ class StepStatistics(NamedTuple):
 def training_step(
     state: TrainingState,
     view: View,
+    number: int,
     photos: Photos,
     config: TrainConfig,
-    extent: float,
-    temperature: TemperatureRange | None,
+    scale: SceneScale,
 ) -> StepStatistics:
-    """Render the view, compare it with its photos, move the parameters; ``state`` is changed in place."""
+    """Render a view, compare it with its photos, move the parameters.
+
+    Args:
+        state: changed in place.
+        view: a training view.
+        number: its place among the training views.
+        photos: of the view.
+        config: of the run.
+        scale: of the scene.
+    """
     state.step += 1
     model = state.model
     model.sh_degree = config.sh_degree_at(state.step)
     _refresh_neighbours(state, config)
 
     rendering, passes = render(
-        model, view.rgb.camera if view.rgb else None, view.thermal.camera if view.thermal else None
+        model,
+        view.rgb.camera if view.rgb else None,
+        view.thermal.camera if view.thermal else None,
+        state.image_model.thermal_motion(number),
     )
-    terms = loss_terms(rendering, photos, config, extent, temperature, state.uncertainty)
-    weight = boltzmann_weight(state.step, config.radiation) if config.radiation else 0.0
-    loss = total_loss(terms, config.loss.smooth, weight)
+    photographed = state.image_model(rendering, number)
+    terms = loss_terms(rendering, photographed, photos, config, scale, state.uncertainty)
+    loss = total_loss(terms, loss_weights(config, state.step))
+    if config.relocation is not None:
+        loss = loss + sparsity_loss(model.gaussians, scale.extent, config.relocation)
     loss.backward()
 
     skipped = not (bool(loss.isfinite()) and _gradients_are_finite(state))
@@ -108,71 +113,55 @@ def training_step(
     else:
         state.skipped_in_a_row = 0
         state.statistics.add(passes)
-        state.gaussian_optimizer.step(state.step / config.max_steps)
-        state.layer_optimizer.step()
+        _move(state, config, scale.extent)
     state.layer_optimizer.zero_grad(set_to_none=True)
     return StepStatistics(
         step=state.step,
         loss=loss.item(),
         terms={name: term.item() for name, term in terms.items()},
-        thermal_error=_thermal_error(rendering, photos),
+        thermal_error=_thermal_error(photographed, photos),
         gaussians=len(model.gaussians),
         skipped=skipped,
     )
 
 
-def loss_terms(
-    rendering: Rendering,
-    photos: Photos,
-    config: TrainConfig,
-    extent: float,
-    temperature: TemperatureRange | None,
-    uncertainty: DepthUncertainty,
-) -> dict[str, Tensor]:
-    """L_c, L_t, L_smooth and L_boltz of a view, as far as the view and the method have them."""
-    terms: dict[str, Tensor] = {}
-    smooth = []
-    for name, image, depth, photo in (
-        ("rgb", rendering.rgb, rendering.depth_rgb, photos.rgb),
-        ("thermal", rendering.thermal, rendering.depth_thermal, photos.thermal),
-    ):
-        if image is not None and depth is not None and photo is not None:
-            terms[name] = photometric_loss(image, photo.values, photo.valid, config.loss.dssim)
-            if config.loss.smooth > 0:
-                smooth.append(smoothness_loss(image, depth, photo.values, photo.valid, extent, config.loss))
-    if smooth:
-        terms["smooth"] = torch.stack(smooth).sum()
-    if config.radiation is not None and "thermal" in terms:
-        terms["boltzmann"] = _radiation_term(rendering, photos.thermal, extent, temperature, uncertainty)
-    return terms
+def _move(state: TrainingState, config: TrainConfig, extent: float) -> None:
+    """Adam's step of all parameters, and the noise of relocation."""
+    progress = state.step / config.max_steps
+    state.gaussian_optimizer.step(progress)
+    set_rates(state.layer_optimizer, config.optimizer.slowdown_at(progress))
+    state.layer_optimizer.step()
+    if config.relocation is not None:
+        rate = config.optimizer.means_at(progress) * extent
+        explore(state.model.gaussians, rate, config.relocation, state.generator)
 
 
-def _radiation_term(
-    rendering: Rendering,
-    photo: Pixels | None,
-    extent: float,
-    temperature: TemperatureRange | None,
-    uncertainty: DepthUncertainty,
-) -> Tensor:
-    """L_boltz from the photo's temperatures and the rendered depth."""
-    assert photo is not None
-    assert rendering.thermal is not None
-    assert rendering.depth_thermal is not None
-    depth = rendering.depth_thermal
-    radiation = thermal_radiation(photo.values[..., 0], depth, extent, temperature)
-    radiation = normalise_radiation(radiation, photo.valid)
-    return boltzmann_loss(rendering.thermal[..., 0], radiation, uncertainty(depth, extent), photo.valid)
+def control_density(
+    state: TrainingState, config: TrainConfig, extent: float
+) -> DensificationCounts | RelocationCounts | None:
+    """Add, remove or move Gaussians and reset opacities where the schedule says so; None if rows stay as they are."""
+    counts: DensificationCounts | RelocationCounts | None
+    if config.relocation is not None:
+        counts = _relocate(state, config.relocation, config.densification.max_gaussians)
+    else:
+        counts = _densify(state, config.densification, extent)
+    if counts is not None:
+        state.statistics = ScreenStatistics.empty(len(state.model.gaussians))
+        state.model.neighbours = None
+    return counts
 
 
-def control_density(state: TrainingState, config: TrainConfig, extent: float) -> DensificationCounts | None:
-    """Densify and reset opacities where the schedule says so; None if this step changes no rows."""
-    schedule = config.densification
+def _relocate(state: TrainingState, schedule: RelocationConfig, budget: int) -> RelocationCounts | None:
+    if not schedule.relocates_at(state.step):
+        return None
+    return relocate(state.gaussian_optimizer, schedule, state.step, budget, state.generator)
+
+
+def _densify(state: TrainingState, schedule: DensificationConfig, extent: float) -> DensificationCounts | None:
     counts = None
     if schedule.densifies_at(state.step):
         prunes_large = state.step > schedule.reset_every
         counts = densify(state.gaussian_optimizer, state.statistics, schedule, extent, prunes_large, state.generator)
-        state.statistics = ScreenStatistics.empty(len(state.model.gaussians))
-        state.model.neighbours = None
     if schedule.resets_at(state.step):
         state.gaussian_optimizer.limit_opacities(schedule.reset_opacity)
     return counts

@@ -16,11 +16,13 @@ from mrgs.scene import Scene
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
+from mrgs.training.image_model import Capture
 from mrgs.training.initialisation import initial_gaussians
 from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.step import Photos, StepStatistics, TrainingState, control_density, training_step
+from mrgs.training.step import StepStatistics, TrainingState, control_density, training_step
+from mrgs.training.terms import Photos, SceneScale
 from mrgs.training.views import PhotoCache
 
 LOG_EVERY = 10
@@ -107,7 +109,7 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         background_rgb=config.background_rgb,
         background_thermal=config.background_thermal,
     )
-    return checkpoint.make_state(model, uncertainty, config, scene.extent, len(scene.train), generator)
+    return checkpoint.make_state(model, uncertainty, config, Capture.of(scene), generator)
 
 
 class _Trainer:
@@ -118,7 +120,7 @@ class _Trainer:
         self._scene = scene
         self._scene_path = scene_path
         self._config = config
-        self._extent = scene.extent
+        self._scale = SceneScale(scene.extent, scene.temperature)
         self._photos = PhotoCache()
         self._skipped_steps = 0
         self._seconds_before = 0.0
@@ -127,7 +129,7 @@ class _Trainer:
             newest = folder.newest_checkpoint()
             facts = checkpoint.load_facts(newest)
             checkpoint.require_same_scene(facts, scene)
-            self._state = checkpoint.load_state(newest, config, len(scene.train))
+            self._state = checkpoint.load_state(newest, config)
             self._seconds_before, self._skipped_steps = facts.train_seconds, facts.skipped_steps
             self._peak_before = facts.peak_memory_bytes
             folder.cut_log(facts.step)
@@ -153,13 +155,14 @@ class _Trainer:
 
     def _step(self) -> StepStatistics:
         state = self._state
-        view = self._scene.train[state.sampler.next()]
+        number = state.sampler.next()
+        view = self._scene.train[number]
         photos = Photos(self._photos.load(view.rgb), self._photos.load(view.thermal))
-        statistics = training_step(state, view, photos, self._config, self._extent, self._scene.temperature)
+        statistics = training_step(state, view, number, photos, self._config, self._scale)
         if statistics.skipped:
             self._note_skipped(statistics)
         else:
-            counts = control_density(state, self._config, self._extent)
+            counts = control_density(state, self._config, self._scale.extent)
             if counts is not None:
                 self._folder.append_log(
                     {"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)}
@@ -207,7 +210,7 @@ class _Trainer:
         facts = CheckpointFacts(
             step=self._state.step,
             scene=self._scene_path,
-            extent=self._extent,
+            capture=Capture.of(self._scene),
             temperature=self._scene.temperature,
             train_seconds=self._seconds(),
             peak_memory_bytes=max(self._peak_before, peak_memory_bytes()),

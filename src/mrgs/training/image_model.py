@@ -1,0 +1,208 @@
+"""From what is there to what the cameras write: the loss compares photos with these images, nobody else sees them.
+
+None of this is in the paper. Each part undoes one thing that a camera does, so that the model need not learn it: a
+thermal lens spreads every point, a detector's columns have offsets, exposure changes from photo to photo, and the pose
+of a thermal camera is often known only roughly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from mrgs.errors import ConfigError
+from mrgs.render import Rendering
+from mrgs.scene import Scene
+
+INITIAL_POINT_SPREAD_PX = 0.8
+SMALLEST_POINT_SPREAD_PX = 0.2
+
+
+@dataclass(frozen=True)
+class ImageModelConfig:
+    """Which of the cameras' doings are modelled, and how fast they are learned; all off as published.
+
+    Attributes:
+        point_spread: blur the rendered temperatures by a Gaussian of learned width before they are compared.
+        fixed_pattern: add a learned offset to each column and each row of the thermal images.
+        exposure: a learned gain and offset of each photo's colours.
+        thermal_gain: a learned gain and offset of each thermal photo; for cameras that scale every photo anew.
+        thermal_poses: a learned motion of each thermal camera, where it is not the RGB camera.
+        point_spread_rate: learning rate of the logarithm of the blur's width.
+        fixed_pattern_rate: of the offsets, in normalised temperature.
+        exposure_rate: of gains and offsets.
+        thermal_poses_rate: of the motions, in radians and scene extents.
+    """
+
+    point_spread: bool = False
+    fixed_pattern: bool = False
+    exposure: bool = False
+    thermal_gain: bool = False
+    thermal_poses: bool = False
+    point_spread_rate: float = 5e-3
+    fixed_pattern_rate: float = 1e-4
+    exposure_rate: float = 1e-3
+    thermal_poses_rate: float = 5e-4
+
+    def __post_init__(self) -> None:
+        for name in ("point_spread_rate", "fixed_pattern_rate", "exposure_rate", "thermal_poses_rate"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"the learning rate {name} must be 0 or more, not {getattr(self, name)}")
+
+
+class Capture(NamedTuple):
+    """What the image model must know of a scene's photos.
+
+    Attributes:
+        views: number of training views.
+        thermal_size: width and height of the thermal photos in pixels; None if they differ, or if there are none.
+        extent: of the scene.
+    """
+
+    views: int
+    thermal_size: tuple[int, int] | None
+    extent: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> Capture:
+        """That of a scene's training views."""
+        sizes = {(view.thermal.camera.width, view.thermal.camera.height) for view in scene.train if view.thermal}
+        return cls(len(scene.train), sizes.pop() if len(sizes) == 1 else None, scene.extent)
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Capture:
+        """From what ``_asdict`` gave to a JSON file; KeyError, TypeError or ValueError where it is something else."""
+        size = values["thermal_size"]
+        if size is not None:
+            width, height = size
+            size = (int(width), int(height))
+        return cls(int(values["views"]), size, float(values["extent"]))
+
+
+class PointSpread(nn.Module):
+    """A Gaussian point spread whose width is learned; what lies beyond the frame is left out of the mean."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.log_sigma = nn.Parameter(torch.tensor(math.log(INITIAL_POINT_SPREAD_PX)))
+
+    @property
+    def sigma_px(self) -> Float[Tensor, ""]:
+        """Standard deviation in pixels of the thermal image."""
+        return self.log_sigma.exp().clamp_min(SMALLEST_POINT_SPREAD_PX)
+
+    def forward(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
+        """The image as the lens and the detector spread it."""
+        rows, columns = (_spreading(size, self.sigma_px) for size in image.shape[:2])
+        return (rows @ image[:, :, 0] @ columns.T)[:, :, None]
+
+
+def _spreading(size: int, sigma_px: Float[Tensor, ""]) -> Float[Tensor, "n n"]:
+    """A Gaussian blur of ``size`` pixels as a matrix; its rows sum to 1."""
+    places = torch.arange(size, dtype=sigma_px.dtype, device=sigma_px.device)
+    weights = torch.exp(-0.5 * ((places[:, None] - places) / sigma_px) ** 2)
+    return weights / weights.sum(dim=1, keepdim=True)
+
+
+class FixedPattern(nn.Module):
+    """Offsets of the detector's columns and rows, the same in every photo, in normalised temperature; mean 0."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        super().__init__()
+        width, height = size
+        self.columns = nn.Parameter(torch.zeros(width))
+        self.rows = nn.Parameter(torch.zeros(height))
+
+    def forward(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
+        """The image with the offsets."""
+        columns, rows = self.columns - self.columns.mean(), self.rows - self.rows.mean()
+        return image + (columns + rows[:, None])[:, :, None]
+
+
+class Exposure(nn.Module):
+    """A gain and an offset of each photo and channel; over all photos they average to 1 and 0."""
+
+    def __init__(self, views: int, channels: int) -> None:
+        super().__init__()
+        self.log_gains = nn.Parameter(torch.zeros(views, channels))
+        self.offsets = nn.Parameter(torch.zeros(views, channels))
+
+    def forward(self, image: Float[Tensor, "h w c"], view: int) -> Float[Tensor, "h w c"]:
+        """The image as this view's photo is exposed."""
+        gain = (self.log_gains[view] - self.log_gains.mean(dim=0)).exp()
+        return gain * image + self.offsets[view] - self.offsets.mean(dim=0)
+
+
+class ThermalPoses(nn.Module):
+    """A small motion of each thermal camera: a rotation vector and a translation in its own axes."""
+
+    def __init__(self, views: int, extent: float) -> None:
+        super().__init__()
+        self.twists = nn.ParameterList([nn.Parameter(torch.zeros(6)) for _ in range(views)])
+        self._extent = extent
+
+    def forward(self, view: int) -> Float[Tensor, "4 4"]:
+        """From the camera's axes as given to its axes as found."""
+        twist = self.twists[view]
+        return torch.cat(
+            [
+                torch.cat([_rotation(twist[:3]), self._extent * twist[3:, None]], dim=1),
+                twist.new_tensor([[0.0, 0.0, 0.0, 1.0]]),
+            ]
+        )
+
+
+def _rotation(vector: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """The rotation by a rotation vector."""
+    x, y, z = vector
+    zero = torch.zeros_like(x)
+    return torch.linalg.matrix_exp(torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3))
+
+
+class ImageModel(nn.Module):
+    """All parts that are switched on and possible for a scene."""
+
+    def __init__(self, config: ImageModelConfig, capture: Capture) -> None:
+        super().__init__()
+        self._config = config
+        self.point_spread = PointSpread() if config.point_spread else None
+        size = capture.thermal_size if config.fixed_pattern else None
+        self.fixed_pattern = None if size is None else FixedPattern(size)
+        self.exposure = Exposure(capture.views, 3) if config.exposure else None
+        self.thermal_gain = Exposure(capture.views, 1) if config.thermal_gain else None
+        self.thermal_poses = ThermalPoses(capture.views, capture.extent) if config.thermal_poses else None
+
+    def forward(self, rendering: Rendering, view: int | None) -> Rendering:
+        """The rendering of a training view as its cameras would have written it; of any other view if None."""
+        rgb, thermal = rendering.rgb, rendering.thermal
+        if rgb is not None and self.exposure is not None and view is not None:
+            rgb = self.exposure(rgb, view)
+        if thermal is not None:
+            if self.point_spread is not None:
+                thermal = self.point_spread(thermal)
+            if self.thermal_gain is not None and view is not None:
+                thermal = self.thermal_gain(thermal, view)
+            if self.fixed_pattern is not None:
+                thermal = self.fixed_pattern(thermal)
+        return rendering._replace(rgb=rgb, thermal=thermal)
+
+    def thermal_motion(self, view: int) -> Float[Tensor, "4 4"] | None:
+        """The motion of a view's thermal camera; None where poses are taken as they are."""
+        return None if self.thermal_poses is None else self.thermal_poses(view)
+
+    def parameter_groups(self) -> list[dict]:
+        """Groups for an optimizer, each with its learning rate."""
+        rates = {
+            "point_spread": self._config.point_spread_rate,
+            "fixed_pattern": self._config.fixed_pattern_rate,
+            "exposure": self._config.exposure_rate,
+            "thermal_gain": self._config.exposure_rate,
+            "thermal_poses": self._config.thermal_poses_rate,
+        }
+        parts = [(getattr(self, name), rate) for name, rate in rates.items()]
+        return [{"params": list(part.parameters()), "lr": rate} for part, rate in parts if part is not None]
