@@ -17,7 +17,14 @@ from jaxtyping import install_import_hook
 from PIL import Image
 
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
-UNCHECKED = ("mrgs.rasterizer.cpu", "mrgs.field.cpu", "mrgs.training.cpu", "mrgs.terminal", "mrgs.cli")
+UNCHECKED = (
+    "mrgs.rasterizer.cpu",
+    "mrgs.field.cpu",
+    "mrgs.training.cpu",
+    "mrgs.thermonerf.cpu",
+    "mrgs.terminal",
+    "mrgs.cli",
+)
 """The hook's decorators break Numba's cache, and cli imports what it annotates only when it is needed."""
 
 

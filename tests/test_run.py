@@ -26,7 +26,7 @@ def test_a_run_knows_what_it_was_trained_on(run, small_scene):
     assert (run.config.method, run.config.max_steps, run.facts.step) == ("mrgs", 3, 3)
     scene = run.load_scene()
     assert (len(scene.train), len(scene.eval)) == (6, 2)
-    assert scene.extent == run.facts.extent
+    assert scene.extent == run.facts.capture.extent
 
 
 def test_any_camera_can_be_rendered_without_gradients(run):

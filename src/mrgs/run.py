@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,29 +11,41 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.data import load_scene
-from mrgs.errors import SceneError
+from mrgs.errors import RunError, SceneError
 from mrgs.render import Model, Rendering, bake_temperatures, render
-from mrgs.scene import Camera, Scene, TemperatureRange
+from mrgs.scene import Camera, Scene, TemperatureRange, View
+from mrgs.thermonerf import ThermoNerfConfig
+from mrgs.thermonerf.checkpoint import load_model as load_thermonerf
+from mrgs.thermonerf.model import ThermoNerf
+from mrgs.thermonerf.run_files import holds_thermonerf, read_config
 from mrgs.training.checkpoint import CheckpointFacts, load_model, require_same_scene
 from mrgs.training.config import TrainConfig
+from mrgs.training.image_model import ImageModel
 from mrgs.training.run_folder import RunFolder
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """A run's newest checkpoint.
+class TrainedRun(ABC):
+    """A run's newest checkpoint, whatever its method; what scoring and rendering need.
 
     Attributes:
         folder: the run's folder.
         config: what it was trained with.
-        model: what it learned, its temperatures computed once for all views.
         facts: steps, scene, temperature scale, cost.
     """
 
     folder: RunFolder
-    config: TrainConfig
-    model: Model
+    config: TrainConfig | ThermoNerfConfig
     facts: CheckpointFacts
+
+    @abstractmethod
+    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:
+        """Render the modalities that have a camera, without gradients."""
+
+    @property
+    @abstractmethod
+    def gaussian_count(self) -> int | None:
+        """How many Gaussians the model has; None if the method has none."""
 
     @property
     def temperature(self) -> TemperatureRange | None:
@@ -46,8 +59,18 @@ class Run:
             camera: of the RGB image, and of the thermal image unless that has its own; None leaves RGB out.
             thermal_camera: of the thermal image.
         """
-        with torch.no_grad():
-            return render(self.model, camera, thermal_camera if thermal_camera is not None else camera)[0]
+        return self.render_cameras(camera, thermal_camera if thermal_camera is not None else camera)
+
+    def render_view(self, view: View) -> Rendering:
+        """Render a view from its own cameras, without gradients."""
+        return self.render_cameras(view.rgb.camera if view.rgb else None, view.thermal.camera if view.thermal else None)
+
+    def photograph(self, rendering: Rendering) -> Rendering:
+        """The rendering as the scene's cameras would have written it, to be compared with photos.
+
+        The same, unless the method has learned what the cameras do to the images.
+        """
+        return rendering
 
     def temperatures_c(self, rendering: Rendering) -> Float[Tensor, "h w"]:
         """The rendered temperatures in °C.
@@ -76,8 +99,53 @@ class Run:
         return scene
 
 
-def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
-    """Open a run's newest checkpoint.
+@dataclass(frozen=True, eq=False)
+class Run(TrainedRun):
+    """A run with Gaussians.
+
+    Attributes:
+        model: what it learned, its temperatures computed once for all views.
+        image_model: what the cameras do to the images, as far as it was learned.
+    """
+
+    config: TrainConfig
+    model: Model
+    image_model: ImageModel
+
+    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:  # noqa: D102
+        with torch.no_grad():
+            return render(self.model, rgb_camera, thermal_camera)[0]
+
+    def photograph(self, rendering: Rendering) -> Rendering:  # noqa: D102
+        with torch.no_grad():
+            return self.image_model(rendering, None)
+
+    @property
+    def gaussian_count(self) -> int:  # noqa: D102
+        return len(self.model.gaussians)
+
+
+@dataclass(frozen=True, eq=False)
+class ThermoNerfRun(TrainedRun):
+    """A run of ``--method thermonerf``: it can be rendered and scored, but has no Gaussians.
+
+    Attributes:
+        model: what it learned.
+    """
+
+    config: ThermoNerfConfig
+    model: ThermoNerf
+
+    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:  # noqa: D102
+        return self.model.render(rgb_camera, thermal_camera)
+
+    @property
+    def gaussian_count(self) -> None:  # noqa: D102
+        return None
+
+
+def open_run(path: str | Path, scene: str | Path | None = None) -> Run | ThermoNerfRun:
+    """Open the newest checkpoint of a run of any method, to render and to score it.
 
     Args:
         path: the run's folder.
@@ -87,9 +155,36 @@ def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
         RunError: the folder is not a run, or its checkpoint cannot be used.
     """
     folder = RunFolder(path)
+    if not holds_thermonerf(folder):
+        return load_run(path, scene)
     newest = folder.newest_checkpoint()
+    config = read_config(folder)
+    model, facts = load_thermonerf(newest, config)
+    return ThermoNerfRun(folder, config, _moved(facts, scene), model)
+
+
+def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
+    """Open the newest checkpoint of a run with Gaussians.
+
+    Args:
+        path: the run's folder.
+        scene: the scene's folder, where it is no longer at the place it was trained from.
+
+    Raises:
+        RunError: the folder is not a run, its method has no Gaussians, or its checkpoint cannot be used.
+    """
+    folder = RunFolder(path)
+    newest = folder.newest_checkpoint()
+    if holds_thermonerf(folder):
+        raise RunError(
+            f"{path} is a ThermoNeRF run: it has no Gaussians to export, view or report on; "
+            "`mrgs eval` and `mrgs render` work with it"
+        )
     config = folder.read_config()
-    model, facts = load_model(newest, config)
-    if scene is not None:
-        facts = facts._replace(scene=str(Path(scene).resolve()))
-    return Run(folder, config, bake_temperatures(model), facts)
+    model, facts, image_model = load_model(newest, config)
+    return Run(folder, config, _moved(facts, scene), bake_temperatures(model), image_model)
+
+
+def _moved(facts: CheckpointFacts, scene: str | Path | None) -> CheckpointFacts:
+    """The facts with the place where the scene is now, if that is given."""
+    return facts if scene is None else facts._replace(scene=str(Path(scene).resolve()))

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import pytest
+
+from mrgs.errors import ConfigError
+from mrgs.thermonerf import ThermoNerfConfig, from_yaml, make_config
+from mrgs.thermonerf.config import is_thermonerf, to_yaml
+from mrgs.training import config as training_config
+
+
+def test_what_is_written_is_read_back(make_small_config):
+    config = make_small_config(resolution=64, learning_rate=0.02)
+    assert from_yaml(to_yaml(config), "config.yaml") == config
+
+
+def test_a_part_stands_over_another_configuration(make_small_config):
+    base = make_small_config()
+    changed = from_yaml("field: {hidden_width: 32}", "part.yaml", base)
+    assert changed.field.hidden_width == 32
+    assert changed.field.grid == base.field.grid
+
+
+def test_a_run_tells_its_method():
+    assert is_thermonerf(to_yaml(ThermoNerfConfig()))
+    assert not is_thermonerf(training_config.to_yaml(training_config.make_config()))
+    assert not is_thermonerf("[: not yaml")
+    assert not is_thermonerf("- a list")
+
+
+def test_the_learning_rate_decays_from_one_end_to_the_other():
+    config = ThermoNerfConfig(max_steps=100, learning_rate=1e-2, learning_rate_final=1e-4)
+    rates = [config.learning_rate_at(step) for step in range(1, 101)]
+    assert rates[-1] == pytest.approx(1e-4)
+    assert rates[49] == pytest.approx(1e-3)
+    assert rates == sorted(rates, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("max_steps: 0", "x.yaml: max_steps must be at least 1, not 0"),
+        ("rays_per_batch: 0", "x.yaml: rays_per_batch must be at least 1, not 0"),
+        ("resolution: 3", "x.yaml: resolution must be at least 16 px, not 3"),
+        (
+            "learning_rate_final: 1",
+            "x.yaml: learning_rate_final must be positive and not above learning_rate, not 1.0 with 0.01",
+        ),
+        ("method: mrgs", "x.yaml: method must be one of thermonerf, not 'mrgs'"),
+        ("sampling: {field: 1}", "x.yaml: sampling: a ray needs at least 2 samples, not 1"),
+    ],
+)
+def test_values_that_are_not_allowed_are_named(text, message):
+    with pytest.raises(ConfigError) as caught:
+        from_yaml(text, "x.yaml")
+    assert str(caught.value) == message
+
+
+def test_text_that_is_not_yaml_is_named():
+    with pytest.raises(ConfigError, match=r"x\.yaml is not valid YAML"):
+        from_yaml("[", "x.yaml")
+
+
+def test_a_preset_sets_steps_and_rays():
+    config = make_config("paper", resolution=320, seed=3)
+    assert (config.max_steps, config.rays_per_batch, config.resolution, config.seed) == (30_000, 4_096, 320, 3)
+    assert make_config("fast", max_steps=7).max_steps == 7
+    assert make_config() == ThermoNerfConfig()
+    with pytest.raises(ConfigError, match="there is no preset 'slow': choose one of fast, default, paper"):
+        make_config("slow")

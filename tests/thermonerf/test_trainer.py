@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numba
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from mrgs.errors import RunError, SceneError, TrainingError
+from mrgs.evaluation import evaluate_run, render_run
+from mrgs.run import ThermoNerfRun, load_run, open_run
+from mrgs.thermonerf import step as step_module
+from mrgs.thermonerf import train_thermonerf
+from mrgs.thermonerf.checkpoint import load_facts
+from mrgs.training import make_config, train
+from mrgs.training.run_folder import RunFolder
+
+
+def spoil(monkeypatch, steps):
+    """Make the loss of some steps NaN."""
+    honest = step_module.distortion_loss
+    calls = iter(range(1, 1_000))
+    monkeypatch.setattr(
+        step_module,
+        "distortion_loss",
+        lambda *args: honest(*args) * (torch.nan if next(calls) in steps else 1.0),
+    )
+
+
+def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path, make_small_config):
+    seen = []
+    train_thermonerf(small_scene, tmp_path / "run", make_small_config(80), on_step=lambda s: seen.append(s.terms))
+    for name, factor in (("rgb", 0.5), ("thermal", 0.5)):
+        first, last = (sum(terms[name] for terms in part) / 10 for part in (seen[:10], seen[-10:]))
+        assert last < factor * first
+
+
+def test_the_folder_holds_what_every_run_has(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=5))
+    assert "method: thermonerf" in folder.config_file.read_text()
+    assert [path.name for path in folder.checkpoints()] == ["step_000015.safetensors", "step_000020.safetensors"]
+    entries = [json.loads(line) for line in folder.log_file.read_text().splitlines()]
+    assert [entry["step"] for entry in entries] == [10, 20]
+    assert {"loss", "loss_rgb", "loss_thermal", "thermal_error_c", "seconds"} <= set(entries[0])
+    facts = load_facts(folder.newest_checkpoint())
+    assert facts.step == 20
+    assert facts.train_seconds > 0
+
+
+def test_a_resumed_run_has_the_same_bits(small_scene, tmp_path, make_small_config):
+    config = make_small_config(12)
+    whole = train_thermonerf(small_scene, tmp_path / "whole", config)
+    parted = train_thermonerf(small_scene, tmp_path / "parted", config, stop_at=5)
+    assert load_facts(parted.newest_checkpoint()).step == 5
+    train_thermonerf(small_scene, parted.path, replace(config, max_steps=99), resume=True)
+    expected, found = load_file(whole.newest_checkpoint()), load_file(parted.newest_checkpoint())
+    assert set(expected) == set(found)
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert parted.log_file.read_text().count("\n") == whole.log_file.read_text().count("\n")
+
+
+def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path, make_small_config):
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("the machine has one core")
+    results = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        numba.set_num_threads(threads)
+        folder = train_thermonerf(small_scene, tmp_path / f"{threads}", make_small_config(6, rays_per_batch=1024))
+        results.append(load_file(folder.newest_checkpoint()))
+    torch.set_num_threads(1)
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    assert all(torch.equal(results[0][name], results[1][name]) for name in results[0])
+
+
+@pytest.mark.parametrize("options", [{"two_cameras": True}, {"rgb": False}, {"thermal": False}])
+def test_other_kinds_of_scenes_train_too(make_scene, tmp_path, make_small_config, options):
+    folder = train_thermonerf(make_scene(**options), tmp_path / "run", make_small_config(3))
+    run = open_run(folder.path)
+    rendering = run.render_view(run.load_scene().eval[0])
+    assert (rendering.rgb is None) == (options.get("rgb") is False)
+    assert (rendering.thermal is None) == (options.get("thermal") is False)
+
+
+def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(3))
+    run = open_run(folder.path)
+    assert isinstance(run, ThermoNerfRun)
+    evaluate_run(run)
+    document = json.loads((folder.path / "eval/metrics.json").read_text())
+    assert (document["method"], document["steps"], document["gaussians"]) == ("thermonerf", 3, None)
+    assert "no Gaussians" in document["reasons"]["gaussians"]
+    assert document["mean"]["thermal"]["psnr"] > 0
+    rendered = render_run(run, "eval")
+    assert len(list((rendered / "temperature_c").iterdir())) == 2
+
+
+def test_what_needs_gaussians_refuses(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
+    with pytest.raises(RunError) as caught:
+        load_run(folder.path)
+    assert str(caught.value) == (
+        f"{folder.path} is a ThermoNeRF run: it has no Gaussians to export, view or report on; "
+        "`mrgs eval` and `mrgs render` work with it"
+    )
+
+
+def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene, tmp_path, make_small_config):
+    folder = train(small_scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
+    assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
+    with pytest.raises(RunError, match="is not a ThermoNeRF run: resume it with the --method that it was trained with"):
+        train_thermonerf(small_scene, folder.path, make_small_config(), resume=True)
+
+
+def test_a_run_is_never_overwritten(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
+    with pytest.raises(RunError, match="already holds a run: continue it with --resume"):
+        train_thermonerf(small_scene, folder.path, make_small_config(1))
+
+
+def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
+    folder.newest_checkpoint().unlink()
+    again = train_thermonerf(small_scene, folder.path, make_small_config(2))
+    assert load_facts(again.newest_checkpoint()).step == 2
+
+
+def test_somebody_elses_configuration_is_kept(small_scene, tmp_path, make_small_config):
+    (tmp_path / "config.yaml").write_text("theme: dark\n")
+    with pytest.raises(RunError, match=r"holds a config\.yaml that is not a run's"):
+        train_thermonerf(small_scene, tmp_path, make_small_config(1))
+
+
+def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(2))
+    text = folder.config_file.read_text()
+    folder.config_file.write_text(text.replace("hidden_width: 16", "hidden_width: 32"))
+    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+        open_run(folder.path)
+    folder.config_file.write_text(text + "colour: red\n")
+    with pytest.raises(RunError, match=r"there is no field 'colour'.*; mend the file or train anew"):
+        open_run(folder.path)
+    folder.config_file.write_text(text)
+    path = folder.newest_checkpoint()
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(RunError, match="is not a whole checkpoint"):
+        open_run(folder.path)
+
+
+def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path, make_small_config):
+    path = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1)).newest_checkpoint()
+    header = json.dumps({**load_facts(path)._asdict(), "temperature": [10, 30], "format": 1, "skipped_in_a_row": 0})
+    save_file({"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, path, {"mrgs": header})
+    with pytest.raises(RunError, match="does not fit"):
+        open_run(path.parents[1])
+
+
+def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, make_small_config, monkeypatch):
+    spoil(monkeypatch, {2, 4, 5, 6})
+    with pytest.raises(TrainingError) as caught:
+        train_thermonerf(small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=3))
+    kept = tmp_path / "run/checkpoints/step_000003.safetensors"
+    assert str(caught.value) == (
+        "3 steps in a row gave values that are not finite, at step 6; "
+        f"the last good checkpoint is {kept}. "
+        "Resume with a smaller learning rate, or check the scene's poses and images"
+    )
+    assert all(tensor.isfinite().all() for tensor in load_file(kept).values())
+    assert load_facts(kept).skipped_steps == 1
+
+
+def test_stopping_leaves_a_checkpoint(small_scene, tmp_path, make_small_config):
+    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(20), on_step=lambda s: s.step == 4)
+    assert load_facts(folder.newest_checkpoint()).step == 4
+
+
+def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path, make_small_config):
+    with pytest.raises(SceneError, match="nowhere"):
+        train_thermonerf(tmp_path / "nowhere", tmp_path / "run", make_small_config())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path, make_small_config):
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    train_thermonerf(small_scene, tmp_path / "run", make_small_config(2))
+    assert torch.equal(torch.rand(4), expected)
+
+
+def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(small_scene, tmp_path, make_small_config):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_thermonerf(small_scene, tmp_path / "run", make_small_config(), on_step=interrupt)
+    assert not RunFolder(tmp_path / "run").path.exists()
