@@ -13,14 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from mrgs.errors import ConfigError, MrgsError
+from mrgs.errors import ConfigError, MrgsError, TrainingError
 from mrgs.terminal import (
     TrainingProgress,
     counter,
     note_unfinished,
     plain_warnings,
     print_baking_loss,
+    print_figures,
     print_metrics,
+    print_table,
     say_where_to_look,
     scene_if_there,
 )
@@ -51,7 +53,7 @@ class Train:
     output: Path | None = None
     """The run's folder; by default runs/SCENE-METHOD."""
     method: str = "mrgs"
-    """mrgs, mrgs-base, mrgs-fourier, mrgs-boltz, or 3dgs-rgbt."""
+    """mrgs, mrgs-plus, mrgs-base, mrgs-fourier, mrgs-boltz, or 3dgs-rgbt."""
     preset: str = "default"
     """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: int | None = None
@@ -74,10 +76,17 @@ class Train:
 
 @dataclass(frozen=True)
 class Eval:
-    """Score a run on its scene's eval views: RUN/eval/metrics.json, metrics.md and contact_sheet.png."""
+    """Score a run on its scene's eval views: RUN/eval/metrics.json, metrics.md and contact_sheet.png.
+
+    With --renders, score another program's images of a scene instead: DIR/eval.
+    """
 
     run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    """The run's folder; with --renders, the scene's."""
+    renders: Path | None = None
+    """Folder of images named like the eval views: rgb/NAME.png and thermal/NAME.png or .tiff; docs/experiments.md."""
+    resolution: int | None = None
+    """With --renders: photos wider than this many pixels are reduced to it, as in training."""
     scene: Path | None = None
     """The scene's folder, where it is no longer at the place it was trained from."""
     lpips_weights: Path | None = None
@@ -153,11 +162,46 @@ class Demo:
 
 
 @dataclass(frozen=True)
+class Compare:
+    """Train and score methods on scenes, and write the paper's tables and figures.
+
+    The same command goes on where it was cut off. docs/experiments.md says how to read the tables.
+    """
+
+    scenes: tyro.conf.Positional[tuple[Path, ...]]
+    """The scenes' folders."""
+    methods: tuple[str, ...] = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
+    """Any that mrgs train --method knows."""
+    neighbours: tuple[int, ...] = ()
+    """Also the table of neighbours: mrgs with each n; the paper has 1 3 5 7."""
+    renders: tuple[str, ...] = ()
+    """Other programs' images, NAME=DIR, with those of each scene in DIR/SCENE."""
+    seeds: int = 1
+    """Runs of each method on each scene."""
+    preset: str = "default"
+    """fast, default or paper, as in mrgs train."""
+    max_steps: int | None = None
+    """Steps; the preset's whole schedule is stretched or shrunk to them."""
+    max_gaussians: int | None = None
+    """Cap on the number of Gaussians."""
+    resolution: int | None = None
+    """Images wider than this many pixels are reduced to it."""
+    jobs: int = 1
+    """Runs at a time; the cores are divided among them."""
+    output: Path = Path("runs/compare")
+    """The folder of the runs, tables and figures."""
+    lpips_weights: Path | None = None
+    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
+
+
+@dataclass(frozen=True)
 class Synth:
-    """Generate the bundled scene anew, or a variant of it, with exact temperatures and depths. Needs mrgs[synth]."""
+    """Generate a scene with exact temperatures and depths: the bundled table-top, or another. Needs mrgs[synth]."""
 
     output: tyro.conf.Positional[Path]
     """The new scene's folder."""
+    scene: Literal["tabletop", "facade", "electronics"] = "tabletop"
+    """What to generate: things on a table, a house in winter, or a powered circuit board."""
     train_views: int = 40
     """Training views."""
     eval_views: int = 8
@@ -180,6 +224,7 @@ Command = (
     | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Synth, tyro.conf.subcommand("synth")]
 )
 
@@ -202,6 +247,7 @@ def main(argv: list[str] | None = None) -> int:
         Export: _export,
         Report: _report,
         Demo: _demo,
+        Compare: _compare,
         Synth: _synth,
     }
     with plain_warnings():
@@ -264,6 +310,9 @@ def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
 
 
 def _eval(command: Eval) -> None:
+    if command.renders is not None:
+        _eval_renders(command, command.renders)
+        return
     from mrgs.evaluation import evaluate_run
     from mrgs.run import load_run
 
@@ -271,6 +320,67 @@ def _eval(command: Eval) -> None:
     metrics = evaluate_run(run, command.lpips_weights, counter("scoring"))
     print_metrics(run, metrics)
     print(f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: {command.run / 'eval' / 'contact_sheet.png'}")
+
+
+def _eval_renders(command: Eval, folder: Path) -> None:
+    from mrgs.evaluation.renders import evaluate_renders
+
+    metrics = evaluate_renders(
+        command.run,
+        folder,
+        resolution=command.resolution,
+        lpips_weights=command.lpips_weights,
+        progress=counter("scoring"),
+    )
+    print_figures(metrics)
+    print(f"scores:   {folder / 'eval' / 'metrics.md'}\npictures: {folder / 'eval' / 'contact_sheet.png'}")
+
+
+def _compare(command: Compare) -> None:
+    from mrgs.comparison import Options, compare
+
+    options = Options(
+        command.methods,
+        command.neighbours,
+        command.seeds,
+        command.preset,
+        command.max_steps,
+        command.max_gaussians,
+        command.resolution,
+    )
+    try:
+        comparison = compare(
+            command.scenes,
+            command.output,
+            options,
+            renders=_named_folders(command.renders),
+            jobs=command.jobs,
+            lpips_weights=command.lpips_weights,
+            say=lambda line: print(line, flush=True),
+        )
+    except KeyboardInterrupt:
+        print("the runs that were under way have left checkpoints; the same command goes on")
+        raise
+    for table in comparison.tables:
+        print_table(table)
+    print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")
+    if comparison.failures:
+        name, reason = next(iter(comparison.failures.items()))
+        raise TrainingError(
+            f"{len(comparison.failures)} of the tables' rows lack scores, the first is {name} ({reason}); "
+            "mend the cause and run the same command again"
+        )
+
+
+def _named_folders(pairs: tuple[str, ...]) -> dict[str, Path]:
+    """Folders by name, from NAME=DIR."""
+    named = {}
+    for pair in pairs:
+        name, separator, folder = pair.partition("=")
+        if not separator or not name or not folder:
+            raise ConfigError(f"--renders {pair}: write NAME=DIR, for instance ThermoNeRF=renders/thermonerf")
+        named[name] = Path(folder)
+    return named
 
 
 def _render(command: Render) -> None:
@@ -327,6 +437,7 @@ def _synth(command: Synth) -> None:
     _check_seed(command.seed, MAX_SYNTH_SEED)
     synthesize(
         command.output,
+        scene=command.scene,
         width=command.width,
         height=command.height,
         train_views=command.train_views,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mrgs.errors import MrgsWarning, SceneError
 
 if TYPE_CHECKING:
+    from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
     from mrgs.run import Run
@@ -188,6 +189,12 @@ def _duration(seconds: float) -> str:
 
 
 def print_metrics(run: Run, metrics: Metrics) -> None:
+    """The means, and what they cost."""
+    print_figures(metrics)
+    print(f"{len(run.model.gaussians):,} Gaussians, {run.facts.train_seconds / 60:.1f} minutes of training")
+
+
+def print_figures(metrics: Metrics) -> None:
     """The means, a line for each modality; SSIM's second convention is in the report only."""
     from mrgs.evaluation.report import COLUMNS, format_figure
 
@@ -199,4 +206,10 @@ def print_metrics(run: Run, metrics: Metrics) -> None:
                 shown.append(f"{heading} {format_figure(name, value)} {unit}".rstrip())
         if shown:
             print(f"{title + ':':9}{'  '.join(shown)}")
-    print(f"{len(run.model.gaussians):,} Gaussians, {run.facts.train_seconds / 60:.1f} minutes of training")
+
+
+def print_table(table: Table) -> None:
+    """A table of a comparison, one block per scene; * marks the best figure, + the second best."""
+    from mrgs.comparison.text import to_plain
+
+    print("\n" + to_plain(table), end="")

@@ -164,3 +164,15 @@ def test_against_the_truth(
         "camera_mae_c": pytest.approx(0.5, abs=1e-5),
         "depth_median_relative_error": pytest.approx(0.25, abs=1e-6),
     }
+
+
+def test_photos_are_compared_with_what_the_cameras_would_write(make_view: MakeView, celsius: TemperatureRange) -> None:
+    def colder(rendering: Rendering) -> Rendering:
+        return rendering._replace(thermal=rendering.thermal - 0.05)
+
+    seen = []
+    metrics = evaluate(
+        [make_view()], perfect, celsius, photograph=colder, visit=lambda view, rendering, _: seen.append(rendering)
+    )
+    assert metrics.thermal["mae_c"] == pytest.approx(0.05 * celsius.span_c, abs=1e-5)
+    assert torch.equal(seen[0].thermal, colder(perfect(make_view())).thermal)

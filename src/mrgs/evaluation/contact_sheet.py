@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,7 +13,7 @@ from PIL import Image, ImageDraw
 from mrgs.evaluation.drawing import HAIRLINE, INK, MUTED, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics
 from mrgs.evaluation.figures import Figures, Missing
-from mrgs.evaluation.palette import PaletteName, colorize, display_range
+from mrgs.evaluation.palette import PaletteName, colorize, display_range, round_up
 from mrgs.evaluation.pictures import to_array, to_rgb8
 from mrgs.evaluation.report import RunFacts, format_figure
 from mrgs.render import Rendering
@@ -136,7 +135,7 @@ def _scales(rows: Sequence[SheetRow], temperature: TemperatureRange | None, pale
     photos = _pool([row.measured if row.measured is not None else row.thermal for row in rows])
     depths = _pool([row.depth for row in rows])
     _, largest = display_range(np.abs(_pool([row.error for row in rows])), tail=1.0)
-    limit = _round_up(largest)
+    limit = round_up(largest)
     near, far = display_range(depths, tail=1.0)
     return _Scales(
         Scale(palette, *display_range(photos), unit),
@@ -148,12 +147,6 @@ def _scales(rows: Sequence[SheetRow], temperature: TemperatureRange | None, pale
 def _pool(images: Sequence[np.ndarray | None]) -> np.ndarray:
     there = [image.ravel() for image in images if image is not None]
     return np.concatenate(there) if there else np.zeros(0, np.float32)
-
-
-def _round_up(value: float) -> float:
-    """The next of 1, 2, 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(value)) if value > 0 else 1.0
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= value * (1 - 1e-9))
 
 
 def _cells(row: SheetRow, scales: _Scales) -> dict[str, np.ndarray | None]:
@@ -195,8 +188,8 @@ def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
         ("thermal PSNR", _with_unit(metrics.thermal, "psnr", "dB")),
         ("thermal MAE", _with_unit(metrics.thermal, "mae_c", "°C")),
         ("RGB PSNR", _with_unit(metrics.rgb, "psnr", "dB")),
-        ("Gaussians", f"{facts.gaussians:,}"),
-        ("steps", f"{facts.steps:,}"),
+        ("Gaussians", None if facts.gaussians is None else f"{facts.gaussians:,}"),
+        ("steps", None if facts.steps is None else f"{facts.steps:,}"),
     ]
     right = float(sheet.width - MARGIN_PX)
     title_end = MARGIN_PX + 260

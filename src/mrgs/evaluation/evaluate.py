@@ -64,6 +64,14 @@ class Metrics:
 
 Visitor: TypeAlias = Callable[[View, Rendering, ViewMetrics], None]
 
+Photograph: TypeAlias = Callable[[Rendering], Rendering]
+"""From what is there to what the cameras would have written."""
+
+
+def as_it_is(rendering: Rendering) -> Rendering:
+    """A camera that changes nothing."""
+    return rendering
+
 
 def evaluate(
     views: Sequence[View],
@@ -72,6 +80,7 @@ def evaluate(
     lpips: Lpips | None = None,
     truth: Truth | None = None,
     visit: Visitor | None = None,
+    photograph: Photograph = as_it_is,
 ) -> Metrics:
     """Render each view once and score it at the full frame, on the (undistorted) images that the views load.
 
@@ -81,7 +90,9 @@ def evaluate(
         temperature: the scene's scale; None leaves the figures in °C out.
         lpips: the network; None leaves LPIPS out.
         truth: exact temperatures and depths, see ``Truth.find``.
-        visit: called after each view, for instance to write its pictures; nothing is kept from view to view.
+        visit: called after each view with what was compared with its photos; nothing is kept from view to view.
+        photograph: from what is there to what the cameras would write, which is compared with the photos; the truth is
+            compared with what is there.
 
     Raises:
         SceneError: there are no views, or an image or a truth file cannot be read.
@@ -94,10 +105,11 @@ def evaluate(
     scored = []
     for view in views:
         rendering = render(view)
-        metrics = _score(view, rendering, temperature, threshold, lpips, truth)
+        photographed = photograph(rendering)
+        metrics = _score(view, rendering, photographed, temperature, threshold, lpips, truth)
         scored.append(metrics)
         if visit is not None:
-            visit(view, rendering, metrics)
+            visit(view, photographed, metrics)
     truths = [metrics.truth for metrics in scored if metrics.truth is not None]
     return Metrics(
         thermal=mean_figures([metrics.thermal for metrics in scored], THERMAL_FIGURES),
@@ -127,20 +139,21 @@ def foreground_threshold(views: Sequence[View]) -> float | None:
 def _score(
     view: View,
     rendering: Rendering,
+    photographed: Rendering,
     temperature: TemperatureRange | None,
     threshold: float | None,
     lpips: Lpips | None,
     truth: Truth | None,
 ) -> ViewMetrics:
-    thermal = _loaded(view.thermal.load(), rendering.thermal) if view.thermal else None
-    rgb = _loaded(view.rgb.load(), rendering.rgb) if view.rgb else None
+    thermal = _loaded(view.thermal.load(), photographed.thermal) if view.thermal else None
+    rgb = _loaded(view.rgb.load(), photographed.rgb) if view.rgb else None
     rgb_figures = all_missing(RGB_FIGURES, "the view has no RGB image, or the model does not render it")
-    if rgb is not None and rendering.rgb is not None:
-        rgb_figures = _image_figures(rendering.rgb, rgb, lpips)
+    if rgb is not None and photographed.rgb is not None:
+        rgb_figures = _image_figures(photographed.rgb, rgb, lpips)
     thermal_figures = all_missing(THERMAL_FIGURES, "the view has no thermal image, or the model does not render it")
-    if thermal is not None and rendering.thermal is not None:
-        figures = _image_figures(rendering.thermal, thermal, lpips)
-        figures |= _temperature_figures(rendering.thermal, thermal, temperature, threshold)
+    if thermal is not None and photographed.thermal is not None:
+        figures = _image_figures(photographed.thermal, thermal, lpips)
+        figures |= _temperature_figures(photographed.thermal, thermal, temperature, threshold)
         thermal_figures = {name: figures[name] for name in THERMAL_FIGURES}
     truth_figures = None
     if truth is not None:

@@ -65,6 +65,12 @@ def round_ticks(low: float, high: float, count: int = 6) -> list[float]:
     return [round(index * step, 12) + 0.0 for index in range(first, last + 1)]
 
 
+def round_up(value: float) -> float:
+    """The next of 1, 2, 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value)) if value > 0 else 1.0
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= value * (1 - 1e-9))
+
+
 def tick_labels(ticks: list[float]) -> list[str]:
     """The ticks as text with one number of decimals, as few as tell them exactly (at most six)."""
     for decimals in range(7):

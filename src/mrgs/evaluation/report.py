@@ -34,6 +34,15 @@ CONVENTIONS = (
 )
 
 
+UNKNOWN_FACTS = {
+    "steps": "not known: the images are another program's",
+    "gaussians": "the method has no Gaussians, or the images are another program's",
+    "train_seconds": "not measured during the training",
+    "peak_memory_bytes": "not measured during the training",
+}
+"""Why a fact about a run can be None."""
+
+
 @dataclass(frozen=True)
 class RunFacts:
     """What a run is and what it cost; None where it was not measured.
@@ -41,8 +50,8 @@ class RunFacts:
     Attributes:
         method: for instance ``mrgs`` or ``3dgs-rgbt``.
         scene: the scene's name.
-        steps: training steps taken.
-        gaussians: how many Gaussians the model has.
+        steps: training steps taken; None for another program's images.
+        gaussians: how many Gaussians the model has; None if it has none, or for another program's images.
         train_seconds: wall-clock time of the training, s.
         peak_memory_bytes: largest memory held during the training.
         device: for instance ``cpu`` or the GPU's name.
@@ -50,8 +59,8 @@ class RunFacts:
 
     method: str
     scene: str
-    steps: int
-    gaussians: int
+    steps: int | None
+    gaussians: int | None
     train_seconds: float | None
     peak_memory_bytes: int | None
     device: str
@@ -65,7 +74,7 @@ def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
     """
     means = {"thermal": metrics.thermal, "rgb": metrics.rgb}
     document: dict[str, Any] = dict(vars(facts))
-    reasons = {name: "not measured during the training" for name, value in document.items() if value is None}
+    reasons = {name: UNKNOWN_FACTS[name] for name, value in document.items() if value is None}
     document["mean"] = {group: _split(figures, f"mean.{group}", reasons) for group, figures in means.items()}
     if metrics.truth is not None:
         document["truth"] = _split(metrics.truth, "truth", reasons)
@@ -85,8 +94,8 @@ def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
     memory = "not measured" if facts.peak_memory_bytes is None else f"{facts.peak_memory_bytes / 2**20:.0f} MiB"
     blocks = [
         f"# {_escape(facts.method)} on {_escape(facts.scene)}",
-        f"{facts.steps:,} steps, {facts.gaussians:,} Gaussians, training {seconds}, peak memory {memory}, "
-        f"device {_escape(facts.device)}.",
+        f"{_count(facts.steps, 'steps')}{_count(facts.gaussians, 'Gaussians')}training {seconds}, "
+        f"peak memory {memory}, device {_escape(facts.device)}.",
     ]
     groups: list[tuple[str, str, Sequence[str]]] = [
         ("Thermal", "thermal", THERMAL_FIGURES),
@@ -124,6 +133,11 @@ def format_figure(name: str, figure: Figure) -> str:
     if number is None:
         return "∞" if figure == float("inf") else "–"
     return f"{number:.{COLUMNS[name][1]}f}"
+
+
+def _count(number: int | None, noun: str) -> str:
+    """A part of the line of facts; empty where the number is not known."""
+    return "" if number is None else f"{number:,} {noun}, "
 
 
 def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, float | None]:

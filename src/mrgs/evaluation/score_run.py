@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-import torch
-from jaxtyping import UInt8
-
 from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRow, contact_sheet, sheet_row
-from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
+from mrgs.evaluation.evaluate import Metrics, Photograph, ViewMetrics, as_it_is, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.palette import PaletteName, colorize
 from mrgs.evaluation.paths import orbit
 from mrgs.evaluation.pictures import thermal_values, to_rgb8, write_png, write_rendering
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
-from mrgs.evaluation.video import write_frames
-from mrgs.render import Rendering, render, render_view
-from mrgs.run import Run
-from mrgs.scene import Camera, View, spread
+from mrgs.evaluation.video import frame_writer
+from mrgs.render import Rendering
+from mrgs.run import TrainedRun
+from mrgs.scene import Camera, Scene, View, spread
 
 PATH_FRAMES = 120
 
@@ -30,13 +27,13 @@ Progress = Callable[[int, int], None]
 """Called with the number of images done and of all images."""
 
 
-def evaluate_run(run: Run, lpips_weights: Path | None = None, progress: Progress | None = None) -> Metrics:
+def evaluate_run(run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None) -> Metrics:
     """Score the run on its scene's eval views.
 
     Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png`` into the run's folder ``eval``.
 
     Args:
-        run: what ``load_run`` returns.
+        run: what ``load_run`` or ``open_run`` returns.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
         progress: called after each view.
 
@@ -45,9 +42,47 @@ def evaluate_run(run: Run, lpips_weights: Path | None = None, progress: Progress
         RunError: the weights cannot be read, or a file cannot be written.
     """
     scene = run.load_scene()
+    return score_views(
+        scene,
+        _scene_folder(run),
+        run.render_view,
+        facts_of(run),
+        run.folder.path / "eval",
+        lpips_weights,
+        progress,
+        run.photograph,
+    )
+
+
+def score_views(
+    scene: Scene,
+    scene_folder: Path,
+    render: Callable[[View], Rendering],
+    facts: RunFacts,
+    output: Path,
+    lpips_weights: Path | None = None,
+    progress: Progress | None = None,
+    photograph: Photograph = as_it_is,
+) -> Metrics:
+    """Score renderings of a scene's eval views, and write the scores and the contact sheet into a folder.
+
+    Args:
+        scene: what ``load_scene`` returns.
+        scene_folder: where it is, for the exact truth.
+        render: from a view to its images.
+        facts: what the report says besides the figures.
+        output: the folder to write into.
+        lpips_weights: weights for LPIPS; without them it is left out, with the reason.
+        progress: called after each view.
+        photograph: see ``evaluate``.
+
+    Raises:
+        SceneError: the scene has no eval views, or an image cannot be read.
+        RunError: the weights cannot be read, or a file cannot be written.
+    """
     if not scene.eval:
         raise SceneError(
-            f"{run.facts.scene}: no views are held out, so there is nothing to score; put 'eval' into the file names "
+            f"{scene_folder}: no views are held out, so there is nothing to score; put 'eval' into the file names "
             "of some, or list them in val_filenames, and train anew"
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
@@ -63,41 +98,33 @@ def evaluate_run(run: Run, lpips_weights: Path | None = None, progress: Progress
         if progress is not None:
             progress(done, len(scene.eval))
 
-    metrics = evaluate(
-        scene.eval,
-        lambda view: render_view(run.model, view),
-        scene.temperature,
-        lpips,
-        Truth.find(_scene_folder(run)),
-        visit,
-    )
-    folder = run.folder.path / "eval"
-    write_report(folder, facts_of(run), metrics)
-    write_png(folder / "contact_sheet.png", contact_sheet(rows, facts_of(run), metrics, scene.temperature))
+    metrics = evaluate(scene.eval, render, scene.temperature, lpips, Truth.find(scene_folder), visit, photograph)
+    write_report(output, facts, metrics)
+    write_png(output / "contact_sheet.png", contact_sheet(rows, facts, metrics, scene.temperature))
     return metrics
 
 
-def facts_of(run: Run) -> RunFacts:
+def facts_of(run: TrainedRun) -> RunFacts:
     """What the report says about a run besides its figures."""
     return RunFacts(
         method=run.config.method,
         scene=_scene_folder(run).name,
         steps=run.facts.step,
-        gaussians=len(run.model.gaussians),
+        gaussians=run.gaussian_count,
         train_seconds=run.facts.train_seconds,
         peak_memory_bytes=run.facts.peak_memory_bytes or None,
         device="cpu",
     )
 
 
-def _scene_folder(run: Run) -> Path:
+def _scene_folder(run: TrainedRun) -> Path:
     """The folder of the run's scene, which may have been given as its transforms file."""
     path = Path(run.facts.scene)
     return path.parent if path.is_file() else path
 
 
 def render_run(
-    run: Run,
+    run: TrainedRun,
     split: Literal["eval", "train", "path"] = "eval",
     palette: PaletteName = "inferno",
     frames: int = PATH_FRAMES,
@@ -117,35 +144,32 @@ def render_run(
     folder = run.folder.path / "renders" / split
     if split == "path":
         cameras = orbit([view.cameras[0] for view in scene.train], frames)
-        for name, has in (("rgb", scene.has_rgb), ("thermal", scene.has_thermal)):
-            if has:
-                write_frames(folder, name, _path_frames(run, cameras, name, palette, progress))
+        _write_path(run, scene, cameras, folder, palette, progress)
         return folder
     views = scene.eval if split == "eval" else scene.train
     if not views:
         raise ConfigError(f"{run.facts.scene}: no views are held out; choose --split train or --split path")
     for number, view in enumerate(views, start=1):
-        write_rendering(folder, view.name, render_view(run.model, view), run.temperature, palette)
+        write_rendering(folder, view.name, run.render_view(view), run.temperature, palette)
         if progress is not None:
             progress(number, len(views))
     return folder
 
 
-def _path_frames(
-    run: Run, cameras: list[Camera], modality: str, palette: PaletteName, progress: Progress | None
-) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """The frames of one modality along a camera path, one at a time."""
-    for number, camera in enumerate(cameras, start=1):
-        with torch.no_grad():
-            rendering, _ = render(run.model, *((camera, None) if modality == "rgb" else (None, camera)))
-        yield _picture(rendering, run, palette)
-        if progress is not None:
-            progress(number, len(cameras))
-
-
-def _picture(rendering: Rendering, run: Run, palette: PaletteName) -> UInt8[np.ndarray, "h w 3"]:
-    if rendering.rgb is not None:
-        return to_rgb8(rendering.rgb)
-    assert rendering.thermal is not None
-    values, scale = thermal_values(rendering.thermal, run.temperature, palette)
-    return colorize(values, scale.low, scale.high, scale.palette)
+def _write_path(
+    run: TrainedRun, scene: Scene, cameras: list[Camera], folder: Path, palette: PaletteName, progress: Progress | None
+) -> None:
+    """The frames of both modalities along a camera path, each camera rendered once."""
+    size = (cameras[0].width, cameras[0].height)
+    with ExitStack() as stack:
+        add_rgb = stack.enter_context(frame_writer(folder, "rgb", size)) if scene.has_rgb else None
+        add_thermal = stack.enter_context(frame_writer(folder, "thermal", size)) if scene.has_thermal else None
+        for number, camera in enumerate(cameras, start=1):
+            rendering = run.render_cameras(camera if add_rgb else None, camera if add_thermal else None)
+            if add_rgb is not None and rendering.rgb is not None:
+                add_rgb(to_rgb8(rendering.rgb))
+            if add_thermal is not None and rendering.thermal is not None:
+                values, scale = thermal_values(rendering.thermal, run.temperature, palette)
+                add_thermal(colorize(values, scale.low, scale.high, scale.palette))
+            if progress is not None:
+                progress(number, len(cameras))

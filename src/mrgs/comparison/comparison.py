@@ -1,0 +1,223 @@
+"""The paper's experiments over scenes and methods: train, score, tabulate, draw."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from mrgs.atomic import replacing
+from mrgs.comparison.figures import WITH_BOLTZ, WITHOUT_BOLTZ, Exhibit, Renderer, depth_figure, qualitative_figure
+from mrgs.comparison.methods import Options
+from mrgs.comparison.plan import Job, neighbour_methods, plan
+from mrgs.comparison.processes import run_jobs
+from mrgs.comparison.progress import Progress
+from mrgs.comparison.results import Outcome, failed, outcome
+from mrgs.comparison.single import is_scored, read_metrics
+from mrgs.comparison.table import Table
+from mrgs.comparison.tables import Outcomes, all_tables
+from mrgs.comparison.text import to_csv, to_latex, to_markdown
+from mrgs.data import load_scene
+from mrgs.errors import ConfigError, MrgsError, RunError
+from mrgs.evaluation.figures import to_json
+from mrgs.evaluation.lpips import Lpips
+from mrgs.evaluation.pictures import write_png
+from mrgs.evaluation.renders import evaluate_renders, find_renders
+from mrgs.run import open_run
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What came out.
+
+    Attributes:
+        tables: those for which there was something to show.
+        failures: of each run or set of renders that has no scores, why.
+        folder: holds ``tables/``, ``figures/``, ``results.json`` and ``runs/``.
+    """
+
+    tables: tuple[Table, ...]
+    failures: Mapping[str, str]
+    folder: Path
+
+
+def compare(
+    scenes: Sequence[Path],
+    output: Path,
+    options: Options,
+    *,
+    renders: Mapping[str, Path] | None = None,
+    jobs: int = 1,
+    lpips_weights: Path | None = None,
+    say: Say = lambda line: None,
+) -> Comparison:
+    """Train and score every method on every scene, then write tables and figures.
+
+    Runs that are scored are kept, runs with a checkpoint are continued; a run that fails is reported at the end.
+
+    Args:
+        scenes: the scenes' folders.
+        output: the folder to write into, and to go on in.
+        options: the methods, and what all runs share.
+        renders: other programs' renderings by the name that the tables give them: folders that hold one folder per
+            scene, see :mod:`mrgs.evaluation.renders`.
+        jobs: how many runs at a time; the machine's cores are divided among them.
+        lpips_weights: weights for LPIPS; without them it is left out.
+        say: called with lines that say how far all is.
+
+    Raises:
+        MrgsError: a scene, an option or the output folder cannot be used.
+        KeyboardInterrupt: Ctrl-C; the runs have left checkpoints, and the same call goes on.
+    """
+    if jobs < 1:
+        raise ConfigError(f"--jobs must be at least 1, not {jobs}")
+    renders = dict(renders or {})
+    _check_names(renders, {*options.methods, *neighbour_methods(options).values()})
+    if lpips_weights is not None:
+        Lpips.from_file(lpips_weights)  # better now than after the first training
+    planned = plan(scenes, output, options)
+    failures = _do(planned, jobs, lpips_weights, say)
+    found = [_run_outcome(job, failures) for job in planned]
+    paths = {job.scene_name: job.scene for job in planned}
+    for name, folder in renders.items():
+        for scene, path in paths.items():
+            found.append(_renders_outcome(name, folder / scene, scene, path, output, options, lpips_weights))
+    outcomes = Outcomes(tuple(found), tuple(paths), (*options.methods, *renders), neighbour_methods(options))
+    tables = tuple(all_tables(outcomes))
+    _write_tables(output / "tables", tables)
+    _write_results(output / "results.json", outcomes, options, paths)
+    _write_figures(output / "figures", outcomes, planned, renders, options)
+    return Comparison(tables, {_label(each): each.failure for each in found if each.failure is not None}, output)
+
+
+def _check_names(renders: Mapping[str, Path], methods: set[str]) -> None:
+    """Names of renders become folders and rows."""
+    for name in renders:
+        if name in methods:
+            raise ConfigError(f"--renders {name}: a method has this name already; choose another")
+        if not name or name in (".", "..") or set(name) & set("/\\:"):
+            raise ConfigError(f"--renders {name}: the name must be usable as a folder's name; choose another")
+
+
+def _do(planned: Sequence[Job], jobs: int, lpips_weights: Path | None, say: Say) -> dict[Job, str]:
+    """Run what is not scored yet; returns why runs failed."""
+    due = [job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)]
+    say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
+    if not due:
+        return {}
+    progress = Progress(due, jobs, say)
+    return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick)
+
+
+def _run_outcome(job: Job, failures: Mapping[Job, str]) -> Outcome:
+    document = read_metrics(job.folder / "eval")
+    if job in failures or document is None:
+        reason = failures.get(job, f"{job.folder / 'eval' / 'metrics.json'} cannot be read")
+        return failed(job.scene_name, job.method, job.seed, f"the run failed: {reason}")
+    return outcome(job.scene_name, job.method, job.seed, document)
+
+
+def _renders_outcome(
+    name: str, folder: Path, scene: str, path: Path, output: Path, options: Options, lpips_weights: Path | None
+) -> Outcome:
+    """Score another program's renderings; this is cheap, and done anew each time."""
+    scores = output / "renders" / name / scene
+    try:
+        evaluate_renders(
+            path, folder, name=name, output=scores, resolution=options.resolution, lpips_weights=lpips_weights
+        )
+    except RunError as error:
+        return failed(scene, name, None, str(error))
+    document = read_metrics(scores)
+    assert document is not None
+    return outcome(scene, name, None, document)
+
+
+def _write_tables(folder: Path, tables: Sequence[Table]) -> None:
+    for table in tables:
+        for suffix, text in ((".md", to_markdown(table)), (".tex", to_latex(table)), (".csv", to_csv(table))):
+            with replacing(folder / f"{table.name}{suffix}") as temporary:
+                temporary.write_text(text, encoding="utf-8")
+
+
+def _write_results(path: Path, outcomes: Outcomes, options: Options, scenes: Mapping[str, Path]) -> None:
+    """Every figure of every run, with the reason of each that is null."""
+    runs: list[dict[str, Any]] = []
+    for each in outcomes.all:
+        pairs = {name: to_json(figure) for name, figure in each.figures.items()}
+        runs.append(
+            {
+                "scene": each.scene,
+                "method": each.method,
+                "seed": each.seed,
+                "failure": each.failure,
+                "figures": {name: number for name, (number, _) in pairs.items()},
+                "reasons": {name: reason for name, (_, reason) in pairs.items() if reason is not None},
+                "metrics": each.document,
+            }
+        )
+    content = {
+        "mrgs": version("mrgs"),
+        "options": asdict(options),
+        "scenes": {name: str(folder) for name, folder in scenes.items()},
+        "runs": runs,
+    }
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _write_figures(
+    folder: Path, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
+) -> None:
+    """``qualitative.png``, and ``depth.png`` where both of its methods are there; the first seed of each run."""
+    exhibits = [
+        exhibit
+        for scene in outcomes.scenes
+        if (exhibit := _exhibit(scene, outcomes, planned, renders, options)).renderers
+    ]
+    if exhibits:
+        write_png(folder / "qualitative.png", qualitative_figure(exhibits, outcomes.methods))
+    with_both = [each for each in exhibits if {WITH_BOLTZ, WITHOUT_BOLTZ} <= each.renderers.keys()]
+    if with_both:
+        write_png(folder / "depth.png", depth_figure(with_both))
+
+
+def _exhibit(
+    scene: str, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
+) -> Exhibit:
+    """The middle one of a scene's held-out views, and who can render it."""
+    path = next(job.scene for job in planned if job.scene_name == scene)
+    loaded = load_scene(path, resolution=options.resolution)
+    view = loaded.eval[len(loaded.eval) // 2]
+    renderers: dict[str, Renderer] = {}
+    figures: dict[str, Any] = {}
+    for each in outcomes.all:
+        if each.scene != scene or each.document is None or each.method in renderers:
+            continue
+        try:
+            if each.seed is None:
+                files = find_renders(renders[each.method] / scene, loaded)
+                renderers[each.method] = partial(files.rendering, temperature=loaded.temperature)
+            else:
+                job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
+                renderers[each.method] = open_run(job.folder, job.scene).render_view
+        except MrgsError:  # scored, but its checkpoints were removed since
+            continue
+        figures[each.method] = next(
+            (entry for entry in each.document.get("views", []) if entry["name"] == view.name), {}
+        )
+    return Exhibit(loaded, path.parent if path.is_file() else path, view, renderers, figures)
+
+
+def _key(each: Outcome) -> tuple[str, str, int | None]:
+    return each.scene, each.method, each.seed
+
+
+def _label(each: Outcome) -> str:
+    return f"{each.scene}, {each.method}" + ("" if each.seed is None else f", seed {each.seed}")

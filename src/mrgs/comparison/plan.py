@@ -1,0 +1,115 @@
+"""Which runs a comparison consists of, and where each of them lives."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mrgs.atomic import replacing
+from mrgs.comparison.methods import AnyConfig, Options, configure
+from mrgs.comparison.single import require_same_config
+from mrgs.data import load_scene
+from mrgs.errors import ConfigError, SceneError
+from mrgs.training import make_config
+
+NEIGHBOURS_METHOD = "mrgs"
+"""The method whose number of neighbours the paper's Table 4 varies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One run.
+
+    Attributes:
+        scene: the scene's folder, absolute, or its transforms file.
+        scene_name: what the tables call it.
+        method: what the tables call the method; unique among the methods of a comparison.
+        seed: of every random choice.
+        config: what to train.
+        folder: the run's folder.
+    """
+
+    scene: Path
+    scene_name: str
+    method: str
+    seed: int
+    config: AnyConfig
+    folder: Path
+
+    def __str__(self) -> str:
+        return f"{self.scene_name}, {self.method}, seed {self.seed}"
+
+
+def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Job]:
+    """All runs, in the order in which they are done: every table is full after the first seed.
+
+    Args:
+        scenes: the scenes' folders.
+        output: runs live in ``output/runs/SCENE/METHOD/seed_N``.
+        options: the methods, and what all runs share.
+
+    Raises:
+        SceneError: a scene cannot be read, or has no held-out views.
+        ConfigError: an option is not allowed, two scenes have one name, or a run's folder holds another run.
+    """
+    if options.seeds < 1:
+        raise ConfigError(f"--seeds must be at least 1, not {options.seeds}")
+    if not options.methods and not options.neighbours:
+        raise ConfigError("there is nothing to compare: name at least one of --methods")
+    named = _named(scenes, options.resolution)
+    variants: dict[str, tuple[str, int | None]] = {method: (method, None) for method in options.methods}
+    variants |= {method: (NEIGHBOURS_METHOD, n) for n, method in neighbour_methods(options).items()}
+    jobs = []
+    for seed in range(options.seeds):
+        for name, scene in named.items():
+            for label, (method, n) in variants.items():
+                folder = output / "runs" / name / label / f"seed_{seed}"
+                jobs.append(Job(scene, name, label, seed, configure(method, options, seed, n), folder))
+    _claim(output / "scenes.json", named)
+    for job in jobs:
+        require_same_config(job.folder, job.config)
+    return jobs
+
+
+def neighbour_methods(options: Options) -> dict[int, str]:
+    """What each n of the table of neighbours is called among the methods; ``mrgs`` itself stands for its own n."""
+    own_n = make_config(NEIGHBOURS_METHOD, options.preset).field.neighbours_n
+    return {n: NEIGHBOURS_METHOD if n == own_n else f"{NEIGHBOURS_METHOD}-n{n}" for n in options.neighbours}
+
+
+def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
+    """The scenes by their folder's name, each looked at."""
+    if not scenes:
+        raise ConfigError("there is nothing to compare: name at least one scene")
+    named: dict[str, Path] = {}
+    for scene in scenes:
+        loaded = load_scene(scene, resolution=resolution)
+        if not loaded.eval:
+            raise SceneError(
+                f"{scene}: no views are held out, so there is nothing to score; put 'eval' into the file names of "
+                "some, or list them in val_filenames"
+            )
+        path = scene.resolve()
+        if named.setdefault(loaded.name, path) != path:
+            raise ConfigError(f"{named[loaded.name]} and {path} have the same name: rename one of the folders")
+    return named
+
+
+def _claim(file: Path, named: dict[str, Path]) -> None:
+    """Note which folder each scene's name stands for, so that no other scene takes over its runs."""
+    known: dict[str, str] = {}
+    if file.exists():
+        try:
+            known = dict(json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            raise ConfigError(f"{file} cannot be read: choose another --output, or remove the file") from None
+    for name, path in named.items():
+        if known.setdefault(name, str(path)) != str(path):
+            raise ConfigError(
+                f"{file.parent} holds runs of {known[name]} under the name {name}: choose another --output, or, if "
+                f"the scene was moved, correct its path in {file}"
+            )
+    with replacing(file) as temporary:
+        temporary.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,167 @@
+"""The figures of runs, and what several seeds say together."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from mrgs.evaluation.figures import Figure, Missing
+
+
+class Kind(NamedTuple):
+    """What a figure is.
+
+    Attributes:
+        heading: in tables.
+        unit: may be empty.
+        decimals: as printed; ``paper_decimals`` as the paper prints it.
+        better: which direction is better; None where neither is (the camera's own error).
+    """
+
+    heading: str
+    unit: str
+    decimals: int
+    paper_decimals: int
+    better: Literal["higher", "lower"] | None
+
+
+KINDS = {
+    "thermal.psnr": Kind("PSNR", "dB", 2, 2, "higher"),
+    "thermal.ssim": Kind("SSIM", "", 4, 3, "higher"),
+    "thermal.mae_c": Kind("MAE", "°C", 3, 3, "lower"),
+    "rgb.psnr": Kind("PSNR", "dB", 2, 2, "higher"),
+    "rgb.ssim": Kind("SSIM", "", 4, 3, "higher"),
+    "rgb.lpips": Kind("LPIPS", "", 4, 3, "lower"),
+    "gaussians_k": Kind("Gaussians", "K", 1, 0, "lower"),
+    "minutes": Kind("training", "min", 1, 0, "lower"),
+    "truth.mae_c": Kind("MAE to exact", "°C", 3, 3, "lower"),
+    "truth.camera_mae_c": Kind("camera's own MAE", "°C", 3, 3, None),
+    "truth.ratio": Kind("ratio", "", 2, 2, "lower"),
+    "truth.depth_percent": Kind("depth error", "%", 2, 2, "lower"),
+}
+"""Every figure of the tables."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run, or one set of another program's renders, came to.
+
+    Attributes:
+        scene: the scene's name.
+        method: what the tables call the method.
+        seed: of the run; None for renders.
+        figures: by the names of ``KINDS``.
+        document: the content of ``metrics.json``; None where there is none.
+        failure: why there is none.
+    """
+
+    scene: str
+    method: str
+    seed: int | None
+    figures: dict[str, Figure]
+    document: dict[str, Any] | None
+    failure: str | None = None
+
+
+class Cell(NamedTuple):
+    """Mean and sample standard deviation over seeds.
+
+    Attributes:
+        mean: None where there is none.
+        std: None where fewer than two seeds have the figure.
+        seeds: how many have it.
+        note: why it is missing, or what it leaves out.
+    """
+
+    mean: float | None
+    std: float | None = None
+    seeds: int = 0
+    note: str | None = None
+
+
+def outcome(scene: str, method: str, seed: int | None, document: dict[str, Any]) -> Outcome:
+    """Read the figures of a ``metrics.json``."""
+    return Outcome(scene, method, seed, {name: _figure(document, name) for name in KINDS}, document)
+
+
+def failed(scene: str, method: str, seed: int | None, reason: str) -> Outcome:
+    """All figures missing for one reason."""
+    return Outcome(scene, method, seed, {name: Missing(reason) for name in KINDS}, None, reason)
+
+
+def over_seeds(figures: Sequence[Figure]) -> Cell:
+    """Mean ± standard deviation of the seeds that have the figure; a note where some or all have not."""
+    values = [figure for figure in figures if not isinstance(figure, Missing)]
+    reasons = list(dict.fromkeys(figure.reason for figure in figures if isinstance(figure, Missing)))
+    if not values:
+        return Cell(None, note="; ".join(reasons) or "not run")
+    note = None if not reasons else f"{len(values)} of {len(figures)} seeds; the others: {'; '.join(reasons)}"
+    std = statistics.stdev(values) if len(values) > 1 else None
+    return Cell(math.fsum(values) / len(values), std, len(values), note)
+
+
+def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
+    """The mean over scenes, and its standard deviation over seeds.
+
+    Args:
+        scenes: of each scene the figure of each seed, equally many.
+        names: the scenes' names, for the note where one has no figure.
+    """
+    per_seed = []
+    for seed in zip(*scenes, strict=True):
+        values = [figure for figure in seed if not isinstance(figure, Missing)]
+        if len(values) == len(scenes):
+            per_seed.append(math.fsum(values) / len(values))
+    if not per_seed:
+        return Cell(None, note=_why_no_mean(scenes, names))
+    std = statistics.stdev(per_seed) if len(per_seed) > 1 else None
+    return Cell(math.fsum(per_seed) / len(per_seed), std, len(per_seed))
+
+
+def _why_no_mean(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> str:
+    """The reason that all share, or the scenes that lack the figure."""
+    every = [figure for figures in scenes for figure in figures]
+    reasons = {figure.reason for figure in every if isinstance(figure, Missing)}
+    if len(reasons) == 1 and all(isinstance(figure, Missing) for figure in every):
+        return reasons.pop()
+    gaps = [name for name, figures in zip(names, scenes, strict=True) if any(isinstance(x, Missing) for x in figures)]
+    return f"no mean, because the figure is missing for {', '.join(gaps)}"
+
+
+def _figure(document: dict[str, Any], name: str) -> Figure:
+    if name == "gaussians_k":
+        return _scaled(_number(document, "gaussians"), 1e-3)
+    if name == "minutes":
+        return _scaled(_number(document, "train_seconds"), 1 / 60)
+    group, _, key = name.partition(".")
+    if group != "truth":
+        return _number(document, f"mean.{group}.{key}")
+    if "truth" not in document:
+        return Missing("the scene has no exact truth")
+    if key == "depth_percent":
+        return _scaled(_number(document, "truth.depth_median_relative_error"), 100.0)
+    if key == "ratio":
+        error, camera = _number(document, "truth.mae_c"), _number(document, "truth.camera_mae_c")
+        if isinstance(error, Missing) or isinstance(camera, Missing):
+            return error if isinstance(error, Missing) else camera
+        return error / camera if camera > 0 else Missing("the camera makes no error")
+    return _number(document, f"truth.{key}")
+
+
+def _number(document: dict[str, Any], path: str) -> Figure:
+    """The number at a dotted path, or the reason that ``metrics.json`` gives for its absence."""
+    node: Any = document
+    for key in path.split("."):
+        node = node.get(key) if isinstance(node, dict) else None
+    if isinstance(node, int | float) and not isinstance(node, bool):
+        return float(node)
+    reasons = document.get("reasons")
+    reason = reasons.get(path) if isinstance(reasons, dict) else None
+    return Missing(str(reason) if reason else "metrics.json does not hold it")
+
+
+def _scaled(figure: Figure, factor: float) -> Figure:
+    return figure if isinstance(figure, Missing) else figure * factor

@@ -1,0 +1,107 @@
+"""One run, from photos to scores."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mrgs.comparison.methods import AnyConfig, OnStep, read_config, train_run
+from mrgs.errors import ConfigError
+from mrgs.evaluation import evaluate_run
+from mrgs.run import open_run
+from mrgs.training.run_folder import RunFolder
+
+
+def run_one(
+    scene: Path,
+    folder: Path,
+    config: AnyConfig,
+    *,
+    lpips_weights: Path | None = None,
+    on_step: OnStep | None = None,
+    on_score: Callable[[int, int], None] | None = None,
+) -> bool:
+    """Bring one run to its scores from wherever it is: train it, continue it, or only score it.
+
+    Args:
+        scene: the scene's folder.
+        folder: the run's folder.
+        config: what the run is trained with.
+        lpips_weights: weights for LPIPS, see ``evaluate_run``.
+        on_step: called after every training step; returning True stops with a checkpoint.
+        on_score: called after each scored view with their number and that of all.
+
+    Returns:
+        whether the run is scored; False if ``on_step`` stopped it.
+
+    Raises:
+        MrgsError: the scene or the folder cannot be used, or the training had to stop.
+    """
+    if not _is_trained(folder, config):
+        train_run(scene, folder, config, on_step)
+    run = open_run(folder, scene)
+    if run.facts.step < config.max_steps:
+        return False
+    evaluate_run(run, lpips_weights, on_score)
+    return True
+
+
+def is_scored(folder: Path, config: AnyConfig, with_lpips: bool) -> bool:
+    """Whether the folder holds the scores of the finished run, with LPIPS if they must have it."""
+    document = read_metrics(folder / "eval")
+    if document is None or document.get("steps") != config.max_steps:
+        return False
+    return not with_lpips or _has_lpips(document)
+
+
+def read_metrics(folder: Path) -> dict[str, Any] | None:
+    """The content of a folder's ``metrics.json``; None where there is none that can be read."""
+    try:
+        document = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def require_same_config(folder: Path, config: AnyConfig) -> None:
+    """A folder that holds a run holds one of this configuration.
+
+    Raises:
+        ConfigError: it was trained with another; the message names the first value that differs.
+        RunError: its configuration cannot be read.
+    """
+    run = RunFolder(folder)
+    if not run.config_file.exists() or not (run.checkpoints() or read_metrics(folder / "eval")):
+        return
+    there, here = flat(read_config(run)), flat(config)
+    for name in [*here, *there]:
+        if there.get(name) != here.get(name):
+            raise ConfigError(
+                f"{folder} holds a run with another configuration ({name} is {there.get(name)} there and "
+                f"{here.get(name)} here): choose another --output, or remove the folder"
+            )
+
+
+def flat(config: Any) -> dict[str, Any]:
+    """The fields of nested dataclasses by their dotted names."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            values |= {f"{field.name}.{name}": inner for name, inner in flat(value).items()}
+        else:
+            values[field.name] = value
+    return values
+
+
+def _is_trained(folder: Path, config: AnyConfig) -> bool:
+    """Read off the newest checkpoint's name, which is the same for every method."""
+    return config.max_steps in (int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints())
+
+
+def _has_lpips(document: dict[str, Any]) -> bool:
+    means = document.get("mean", {})
+    return any(means.get(group, {}).get("lpips") is not None for group in ("thermal", "rgb"))

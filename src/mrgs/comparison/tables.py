@@ -1,0 +1,199 @@
+"""The tables of the paper's experiments, from the outcomes of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from mrgs.comparison import paper
+from mrgs.comparison.results import KINDS, Cell, Outcome, over_scenes, over_seeds
+from mrgs.comparison.table import Group, Row, Table
+from mrgs.evaluation.figures import Figure, Missing
+
+THERMAL = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
+RGB = ("rgb.psnr", "rgb.ssim", "rgb.lpips", "gaussians_k")
+NEIGHBOURS = (*THERMAL, "minutes")
+TRUTH = ("truth.mae_c", "truth.camera_mae_c", "truth.ratio", "truth.depth_percent")
+
+ABLATION = {
+    "3dgs-rgbt": ("✓", "", "", ""),
+    "mrgs-base": ("", "✓", "", ""),
+    "mrgs-fourier": ("", "✓", "✓", ""),
+    "mrgs-boltz": ("", "✓", "", "✓"),
+    "mrgs": ("", "✓", "✓", "✓"),
+}
+"""What each method has, in the columns of the paper's Table 3."""
+
+MEAN = "mean"
+PUBLISHED = (
+    "Rows marked (paper) are the paper's own figures, on other hardware and a longer schedule; they are not ranked."
+)
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """All outcomes of a comparison, by scene and method.
+
+    Attributes:
+        all: in any order.
+        scenes: names in the order of the columns.
+        methods: in the order of the rows, without those of the table of neighbours alone.
+        neighbours: of each n of that table, the method that stands for it.
+    """
+
+    all: tuple[Outcome, ...]
+    scenes: tuple[str, ...]
+    methods: tuple[str, ...]
+    neighbours: dict[int, str]
+
+    def figures(self, scene: str, method: str, figure: str) -> list[Figure]:
+        """The figure of each seed."""
+        found = [each for each in self.all if (each.scene, each.method) == (scene, method)]
+        return [each.figures[figure] for each in found] or [Missing("not run")]
+
+    def mean(self, method: str, figure: str) -> Cell:
+        """The mean over the scenes where any method has the figure."""
+        scenes = self.scenes_with(figure) or self.scenes
+        return over_scenes([self.figures(scene, method, figure) for scene in scenes], scenes)
+
+    def scenes_with(self, figure: str) -> list[str]:
+        """The scenes where at least one method has the figure."""
+        return [
+            scene
+            for scene in self.scenes
+            if any(isinstance(value, float) for method in self.methods for value in self.figures(scene, method, figure))
+        ]
+
+
+def all_tables(outcomes: Outcomes) -> list[Table]:
+    """Every table for which there is something to show."""
+    tables = []
+    if outcomes.methods:
+        caption = "novel views of scenes and methods: held-out views, full frame."
+        tables.append(_methods_by_scenes(outcomes, "thermal", f"Thermal {caption}", THERMAL))
+        tables.append(_methods_by_scenes(outcomes, "rgb", f"RGB {caption}", RGB))
+    if sum(method in ABLATION for method in outcomes.methods) > 1:
+        tables.append(_ablation(outcomes))
+    if outcomes.neighbours:
+        tables.append(_neighbours(outcomes))
+    with_truth = tuple(outcomes.scenes_with("truth.mae_c"))
+    if with_truth:
+        tables.append(_truth(outcomes, with_truth))
+    return tables
+
+
+def _methods_by_scenes(outcomes: Outcomes, name: str, caption: str, figures: tuple[str, ...]) -> Table:
+    """A row per method and a group of columns per scene, as the paper's Tables 1 and 2."""
+    several = len(outcomes.scenes) > 1
+    groups = [Group(_title(scene), figures) for scene in outcomes.scenes]
+    rows = []
+    for method in outcomes.methods:
+        cells = [over_seeds(outcomes.figures(scene, method, key)) for scene in outcomes.scenes for key in figures]
+        cells += [outcomes.mean(method, key) for key in figures] if several else []
+        rows.append(Row((method,), tuple(cells)))
+    remarks = _remarks_on_means(outcomes, figures) if several else []
+    if any(paper.rows_of(name, scene) for scene in outcomes.scenes):
+        for row in paper.METHODS:
+            cells = [paper.cell(name, scene, row, key) for scene in outcomes.scenes for key in figures]
+            cells += [paper.mean_cell(name, outcomes.scenes, row, key) for key in figures] if several else []
+            rows.append(Row((f"{row} (paper)",), tuple(cells), published=True))
+        remarks.append(PUBLISHED)
+    return Table(
+        name, caption, ("",), (*groups, *([Group(MEAN, figures)] if several else [])), tuple(rows), tuple(remarks)
+    )
+
+
+def _ablation(outcomes: Outcomes) -> Table:
+    """A block of rows per scene, as the paper's Table 3."""
+    methods = [method for method in ABLATION if method in outcomes.methods]
+    rows = []
+    for scene in outcomes.scenes:
+        for method in methods:
+            cells = tuple(over_seeds(outcomes.figures(scene, method, key)) for key in THERMAL)
+            rows.append(Row((_title(scene), *ABLATION[method]), cells, block=scene))
+        rows += _published_rows("ablation", scene, THERMAL, ABLATION)
+    remarks = [PUBLISHED] if any(row.published for row in rows) else []
+    if len(outcomes.scenes) > 1:
+        for method in methods:
+            cells = tuple(outcomes.mean(method, key) for key in THERMAL)
+            rows.append(Row((MEAN, *ABLATION[method]), cells, block=MEAN))
+        remarks += _remarks_on_means(outcomes, THERMAL)
+    return Table(
+        "ablation",
+        "Ablation of the paper's parts: thermal images of held-out views.",
+        ("scene", "3DGS_RGB-T", "MrGS base", "Fourier", "L_boltz"),
+        (Group("", THERMAL),),
+        tuple(rows),
+        tuple(remarks),
+    )
+
+
+def _neighbours(outcomes: Outcomes) -> Table:
+    """A row per n, as the paper's Table 4."""
+    rows = []
+    for scene in outcomes.scenes:
+        for n, method in sorted(outcomes.neighbours.items()):
+            cells = tuple(over_seeds(outcomes.figures(scene, method, key)) for key in NEIGHBOURS)
+            rows.append(Row((_title(scene), f"n = {n}"), cells, block=scene))
+        labels = {str(n): (f"n = {n}",) for n in sorted(outcomes.neighbours)}
+        rows += _published_rows("neighbours", scene, NEIGHBOURS, labels)
+    remarks = ["Each Gaussian exchanges heat with K = n² − 1 neighbours.", "The time is that of the training alone."]
+    if any(row.published for row in rows):
+        remarks.append(PUBLISHED)
+    return Table(
+        "neighbours",
+        "The number of neighbours in the Fourier heat transformation: thermal images of held-out views.",
+        ("scene", "neighbours"),
+        (Group("", NEIGHBOURS),),
+        tuple(rows),
+        tuple(remarks),
+    )
+
+
+def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
+    """Errors against exact temperatures and depths, where a scene has them."""
+    several = len(scenes) > 1
+    rows = []
+    for method in outcomes.methods:
+        cells = [over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in TRUTH]
+        cells += [outcomes.mean(method, key) for key in TRUTH] if several else []
+        rows.append(Row((method,), tuple(cells)))
+    groups = [Group(_title(scene), TRUTH) for scene in scenes] + ([Group(MEAN, TRUTH)] if several else [])
+    remarks = (
+        "MAE to exact: of the rendered view, mean over the frame.",
+        "Camera's own MAE: of the camera's image of the same view.",
+        "Ratio: the first over the second; below 1, the model is a better thermometer than the camera.",
+        "Depth error: median of |rendered − exact| / exact over a view, mean over the views.",
+    )
+    caption = "Against exact temperatures and depths, of scenes that have them."
+    return Table("truth", caption, ("",), tuple(groups), tuple(rows), remarks)
+
+
+def _published_rows(table: str, scene: str, figures: Sequence[str], labels: Mapping[str, tuple[str, ...]]) -> list[Row]:
+    """The paper's rows for a scene, where it has them."""
+    return [
+        Row(
+            (f"{_title(scene)} (paper)", *labels[row]),
+            tuple(paper.cell(table, scene, row, key) for key in figures),
+            block=scene,
+            published=True,
+        )
+        for row in labels
+        if row in paper.rows_of(table, scene)
+    ]
+
+
+def _remarks_on_means(outcomes: Outcomes, figures: Sequence[str]) -> list[str]:
+    """Which means leave scenes out, because no method has the figure there."""
+    remarks = []
+    for figure in figures:
+        there = outcomes.scenes_with(figure)
+        gone = [_title(scene) for scene in outcomes.scenes if scene not in there]
+        if there and gone:
+            remarks.append(f"The mean {KINDS[figure].heading} leaves out {', '.join(gone)}, which has none.")
+    return remarks
+
+
+def _title(scene: str) -> str:
+    """The paper's name of a scene, or the folder's."""
+    return paper.scene_title(scene) or scene

@@ -1,0 +1,237 @@
+"""Score any program's renderings of a scene's held-out views: image files named like the views.
+
+``FOLDER/rgb/NAME.png`` (or .jpg) and the temperatures in one of
+
+- ``FOLDER/temperature_c/NAME.tiff``: float32, °C;
+- ``FOLDER/thermal_normalised/NAME.tiff``: float32, 0 and 1 at the ends of the scene's range;
+- ``FOLDER/thermal/NAME.png``: 8-bit or 16-bit grey over the scene's range; or ``NAME.tiff``, float32, °C.
+
+The first of these folders that is there counts, so that what ``mrgs render`` writes can be read: its ``thermal/`` holds
+coloured pictures beside the values. ``depth_thermal/NAME.tiff`` (z-depth, scene units) is read where it is there.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from jaxtyping import Float32
+from torch import Tensor
+
+from mrgs.data import load_scene
+from mrgs.data.files import IMAGE_SUFFIXES, without_image_suffix
+from mrgs.data.images import Decoded, decode
+from mrgs.errors import MrgsWarning, RunError, SceneError
+from mrgs.evaluation.evaluate import Metrics
+from mrgs.evaluation.report import RunFacts
+from mrgs.evaluation.score_run import Progress, score_views
+from mrgs.render import Rendering
+from mrgs.scene import Camera, Scene, TemperatureRange, View
+
+GREY_TOLERANCE = 2.5 / 255
+"""Largest difference between the channels of a grey image that was saved in colour."""
+
+FLOAT_SUFFIXES = frozenset({".tif", ".tiff"})
+
+ThermalKind = Literal["temperature_c", "thermal_normalised", "thermal"]
+THERMAL_KINDS: tuple[ThermalKind, ...] = get_args(ThermalKind)
+"""Folders of temperatures; the first that is there counts."""
+
+Convert = Callable[[Path, Decoded, TemperatureRange | None], Tensor]
+"""From a decoded image (the path is for messages) to the values that a model would render."""
+
+
+@dataclass(frozen=True)
+class Renders:
+    """The image files of one folder, by view name; a modality that the folder lacks is None, depths may be empty."""
+
+    rgb: dict[str, Path] | None
+    thermal: dict[str, Path] | None
+    thermal_kind: ThermalKind
+    depth: dict[str, Path]
+
+    def rendering(self, view: View, temperature: TemperatureRange | None) -> Rendering:
+        """The images of a view, as if a model had rendered them.
+
+        Raises:
+            RunError: a file cannot be used; one line that names it and says what to do.
+        """
+        rgb = thermal = depth = None
+        if self.rgb is not None and view.rgb is not None:
+            rgb = _read(self.rgb[view.name], view.rgb.camera, _colors, temperature)
+        if self.thermal is not None and view.thermal is not None:
+            convert = {"temperature_c": _celsius, "thermal_normalised": _floats, "thermal": _temperatures}
+            thermal = _read(self.thermal[view.name], view.thermal.camera, convert[self.thermal_kind], temperature)
+            if view.name in self.depth:
+                depth = _read(self.depth[view.name], view.thermal.camera, _floats, temperature)[..., 0]
+        return Rendering(rgb=rgb, thermal=thermal, depth_thermal=depth)
+
+
+def evaluate_renders(
+    scene: str | Path,
+    folder: str | Path,
+    *,
+    name: str | None = None,
+    output: Path | None = None,
+    resolution: int | None = None,
+    lpips_weights: Path | None = None,
+    progress: Progress | None = None,
+) -> Metrics:
+    """Score a folder of renderings with the metrics of ``evaluate_run``.
+
+    Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png``. The images are compared with the undistorted
+    photos, at the size at which ``load_scene`` gives them.
+
+    Args:
+        scene: the scene's folder.
+        folder: holds the images, see the module.
+        name: what the report calls the program; by default the folder's name.
+        output: the folder to write into; by default ``folder/eval``.
+        resolution: photos wider than this many pixels are reduced to it, as in training.
+        lpips_weights: weights for LPIPS; without them it is left out, with the reason.
+        progress: called after each view.
+
+    Raises:
+        SceneError: the scene cannot be read, or has no eval views.
+        RunError: an image is missing, cannot be read, or has another size than its view.
+
+    Warns:
+        MrgsWarning: the folder holds images of no eval view.
+    """
+    folder = Path(folder)
+    loaded = load_scene(scene, resolution=resolution)
+    renders = find_renders(folder, loaded)
+    path = Path(scene)
+    facts = RunFacts(
+        method=name or folder.resolve().name,
+        scene=loaded.name,
+        steps=None,
+        gaussians=None,
+        train_seconds=None,
+        peak_memory_bytes=None,
+        device="not known",
+    )
+    return score_views(
+        loaded,
+        path.parent if path.is_file() else path,
+        lambda view: renders.rendering(view, loaded.temperature),
+        facts,
+        output or folder / "eval",
+        lpips_weights,
+        progress,
+    )
+
+
+def find_renders(folder: Path, scene: Scene) -> Renders:
+    """The files for a scene's eval views; nothing is decoded yet.
+
+    Raises:
+        RunError: the folder has no images, or not all that it must have.
+
+    Warns:
+        MrgsWarning: it holds images of no eval view.
+    """
+    if not folder.is_dir():
+        raise RunError(f"{folder} is not a folder: give the folder that holds rgb/ and thermal/")
+    rgb_names = [view.name for view in scene.eval if view.rgb is not None]
+    thermal_names = [view.name for view in scene.eval if view.thermal is not None]
+    rgb = _files(folder / "rgb", rgb_names, IMAGE_SUFFIXES)
+    kind: ThermalKind = next((kind for kind in THERMAL_KINDS if (folder / kind).is_dir()), "thermal")
+    thermal = _files(folder / kind, thermal_names, IMAGE_SUFFIXES if kind == "thermal" else FLOAT_SUFFIXES)
+    if rgb is None and thermal is None:
+        raise RunError(
+            f"{folder} holds no renderings: put RGB images into {folder / 'rgb'} and thermal images into "
+            f"{folder / 'thermal'}, named like the eval views ({_listed(rgb_names or thermal_names)})"
+        )
+    depth_folder = folder / "depth_thermal"
+    depth = _files(depth_folder, thermal_names, FLOAT_SUFFIXES) if thermal is not None else None
+    return Renders(rgb, thermal, kind, depth or {})
+
+
+def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str, Path] | None:
+    """The image of each view; None where the folder is not there or no view needs it."""
+    if not names or not folder.is_dir():
+        return None
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes and path.is_file():
+            found.setdefault(without_image_suffix(path.name), []).append(path)
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise RunError(
+            f"{folder} has no image of {len(missing)} of {len(names)} eval views ({_listed(missing)}): "
+            "add them, named like the views"
+        )
+    for name in names:
+        if len(found[name]) > 1:
+            raise RunError(f"{folder} has several images of the view {name}: keep one of {_listed(found[name])}")
+    extra = sorted(found.keys() - set(names))
+    if extra:
+        warnings.warn(
+            f"{folder} holds {len(extra)} images that belong to no eval view ({_listed(extra)}); they are left out",
+            MrgsWarning,
+            stacklevel=2,
+        )
+    return {name: found[name][0] for name in names}
+
+
+def _listed(names: list[str] | list[Path], most: int = 3) -> str:
+    """The first few names; dots stand for the others."""
+    shown = [name.name if isinstance(name, Path) else name for name in names[:most]]
+    return ", ".join(shown) + (", ..." if len(names) > most else "")
+
+
+def _read(
+    path: Path, camera: Camera, convert: Convert, temperature: TemperatureRange | None
+) -> Float32[Tensor, "h w c"]:
+    """The image's values, whole and of the camera's size."""
+    try:
+        image = decode(path)
+    except SceneError as error:
+        raise RunError(str(error)) from error
+    height, width = image.values.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise RunError(
+            f"{path} is {width}×{height} px, but its view is {camera.width}×{camera.height} px: render at the view's "
+            "size, or choose the --resolution that was rendered at"
+        )
+    if image.valid is not None:
+        what = "not finite" if image.kind == "float" else "transparent"
+        raise RunError(f"{path} has pixels that are {what}: every pixel is scored, so render all of them")
+    return convert(path, image, temperature)
+
+
+def _colors(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[Tensor, "h w 3"]:
+    if image.kind == "float":
+        raise RunError(f"{path} is a float image: save RGB with 8 bits per channel")
+    return image.values.expand(-1, -1, 3)
+
+
+def _floats(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:
+    if image.kind != "float":
+        raise RunError(f"{path} holds no floats: save it as a one-channel float32 TIFF")
+    return image.values
+
+
+def _celsius(path: Path, image: Decoded, temperature: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:
+    if temperature is None:
+        raise RunError(
+            f"{path} holds °C, but the scene has no temperature range: put normalised floats into thermal_normalised/"
+        )
+    return temperature.from_celsius(_floats(path, image, None))
+
+
+def _temperatures(path: Path, image: Decoded, temperature: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:
+    """From ``thermal/``: floats are °C, integers are spread over the range already."""
+    if image.kind == "float":
+        return _celsius(path, image, temperature)
+    values = image.values
+    if (values.amax(dim=2) - values.amin(dim=2)).max() > GREY_TOLERANCE:
+        raise RunError(
+            f"{path} is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit or 16-bit grey over "
+            "the scene's temperature range, or a float32 TIFF in °C"
+        )
+    return values[..., :1]

@@ -1,0 +1,160 @@
+"""Whole comparisons of tiny runs; the runs are done in this process, but for one."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from mrgs.comparison import comparison
+from mrgs.comparison.comparison import compare
+from mrgs.comparison.plan import Job, plan
+from mrgs.comparison.single import run_one
+from mrgs.errors import MrgsError
+from mrgs.training import train
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Do the runs in this process; the list tells which were done."""
+    done: list[str] = []
+
+    def run_jobs(jobs: Sequence[Job], count: int, weights: Path | None, *_: Any) -> dict[Job, str]:
+        failures = {}
+        for job in jobs:
+            done.append(str(job))
+            try:
+                run_one(job.scene, job.folder, job.config, lpips_weights=weights)
+            except MrgsError as error:
+                failures[job] = str(error)
+        return failures
+
+    monkeypatch.setattr(comparison, "run_jobs", run_jobs)
+    return done
+
+
+@pytest.fixture
+def twin(small_scene: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(small_scene, tmp_path / "twin")
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def test_two_methods_on_two_scenes_with_two_seeds(here, small_scene, twin, tmp_path, make_options):
+    options = make_options(seeds=2, methods=("mrgs-fourier", "mrgs"))
+    said: list[str] = []
+    result = compare([small_scene, twin], tmp_path / "out", options, say=said.append)
+    assert len(here) == 8
+    assert result.failures == {}
+    assert said == ["8 runs, 0 of them scored already"]
+    out = tmp_path / "out"
+    assert {path.name for path in (out / "tables").iterdir()} == {
+        f"{name}{suffix}" for name in ("thermal", "rgb", "ablation") for suffix in (".md", ".tex", ".csv")
+    }
+    assert re.search(r"\| mrgs \|.* ± ", read(out / "tables" / "thermal.md"))
+    results = json.loads(read(out / "results.json"))
+    assert len(results["runs"]) == 8
+    run = results["runs"][0]
+    metrics = json.loads(read(out / "runs" / "balls" / "mrgs-fourier" / "seed_0" / "eval" / "metrics.json"))
+    assert run["figures"]["thermal.psnr"] == metrics["mean"]["thermal"]["psnr"]
+    assert run["metrics"] == metrics
+    assert "--lpips-weights" in run["reasons"]["rgb.lpips"]
+    for name in ("qualitative.png", "depth.png"):
+        with Image.open(out / "figures" / name) as figure:
+            assert figure.width > 900
+
+
+def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path, make_options):
+    first = compare([small_scene], tmp_path / "out", make_options(methods=("3dgs-rgbt",)))
+    said: list[str] = []
+    second = compare([small_scene], tmp_path / "out", make_options(), say=said.append)
+    assert here == ["balls, 3dgs-rgbt, seed 0", "balls, mrgs, seed 0"]
+    assert said == ["2 runs, 1 of them scored already"]
+    assert second.tables[0].rows[0].cells == first.tables[0].rows[0].cells
+
+
+def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path, make_options):
+    options = make_options(methods=("3dgs-rgbt",))
+    (job,) = plan([small_scene], tmp_path / "out", options)
+    train(small_scene, job.folder, job.config, stop_at=2)
+    result = compare([small_scene], tmp_path / "out", options)
+    assert result.failures == {}
+    assert json.loads(read(job.folder / "eval" / "metrics.json"))["steps"] == 3
+
+
+def test_a_run_that_fails_leaves_a_dash_with_its_reason(here, small_scene, twin, tmp_path, make_options, monkeypatch):
+    for path in (twin / "images").glob("*train_00003*"):
+        path.write_bytes(path.read_bytes()[:200])
+    options = make_options(methods=("3dgs-rgbt",), max_steps=20)
+    result = compare([small_scene, twin], tmp_path / "out", options)
+    assert list(result.failures) == ["twin, 3dgs-rgbt, seed 0"]
+    text = read(tmp_path / "out" / "tables" / "thermal.md")
+    assert "–<sup>a</sup>" in text
+    assert re.search(r"<sup>a</sup> the run failed: .*cannot be decoded", text)
+    assert (tmp_path / "out" / "figures" / "qualitative.png").is_file()
+
+
+def test_renders_of_another_program_stand_in_the_tables(here, small_scene, tmp_path, make_options):
+    for kind, source in (("rgb", "images"), ("thermal", "thermal")):
+        shutil.copytree(
+            small_scene / source, tmp_path / "other" / "balls" / kind, ignore=shutil.ignore_patterns("*train*")
+        )
+    options = make_options(methods=("3dgs-rgbt",))
+    result = compare([small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
+    _, theirs = result.tables[0].rows
+    assert theirs.labels == ("Other",)
+    assert theirs.cells[1].mean == pytest.approx(1.0)
+    assert "another program" in theirs.cells[3].note
+    assert not (tmp_path / "other" / "balls" / "eval").exists()
+    with Image.open(tmp_path / "out" / "figures" / "qualitative.png") as figure:
+        assert figure.width > 900
+
+
+def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path, make_options):
+    options = make_options(methods=("3dgs-rgbt",))
+    result = compare([small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
+    assert list(result.failures) == ["balls, Other"]
+    assert "is not a folder" in result.failures["balls, Other"]
+
+
+def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_scene, tmp_path, make_options):
+    options = make_options(methods=("3dgs-rgbt",))
+    compare([small_scene], tmp_path / "out", options)
+    shutil.rmtree(tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0" / "checkpoints")
+    shutil.rmtree(tmp_path / "out" / "figures")
+    result = compare([small_scene], tmp_path / "out", options)
+    assert result.tables[0].rows[0].cells[0].mean is not None
+    assert not (tmp_path / "out" / "figures").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"jobs": 0}, "--jobs must be at least 1, not 0"),
+        ({"renders": {"mrgs": Path("x")}}, "--renders mrgs: a method has this name already; choose another"),
+        ({"renders": {"a/b": Path("x")}}, "--renders a/b: the name must be usable as a folder's name; choose another"),
+        ({"lpips_weights": Path("none")}, "none: no such file; --lpips-weights takes a safetensors file"),
+    ],
+)
+def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_path, make_options):
+    with pytest.raises(MrgsError, match=message):
+        compare([small_scene], tmp_path / "out", make_options(), **arguments)
+    assert not (tmp_path / "out").exists()
+
+
+def test_in_a_process_of_its_own(small_scene, tmp_path, make_options):
+    said: list[str] = []
+    result = compare([small_scene], tmp_path / "out", make_options(methods=("3dgs-rgbt",)), say=said.append)
+    assert result.failures == {}
+    assert said[0] == "1 runs, 0 of them scored already"
+    assert said[1] == "starts: balls, 3dgs-rgbt, seed 0"
+    assert said[-1] == "scored: balls, 3dgs-rgbt, seed 0 | 1 of 1 done"
+    assert isinstance(result.tables[0].rows[0].cells[0].mean, float)

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from mrgs.comparison.plan import neighbour_methods, plan
+from mrgs.errors import ConfigError, SceneError
+from mrgs.training import train
+
+
+def test_every_seed_is_done_for_all_before_the_next(small_scene, make_scene, tmp_path, make_options):
+    jobs = plan([small_scene, make_scene()], tmp_path / "out", make_options(seeds=2, neighbours=(1, 3)))
+    assert [str(job) for job in jobs[:4]] == [
+        "balls, 3dgs-rgbt, seed 0", "balls, mrgs, seed 0", "balls, mrgs-n1, seed 0", "scene, 3dgs-rgbt, seed 0",
+    ]  # fmt: skip
+    assert len(jobs) == 2 * 2 * 3
+    assert jobs[-1].folder == tmp_path / "out" / "runs" / "scene" / "mrgs-n1" / "seed_1"
+    assert (jobs[-1].config.seed, jobs[-1].config.field.neighbours_n) == (1, 1)
+
+
+def test_mrgs_itself_stands_for_its_own_number_of_neighbours(make_options):
+    assert neighbour_methods(make_options(neighbours=(1, 3, 5))) == {1: "mrgs-n1", 3: "mrgs", 5: "mrgs-n5"}
+
+
+def test_the_neighbours_alone_need_no_method(small_scene, tmp_path, make_options):
+    jobs = plan([small_scene], tmp_path, make_options(methods=(), neighbours=(1, 3)))
+    assert [job.method for job in jobs] == ["mrgs-n1", "mrgs"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seeds": 0}, "--seeds must be at least 1, not 0"),
+        ({"methods": ()}, "there is nothing to compare: name at least one of --methods"),
+        ({"methods": ("magic",)}, "there is no method 'magic': choose one of"),
+        ({"preset": "slow"}, "there is no preset 'slow'"),
+        ({"neighbours": (0,)}, "neighbours_n must be 1 or more"),
+    ],
+)
+def test_options_that_are_not_allowed(changes, message, small_scene, tmp_path, make_options):
+    with pytest.raises(ConfigError, match=message):
+        plan([small_scene], tmp_path / "out", make_options(**changes))
+    assert not (tmp_path / "out").exists()
+
+
+def test_at_least_one_scene(tmp_path, make_options):
+    with pytest.raises(ConfigError, match="nothing to compare: name at least one scene"):
+        plan([], tmp_path, make_options())
+
+
+def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path, make_options):
+    twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
+    with pytest.raises(ConfigError, match=rf"balls and .*{twin.parent.name}/balls have the same name: rename one"):
+        plan([small_scene, twin], tmp_path / "out", make_options())
+    assert len(plan([small_scene, small_scene], tmp_path / "out", make_options())) == 2
+
+
+def test_a_name_stands_for_one_folder_over_time(small_scene, tmp_path, make_options):
+    twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
+    plan([small_scene], tmp_path / "out", make_options())
+    with pytest.raises(ConfigError, match=r"out holds runs of .*balls under the name balls: choose another --output"):
+        plan([twin], tmp_path / "out", make_options())
+    (tmp_path / "out" / "scenes.json").write_text("[1]")
+    with pytest.raises(ConfigError, match=r"scenes\.json cannot be read: choose another --output, or remove the file"):
+        plan([small_scene], tmp_path / "out", make_options())
+
+
+def test_a_scene_without_held_out_views(make_scene, tmp_path, make_options):
+    scene = make_scene()
+    content = json.loads((scene / "transforms.json").read_text())
+    content["train_filenames"] = [frame["file_path"] for frame in content["frames"]]
+    (scene / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(SceneError, match="no views are held out, so there is nothing to score"):
+        plan([scene], tmp_path, make_options())
+
+
+def test_a_folder_with_another_run_is_found_before_anything_runs(small_scene, tmp_path, make_options):
+    options = make_options(methods=("3dgs-rgbt",))
+    (job,) = plan([small_scene], tmp_path, options)
+    train(small_scene, job.folder, job.config)
+    plan([small_scene], tmp_path, options)
+    with pytest.raises(ConfigError, match=r"seed_0 holds a run with another configuration \(max_steps is 3 there and"):
+        plan([small_scene], tmp_path, make_options(methods=("3dgs-rgbt",), max_steps=4))

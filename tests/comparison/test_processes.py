@@ -1,0 +1,150 @@
+"""With children that only pretend, so that the processes alone are tested; and one that is real."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mrgs.comparison import processes
+from mrgs.comparison.plan import Job
+from mrgs.comparison.processes import run_jobs, threads_each
+from mrgs.training import make_config
+
+SPEAK = """
+import json, os, sys
+request = json.loads(sys.argv[1])
+def say(**message):
+    print(json.dumps(message), flush=True)
+"""
+
+
+@pytest.fixture
+def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Job]]:
+    """Jobs whose children run a script; ``request`` and ``say`` are known in it."""
+
+    def make(script: str, count: int = 1) -> list[Job]:
+        monkeypatch.setattr(processes, "CHILD", ("-c", SPEAK + script))
+        config = make_config("mrgs", "fast", max_steps=3)
+        return [
+            Job(tmp_path / "scene", "scene", "mrgs", seed, config, tmp_path / f"seed_{seed}") for seed in range(count)
+        ]
+
+    return make
+
+
+def do(jobs: list[Job], count: int = 1) -> tuple[dict[Job, str], list[tuple[int, dict]]]:
+    heard: list[tuple[int, dict]] = []
+    failures = run_jobs(jobs, count, None, lambda job, message: heard.append((job.seed, message)), lambda: None)
+    return failures, heard
+
+
+def test_messages_are_handed_on_in_order(make_jobs):
+    jobs = make_jobs("print('a library speaks'); say(step=1, gaussians=5); say(scored=1, of=1); say(end='scored')")
+    failures, heard = do(jobs)
+    assert failures == {}
+    assert [message for _, message in heard] == [
+        {"start": True}, {"step": 1, "gaussians": 5}, {"scored": 1, "of": 1}, {"end": "scored"},
+    ]  # fmt: skip
+    assert list(jobs[0].folder.parent.glob("*.stderr.txt")) == []
+
+
+def test_the_request_holds_the_job(make_jobs, tmp_path):
+    (job,) = make_jobs("say(**request); say(end='scored')")
+    request = do([job])[1][1][1]
+    assert (request["scene"], request["folder"]) == (str(job.scene), str(job.folder))
+    assert "max_steps: 3" in request["config"]
+    assert request["lpips_weights"] is None
+
+
+def test_cores_are_divided(make_jobs):
+    names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_WAIT_POLICY")
+    jobs = make_jobs(f"say(step=0, threads=[os.environ[name] for name in {names}]); say(end='scored')")
+    threads = do(jobs, 2)[1][1][1]["threads"]
+    assert threads == [str(threads_each(2))] * 2 + ["PASSIVE"]
+    assert threads_each(10_000) == 1
+
+
+def test_only_so_many_run_at_a_time(make_jobs):
+    jobs = make_jobs("import time; time.sleep(0.2); say(end='scored')", count=5)
+    heard = do(jobs, 2)[1]
+    running, most = 0, 0
+    for _, message in heard:
+        running += 1 if "start" in message else -1
+        most = max(most, running)
+    assert most == 2
+    assert {seed for seed, message in heard if message == {"end": "scored"}} == set(range(5))
+
+
+def test_what_the_user_can_mend_is_told_and_others_go_on(make_jobs):
+    script = "say(end='error', message='mend it') if 'seed_0' in request['folder'] else say(end='scored')"
+    jobs = make_jobs(script + "; sys.exit(2 if 'seed_0' in request['folder'] else 0)", count=2)
+    failures, heard = do(jobs)
+    assert failures == {jobs[0]: "mend it"}
+    assert (1, {"end": "scored"}) in heard
+
+
+def test_a_crash_is_told_with_its_last_line_and_its_whole_output_kept(make_jobs, tmp_path):
+    jobs = make_jobs("raise RuntimeError('it broke')")
+    (reason,) = do(jobs)[0].values()
+    kept = tmp_path / "seed_0.stderr.txt"
+    assert reason == f"the process ended with status 1 (RuntimeError: it broke); see {kept}"
+    assert "Traceback" in kept.read_text()
+
+
+def test_a_child_that_says_nothing_has_failed(make_jobs):
+    (reason,) = do(make_jobs("pass"))[0].values()
+    assert reason.startswith("the process ended with status 0 (no message)")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
+def test_a_child_that_the_system_ended(make_jobs):
+    (reason,) = do(make_jobs("os.kill(os.getpid(), 9)"))[0].values()
+    assert reason == "the system ended the process (signal 9), most likely for want of memory: use fewer --jobs"
+
+
+def interrupt(when: Callable[[], bool], times: int = 1) -> None:
+    def wait() -> None:
+        for _ in range(times):
+            while not when():
+                time.sleep(0.02)
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.5)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def test_ctrl_c_closes_the_childs_input_and_waits_for_it(make_jobs):
+    jobs = make_jobs("say(step=1, gaussians=1); sys.stdin.read(); say(step=2, gaussians=1); say(end='stopped')", 2)
+    heard: list[dict] = []
+    interrupt(lambda: {"step": 1, "gaussians": 1} in heard)
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(jobs, 1, None, lambda job, message: heard.append(message), lambda: None)
+    assert heard == [{"start": True}, {"step": 1, "gaussians": 1}, {"step": 2, "gaussians": 1}, {"end": "stopped"}]
+
+
+def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs, tmp_path):
+    jobs = make_jobs("say(step=os.getpid(), gaussians=1); import time; time.sleep(60)")
+    heard: list[dict] = []
+    interrupt(lambda: len(heard) > 1, times=2)
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(jobs, 1, None, lambda job, message: heard.append(message), lambda: None)
+    with pytest.raises(ProcessLookupError):
+        os.kill(heard[1]["step"], 0)
+
+
+def test_a_real_child_stops_with_a_checkpoint(small_scene, tmp_path):
+    config = make_config("3dgs-rgbt", "fast", max_steps=2_000, max_gaussians=60)
+    job = Job(small_scene, "balls", "3dgs-rgbt", 0, config, tmp_path / "seed_0")
+    heard: list[dict] = []
+    interrupt(lambda: any("step" in message for message in heard))
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs([job], 1, None, lambda job, message: heard.append(message), lambda: None)
+    assert heard[-1] == {"end": "stopped"}
+    (checkpoint,) = (job.folder / "checkpoints").glob("*.safetensors")
+    assert 1 <= int(checkpoint.stem.removeprefix("step_")) < 2_000

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mrgs.comparison.results import Outcome, failed
+from mrgs.comparison.table import Table
+from mrgs.comparison.tables import Outcomes, all_tables
+
+TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
+
+
+def gathered(*all: Outcome, neighbours: dict[int, str] | None = None) -> Outcomes:
+    scenes = tuple(dict.fromkeys(each.scene for each in all))
+    methods = tuple(dict.fromkeys(each.method for each in all if not each.method.startswith("mrgs-n")))
+    return Outcomes(all, scenes, methods, neighbours or {})
+
+
+def tables_of(outcomes: Outcomes) -> dict[str, Table]:
+    return {table.name: table for table in all_tables(outcomes)}
+
+
+def labels(table: Table) -> list[tuple[str, ...]]:
+    return [row.labels for row in table.rows]
+
+
+def test_thermal_and_rgb_tables_have_a_mean_over_scenes(make_outcome):
+    runs = [make_outcome(scene, "mrgs", psnr=psnr) for scene, psnr in (("a", 30.0), ("b", 34.0))]
+    tables = tables_of(gathered(*runs))
+    assert set(tables) == {"thermal", "rgb"}
+    thermal = tables["thermal"]
+    assert [group.heading for group in thermal.groups] == ["a", "b", "mean"]
+    assert [cell.mean for cell in thermal.rows[0].cells] == pytest.approx(
+        [30, 0.95, 0.5, 12.34, 34, 0.95, 0.5, 12.34, 32, 0.95, 0.5, 12.34]
+    )
+    assert tables["rgb"].rows[0].cells[0].mean == pytest.approx(22.0)
+
+
+def test_one_scene_has_no_mean(make_outcome):
+    assert [group.heading for group in tables_of(gathered(make_outcome("a", "mrgs")))["thermal"].groups] == ["a"]
+
+
+def test_a_mean_leaves_out_scenes_where_no_method_has_the_figure(make_outcome):
+    no_celsius = {"thermal": {"psnr": 20.0, "ssim": 0.9, "mae_c": None}, "rgb": {}}
+    runs = [make_outcome("a", "mrgs"), make_outcome("b", "mrgs", mean=no_celsius)]
+    thermal = tables_of(gathered(*runs))["thermal"]
+    assert thermal.rows[0].cells[-2].mean == 0.5
+    assert "The mean MAE leaves out b, which has none." in thermal.remarks
+
+
+def test_a_method_whose_run_failed_has_no_mean(make_outcome):
+    runs = [make_outcome("a", "mrgs"), make_outcome("a", "x"), make_outcome("b", "mrgs"), failed("b", "x", 0, "crash")]
+    mrgs, x = tables_of(gathered(*runs))["thermal"].rows
+    assert mrgs.cells[8].mean == 30.0
+    assert x.cells[4].note == "crash"
+    assert x.cells[8].note == "no mean, because the figure is missing for b"
+
+
+def test_the_ablation_checks_what_each_method_has(make_outcome):
+    names = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
+    table = tables_of(gathered(*(make_outcome("a", name) for name in names)))["ablation"]
+    assert labels(table) == [
+        ("a", "✓", "", "", ""),
+        ("a", "", "✓", "", ""),
+        ("a", "", "✓", "✓", ""),
+        ("a", "", "✓", "", "✓"),
+        ("a", "", "✓", "✓", "✓"),
+    ]
+
+
+def test_the_neighbours_have_minutes_and_stay_out_of_the_other_tables(make_outcome):
+    runs = [make_outcome("a", method) for method in ("mrgs", "mrgs-n1", "mrgs-n5")]
+    tables = tables_of(gathered(*runs, neighbours={5: "mrgs-n5", 1: "mrgs-n1", 3: "mrgs"}))
+    assert labels(tables["neighbours"]) == [("a", "n = 1"), ("a", "n = 3"), ("a", "n = 5")]
+    assert tables["neighbours"].rows[0].cells[-1].mean == pytest.approx(1.5)
+    assert labels(tables["thermal"]) == [("mrgs",)]
+
+
+def test_the_table_of_exact_truth_shows_only_scenes_that_have_it(make_outcome):
+    runs = [make_outcome("real", "mrgs"), make_outcome("generated", "mrgs", truth=TRUTH)]
+    table = tables_of(gathered(*runs))["truth"]
+    assert [group.heading for group in table.groups] == ["generated"]
+    assert [cell.mean for cell in table.rows[0].cells] == pytest.approx([0.2, 0.4, 0.5, 1.5])
+
+
+def test_the_papers_figures_stand_beside_ours_on_its_scenes(make_outcome):
+    methods = ("3dgs-rgbt", "mrgs", "mrgs-n1")
+    runs = [make_outcome(scene, method) for scene in ("buildingA_winter", "heater_water_cup") for method in methods]
+    tables = tables_of(gathered(*runs, neighbours={1: "mrgs-n1", 3: "mrgs"}))
+    thermal = tables["thermal"]
+    assert [group.heading for group in thermal.groups] == ["Building (Winter)", "Hot Water Cup", "mean"]
+    assert labels(thermal)[2:] == [("ThermoNeRF (paper)",), ("3DGS_RGB-T (paper)",), ("MrGS (paper)",)]
+    assert [thermal.rows[-1].cells[index].mean for index in (0, 4, 8)] == pytest.approx([30.02, 31.44, 30.73])
+    assert [row.labels[0] for row in tables["ablation"].rows if row.published] == ["Building (Winter) (paper)"] * 5
+    cup = [row for row in tables["neighbours"].rows if row.published]
+    assert [(row.labels[1], row.cells[-1].mean) for row in cup] == [("n = 1", 17.0), ("n = 3", 27.0)]
+
+
+def test_other_scenes_have_no_rows_of_the_paper(make_outcome):
+    assert not any(row.published for table in all_tables(gathered(make_outcome("a", "mrgs"))) for row in table.rows)
+
+
+def test_a_method_without_outcomes_was_not_run(make_outcome):
+    outcomes = replace(gathered(make_outcome("a", "mrgs")), methods=("mrgs", "mrgs-plus"))
+    assert tables_of(outcomes)["thermal"].rows[1].cells[0].note == "not run"
