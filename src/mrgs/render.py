@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import torch
 from jaxtyping import Float, Int64
@@ -83,6 +84,15 @@ class Rendering(NamedTuple):
         if max_step is None:
             return surface
         return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
+
+
+Photograph: TypeAlias = Callable[[Rendering], Rendering]
+"""From what is there to what the cameras would have written."""
+
+
+def as_it_is(rendering: Rendering) -> Rendering:
+    """A camera that changes nothing."""
+    return rendering
 
 
 class ScreenPoints(NamedTuple):

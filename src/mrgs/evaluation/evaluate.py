@@ -28,7 +28,7 @@ from mrgs.evaluation.metrics import (
     ssim_pair_range,
 )
 from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
-from mrgs.render import Rendering
+from mrgs.render import Photograph, Rendering, as_it_is
 from mrgs.scene import Pixels, TemperatureRange, View
 
 NO_LPIPS = "no VGG-16 and LPIPS weights were given (--lpips-weights FILE)"
@@ -63,14 +63,6 @@ class Metrics:
 
 
 Visitor: TypeAlias = Callable[[View, Rendering, ViewMetrics], None]
-
-Photograph: TypeAlias = Callable[[Rendering], Rendering]
-"""From what is there to what the cameras would have written."""
-
-
-def as_it_is(rendering: Rendering) -> Rendering:
-    """A camera that changes nothing."""
-    return rendering
 
 
 def evaluate(

@@ -9,7 +9,7 @@ from typing import Literal
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRow, contact_sheet, sheet_row
-from mrgs.evaluation.evaluate import Metrics, Photograph, ViewMetrics, as_it_is, evaluate
+from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.palette import PaletteName, colorize
 from mrgs.evaluation.paths import orbit
@@ -17,7 +17,7 @@ from mrgs.evaluation.pictures import thermal_values, to_rgb8, write_png, write_r
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
 from mrgs.evaluation.video import frame_writer
-from mrgs.render import Rendering
+from mrgs.render import Photograph, Rendering, as_it_is
 from mrgs.run import TrainedRun
 from mrgs.scene import Camera, Scene, View, spread
 

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from mrgs.baked import BakedModel
 from mrgs.evaluation.metrics import psnr
-from mrgs.render import render_view
 from mrgs.run import Run
 from mrgs.scene import PosedImage, Scene
 
@@ -32,11 +31,13 @@ def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
     """
     rgb, thermal = [], []
     for view in scene.eval:
-        rendering = render_view(run.model, view)
+        rendering = run.photograph(run.render_view(view))
         if view.rgb is not None and rendering.rgb is not None:
-            rgb.append(_loss(view.rgb, rendering.rgb, baked.render(view.rgb.camera).rgb))
+            rgb.append(_loss(view.rgb, rendering.rgb, run.photograph(baked.render(view.rgb.camera)).rgb))
         if view.thermal is not None and rendering.thermal is not None:
-            thermal.append(_loss(view.thermal, rendering.thermal, baked.render(view.thermal.camera).thermal))
+            thermal.append(
+                _loss(view.thermal, rendering.thermal, run.photograph(baked.render(view.thermal.camera)).thermal)
+            )
     return BakingLoss(_mean(rgb), _mean(thermal))
 
 

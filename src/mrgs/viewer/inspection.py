@@ -130,8 +130,9 @@ class Inspection:
             camera = pane.photo.camera
         elif scale < 1:
             camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        fields = subject.source.run(lambda model: render_pane(model, camera, subject))
-        return difference(fields, self._photo(pane)) if pane.content == "difference" else fields
+        compared = pane.content == "difference"
+        fields = subject.source.run(lambda model: render_pane(model, camera, subject, as_photo=compared))
+        return difference(fields, self._photo(pane)) if compared else fields
 
     def _photo(self, pane: Pane) -> Fields:
         """The pane's photo; the last few are kept."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from mrgs.evaluation.palette import PaletteName
+from mrgs.render import Photograph, as_it_is
 from mrgs.scene import Scene, TemperatureRange, View
 from mrgs.viewer.source import Source
 
@@ -57,6 +58,7 @@ class Subject:
         scene: the capture, for its cameras and photos; None where it cannot be had.
         folder: the run's folder; screenshots and videos go into its ``renders``.
         note: a sentence for the user at the top of the panel; may be empty.
+        photograph: what the captured cameras do to the images; used where the model is compared with photos.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Subject:
     scene: Scene | None
     folder: Path
     note: str = ""
+    photograph: Photograph = as_it_is
 
     @property
     def unit(self) -> str:

@@ -98,7 +98,9 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
             f"{run.folder.path} is still training: showing its checkpoint of {step}", MrgsWarning, stacklevel=2
         )
     source = TrainedSource(run.model)
-    subject = Subject(run.folder.path.resolve().name, source, run.temperature, scene, run.folder.path, note)
+    subject = Subject(
+        run.folder.path.resolve().name, source, run.temperature, scene, run.folder.path, note, run.photograph
+    )
     splats = None
     if scene is not None:
         cameras = [view.cameras[0] for view in scene.train]

@@ -1,0 +1,20 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mrgs.viewer.fields import render_pane
+
+
+def test_beside_a_photo_the_camera_is_imitated(subject, small_run, camera):
+    """What is looked at is what is there; what is compared with a photo is what the camera would have written."""
+    colder = replace(
+        subject, photograph=lambda rendering: rendering._replace(thermal=rendering.thermal - 0.25, rgb=None)
+    )
+    looked_at = render_pane(small_run.model, camera, colder)
+    compared = render_pane(small_run.model, camera, colder, as_photo=True)
+    expected = looked_at.values - 0.25 * small_run.temperature.span_c
+    np.testing.assert_allclose(compared.values, expected, atol=1e-4)
+    assert looked_at.rgb is not None
+    np.testing.assert_array_equal(compared.depth, looked_at.depth)
