@@ -24,6 +24,7 @@ UNCHECKED = (
     "mrgs.thermonerf.cpu",
     "mrgs.terminal",
     "mrgs.cli",
+    "mrgs.commands",
 )
 """The hook's decorators break Numba's cache, and cli imports what it annotates only when it is needed."""
 

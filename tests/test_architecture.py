@@ -30,6 +30,7 @@ FLOORS = {
     "comparison": 5.3,
     "viewer": 5.4,
     "terminal": 5.5,
+    "commands": 5.9,
     "cli": 6.0,
 }
 """A file imports from strictly lower floors and from its own room; ``mrgs`` itself imports on first use, from any."""

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from filelock import FileLock
 from PIL import Image
 from safetensors.torch import save_file
 
-from mrgs import cli, terminal
+from mrgs import cli, commands, terminal
 from mrgs.cli import main
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")
@@ -440,6 +441,44 @@ def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
+def test_renders_of_another_program_are_scored(own_run, small_scene, tmp_path, capsys):
+    run("render", own_run)
+    renders = own_run / "renders" / "eval"
+    assert run("eval", small_scene, "--renders", renders) == 0
+    assert "thermal: " in capsys.readouterr().out
+    assert run("eval", own_run) == 0
+    own, other = (json.loads((folder / "eval" / "metrics.json").read_text()) for folder in (own_run, renders))
+    assert other["mean"]["thermal"]["psnr"] == pytest.approx(own["mean"]["thermal"]["psnr"], abs=1e-3)
+    assert other["mean"]["rgb"]["psnr"] == pytest.approx(own["mean"]["rgb"]["psnr"], abs=0.2)
+    refused(capsys, "holds no renderings", "eval", small_scene, "--renders", tmp_path)
+
+
+def test_methods_are_compared(small_scene, tmp_path, capsys):
+    tiny = ("--max-steps", "2", "--max-gaussians", "60", "--output", tmp_path / "compare")
+    assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0
+    assert "MrGS" in capsys.readouterr().out
+    assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
+    refused(capsys, "write NAME=DIR", "compare", small_scene, *tiny, "--renders", "somewhere")
+
+
+def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):
+    output = tmp_path / "nerf"
+    options = ("--method", "thermonerf", "--output", output, "--max-steps", "2")
+    refused(capsys, "--max-gaussians needs a method with Gaussians", "train", small_scene, *options, "--max-gaussians", 9)
+    assert run("train", small_scene, *options) == 0
+    assert run("train", small_scene, "--output", output, "--resume") == 0
+    assert run("eval", output) == 0
+    assert json.loads((output / "eval" / "metrics.json").read_text())["gaussians"] is None
+    refused(capsys, "is a ThermoNeRF run: it has no Gaussians to export, view or report on", "export", output)
+
+
+def test_every_scene_that_can_be_generated_has_its_option():
+    from mrgs.synth import SceneKind
+
+    (option,) = (field for field in dataclasses.fields(commands.Synth) if field.name == "scene")
+    assert get_args(get_type_hints(commands.Synth)[option.name]) == get_args(SceneKind)
+
+
 def test_export_and_report(own_run, capsys):
     assert run("export", own_run, "--format", "ply") == 0
     out = capsys.readouterr().out
@@ -523,7 +562,17 @@ def test_time_left_is_readable():
     ]
 
 
-COMMANDS = [cli.Demo, cli.Train, cli.Eval, cli.Render, cli.View, cli.Export, cli.Report, cli.Synth]
+COMMANDS = [
+    commands.Demo,
+    commands.Train,
+    commands.Eval,
+    commands.Render,
+    commands.View,
+    commands.Export,
+    commands.Report,
+    commands.Compare,
+    commands.Synth,
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -7,12 +7,12 @@ import shlex
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from mrgs.commands import Command, Compare, Demo, Eval, Export, Render, Report, Synth, Train, View
 from mrgs.errors import ConfigError, MrgsError, TrainingError
 from mrgs.terminal import (
     TrainingProgress,
@@ -38,195 +38,6 @@ EXIT_INTERRUPTED = 130
 MAX_TRAIN_SEED = 2**32 - 1
 MAX_SYNTH_SEED = 1_000_000
 """Mitsuba takes 32 bits, and every view has a seed of its own."""
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train a model of a scene.
-
-    A scene is a folder in the layout of ThermoScenes, nerfstudio or COLMAP. The model, its log and its checkpoints go
-    into the run folder. Ctrl-C leaves a checkpoint; --resume goes on exactly where it was.
-    """
-
-    scene: tyro.conf.Positional[Path]
-    """The scene's folder."""
-    output: Path | None = None
-    """The run's folder; by default runs/SCENE-METHOD."""
-    method: str = "mrgs"
-    """mrgs, mrgs-plus, mrgs-base, mrgs-fourier, mrgs-boltz, or 3dgs-rgbt."""
-    preset: str = "default"
-    """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
-    max_steps: int | None = None
-    """Steps; the preset's whole schedule is stretched or shrunk to them."""
-    max_gaussians: int | None = None
-    """Cap on the number of Gaussians."""
-    resolution: int | None = None
-    """Images wider than this many pixels are reduced to it."""
-    seed: int = 0
-    """Seed of every random choice."""
-    config: Path | None = None
-    """YAML file with other values for any field of a run's config.yaml, for instance field: {neighbours_n: 5}."""
-    resume: bool = False
-    """Continue the run in the output folder; all other options are the run's own."""
-    view: bool = False
-    """Show the model in the browser while it trains. Needs mrgs[view]."""
-    port: int = 8080
-    """TCP port of --view; 0 takes a free one."""
-
-
-@dataclass(frozen=True)
-class Eval:
-    """Score a run on its scene's eval views: RUN/eval/metrics.json, metrics.md and contact_sheet.png.
-
-    With --renders, score another program's images of a scene instead: DIR/eval.
-    """
-
-    run: tyro.conf.Positional[Path]
-    """The run's folder; with --renders, the scene's."""
-    renders: Path | None = None
-    """Folder of images named like the eval views: rgb/NAME.png and thermal/NAME.png or .tiff; docs/experiments.md."""
-    resolution: int | None = None
-    """With --renders: photos wider than this many pixels are reduced to it, as in training."""
-    scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
-    lpips_weights: Path | None = None
-    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
-
-
-@dataclass(frozen=True)
-class Render:
-    """Write images into RUN/renders: RGB, temperature (float32 TIFF in °C, and colour-mapped), depth."""
-
-    run: tyro.conf.Positional[Path]
-    """The run's folder."""
-    scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
-    split: Literal["eval", "train", "path"] = "eval"
-    """The eval views, the training views, or a camera path around the scene (frames, and video where installed)."""
-    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
-    """Colours of the thermal images."""
-    frames: int = 120
-    """Frames of the camera path."""
-
-
-@dataclass(frozen=True)
-class View:
-    """Look at a run in the browser: colour, temperature, depth, °C under the cursor. Needs mrgs[view]."""
-
-    run: tyro.conf.Positional[Path]
-    """The run's folder."""
-    scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines look too."""
-    port: int = 8080
-    """TCP port; 0 takes a free one."""
-
-
-@dataclass(frozen=True)
-class Export:
-    """Write a run for other programs: splats, points, a mesh, cameras, one HTML page that needs nothing else."""
-
-    run: tyro.conf.Positional[Path]
-    """The run's folder."""
-    format: Literal["all", "ply", "spz", "glb", "splat", "points", "las", "mesh", "cameras", "page"] = "all"
-    """What to write; docs/export.md says what is in each."""
-    output: Path | None = None
-    """The folder to write into; by default RUN/export."""
-    scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
-    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
-    """Colours of the temperatures."""
-    range_c: tuple[float, float] | None = None
-    """°C of the palette's first and last colour; by default the scene's whole range."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """Write one page for a thermographer: hottest and coldest spots, scores, capture, limits. Prints to PDF."""
-
-    run: tyro.conf.Positional[Path]
-    """The run's folder."""
-    output: Path | None = None
-    """The file; by default RUN/report.html."""
-    scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
-
-
-@dataclass(frozen=True)
-class Demo:
-    """Train on the bundled scene, score, render, and say where to look. Takes a few minutes."""
-
-    output: Path = Path("runs/demo")
-    """The run's folder."""
-
-
-@dataclass(frozen=True)
-class Compare:
-    """Train and score methods on scenes, and write the paper's tables and figures.
-
-    The same command goes on where it was cut off. docs/experiments.md says how to read the tables.
-    """
-
-    scenes: tyro.conf.Positional[tuple[Path, ...]]
-    """The scenes' folders."""
-    methods: tuple[str, ...] = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
-    """Any that mrgs train --method knows."""
-    neighbours: tuple[int, ...] = ()
-    """Also the table of neighbours: mrgs with each n; the paper has 1 3 5 7."""
-    renders: tuple[str, ...] = ()
-    """Other programs' images, NAME=DIR, with those of each scene in DIR/SCENE."""
-    seeds: int = 1
-    """Runs of each method on each scene."""
-    preset: str = "default"
-    """fast, default or paper, as in mrgs train."""
-    max_steps: int | None = None
-    """Steps; the preset's whole schedule is stretched or shrunk to them."""
-    max_gaussians: int | None = None
-    """Cap on the number of Gaussians."""
-    resolution: int | None = None
-    """Images wider than this many pixels are reduced to it."""
-    jobs: int = 1
-    """Runs at a time; the cores are divided among them."""
-    output: Path = Path("runs/compare")
-    """The folder of the runs, tables and figures."""
-    lpips_weights: Path | None = None
-    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
-
-
-@dataclass(frozen=True)
-class Synth:
-    """Generate a scene with exact temperatures and depths: the bundled table-top, or another. Needs mrgs[synth]."""
-
-    output: tyro.conf.Positional[Path]
-    """The new scene's folder."""
-    scene: Literal["tabletop", "facade", "electronics"] = "tabletop"
-    """What to generate: things on a table, a house in winter, or a powered circuit board."""
-    train_views: int = 40
-    """Training views."""
-    eval_views: int = 8
-    """Held-out views."""
-    width: int = 320
-    """Image width in pixels."""
-    height: int = 240
-    """Image height in pixels."""
-    samples: int = 64
-    """Paths per pixel: more take longer and are less noisy."""
-    seed: int = 0
-    """Seed of the scene's random details and of the sensor's noise."""
-
-
-Command = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Eval, tyro.conf.subcommand("eval")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Synth, tyro.conf.subcommand("synth")]
-)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -266,6 +77,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _train(command: Train) -> None:
+    if _is_thermonerf(command):
+        _train_thermonerf(command)
+        return
     from mrgs.training import from_yaml, make_config, train
 
     config = make_config(
@@ -274,11 +88,54 @@ def _train(command: Train) -> None:
     if command.config is not None:
         config = from_yaml(_read_text(command.config), str(command.config), config)
     _check_seed(config.seed, MAX_TRAIN_SEED)
-    folder = command.scene.parent if command.scene.is_file() else command.scene
-    output = command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
+    output = _output(command)
     progress = TrainingProgress()
     with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
         train(command.scene, output, config, resume=command.resume, **_hooks(progress, live))
+    _say_what_next(command, output, progress)
+
+
+def _is_thermonerf(command: Train) -> bool:
+    """A resumed run keeps its own method."""
+    if not command.resume:
+        return command.method == "thermonerf"
+    from mrgs.thermonerf.run_files import holds_thermonerf
+    from mrgs.training.run_folder import RunFolder
+
+    return holds_thermonerf(RunFolder(_output(command)))
+
+
+def _train_thermonerf(command: Train) -> None:
+    from mrgs.thermonerf import from_yaml, make_config, train_thermonerf
+
+    for option, value in (("--view", command.view), ("--max-gaussians", command.max_gaussians)):
+        if value:
+            raise ConfigError(f"{option} needs a method with Gaussians, and thermonerf has none: leave it out")
+    config = make_config(command.preset, command.max_steps, command.resolution, command.seed)
+    if command.config is not None:
+        config = from_yaml(_read_text(command.config), str(command.config), config)
+    _check_seed(config.seed, MAX_TRAIN_SEED)
+    progress = TrainingProgress()
+    with progress:
+        train_thermonerf(
+            command.scene,
+            _output(command),
+            config,
+            resume=command.resume,
+            on_start=progress.start,
+            on_step=progress.step,
+        )
+    _say_what_next(command, _output(command), progress)
+
+
+def _output(command: Train) -> Path:
+    """The run's folder."""
+    folder = command.scene.parent if command.scene.is_file() else command.scene
+    return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
+
+
+def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> None:
+    """How to go on with an unfinished run, or what to do with a finished one."""
     if progress.unfinished:
         go_on = shlex.join(["mrgs", "train", str(command.scene), "--output", str(output), "--resume"])
         print(f"a checkpoint is kept; go on with: {go_on}")
@@ -314,9 +171,9 @@ def _eval(command: Eval) -> None:
         _eval_renders(command, command.renders)
         return
     from mrgs.evaluation import evaluate_run
-    from mrgs.run import load_run
+    from mrgs.run import open_run
 
-    run = load_run(command.run, command.scene)
+    run = open_run(command.run, command.scene)
     metrics = evaluate_run(run, command.lpips_weights, counter("scoring"))
     print_metrics(run, metrics)
     print(f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: {command.run / 'eval' / 'contact_sheet.png'}")
@@ -385,9 +242,9 @@ def _named_folders(pairs: tuple[str, ...]) -> dict[str, Path]:
 
 def _render(command: Render) -> None:
     from mrgs.evaluation import render_run
-    from mrgs.run import load_run
+    from mrgs.run import open_run
 
-    run = load_run(command.run, command.scene)
+    run = open_run(command.run, command.scene)
     folder = render_run(run, command.split, command.palette, command.frames, counter("rendering"))
     print(f"images: {folder}")
 

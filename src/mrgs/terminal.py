@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
-    from mrgs.run import Run
+    from mrgs.run import Run, TrainedRun
     from mrgs.scene import Scene
+    from mrgs.thermonerf import ThermoNerfConfig, ThermoNerfStatistics
     from mrgs.training import StepStatistics, TrainConfig
 
 PLAIN_LINE_EVERY_S = 10.0
@@ -116,10 +117,8 @@ class TrainingProgress:
         if self._terminal and self._first_step is not None:
             print()
 
-    def start(self, scene: Scene, config: TrainConfig) -> None:
-        """Say what will be trained, and the memory that it will need."""
-        from mrgs.training import estimate_bytes
-
+    def start(self, scene: Scene, config: TrainConfig | ThermoNerfConfig) -> None:
+        """Say what will be trained."""
         self._max_steps = config.max_steps
         self._span_c = None if scene.temperature is None else scene.temperature.span_c
         print(
@@ -128,17 +127,10 @@ class TrainingProgress:
         )
         for note in scene.notes:  # what was mended has been shown already, in the same words
             warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
-        cap = config.densification.max_gaussians
-        first, last = (
-            estimate_bytes(scene, config, count) / 2**30 for count in (min(len(scene.points.positions), cap), cap)
-        )
-        print(
-            f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
-            f"about {first:.1f} GiB of memory at the start, {last:.1f} GiB with all of them"
-        )
+        print(_plan(scene, config))
         print("The first run on a machine compiles the kernels, which takes up to a minute.", flush=True)
 
-    def step(self, statistics: StepStatistics) -> bool:
+    def step(self, statistics: StepStatistics | ThermoNerfStatistics) -> bool:
         """Show a step; True asks the training to stop."""
         now = time.perf_counter()
         if self._first_step is None:
@@ -157,7 +149,7 @@ class TrainingProgress:
             print(line, end="" if self._terminal else "\n", flush=True)
         return self.unfinished
 
-    def _line(self, statistics: StepStatistics, now: float) -> str:
+    def _line(self, statistics: StepStatistics | ThermoNerfStatistics, now: float) -> str:
         thermal = self._smoothed.get("thermal")
         parts = [f"step {statistics.step:,}/{self._max_steps:,}"]
         steps = statistics.step - (self._first_step or 0)
@@ -170,7 +162,8 @@ class TrainingProgress:
             parts.append(
                 f"thermal {thermal:.4f} (no °C)" if self._span_c is None else f"thermal {thermal * self._span_c:.2f} °C"
             )
-        parts.append(f"{statistics.gaussians:,} Gaussians")
+        if statistics.gaussians is not None:
+            parts.append(f"{statistics.gaussians:,} Gaussians")
         if speed is not None:
             parts.append(f"{speed:.1f} steps/s")
         return " | ".join(parts)
@@ -182,16 +175,34 @@ class TrainingProgress:
             self._smoothed[name] = old + 0.02 * (value - old)
 
 
+def _plan(scene: Scene, config: TrainConfig | ThermoNerfConfig) -> str:
+    """What will be trained, and the memory that it will need."""
+    from mrgs.thermonerf import ThermoNerfConfig
+    from mrgs.training import estimate_bytes
+
+    if isinstance(config, ThermoNerfConfig):
+        return f"{config.method}, {config.max_steps:,} steps of {config.rays_per_batch:,} rays"
+    cap = config.densification.max_gaussians
+    first, last = (
+        estimate_bytes(scene, config, count) / 2**30 for count in (min(len(scene.points.positions), cap), cap)
+    )
+    return (
+        f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
+        f"about {first:.1f} GiB of memory at the start, {last:.1f} GiB with all of them"
+    )
+
+
 def _duration(seconds: float) -> str:
     """Minutes and seconds, with hours in front where there are any."""
     minutes, rest = divmod(int(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
 
-def print_metrics(run: Run, metrics: Metrics) -> None:
+def print_metrics(run: TrainedRun, metrics: Metrics) -> None:
     """The means, and what they cost."""
     print_figures(metrics)
-    print(f"{len(run.model.gaussians):,} Gaussians, {run.facts.train_seconds / 60:.1f} minutes of training")
+    gaussians = "" if run.gaussian_count is None else f"{run.gaussian_count:,} Gaussians, "
+    print(f"{gaussians}{run.facts.train_seconds / 60:.1f} minutes of training")
 
 
 def print_figures(metrics: Metrics) -> None:

@@ -38,7 +38,7 @@ def train(method: str, steps: int = 3) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one thread only")
-@pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
+@pytest.mark.parametrize("method", ["mrgs-plus", "mrgs", "3dgs-rgbt"])
 def test_training_gives_the_same_bits_whatever_the_number_of_threads(method):
     with threads(1):
         alone = train(method)

@@ -13,8 +13,8 @@ from mrgs.evaluation import evaluate_run, render_run
 from mrgs.run import ThermoNerfRun, load_run, open_run
 from mrgs.thermonerf import step as step_module
 from mrgs.thermonerf import train_thermonerf
-from mrgs.thermonerf.checkpoint import load_facts
 from mrgs.training import make_config, train
+from mrgs.training.checkpoint import FORMAT, load_facts
 from mrgs.training.run_folder import RunFolder
 
 
@@ -151,7 +151,8 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp
 
 def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path, make_small_config):
     path = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1)).newest_checkpoint()
-    header = json.dumps({**load_facts(path)._asdict(), "temperature": [10, 30], "format": 1, "skipped_in_a_row": 0})
+    facts = {**load_facts(path)._asdict(), "temperature": [10, 30]}
+    header = json.dumps({**facts, "format": FORMAT, "skipped_in_a_row": 0})
     save_file({"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, path, {"mrgs": header})
     with pytest.raises(RunError, match="does not fit"):
         open_run(path.parents[1])

@@ -4,7 +4,6 @@ import math
 
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
 from mrgs.errors import ConfigError
 from mrgs.render import Rendering
@@ -31,33 +30,6 @@ def point_spread(sigma_px: float) -> PointSpread:
     spread = PointSpread()
     spread.log_sigma.data.fill_(math.log(sigma_px))
     return spread
-
-
-@pytest.mark.parametrize("sigma_px", [0.6, 1.2, 2.5])
-def test_far_from_the_frame_the_spread_is_a_gaussian_filter(sigma_px):
-    image = torch.rand(50, 60, 1, generator=torch.Generator().manual_seed(0))
-    expected = gaussian_filter(image[..., 0].double().numpy(), sigma_px, truncate=10.0)
-    margin = math.ceil(6 * sigma_px)
-    found = point_spread(sigma_px)(image).detach()[..., 0].numpy()
-    inner = (slice(margin, -margin), slice(margin, -margin))
-    assert found[inner] == pytest.approx(expected[inner], abs=1e-5)
-
-
-def test_a_spread_constant_is_constant_up_to_the_frame():
-    torch.testing.assert_close(point_spread(1.5)(torch.full((9, 12, 1), 0.3)), torch.full((9, 12, 1), 0.3))
-
-
-def test_the_gradient_of_the_spread():
-    spread = PointSpread().double()
-    image = torch.rand(6, 7, 1, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(spread, image)
-    (gradient,) = torch.autograd.grad(spread(image).square().sum(), spread.log_sigma)
-    values = []
-    for step in (-1e-5, 1e-5):
-        spread.log_sigma.data += step
-        values.append(spread(image).square().sum().item())
-        spread.log_sigma.data -= step
-    assert gradient.item() == pytest.approx((values[1] - values[0]) / 2e-5, rel=1e-6)
 
 
 def test_the_width_of_a_spread_is_found_from_photos():

@@ -12,7 +12,7 @@ from mrgs.errors import ConfigError
 from mrgs.thermonerf.field import FieldConfig, HashGridConfig
 from mrgs.thermonerf.losses import LossConfig
 from mrgs.thermonerf.sampling import SamplingConfig
-from mrgs.training.config import _build as build
+from mrgs.training.config import build
 
 METHOD: Literal["thermonerf"] = "thermonerf"
 

@@ -209,7 +209,7 @@ def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainC
         raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
     if base is not None:
         values = _over(dataclasses.asdict(base), values)
-    return _build(TrainConfig, values, source)
+    return build(TrainConfig, values, source)
 
 
 def _over(base: Any, values: Any) -> Any:
@@ -219,7 +219,7 @@ def _over(base: Any, values: Any) -> Any:
     return {**base, **{name: _over(base.get(name), value) for name, value in values.items()}}
 
 
-def _build(cls: type[Config], values: Any, source: str) -> Config:
+def build(cls: type[Config], values: Any, source: str) -> Config:
     """A dataclass from nested dictionaries, strictly: a misspelt field must not be ignored."""
     if not isinstance(values, dict):
         raise ConfigError(f"{source} must hold the fields of a configuration")
@@ -241,7 +241,7 @@ def _convert(hint: Any, value: Any, source: str) -> Any:
             return None
         (hint,) = (option for option in get_args(hint) if option is not type(None))
     if dataclasses.is_dataclass(hint):
-        return _build(typing.cast(type, hint), value, source)
+        return build(typing.cast(type, hint), value, source)
     if typing.get_origin(hint) is Literal:
         if value not in get_args(hint):
             raise ConfigError(f"{source} must be one of {', '.join(get_args(hint))}, not {value!r}")

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from mrgs.errors import ConfigError
 from mrgs.render import Rendering
 from mrgs.scene import Scene
+from mrgs.training.point_spread import spread_points
 
 INITIAL_POINT_SPREAD_PX = 0.8
 SMALLEST_POINT_SPREAD_PX = 0.2
@@ -98,15 +99,7 @@ class PointSpread(nn.Module):
 
     def forward(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
         """The image as the lens and the detector spread it."""
-        rows, columns = (_spreading(size, self.sigma_px) for size in image.shape[:2])
-        return (rows @ image[:, :, 0] @ columns.T)[:, :, None]
-
-
-def _spreading(size: int, sigma_px: Float[Tensor, ""]) -> Float[Tensor, "n n"]:
-    """A Gaussian blur of ``size`` pixels as a matrix; its rows sum to 1."""
-    places = torch.arange(size, dtype=sigma_px.dtype, device=sigma_px.device)
-    weights = torch.exp(-0.5 * ((places[:, None] - places) / sigma_px) ** 2)
-    return weights / weights.sum(dim=1, keepdim=True)
+        return spread_points(image[:, :, 0], self.sigma_px)[:, :, None]
 
 
 class FixedPattern(nn.Module):

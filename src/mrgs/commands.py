@@ -1,0 +1,198 @@
+"""The commands and their options; the docstrings are what ``--help`` prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a model of a scene.
+
+    A scene is a folder in the layout of ThermoScenes, nerfstudio or COLMAP. The model, its log and its checkpoints go
+    into the run folder. Ctrl-C leaves a checkpoint; --resume goes on exactly where it was.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder."""
+    output: Path | None = None
+    """The run's folder; by default runs/SCENE-METHOD."""
+    method: str = "mrgs"
+    """mrgs, mrgs-plus, mrgs-base, mrgs-fourier, mrgs-boltz, 3dgs-rgbt, or thermonerf (a radiance field, to compare)."""
+    preset: str = "default"
+    """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
+    max_steps: int | None = None
+    """Steps; the preset's whole schedule is stretched or shrunk to them."""
+    max_gaussians: int | None = None
+    """Cap on the number of Gaussians."""
+    resolution: int | None = None
+    """Images wider than this many pixels are reduced to it."""
+    seed: int = 0
+    """Seed of every random choice."""
+    config: Path | None = None
+    """YAML file with other values for any field of a run's config.yaml, for instance field: {neighbours_n: 5}."""
+    resume: bool = False
+    """Continue the run in the output folder; all other options are the run's own."""
+    view: bool = False
+    """Show the model in the browser while it trains. Needs mrgs[view]."""
+    port: int = 8080
+    """TCP port of --view; 0 takes a free one."""
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Score a run on its scene's eval views: RUN/eval/metrics.json, metrics.md and contact_sheet.png.
+
+    With --renders, score another program's images of a scene instead: DIR/eval.
+    """
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder; with --renders, the scene's."""
+    renders: Path | None = None
+    """Folder of images named like the eval views: rgb/NAME.png and thermal/NAME.png or .tiff; docs/experiments.md."""
+    resolution: int | None = None
+    """With --renders: photos wider than this many pixels are reduced to it, as in training."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+    lpips_weights: Path | None = None
+    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """Write images into RUN/renders: RGB, temperature (float32 TIFF in °C, and colour-mapped), depth."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+    split: Literal["eval", "train", "path"] = "eval"
+    """The eval views, the training views, or a camera path around the scene (frames, and video where installed)."""
+    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    """Colours of the thermal images."""
+    frames: int = 120
+    """Frames of the camera path."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at a run in the browser: colour, temperature, depth, °C under the cursor. Needs mrgs[view]."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 lets other machines look too."""
+    port: int = 8080
+    """TCP port; 0 takes a free one."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a run for other programs: splats, points, a mesh, cameras, one HTML page that needs nothing else."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    format: Literal["all", "ply", "spz", "glb", "splat", "points", "las", "mesh", "cameras", "page"] = "all"
+    """What to write; docs/export.md says what is in each."""
+    output: Path | None = None
+    """The folder to write into; by default RUN/export."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    """Colours of the temperatures."""
+    range_c: tuple[float, float] | None = None
+    """°C of the palette's first and last colour; by default the scene's whole range."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write one page for a thermographer: hottest and coldest spots, scores, capture, limits. Prints to PDF."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    output: Path | None = None
+    """The file; by default RUN/report.html."""
+    scene: Path | None = None
+    """The scene's folder, where it is no longer at the place it was trained from."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Train on the bundled scene, score, render, and say where to look. Takes a few minutes."""
+
+    output: Path = Path("runs/demo")
+    """The run's folder."""
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Train and score methods on scenes, and write the paper's tables and figures.
+
+    The same command goes on where it was cut off. docs/experiments.md says how to read the tables.
+    """
+
+    scenes: tyro.conf.Positional[tuple[Path, ...]]
+    """The scenes' folders."""
+    methods: tuple[str, ...] = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
+    """Any that mrgs train --method knows."""
+    neighbours: tuple[int, ...] = ()
+    """Also the table of neighbours: mrgs with each n; the paper has 1 3 5 7."""
+    renders: tuple[str, ...] = ()
+    """Other programs' images, NAME=DIR, with those of each scene in DIR/SCENE."""
+    seeds: int = 1
+    """Runs of each method on each scene."""
+    preset: str = "default"
+    """fast, default or paper, as in mrgs train."""
+    max_steps: int | None = None
+    """Steps; the preset's whole schedule is stretched or shrunk to them."""
+    max_gaussians: int | None = None
+    """Cap on the number of Gaussians."""
+    resolution: int | None = None
+    """Images wider than this many pixels are reduced to it."""
+    jobs: int = 1
+    """Runs at a time; the cores are divided among them."""
+    output: Path = Path("runs/compare")
+    """The folder of the runs, tables and figures."""
+    lpips_weights: Path | None = None
+    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
+
+
+@dataclass(frozen=True)
+class Synth:
+    """Generate a scene with exact temperatures and depths: the bundled table-top, or another. Needs mrgs[synth]."""
+
+    output: tyro.conf.Positional[Path]
+    """The new scene's folder."""
+    scene: Literal["tabletop", "facade", "electronics"] = "tabletop"
+    """What to generate: things on a table, a house in winter, or a powered circuit board."""
+    train_views: int = 40
+    """Training views."""
+    eval_views: int = 8
+    """Held-out views."""
+    width: int = 320
+    """Image width in pixels."""
+    height: int = 240
+    """Image height in pixels."""
+    samples: int = 64
+    """Paths per pixel: more take longer and are less noisy."""
+    seed: int = 0
+    """Seed of the scene's random details and of the sensor's noise."""
+
+
+Command = (
+    Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Synth, tyro.conf.subcommand("synth")]
+)
