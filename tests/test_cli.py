@@ -456,7 +456,7 @@ def test_renders_of_another_program_are_scored(own_run, small_scene, tmp_path, c
 def test_methods_are_compared(small_scene, tmp_path, capsys):
     tiny = ("--max-steps", "2", "--max-gaussians", "60", "--output", tmp_path / "compare")
     assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0
-    assert "MrGS" in capsys.readouterr().out
+    assert "PSNR, dB" in capsys.readouterr().out
     assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
     refused(capsys, "write NAME=DIR", "compare", small_scene, *tiny, "--renders", "somewhere")
 
