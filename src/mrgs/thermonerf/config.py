@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Literal
-
-import yaml
+from typing import Literal
 
 from mrgs.errors import ConfigError
 from mrgs.thermonerf.field import FieldConfig, HashGridConfig
 from mrgs.thermonerf.losses import LossConfig
 from mrgs.thermonerf.sampling import SamplingConfig
-from mrgs.training.config import build
+from mrgs.training.strict_yaml import parse_yaml, read_yaml, write_yaml
 
 METHOD: Literal["thermonerf"] = "thermonerf"
 
@@ -87,44 +85,22 @@ def make_config(
 
 def to_yaml(config: ThermoNerfConfig) -> str:
     """The configuration as YAML, every field written out."""
-    return yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
+    return write_yaml(config)
 
 
 def from_yaml(text: str, source: str, base: ThermoNerfConfig | None = None) -> ThermoNerfConfig:
-    """The configuration that ``to_yaml`` wrote, or a part of one over another configuration.
-
-    Args:
-        text: YAML.
-        source: the file's name, for messages.
-        base: holds the fields that the text leaves out; the defaults do if None.
+    """The configuration that ``to_yaml`` wrote, or a part of one over another; see ``read_yaml``.
 
     Raises:
         ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
     """
-    values = _parse(text, source)
-    if base is not None:
-        values = _over(dataclasses.asdict(base), values)
-    return build(ThermoNerfConfig, values, source)
+    return read_yaml(ThermoNerfConfig, text, source, base)
 
 
 def is_thermonerf(text: str) -> bool:
     """Whether the text of a run's config.yaml is that of a ThermoNeRF run."""
     try:
-        values = _parse(text, "config.yaml")
+        values = parse_yaml(text, "config.yaml")
     except ConfigError:
         return False
     return isinstance(values, dict) and values.get("method") == METHOD
-
-
-def _parse(text: str, source: str) -> Any:
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
-
-
-def _over(base: Any, values: Any) -> Any:
-    """Nested dictionaries, ``values`` where they have an entry and ``base`` elsewhere."""
-    if not isinstance(base, dict) or not isinstance(values, dict):
-        return values
-    return {**base, **{name: _over(base.get(name), value) for name, value in values.items()}}

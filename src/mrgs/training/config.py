@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import types
-import typing
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeVar, get_args
-
-import yaml
+from typing import Literal, get_args
 
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
@@ -18,6 +14,7 @@ from mrgs.training.losses import LossConfig
 from mrgs.training.optimizer import OptimizerConfig
 from mrgs.training.radiation import RadiationConfig
 from mrgs.training.relocation import RelocationConfig
+from mrgs.training.strict_yaml import read_yaml, write_yaml
 
 Method = Literal["mrgs", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "3dgs-rgbt", "mrgs-plus"]
 Preset = Literal["fast", "default", "paper"]
@@ -30,8 +27,6 @@ PLUS_OPAQUE = 0.05
 
 CPU_HIDDEN_WIDTH = 64
 """Width of the heads' hidden layers in the presets for CPUs: half of that in ``paper``, and as good."""
-
-Config = TypeVar("Config")
 
 
 @dataclass(frozen=True)
@@ -189,65 +184,13 @@ def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
 
 def to_yaml(config: TrainConfig) -> str:
     """The configuration as YAML, every field written out."""
-    return yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
+    return write_yaml(config)
 
 
 def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainConfig:
-    """The configuration that ``to_yaml`` wrote, or a part of one over another configuration.
-
-    Args:
-        text: YAML.
-        source: the file's name, for messages.
-        base: holds the fields that the text leaves out; the defaults do if None.
+    """The configuration that ``to_yaml`` wrote, or a part of one over another; see ``read_yaml``.
 
     Raises:
         ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
     """
-    try:
-        values = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
-    if base is not None:
-        values = _over(dataclasses.asdict(base), values)
-    return build(TrainConfig, values, source)
-
-
-def _over(base: Any, values: Any) -> Any:
-    """Nested dictionaries, ``values`` where they have an entry and ``base`` elsewhere."""
-    if not isinstance(base, dict) or not isinstance(values, dict):
-        return values
-    return {**base, **{name: _over(base.get(name), value) for name, value in values.items()}}
-
-
-def build(cls: type[Config], values: Any, source: str) -> Config:
-    """A dataclass from nested dictionaries, strictly: a misspelt field must not be ignored."""
-    if not isinstance(values, dict):
-        raise ConfigError(f"{source} must hold the fields of a configuration")
-    hints = typing.get_type_hints(cls)
-    unknown = sorted(set(map(str, values)) - set(hints))
-    if unknown:
-        raise ConfigError(f"{source}: there is no field {unknown[0]!r}; known are {', '.join(hints)}")
-    fields = {name: _convert(hints[name], value, f"{source}: {name}") for name, value in values.items()}
-    try:
-        return cls(**fields)
-    except ConfigError as error:
-        raise ConfigError(f"{source}: {error}") from error
-
-
-def _convert(hint: Any, value: Any, source: str) -> Any:
-    """Check a value against its field's type; nested dataclasses are built."""
-    if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        if value is None:
-            return None
-        (hint,) = (option for option in get_args(hint) if option is not type(None))
-    if dataclasses.is_dataclass(hint):
-        return build(typing.cast(type, hint), value, source)
-    if typing.get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise ConfigError(f"{source} must be one of {', '.join(get_args(hint))}, not {value!r}")
-        return value
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise ConfigError(f"{source} must be of type {hint.__name__}, not {value!r}")
-    return value
+    return read_yaml(TrainConfig, text, source, base)
