@@ -27,7 +27,7 @@ from mrgs.evaluation.figures import to_json
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.pictures import write_png
 from mrgs.evaluation.renders import evaluate_renders, find_renders
-from mrgs.run import open_run
+from mrgs.run import TrainedRun, open_run
 
 Say = Callable[[str], None]
 
@@ -188,6 +188,11 @@ def _write_figures(
         write_png(folder / "depth.png", depth_figure(with_both))
 
 
+def _photographer(run: TrainedRun) -> Renderer:
+    """A run's views as its cameras would have written them, as they are scored."""
+    return lambda view: run.photograph(run.render_view(view))
+
+
 def _exhibit(
     scene: str, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
 ) -> Exhibit:
@@ -206,7 +211,7 @@ def _exhibit(
                 renderers[each.method] = partial(files.rendering, temperature=loaded.temperature)
             else:
                 job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
-                renderers[each.method] = open_run(job.folder, job.scene).render_view
+                renderers[each.method] = _photographer(open_run(job.folder, job.scene))
         except MrgsError:  # scored, but its checkpoints were removed since
             continue
         figures[each.method] = next(

@@ -36,7 +36,7 @@ class Exhibit:
         scene: what ``load_scene`` returns.
         folder: the scene's folder, for its exact depths.
         view: the held-out view that is shown.
-        renderers: of each method, from the view to its images.
+        renderers: of each method, from the view to its images, as they are compared with the photos.
         figures: of each method, this view's entry in ``metrics.json``.
     """
 
