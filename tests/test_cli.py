@@ -441,7 +441,9 @@ def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
-def test_renders_of_another_program_are_scored(own_run, small_scene, tmp_path, capsys):
+def test_renders_of_another_program_are_scored(small_scene, tmp_path, capsys):
+    own_run = tmp_path / "own run"
+    run("train", small_scene, "--output", own_run, "--method", "mrgs", *TINY)
     run("render", own_run)
     renders = own_run / "renders" / "eval"
     assert run("eval", small_scene, "--renders", renders) == 0
@@ -450,7 +452,7 @@ def test_renders_of_another_program_are_scored(own_run, small_scene, tmp_path, c
     own, other = (json.loads((folder / "eval" / "metrics.json").read_text()) for folder in (own_run, renders))
     assert other["mean"]["thermal"]["psnr"] == pytest.approx(own["mean"]["thermal"]["psnr"], abs=1e-3)
     assert other["mean"]["rgb"]["psnr"] == pytest.approx(own["mean"]["rgb"]["psnr"], abs=0.2)
-    refused(capsys, "holds no renderings", "eval", small_scene, "--renders", tmp_path)
+    refused(capsys, "holds no renderings", "eval", small_scene, "--renders", own_run)
 
 
 def test_methods_are_compared(small_scene, tmp_path, capsys):
@@ -525,8 +527,8 @@ def test_a_transforms_file_names_the_scene_too(make_scene, tmp_path, monkeypatch
     scene = make_scene()
     monkeypatch.chdir(tmp_path)
     assert run("train", scene / "transforms.json", *TINY) == 0
-    assert run("eval", "runs/scene-mrgs") == 0
-    assert json.loads(Path("runs/scene-mrgs/eval/metrics.json").read_text())["scene"] == "scene"
+    assert run("eval", "runs/scene-mrgs-plus") == 0
+    assert json.loads(Path("runs/scene-mrgs-plus/eval/metrics.json").read_text())["scene"] == "scene"
 
 
 def test_progress_is_plain_lines_where_there_is_no_terminal(small_scene, tmp_path, monkeypatch, capsys):
