@@ -20,7 +20,7 @@ from filelock import FileLock
 from PIL import Image
 from safetensors.torch import save_file
 
-from mrgs import cli, commands, terminal
+from mrgs import commands, terminal
 from mrgs.cli import main
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")
@@ -466,7 +466,8 @@ def test_methods_are_compared(small_scene, tmp_path, capsys):
 def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):
     output = tmp_path / "nerf"
     options = ("--method", "thermonerf", "--output", output, "--max-steps", "2")
-    refused(capsys, "--max-gaussians needs a method with Gaussians", "train", small_scene, *options, "--max-gaussians", 9)
+    message = "--max-gaussians needs a method with Gaussians"
+    refused(capsys, message, "train", small_scene, *options, "--max-gaussians", 9)
     assert run("train", small_scene, *options) == 0
     assert run("train", small_scene, "--output", output, "--resume") == 0
     assert run("eval", output) == 0

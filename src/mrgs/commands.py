@@ -22,7 +22,7 @@ class Train:
     output: Path | None = None
     """The run's folder; by default runs/SCENE-METHOD."""
     method: str = "mrgs-plus"
-    """mrgs-plus, mrgs (as published), mrgs-base, mrgs-fourier, mrgs-boltz, 3dgs-rgbt, or thermonerf (a radiance field, to compare)."""
+    """mrgs-plus, mrgs (as published), mrgs-base, mrgs-fourier, mrgs-boltz, 3dgs-rgbt, or thermonerf."""
     preset: str = "default"
     """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: int | None = None
