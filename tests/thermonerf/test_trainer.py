@@ -6,7 +6,7 @@ from dataclasses import replace
 import numba
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
@@ -14,7 +14,7 @@ from mrgs.run import ThermoNerfRun, load_run, open_run
 from mrgs.thermonerf import step as step_module
 from mrgs.thermonerf import train_thermonerf
 from mrgs.training import make_config, train
-from mrgs.training.checkpoint import FORMAT, load_facts
+from mrgs.training.checkpoint import load_facts, write
 from mrgs.training.run_folder import RunFolder
 
 
@@ -151,9 +151,7 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp
 
 def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path, make_small_config):
     path = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1)).newest_checkpoint()
-    facts = {**load_facts(path)._asdict(), "temperature": [10, 30]}
-    header = json.dumps({**facts, "format": FORMAT, "skipped_in_a_row": 0})
-    save_file({"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, path, {"mrgs": header})
+    write(path, {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, load_facts(path), skipped_in_a_row=0)
     with pytest.raises(RunError, match="does not fit"):
         open_run(path.parents[1])
 
