@@ -18,6 +18,7 @@ FLOORS = {
     "data": 2.0,
     "field": 2.0,
     "rasterizer": 2.0,
+    "prepare": 2.5,
     "render": 3.0,
     "training": 4.0,
     "thermonerf": 4.2,

@@ -1,0 +1,146 @@
+"""The rig and the motions of its pairs that explain the matched patches best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float64, Int64
+from torch import Tensor
+
+from mrgs.prepare.rig.model import MOTION, RIG, ThermalCameras, project, project_jacobian
+
+_STEPS = 12
+_MEDIAN_CHI2 = 1.386
+"""Median of the squared length of a vector of two independent standard normal numbers."""
+
+_ROBUST_SCALE = 4.0
+_INLIER_WEIGHT = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Patches of all pairs, N of them.
+
+    Attributes:
+        views: index of the pair.
+        points: what the patch shows, in the axes of the pair's RGB camera.
+        pixels: where the thermal image shows it.
+        information: inverse covariance of ``pixels``, but for a common factor.
+        independent: the share of patches whose errors are their own.
+    """
+
+    views: Int64[Tensor, " n"]
+    points: Float64[Tensor, "n 3"]
+    pixels: Float64[Tensor, "n 2"]
+    information: Float64[Tensor, "n 2 2"]
+    independent: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before the images are seen: a normal distribution of the rig and one of the motions about zero.
+
+    Attributes:
+        rig: most likely rig.
+        rig_sigma: standard deviations; 0 keeps a parameter as it is.
+        motion_sigma: standard deviations of each pair's motion.
+    """
+
+    rig: Float64[Tensor, "12"]
+    rig_sigma: Float64[Tensor, "12"]
+    motion_sigma: Float64[Tensor, "6"]
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """A result.
+
+    Attributes:
+        cameras: the rig and the motions.
+        covariance: of the rig's parameters and each pair's motion [V, 18, 18], overlapping patches accounted for.
+        residual_px: of each observation [N].
+        inlier: whether an observation agrees with the result [N].
+    """
+
+    cameras: ThermalCameras
+    covariance: Float64[Tensor, "v 18 18"]
+    residual_px: Float64[Tensor, " n"]
+    inlier: Tensor
+
+
+def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> Adjusted:
+    """Maximum a posteriori by Gauss-Newton, with Geman and McClure's robust weights; their scale follows from the
+    median of the residuals."""
+    rig, motions = start.rig, start.motions
+    for _ in range(_STEPS):
+        residual, weight = _weights(observations, rig, motions)
+        hessian, gradient = _normal_equations(observations, residual, weight, rig, motions, prior)
+        step = torch.linalg.solve(hessian, gradient)
+        rig, motions = rig + step[:RIG], motions + step[RIG:].reshape(-1, MOTION)
+    residual, weight = _weights(observations, rig, motions)
+    hessian, _ = _normal_equations(observations, residual, weight, rig, motions, prior)
+    return Adjusted(
+        ThermalCameras(rig, motions),
+        _covariances(hessian, len(motions)),
+        residual.norm(dim=1),
+        weight > _INLIER_WEIGHT * weight.max(),
+    )
+
+
+def pixel_sigma(adjusted: Adjusted, view: int, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
+    """One standard deviation of the thermal pixel positions (their distance) of points in a pair's RGB camera axes."""
+    motions = adjusted.cameras.motions[view].repeat(len(points), 1)
+    jacobian = project_jacobian(adjusted.cameras.rig, motions, points)
+    return torch.einsum("nia,ab,nib->n", jacobian, adjusted.covariance[view], jacobian).clamp(min=0).sqrt()
+
+
+def _weights(
+    observations: Observations, rig: Float64[Tensor, "12"], motions: Float64[Tensor, "v 6"]
+) -> tuple[Tensor, Tensor]:
+    """Residuals [N, 2], and by what the observations' information is to be multiplied [N]."""
+    residual = observations.pixels - project(rig, motions[observations.views], observations.points)
+    squared = torch.einsum("ni,nij,nj->n", residual, observations.information, residual)
+    scale = squared.median() / _MEDIAN_CHI2 + 1e-12
+    robust = (1 + squared / (_ROBUST_SCALE * scale)) ** -2
+    return residual, robust * observations.independent / scale
+
+
+def _normal_equations(
+    observations: Observations,
+    residual: Float64[Tensor, "n 2"],
+    weight: Float64[Tensor, " n"],
+    rig: Float64[Tensor, "12"],
+    motions: Float64[Tensor, "v 6"],
+    prior: Prior,
+) -> tuple[Tensor, Tensor]:
+    """Hessian and negative gradient over the rig's parameters, followed by each pair's."""
+    count, views = len(motions), observations.views
+    information = observations.information * weight[:, None, None]
+    jacobian = project_jacobian(rig, motions[views], observations.points)
+    blocks = jacobian.new_zeros(count, RIG + MOTION, RIG + MOTION)
+    blocks.index_add_(0, views, torch.einsum("nia,nij,njb->nab", jacobian, information, jacobian))
+    slopes = jacobian.new_zeros(count, RIG + MOTION)
+    slopes.index_add_(0, views, torch.einsum("nia,nij,nj->na", jacobian, information, residual))
+    hessian = jacobian.new_zeros(RIG + MOTION * count, RIG + MOTION * count)
+    hessian[:RIG, :RIG] = blocks[:, :RIG, :RIG].sum(dim=0)
+    for view, block in enumerate(blocks):
+        own = slice(RIG + MOTION * view, RIG + MOTION * (view + 1))
+        hessian[:RIG, own], hessian[own, :RIG], hessian[own, own] = (
+            block[:RIG, RIG:],
+            block[RIG:, :RIG],
+            block[RIG:, RIG:],
+        )
+    precision = torch.cat([prior.rig_sigma, prior.motion_sigma.repeat(count)]).clamp(min=1e-9) ** -2
+    error = torch.cat([prior.rig - rig, -motions.flatten()])
+    gradient = torch.cat([slopes[:, :RIG].sum(dim=0), slopes[:, RIG:].flatten()])
+    return hessian + torch.diag(precision), gradient + precision * error
+
+
+def _covariances(hessian: Tensor, count: int) -> Float64[Tensor, "v 18 18"]:
+    covariance = torch.linalg.inv(hessian)
+    chosen = [
+        torch.cat([torch.arange(RIG), torch.arange(RIG + MOTION * view, RIG + MOTION * (view + 1))])
+        for view in range(count)
+    ]
+    return torch.stack([covariance[index][:, index] for index in chosen])

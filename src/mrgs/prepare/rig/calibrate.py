@@ -1,0 +1,246 @@
+"""The thermal camera of a rig, found from the photos themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+
+from mrgs.errors import SceneError
+from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, pixel_sigma
+from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView
+from mrgs.prepare.rig.images import ReducedPair, reduced_pair, too_few_points
+from mrgs.prepare.rig.model import (
+    LENS,
+    MOTION,
+    POSE,
+    RIG,
+    ThermalCameras,
+    lens_parameters,
+    motion_parameters,
+    project,
+)
+from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
+from mrgs.prepare.rig.search import Guess, first_guess
+from mrgs.scene import PointCloud
+from mrgs.scene.view import spread
+
+FEWEST_PAIRS = 3
+_SEARCH_PAIRS = 12
+_CLEAR = 1.3
+_LEAST_CORRELATION = 0.35
+"""The best first guess must beat every clearly different one by that factor, and reach this over the root of the number
+of pairs. Pairs that belong together reached 1.5 and 0.7 at the least; pairs that do not, never both."""
+
+
+_MOVING = 1.0
+"""Pairs that move by more than this many pixels (median) are told of."""
+
+# What is taken for likely: one standard deviation each.
+_FOCAL_SIGMA = 0.1
+_ASPECT_SIGMA = 0.005
+_CENTRE_SIGMA_WIDTHS = 0.03
+_RADIAL_SIGMA = 0.3
+_TURN_SIGMA_RAD = 0.3
+_BASELINE_SIGMA_DEPTHS = (0.05, 0.05, 0.01)
+"""Lenses sit side by side behind one front: the offset along the optical axis is the smallest."""
+
+_MOTION_SIGMA_RAD = np.radians(0.5)
+_MOTION_SIGMA_DEPTHS = 0.01
+
+
+def calibrate_rig(
+    pairs: Sequence[RigPair],
+    points: PointCloud,
+    options: RigOptions | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> RigCalibration:
+    """Find the thermal camera's intrinsics, radial distortion and motion against the RGB camera without a target.
+
+    First the focal length and the direction, by correlating edges over all scales and shifts (``search``). Then, from
+    coarse to fine (``refine``): each photo is warped through its depth into the thermal camera, patches of it are
+    found in the thermal image, and one adjustment over all pairs moves the cameras (``adjust``). Every pair has a small
+    motion of its own besides the rig's, because two shutters rarely fire together.
+
+    Args:
+        pairs: photos with poses, and their thermal images; all thermal images of one size.
+        points: what structure from motion triangulated, in the world of the poses.
+        options: what is known beforehand.
+        progress: called with a stage's name, and how many of its steps are done and there are.
+
+    Raises:
+        SceneError: too few pairs or points, thermal images of different sizes, or images that do not tell.
+    """
+    options = options or RigOptions()
+    report = progress or (lambda stage, done, total: None)
+    reduced, size = _reduced(pairs, points, report)
+    guess = _guess(reduced, size, options, report)
+    start, prior = _start(reduced, size, guess, options)
+    adjusted, observations = refine(reduced, size, start, prior, report)
+    return _result(pairs, reduced, size, adjusted, observations, options)
+
+
+def _reduced(
+    pairs: Sequence[RigPair], points: PointCloud, report: Callable[[str, int, int], None]
+) -> tuple[list[ReducedPair], tuple[int, int]]:
+    """The usable pairs at working size, and the thermal images' width and height."""
+    positions = points.positions.double().numpy()
+    reduced: list[ReducedPair] = []
+    sizes: dict[tuple[int, int], str] = {}
+    for done, pair in enumerate(pairs):
+        report("reading pairs", done, len(pairs))
+        usable, size = reduced_pair(pair, positions)
+        sizes.setdefault(size, pair.name)
+        if usable is not None:
+            reduced.append(usable)
+    if len(sizes) > 1:
+        (a, b), (first, second) = list(sizes)[:2], list(sizes.values())[:2]
+        raise SceneError(
+            f"the thermal images are of several sizes ({first} has {a[0]}×{a[1]} px, {second} {b[0]}×{b[1]}): "
+            "prepare the photos of each camera apart"
+        )
+    if len(reduced) < FEWEST_PAIRS:
+        raise too_few_points([pair.name for pair in reduced])
+    return reduced, next(iter(sizes))
+
+
+def _guess(
+    pairs: Sequence[ReducedPair],
+    size: tuple[int, int],
+    options: RigOptions,
+    report: Callable[[str, int, int], None],
+) -> Guess | None:
+    """The first guess; None if the rig is given.
+
+    Raises:
+        SceneError: no guess stands out.
+    """
+    if options.thermal_lens is not None and options.thermal_from_rgb is not None:
+        return None
+    report("searching the thermal camera", 0, 1)
+    field_of_view_deg = options.field_of_view_deg
+    if options.thermal_lens is not None:
+        field_of_view_deg = float(np.degrees(2 * np.arctan(0.5 * size[0] / options.thermal_lens.fx)))
+    chosen = [pairs[index] for index in spread(len(pairs), _SEARCH_PAIRS)]
+    found = first_guess(chosen, field_of_view_deg)
+    if found.best.score < max(_CLEAR * found.chance, _LEAST_CORRELATION / np.sqrt(len(chosen))):
+        raise SceneError(
+            "the thermal camera cannot be placed: the edges in the thermal images agree with those in the photos no "
+            f"better than by chance (correlation {found.best.score:.2f}, by chance {found.chance:.2f}). Check that the "
+            "pairs belong together, give the thermal camera's field of view, or give its lens and offset"
+        )
+    return found.best
+
+
+def _start(
+    pairs: Sequence[ReducedPair], size: tuple[int, int], guess: Guess | None, options: RigOptions
+) -> tuple[ThermalCameras, Prior]:
+    """The cameras to start from, and what is likely. The guess's shift is taken for a turn of the thermal camera."""
+    width, height = size
+    depth = float(np.median([1 / pair.depth.median for pair in pairs]))
+    rig = torch.zeros(RIG, dtype=torch.float64)
+    rig[2], rig[3] = width / 2, height / 2
+    sigma = torch.tensor(
+        [_FOCAL_SIGMA, _ASPECT_SIGMA, *(2 * [_CENTRE_SIGMA_WIDTHS * width]), _RADIAL_SIGMA, _RADIAL_SIGMA]
+        + 3 * [_TURN_SIGMA_RAD] + [share * depth for share in _BASELINE_SIGMA_DEPTHS],
+        dtype=torch.float64,
+    )  # fmt: skip
+    if guess is not None:
+        right, down = guess.shift_widths
+        turn = np.radians(guess.turn_deg)
+        rig[0] = np.log(guess.focal_widths * width)
+        rig[6:9] = torch.tensor([-down / guess.focal_widths, right / guess.focal_widths, -turn])
+    if options.thermal_lens is not None:
+        rig[LENS], sigma[LENS] = lens_parameters(options.thermal_lens), 0.0
+    if options.thermal_from_rgb is not None:
+        rig[POSE], sigma[POSE] = motion_parameters(options.thermal_from_rgb), 0.0
+    motion_sigma = torch.tensor(3 * [_MOTION_SIGMA_RAD] + 3 * [_MOTION_SIGMA_DEPTHS * depth], dtype=torch.float64)
+    motions = torch.zeros(len(pairs), MOTION, dtype=torch.float64)
+    return ThermalCameras(rig, motions), Prior(rig, sigma, motion_sigma)
+
+
+def _result(
+    pairs: Sequence[RigPair],
+    reduced: Sequence[ReducedPair],
+    size: tuple[int, int],
+    adjusted: Adjusted,
+    observations: Observations,
+    options: RigOptions,
+) -> RigCalibration:
+    """What is told. Pairs whose photo sees too few points get the rig's motion alone.
+
+    Raises:
+        SceneError: the result is less certain than the options ask for.
+    """
+    seen = {pair.name: index for index, pair in enumerate(reduced)}
+    views = tuple(
+        _view(pair.name, seen[pair.name], adjusted, observations) if pair.name in seen else _unseen(pair.name)
+        for pair in pairs
+    )
+    certain = [view for view in views if view.name in seen]
+    uncertainty_px = float(np.median([view.uncertainty_px for view in certain]))
+    if not uncertainty_px <= options.max_uncertainty_px:
+        raise SceneError(
+            f"the thermal camera cannot be placed: the photos leave {uncertainty_px:.1f} px open (one standard "
+            f"deviation), and {options.max_uncertainty_px:g} px is the limit; give its lens or offset, or more pairs"
+        )
+    residuals = adjusted.residual_px[adjusted.inlier].numpy()
+    motion_px = float(np.median(_motion_px(adjusted.cameras, observations, len(reduced))))
+    return RigCalibration(
+        lens=adjusted.cameras.lens(*size),
+        thermal_from_rgb=adjusted.cameras.thermal_from_rgb(),
+        views=views,
+        residual_px=(float(np.median(residuals)), float(np.quantile(residuals, 0.9))),
+        uncertainty_px=uncertainty_px,
+        motion_px=motion_px,
+        warnings=tuple(_warnings(views, set(seen), motion_px, options)),
+    )
+
+
+def _view(name: str, view: int, adjusted: Adjusted, observations: Observations) -> RigView:
+    own = observations.views == view
+    agreeing = own & adjusted.inlier
+    points = observations.points[own]
+    return RigView(
+        name=name,
+        correction=adjusted.cameras.correction(view),
+        matches=int(agreeing.sum()),
+        residual_px=float(adjusted.residual_px[agreeing].median()) if agreeing.any() else float("nan"),
+        uncertainty_px=float(pixel_sigma(adjusted, view, points).median()) if own.any() else float("inf"),
+    )
+
+
+def _unseen(name: str) -> RigView:
+    return RigView(name, torch.eye(4, dtype=torch.float64), 0, float("nan"), float("inf"))
+
+
+def _motion_px(cameras: ThermalCameras, observations: Observations, count: int) -> list[float]:
+    """How far each pair's own motion moves its patches."""
+    moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
+    still = project(cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points)
+    distance = (moved - still).norm(dim=1)
+    return [float(distance[observations.views == v].median()) for v in range(count) if (observations.views == v).any()]
+
+
+def _warnings(views: Sequence[RigView], seen: set[str], motion_px: float, options: RigOptions) -> list[str]:
+    found = []
+    unseen = [view.name for view in views if view.name not in seen]
+    if unseen:
+        found.append(f"{len(unseen)} photos see too few points to correct their thermal camera: {', '.join(unseen)}.")
+    doubtful = [
+        view.name
+        for view in views
+        if view.name in seen and (view.matches < FEWEST_MATCHES or view.uncertainty_px > options.max_uncertainty_px)
+    ]
+    if doubtful:
+        found.append(
+            f"{len(doubtful)} thermal images could not be placed well ({', '.join(doubtful)}): few edges agree with "
+            "their photos. Leave these pairs out if they look wrong."
+        )
+    if motion_px > _MOVING:
+        found.append(
+            f"The thermal camera moved against the RGB camera by {motion_px:.1f} px (median) from pair to pair, as if "
+            "the two did not fire together; each pair got a correction of its own. Hold still while photographing."
+        )
+    return found

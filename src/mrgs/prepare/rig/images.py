@@ -1,0 +1,104 @@
+"""The images of a pair at the sizes that the calibration works with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32
+from scipy.ndimage import map_coordinates
+from torch import Tensor
+
+from mrgs.data.undistort import resize
+from mrgs.errors import SceneError
+from mrgs.prepare.rig.contract import RigPair
+from mrgs.prepare.rig.depth import FEWEST_POINTS, InverseDepth, inverse_depth
+from mrgs.scene import Camera, Pixels
+
+RGB_WIDTH_PX = 640
+THERMAL_WIDTH_PX = 320
+"""More tells nothing more of images as soft as thermal ones: patches are placed to a tenth of a pixel."""
+
+_LUMA = (0.299, 0.587, 0.114)
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A grey image; ``valid`` is None where all pixels count."""
+
+    values: Float32[np.ndarray, "h w"]
+    valid: Bool[np.ndarray, "h w"] | None = None
+
+    def resized(self, width: int, height: int) -> Plane:
+        """On another grid of the same field of view; low-pass filtered where it becomes coarser."""
+        valid = None if self.valid is None else torch.from_numpy(self.valid)
+        values, valid = resize(torch.from_numpy(self.values)[..., None], valid, width, height)
+        return Plane(values[..., 0].numpy(), None if valid is None else valid.numpy())
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedPair:
+    """A pair at working size.
+
+    Attributes:
+        name: the pair's.
+        rgb: the photo's luma.
+        camera: of ``rgb``.
+        depth: of what ``rgb`` shows.
+        thermal: the thermal image, distorted.
+    """
+
+    name: str
+    rgb: Plane
+    camera: Camera
+    depth: InverseDepth
+    thermal: Plane
+
+
+def reduced_pair(pair: RigPair, points: Float[np.ndarray, "n 3"]) -> tuple[ReducedPair | None, tuple[int, int]]:
+    """The pair at working size, None if its photo sees too few points; and the thermal file's width and height.
+
+    Raises:
+        SceneError: an image cannot be read.
+    """
+    thermal = pair.load_thermal()
+    height, width = thermal.values.shape[:2]
+    camera = pair.rgb.camera
+    camera = camera.with_width(min(RGB_WIDTH_PX, camera.width))
+    depth = inverse_depth(points, camera, None if pair.visible is None else pair.visible.numpy())
+    if depth is None:
+        return None, (width, height)
+    reduced = min(THERMAL_WIDTH_PX, width)
+    return ReducedPair(
+        name=pair.name,
+        rgb=_plane(pair.rgb.load(), pair.name).resized(camera.width, camera.height),
+        camera=camera,
+        depth=depth,
+        thermal=_plane(thermal, pair.name).resized(reduced, max(1, round(height * reduced / width))),
+    ), (width, height)
+
+
+def sampled(
+    values: Float[np.ndarray, "h w"], u: Float[np.ndarray, "*n"], v: Float[np.ndarray, "*n"], step: float = 1.0
+) -> Float[np.ndarray, "*n"]:
+    """Bilinear values at pixel positions; ``step`` pixels lie between two values. The border's beyond the border."""
+    return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
+
+
+def too_few_points(names: list[str]) -> SceneError:
+    """That too few photos see enough sparse points."""
+    return SceneError(
+        f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or more sparse points; "
+        "give the rig by hand, or take more overlapping photos"
+    )
+
+
+def _plane(pixels: Pixels, name: str) -> Plane:
+    values: Tensor = pixels.values
+    grey = values[..., 0] if values.shape[-1] == 1 else (values * torch.tensor(_LUMA)).sum(dim=-1)
+    valid = torch.isfinite(grey) if pixels.valid is None else pixels.valid & torch.isfinite(grey)
+    if not valid.any():
+        raise SceneError(f"no pixel of {name} can be used; remove the pair")
+    filled = torch.where(valid, grey, grey[valid].median())
+    return Plane(filled.numpy().astype(np.float32), None if valid.all() else valid.numpy())

@@ -1,0 +1,141 @@
+"""From a first guess to the rig and the motions of its pairs: match and adjust, from coarse to fine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mrgs.errors import SceneError
+from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, adjust
+from mrgs.prepare.rig.images import ReducedPair
+from mrgs.prepare.rig.matching import Masked, Patches, match, whole_displacement
+from mrgs.prepare.rig.model import ThermalCameras
+from mrgs.prepare.rig.structure import structure
+from mrgs.prepare.rig.warp import Warped, thermal_rays, warp
+
+FEWEST_MATCHES = 12
+_SHARPEST = 0.5
+"""The share of a pair's patches that is used: faint ones lie where chance puts them, or a shadow that moved on."""
+
+_FARTHEST_WIDTHS = 0.1
+"""How far one pair may be from where the first guess puts it: the rig's error, and what moved between the shutters."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A pass: the width at which thermal images are compared, the blur of their structure, and the patches."""
+
+    width_px: int
+    blur_px: float
+    patches: Patches
+
+
+LEVELS = (
+    Level(160, 1.5, Patches(sigma=10, spacing=10, reach=6)),
+    Level(160, 1.5, Patches(sigma=10, spacing=10, reach=4)),
+    Level(160, 1.5, Patches(sigma=10, spacing=10, reach=4)),
+    Level(320, 2.0, Patches(sigma=16, spacing=16, reach=5)),
+    Level(320, 2.0, Patches(sigma=16, spacing=16, reach=4)),
+)
+
+
+def refine(
+    pairs: Sequence[ReducedPair],
+    size: tuple[int, int],
+    cameras: ThermalCameras,
+    prior: Prior,
+    report: Callable[[str, int, int], None],
+) -> tuple[Adjusted, Observations]:
+    """The cameras that explain all pairs best, and the last patches that were matched.
+
+    Args:
+        pairs: at working size.
+        size: width and height of the thermal files.
+        cameras: to start from.
+        prior: what is likely.
+        report: called with a stage's name, and how many of its steps are done and there are.
+
+    Raises:
+        SceneError: hardly any patch is found.
+    """
+    width = pairs[0].thermal.values.shape[1]
+    levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]
+    cameras = _shifted(pairs, size, cameras, levels[0])
+    for number, level in enumerate(levels):
+        report("matching", number, len(levels))
+        observations = _observe(pairs, size, cameras, level)
+        if len(observations.views) < FEWEST_MATCHES:
+            raise SceneError(
+                "the thermal camera cannot be placed: hardly any patch of the photos is found in the thermal images; "
+                "give the thermal camera's lens and offset"
+            )
+        adjusted = adjust(observations, prior, cameras)
+        cameras = adjusted.cameras
+    return adjusted, observations
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """A pair at a level: the photo seen from the thermal camera, and the structures of both images."""
+
+    warped: Warped
+    thermal: Masked
+    photo: Masked
+    scale: float
+
+
+def _compared(
+    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
+) -> Iterator[_Comparison]:
+    """The pairs, with the cameras as they are known so far; ``scale`` is thermal file pixels per compared pixel."""
+    lens = cameras.lens(*size)
+    width = min(level.width_px, pairs[0].thermal.values.shape[1])
+    height = max(1, round(size[1] * width / size[0]))
+    rays, scale = thermal_rays(lens, width, height), size[0] / width
+    for view, pair in enumerate(pairs):
+        rgb_from_thermal = torch.linalg.inv(cameras.correction(view) @ cameras.thermal_from_rgb()).numpy()
+        warped = warp(pair, rays, rgb_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
+        thermal = pair.thermal.resized(width, height)
+        yield _Comparison(
+            warped,
+            Masked(structure(thermal.values, level.blur_px, thermal.valid), thermal.valid),
+            Masked(structure(warped.values, level.blur_px, warped.seen), warped.seen),
+            scale,
+        )
+
+
+def _shifted(
+    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
+) -> ThermalCameras:
+    """Each camera turned so that its whole image lies right: patches alone would lose pairs that are far off."""
+    fx, motions = cameras.lens(*size).fx, cameras.motions.clone()
+    for view, pair in enumerate(_compared(pairs, size, cameras, level)):
+        reach = round(_FARTHEST_WIDTHS * pair.photo.values.shape[2])
+        right, down = whole_displacement(pair.thermal, pair.photo, reach)
+        motions[view, :2] += torch.tensor([-down, right], dtype=torch.float64) * pair.scale / fx
+    return ThermalCameras(cameras.rig, motions)
+
+
+def _observe(
+    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
+) -> Observations:
+    """Find the patches of all pairs."""
+    found: list[tuple[Tensor, ...]] = []
+    for view, pair in enumerate(_compared(pairs, size, cameras, level)):
+        matches = match(pair.thermal, pair.photo, level.patches).sharpest(_SHARPEST)
+        column, row = matches.centres.astype(int).T
+        corners = [pair.warped.points[row - down, column - right] for down in (0, 1) for right in (0, 1)]
+        found.append(
+            (
+                torch.full((len(column),), view),
+                torch.from_numpy(np.mean(corners, axis=0).reshape(-1, 3)),
+                torch.from_numpy((matches.centres + matches.displacements) * pair.scale),
+                torch.from_numpy(matches.information / pair.scale**2),
+            )
+        )
+    views, points, pixels, information = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return Observations(views, points, pixels, information, level.patches.independent)

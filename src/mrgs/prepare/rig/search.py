@@ -1,0 +1,159 @@
+"""A first guess of the thermal camera: its focal length and direction, from all pairs together.
+
+The two cameras stand close to each other, so that far enough away one image is the other, scaled, shifted and perhaps
+turned a little. For each scale and turn, the structure of the photo is correlated with that of the thermal image over
+all shifts, and the correlations of the pairs are averaged: what one pair leaves open, the others decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import gaussian_filter
+
+from mrgs.prepare.rig.images import Plane, ReducedPair, sampled
+from mrgs.prepare.rig.structure import structure
+
+WIDTH_PX = 96
+_BLUR_PX = 1.5
+_SCALE_STEP = 1.07
+_NARROWEST_DEG, _WIDEST_DEG = 15.0, 100.0
+_FINE_STEPS = (0.95, 0.975, 1.0, 1.025, 1.05)
+_TURNS_DEG = (-6.0, -3.0, 0.0, 3.0, 6.0)
+_LEAST_OVERLAP = 0.35
+_KNOWN_WITHIN = 1.1
+_NEAR_SCALE = 1.25
+_NEAR_SHIFT = 0.06
+_FARTHEST_SHIFT = 0.4
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A thermal camera at the RGB camera's place.
+
+    Attributes:
+        score: mean correlation over the pairs, at most 1; lower where the photos do not fill the thermal images.
+        focal_widths: focal length in widths of the thermal image.
+        turn_deg: about the optical axis; the photo is turned by it, anticlockwise, to lie on the thermal image.
+        shift_widths: where the photo's principal point appears, from the thermal image's centre, right and down, in
+            widths of the thermal image.
+    """
+
+    score: float
+    focal_widths: float
+    turn_deg: float
+    shift_widths: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best guess, and the best score of clearly different ones: what chance reaches in these images."""
+
+    best: Guess
+    chance: float
+
+
+def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -> Found:
+    """Search fields of view from 15° to 100° (or around a given one), turns up to 6°, and shifts up to 0.4 widths."""
+    thermal = [_structure(pair.thermal) for pair in pairs]
+    coarse = [_correlated(pairs, thermal, focal, 0.0) for focal in _focals(field_of_view_deg)]
+    best, second = max(coarse, key=lambda found: found.best.score), 0.0
+    fine = [
+        _correlated(pairs, thermal, best.best.focal_widths * step, turn) for step in _FINE_STEPS for turn in _TURNS_DEG
+    ]
+    best = max([best, *fine], key=lambda found: found.best.score)
+    for found in coarse:
+        near = abs(np.log(found.best.focal_widths / best.best.focal_widths)) < np.log(_NEAR_SCALE)
+        second = max(second, found.chance if near else found.best.score)
+    return Found(best.best, second)
+
+
+def _focals(field_of_view_deg: float | None) -> list[float]:
+    """Focal lengths to try, in image widths."""
+    if field_of_view_deg is None:
+        low, high = focal_widths(_WIDEST_DEG), focal_widths(_NARROWEST_DEG)
+    else:
+        low, high = focal_widths(field_of_view_deg) / _KNOWN_WITHIN, focal_widths(field_of_view_deg) * _KNOWN_WITHIN
+    steps = round(np.log(high / low) / np.log(_SCALE_STEP)) + 1
+    return [float(value) for value in np.geomspace(low, high, steps)]
+
+
+def focal_widths(field_of_view_deg: float) -> float:
+    """Focal length in image widths, from the horizontal field of view."""
+    return float(0.5 / np.tan(np.radians(field_of_view_deg) / 2))
+
+
+def _structure(plane: Plane) -> Float32[np.ndarray, "c h w"]:
+    height, width = plane.values.shape
+    small = plane.resized(WIDTH_PX, max(1, round(height * WIDTH_PX / width)))
+    return structure(small.values, _BLUR_PX, small.valid)
+
+
+def _correlated(
+    pairs: Sequence[ReducedPair], thermal: Sequence[Float32[np.ndarray, "c h w"]], focal_widths: float, turn_deg: float
+) -> Found:
+    """The best shift for a focal length and a turn, and the best that is far from it."""
+    height, width = thermal[0].shape[1:]
+    scales = [focal_widths * WIDTH_PX / pair.camera.K[0, 0].item() for pair in pairs]
+    sides = [
+        2 * round(scale * max(p.camera.width, p.camera.height) / 2) for p, scale in zip(pairs, scales, strict=True)
+    ]
+    side = max(sides)
+    size = (next_fast_len(side + height), next_fast_len(side + width))
+    total = np.zeros(size, dtype=np.float32)
+    for pair, channels, scale in zip(pairs, thermal, scales, strict=True):
+        photo, seen = _photo(pair, scale, turn_deg, side)
+        total += _correlation(channels, photo, seen, size) / len(pairs)
+    right, down = (_shifts(n, t, side) for n, t in ((size[1], width), (size[0], height)))
+    total[np.abs(down) > _FARTHEST_SHIFT] = 0.0
+    total[:, np.abs(right) > _FARTHEST_SHIFT] = 0.0
+    row, column = np.unravel_index(total.argmax(), size)
+    guess = Guess(float(total[row, column]), focal_widths, turn_deg, (float(right[column]), float(down[row])))
+    near = (np.abs(down - down[row]) < _NEAR_SHIFT)[:, None] & (np.abs(right - right[column]) < _NEAR_SHIFT)
+    return Found(guess, float(np.where(near, 0.0, total).max()))
+
+
+def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
+    """The shift of the photo's middle from the thermal image's, in widths, for each place of a cyclic correlation."""
+    places = np.arange(count)
+    return (side / 2 - np.where(places < count - thermal, places, places - count) - thermal / 2) / WIDTH_PX
+
+
+def _photo(
+    pair: ReducedPair, scale: float, turn_deg: float, side: int
+) -> tuple[Float32[np.ndarray, "c s s"], Float32[np.ndarray, "s s"]]:
+    """The structure of the photo, scaled and turned about its principal point, in the middle of a square."""
+    values = pair.rgb.values
+    if scale < 1:
+        values = gaussian_filter(values, 0.5 * np.sqrt(1 / scale**2 - 1))
+    x, y = np.meshgrid(np.arange(side) + 0.5 - side / 2, np.arange(side) + 0.5 - side / 2)
+    cos, sin = np.cos(np.radians(turn_deg)) / scale, np.sin(np.radians(turn_deg)) / scale
+    u = cos * x - sin * y + pair.camera.K[0, 2].item()
+    v = sin * x + cos * y + pair.camera.K[1, 2].item()
+    seen = (u > 0) & (u < pair.camera.width) & (v > 0) & (v < pair.camera.height)
+    if pair.rgb.valid is not None:
+        seen &= sampled(pair.rgb.valid.astype(np.float32), u, v) > 0.5
+    return structure(sampled(values, u, v), _BLUR_PX, seen), seen.astype(np.float32)
+
+
+def _correlation(
+    thermal: Float32[np.ndarray, "c h w"],
+    photo: Float32[np.ndarray, "c s s"],
+    seen: Float32[np.ndarray, "s s"],
+    size: tuple[int, int],
+) -> Float32[np.ndarray, "rows columns"]:
+    """Normalised correlation of the thermal image with the photo's part under it, for each shift (cyclic); 0 where too
+    little is under it, and lowered where it is not all: chance reaches higher in smaller parts."""
+    ones = np.ones(thermal.shape[1:], dtype=np.float32)
+    window, area = np.conj(rfft2(ones, size)), rfft2(seen, size)
+    product = irfft2((np.conj(rfft2(thermal, size)) * rfft2(photo, size)).sum(axis=0), size)
+    of_thermal = irfft2(np.conj(rfft2((thermal**2).sum(axis=0), size)) * area, size)
+    of_photo = irfft2(window * rfft2((photo**2).sum(axis=0), size), size)
+    overlap = irfft2(window * area, size)
+    enough = overlap > _LEAST_OVERLAP * min(ones.size, float(seen.sum()))
+    energy = np.sqrt(np.maximum(of_thermal * of_photo, 1e-6))
+    return np.where(enough, product / energy * np.sqrt(overlap.clip(min=0) / ones.size), 0.0).astype(np.float32)

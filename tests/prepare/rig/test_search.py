@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from mrgs.prepare.rig.depth import InverseDepth
+from mrgs.prepare.rig.images import Plane, ReducedPair
+from mrgs.prepare.rig.search import first_guess, focal_widths
+from mrgs.scene import Camera
+
+WIDTH, HEIGHT, FOCAL = 320, 240, 260.0
+CAMERA = Camera(
+    torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64),
+    torch.eye(4, dtype=torch.float64),
+    WIDTH,
+    HEIGHT,
+)
+
+
+def pairs(focal_widths: float, turn_deg: float, shift_widths: tuple[float, float]) -> list[ReducedPair]:
+    """Three photos of blots, and their inverted images, scaled, turned and shifted, 160×120 px."""
+    rng = np.random.default_rng(0)
+    made = []
+    for index in range(3):
+        photo = (gaussian_filter(rng.normal(size=(HEIGHT, WIDTH)), 5) > 0).astype(np.float64)
+        photo = gaussian_filter(photo, 1.0)
+        x, y = np.meshgrid(np.arange(160) + 0.5 - 80, np.arange(120) + 0.5 - 60)
+        x, y = x - 160 * shift_widths[0], y - 160 * shift_widths[1]
+        zoom = FOCAL / (focal_widths * 160)
+        cos, sin = zoom * np.cos(np.radians(turn_deg)), zoom * np.sin(np.radians(turn_deg))
+        u, v = cos * x - sin * y + WIDTH / 2, sin * x + cos * y + HEIGHT / 2
+        thermal = -map_coordinates(photo, [v - 0.5, u - 0.5], order=1, mode="reflect")
+        depth = InverseDepth(np.full((60, 80), 0.2), 0.2)
+        planes = [Plane(values.astype(np.float32)) for values in (photo, thermal)]
+        made.append(ReducedPair(f"pair_{index}", planes[0], CAMERA, depth, planes[1]))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("focal", "turn_deg", "shift"), [(1.1, 0.0, (0.05, -0.04)), (1.4, 3.0, (-0.1, 0.02)), (0.9, -3.0, (0.0, 0.08))]
+)
+def test_scale_turn_and_shift_are_found(focal, turn_deg, shift):
+    field_of_view_deg = float(np.degrees(2 * np.arctan(0.5 / focal))) * 1.04
+    found = first_guess(pairs(focal, turn_deg, shift), field_of_view_deg)
+    assert found.best.focal_widths == pytest.approx(focal, rel=0.03)
+    assert found.best.turn_deg == pytest.approx(turn_deg, abs=1)
+    assert found.best.shift_widths == pytest.approx(shift, abs=0.02)
+    assert found.best.score > 1.5 * found.chance
+
+
+def test_an_unknown_field_of_view_is_found():
+    found = first_guess(pairs(1.2, 0.0, (0.03, 0.0))[:2], None)
+    assert found.best.focal_widths == pytest.approx(1.2, rel=0.03)
+    assert found.best.score > 1.5 * found.chance
+
+
+def test_pairs_that_do_not_belong_together_stand_out_no_more_than_chance():
+    right = pairs(1.1, 0.0, (0.0, 0.0))
+    wrong = [
+        ReducedPair(pair.name, pair.rgb, pair.camera, pair.depth, other.thermal)
+        for pair, other in zip(right, right[1:] + right[:1], strict=True)
+    ]
+    assert first_guess(wrong, 48.0).best.score < 0.5 * first_guess(right, 48.0).best.score
+
+
+def test_focal_widths():
+    assert focal_widths(90.0) == pytest.approx(0.5)
