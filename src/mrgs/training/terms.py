@@ -24,10 +24,17 @@ MODALITIES = ("rgb", "thermal")
 
 
 class Photos(NamedTuple):
-    """A view's photos; None for a modality that the view lacks."""
+    """A view's photos.
+
+    Attributes:
+        rgb: None if the view has no colour image.
+        thermal: None if it has no thermal image.
+        shares_camera: whether one camera took both, so that a pixel of the one is the same pixel of the other.
+    """
 
     rgb: Pixels | None
     thermal: Pixels | None
+    shares_camera: bool = False
 
 
 class SceneScale(NamedTuple):
@@ -50,7 +57,7 @@ def loss_terms(
     scale: SceneScale,
     uncertainty: DepthUncertainty,
 ) -> dict[str, Tensor]:
-    """L_c, L_t, L_smooth and L_boltz of a view, as far as the view and the method have them.
+    """L_c, L_t, L_smooth, L_opaque and L_boltz of a view, as far as the view and the method have them.
 
     Args:
         rendering: what the model shows; smoothness is asked of it.
@@ -69,8 +76,8 @@ def loss_terms(
         terms["smooth"] = torch.stack(
             [_smoothness(rendering, photos, name, config.loss, scale) for name in terms]
         ).sum()
-    if config.loss.opaque > 0 and (opaque := _opaqueness(rendering)) is not None:
-        terms["opaque"] = opaque
+    if config.loss.opaque > 0 and photos.shares_camera:
+        terms["opaque"] = _opaqueness(rendering)
     if config.radiation is not None and "thermal" in terms:
         terms["boltzmann"] = _radiation(photographed, photos, scale, uncertainty)
     return terms
@@ -100,12 +107,11 @@ def _smoothness(
     )
 
 
-def _opaqueness(rendering: Rendering) -> Float[Tensor, ""] | None:
-    """L_opaque where one camera serves both modalities; None elsewhere."""
-    light, heat = rendering.alpha_rgb, rendering.alpha_thermal
-    if light is None or heat is None or light.shape != heat.shape:
-        return None
-    return opaqueness_loss(heat, light)
+def _opaqueness(rendering: Rendering) -> Float[Tensor, ""]:
+    """L_opaque of a rendering by one camera."""
+    assert rendering.alpha_thermal is not None
+    assert rendering.alpha_rgb is not None
+    return opaqueness_loss(rendering.alpha_thermal, rendering.alpha_rgb)
 
 
 def _radiation(

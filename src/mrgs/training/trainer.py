@@ -157,7 +157,7 @@ class _Trainer:
         state = self._state
         number = state.sampler.next()
         view = self._scene.train[number]
-        photos = Photos(self._photos.load(view.rgb), self._photos.load(view.thermal))
+        photos = Photos(self._photos.load(view.rgb), self._photos.load(view.thermal), view.shares_camera)
         statistics = training_step(state, view, number, photos, self._config, self._scale)
         if statistics.skipped:
             self._note_skipped(statistics)
