@@ -34,7 +34,7 @@ class Losses:
     def __init__(self, width: int, height: int) -> None:
         self._config = LossConfig()
         self._uncertainty = DepthUncertainty()
-        rgb, thermal = photos(width, height)
+        rgb, thermal, _ = photos(width, height)
         assert rgb is not None
         assert thermal is not None
         self._targets = [rgb.values, thermal.values]
