@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,17 +15,14 @@ from mrgs.scene import Scene
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
+from mrgs.training.driver import Driver
 from mrgs.training.image_model import Capture
 from mrgs.training.initialisation import initial_gaussians
-from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.step import StepStatistics, TrainingState, control_density, training_step
 from mrgs.training.terms import Photos, SceneScale
 from mrgs.training.views import PhotoCache
-
-LOG_EVERY = 10
-MAX_SKIPPED_IN_A_ROW = 3
 
 OnStep = Callable[[StepStatistics], bool | None]
 """Called after every step; returning True stops the training with a checkpoint."""
@@ -112,109 +108,54 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
     return checkpoint.make_state(model, uncertainty, config, Capture.of(scene), generator)
 
 
-class _Trainer:
-    """Drives a state through its steps, and keeps the run's folder up to date."""
+class _Trainer(Driver[StepStatistics]):
+    """Trains Gaussians."""
 
     def __init__(self, folder: RunFolder, scene: Scene, scene_path: str, config: TrainConfig, resume: bool) -> None:
-        self._folder = folder
+        facts = CheckpointFacts(0, scene_path, Capture.of(scene), scene.temperature, 0.0, 0, 0)
+        if resume:
+            newest = folder.newest_checkpoint()
+            found = checkpoint.load_facts(newest)
+            checkpoint.require_same_scene(found, scene)
+            self._state = checkpoint.load_state(newest, config)
+            facts = found._replace(scene=scene_path, capture=facts.capture)
+            folder.cut_log(found.step)
+        else:
+            self._state = initial_state(scene, config)
         self._scene = scene
-        self._scene_path = scene_path
         self._config = config
         self._scale = SceneScale(scene.extent, scene.temperature)
         self._photos = PhotoCache()
-        self._skipped_steps = 0
-        self._seconds_before = 0.0
-        self._peak_before = 0
-        if resume:
-            newest = folder.newest_checkpoint()
-            facts = checkpoint.load_facts(newest)
-            checkpoint.require_same_scene(facts, scene)
-            self._state = checkpoint.load_state(newest, config)
-            self._seconds_before, self._skipped_steps = facts.train_seconds, facts.skipped_steps
-            self._peak_before = facts.peak_memory_bytes
-            folder.cut_log(facts.step)
-        else:
-            self._state = initial_state(scene, config)
-        self._started = time.perf_counter()
+        super().__init__(folder, facts, config.max_steps, config.checkpoint_every)
 
     @property
     def model(self) -> Model:
         """The model that is trained; the same object from the first step to the last."""
         return self._state.model
 
-    def run(self, stop_at: int | None, on_step: OnStep | None) -> None:
-        """Step until the end of the schedule, or until somebody asks to stop; the last step is checkpointed."""
-        last = self._config.max_steps if stop_at is None else min(stop_at, self._config.max_steps)
-        while self._state.step < last:
-            statistics = self._step()
-            asked_to_stop = on_step is not None and on_step(statistics) is True
-            if asked_to_stop:
-                last = self._state.step
-            if self._state.step % self._config.checkpoint_every == 0 or self._state.step == last:
-                self._save()
-
-    def _step(self) -> StepStatistics:
+    def _take_step(self) -> StepStatistics:
         state = self._state
         number = state.sampler.next()
         view = self._scene.train[number]
         photos = Photos(self._photos.load(view.rgb), self._photos.load(view.thermal), view.shares_camera)
         statistics = training_step(state, view, number, photos, self._config, self._scale)
-        if statistics.skipped:
-            self._note_skipped(statistics)
-        else:
-            counts = control_density(state, self._config, self._scale.extent)
-            if counts is not None:
-                self._folder.append_log(
-                    {"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)}
-                )
-            if len(state.model.gaussians) == 0:
-                raise TrainingError(
-                    f"every Gaussian has turned transparent by step {state.step}: check the scene's poses and images"
-                )
-        if state.step % LOG_EVERY == 0 or state.step == self._config.max_steps:
-            self._log(statistics)
+        if not statistics.skipped:
+            self._control_density()
         return statistics
 
-    def _note_skipped(self, statistics: StepStatistics) -> None:
-        self._skipped_steps += 1
-        self._folder.append_log({"step": statistics.step, "skipped": "the loss or a gradient was not finite"})
-        if self._state.skipped_in_a_row >= MAX_SKIPPED_IN_A_ROW:
-            found = self._folder.checkpoints()
-            kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
-            again = "Resume" if found else "Train anew"
+    def _control_density(self) -> None:
+        state = self._state
+        counts = control_density(state, self._config, self._scale.extent)
+        if counts is not None:
+            self._folder.append_log({"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)})
+        if len(state.model.gaussians) == 0:
             raise TrainingError(
-                f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step {statistics.step}; "
-                f"{kept}. {again} with a smaller learning rate, or check the scene's poses and images"
+                f"every Gaussian has turned transparent by step {state.step}: check the scene's poses and images"
             )
 
-    def _log(self, statistics: StepStatistics) -> None:
-        temperature = self._scene.temperature
-        error = statistics.thermal_error
-        self._folder.append_log(
-            {
-                "step": statistics.step,
-                "loss": statistics.loss,
-                **{f"loss_{name}": value for name, value in statistics.terms.items()},
-                "thermal_error_c": None if error is None or temperature is None else error * temperature.span_c,
-                "gaussians": statistics.gaussians,
-                "seconds": self._seconds(),
-            }
-            if not statistics.skipped
-            else {"step": statistics.step, "gaussians": statistics.gaussians, "seconds": self._seconds()}
-        )
+    @property
+    def _skipped_in_a_row(self) -> int:
+        return self._state.skipped_in_a_row
 
-    def _seconds(self) -> float:
-        return self._seconds_before + time.perf_counter() - self._started
-
-    def _save(self) -> None:
-        facts = CheckpointFacts(
-            step=self._state.step,
-            scene=self._scene_path,
-            capture=Capture.of(self._scene),
-            temperature=self._scene.temperature,
-            train_seconds=self._seconds(),
-            peak_memory_bytes=max(self._peak_before, peak_memory_bytes()),
-            skipped_steps=self._skipped_steps,
-        )
-        checkpoint.save(self._folder.checkpoint_file(self._state.step), self._state, facts)
-        self._folder.drop_old_checkpoints()
+    def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
+        checkpoint.save(path, self._state, facts)

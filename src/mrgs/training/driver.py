@@ -1,0 +1,137 @@
+"""What drives a training of any method through its steps, and keeps the run's folder up to date."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+from mrgs.errors import TrainingError
+from mrgs.scene import TemperatureRange
+from mrgs.training.checkpoint import CheckpointFacts
+from mrgs.training.memory import peak_memory_bytes
+from mrgs.training.run_folder import RunFolder
+
+LOG_EVERY = 10
+MAX_SKIPPED_IN_A_ROW = 3
+
+
+@runtime_checkable
+class Statistics(Protocol):
+    """What every method's step measures; see ``StepStatistics``."""
+
+    @property
+    def step(self) -> int:
+        """Its number, from 1."""
+
+    @property
+    def loss(self) -> float:
+        """Of the step; not finite if it was skipped."""
+
+    @property
+    def terms(self) -> Mapping[str, float]:
+        """Parts of the loss, unweighted."""
+
+    @property
+    def thermal_error(self) -> float | None:
+        """Mean absolute error of the normalised temperature."""
+
+    @property
+    def gaussians(self) -> int | None:
+        """N; None for a method without Gaussians."""
+
+    @property
+    def skipped(self) -> bool:
+        """Whether nothing was changed, because a value was not finite."""
+
+
+S = TypeVar("S", bound=Statistics)
+
+
+class Driver(ABC, Generic[S]):
+    """Steps, logs, checkpoints; a method says what a step does and what a checkpoint holds.
+
+    Args:
+        folder: the run's folder, which the caller has locked.
+        facts: of the checkpoint that is continued, or of step 0.
+        max_steps: of the schedule.
+        checkpoint_every: steps between checkpoints.
+    """
+
+    def __init__(self, folder: RunFolder, facts: CheckpointFacts, max_steps: int, checkpoint_every: int) -> None:
+        self._folder = folder
+        self._facts = facts
+        self._max_steps = max_steps
+        self._checkpoint_every = checkpoint_every
+        self._step_done = facts.step
+        self._skipped_steps = facts.skipped_steps
+        self._started = time.perf_counter()
+
+    @abstractmethod
+    def _take_step(self) -> S:
+        """Do the next step."""
+
+    @property
+    @abstractmethod
+    def _skipped_in_a_row(self) -> int:
+        """Steps skipped since the last good one."""
+
+    @abstractmethod
+    def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
+        """Write everything that training needs to go on exactly."""
+
+    def run(self, stop_at: int | None, on_step: Callable[[S], bool | None] | None) -> None:
+        """Step until the end of the schedule, or until somebody asks to stop; the last step is checkpointed."""
+        last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
+        while self._step_done < last:
+            statistics = self._take_step()
+            self._step_done = statistics.step
+            if statistics.skipped:
+                self._note_skipped(statistics)
+            if self._step_done % LOG_EVERY == 0 or self._step_done == self._max_steps:
+                self._log(statistics)
+            if on_step is not None and on_step(statistics) is True:
+                last = self._step_done
+            if self._step_done % self._checkpoint_every == 0 or self._step_done == last:
+                self._save()
+
+    def _note_skipped(self, statistics: S) -> None:
+        self._skipped_steps += 1
+        self._folder.append_log({"step": statistics.step, "skipped": "the loss or a gradient was not finite"})
+        if self._skipped_in_a_row >= MAX_SKIPPED_IN_A_ROW:
+            found = self._folder.checkpoints()
+            kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
+            again = "Resume" if found else "Train anew"
+            raise TrainingError(
+                f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step {statistics.step}; "
+                f"{kept}. {again} with a smaller learning rate, or check the scene's poses and images"
+            )
+
+    def _log(self, statistics: S) -> None:
+        entry: dict[str, float | None] = {"step": statistics.step}
+        if not statistics.skipped:
+            entry["loss"] = statistics.loss
+            entry |= {f"loss_{name}": value for name, value in statistics.terms.items()}
+            entry["thermal_error_c"] = _celsius(statistics.thermal_error, self._facts.temperature)
+        if statistics.gaussians is not None:
+            entry["gaussians"] = statistics.gaussians
+        self._folder.append_log({**entry, "seconds": self._seconds()})
+
+    def _seconds(self) -> float:
+        return self._facts.train_seconds + time.perf_counter() - self._started
+
+    def _save(self) -> None:
+        facts = self._facts._replace(
+            step=self._step_done,
+            train_seconds=self._seconds(),
+            peak_memory_bytes=max(self._facts.peak_memory_bytes, peak_memory_bytes()),
+            skipped_steps=self._skipped_steps,
+        )
+        self._write_checkpoint(self._folder.checkpoint_file(self._step_done), facts)
+        self._folder.drop_old_checkpoints()
+
+
+def _celsius(error: float | None, temperature: TemperatureRange | None) -> float | None:
+    return None if error is None or temperature is None else error * temperature.span_c
