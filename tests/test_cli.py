@@ -460,7 +460,9 @@ def test_methods_are_compared(small_scene, tmp_path, capsys):
     assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0
     assert "PSNR, dB" in capsys.readouterr().out
     assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
-    refused(capsys, "write NAME=DIR", "compare", small_scene, *tiny, "--renders", "somewhere")
+    refused(capsys, "write NAME=PATH", "compare", small_scene, *tiny, "--renders", "somewhere")
+    refused(capsys, "a is there twice", "compare", small_scene, *tiny, "--renders", "a=b", "a=c")
+    refused(capsys, "no.yaml cannot be read", "compare", small_scene, *tiny, "--variants", "a=no.yaml")
 
 
 def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):

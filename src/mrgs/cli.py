@@ -194,10 +194,12 @@ def _eval_renders(command: Eval, folder: Path) -> None:
 
 
 def _compare(command: Compare) -> None:
-    from mrgs.comparison import Options, compare
+    from mrgs.comparison import Options, Variant, compare
 
+    variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
     options = Options(
         command.methods,
+        tuple(Variant.from_text(name, _read_text(file), str(file)) for name, file in variants.items()),
         command.neighbours,
         command.seeds,
         command.preset,
@@ -210,7 +212,7 @@ def _compare(command: Compare) -> None:
             command.scenes,
             command.output,
             options,
-            renders=_named_folders(command.renders),
+            renders=_named_paths("--renders", command.renders, "ThermoNeRF=renders/thermonerf"),
             jobs=command.jobs,
             lpips_weights=command.lpips_weights,
             say=lambda line: print(line, flush=True),
@@ -229,14 +231,16 @@ def _compare(command: Compare) -> None:
         )
 
 
-def _named_folders(pairs: tuple[str, ...]) -> dict[str, Path]:
-    """Folders by name, from NAME=DIR."""
+def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str, Path]:
+    """Paths by name, from NAME=PATH."""
     named = {}
     for pair in pairs:
-        name, separator, folder = pair.partition("=")
-        if not separator or not name or not folder:
-            raise ConfigError(f"--renders {pair}: write NAME=DIR, for instance ThermoNeRF=renders/thermonerf")
-        named[name] = Path(folder)
+        name, separator, path = pair.partition("=")
+        if not separator or not name or not path:
+            raise ConfigError(f"{option} {pair}: write NAME=PATH, for instance {example}")
+        if name in named:
+            raise ConfigError(f"{option} {pair}: {name} is there twice; choose another name")
+        named[name] = Path(path)
     return named
 
 

@@ -141,6 +141,8 @@ class Compare:
     """The scenes' folders."""
     methods: tuple[str, ...] = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
     """Any that mrgs train --method knows."""
+    variants: tuple[str, ...] = ()
+    """Also methods with changed values, NAME=FILE: as for mrgs train --config, with a line such as method: mrgs."""
     neighbours: tuple[int, ...] = ()
     """Also the table of neighbours: mrgs with each n; the paper has 1 3 5 7."""
     renders: tuple[str, ...] = ()

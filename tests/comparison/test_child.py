@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.comparison import child
-from mrgs.comparison.methods import configure, to_text
+from mrgs.comparison.methods import Variant, configure, to_text
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +21,7 @@ def at_home(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def request_for(tmp_path: Path, make_options):
     def make(scene: Path) -> dict[str, str | None]:
-        config = configure("3dgs-rgbt", make_options(), 0)
+        config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
         return {
             "scene": str(scene), "folder": str(tmp_path / "run"), "config": to_text(config), "lpips_weights": None,
         }  # fmt: skip

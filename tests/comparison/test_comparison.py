@@ -14,6 +14,7 @@ from PIL import Image
 
 from mrgs.comparison import comparison
 from mrgs.comparison.comparison import compare
+from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import Job, plan
 from mrgs.comparison.single import run_one
 from mrgs.errors import MrgsError
@@ -148,6 +149,14 @@ def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_pat
     with pytest.raises(MrgsError, match=message):
         compare([small_scene], tmp_path / "out", make_options(), **arguments)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path, make_options):
+    few = Variant("few", "mrgs", "densification: {max_gaussians: 30}", "few.yaml")
+    result = compare([small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few,)))
+    assert [row.labels for row in result.tables[0].rows] == [("mrgs",), ("few",)]
+    with pytest.raises(MrgsError, match="--variants few: a method has this name already"):
+        compare([small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few, few)))
 
 
 def test_in_a_process_of_its_own(small_scene, tmp_path, make_options):

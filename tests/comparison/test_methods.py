@@ -2,22 +2,45 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.comparison.methods import configure, from_text, read_config, to_text, train_run
+from mrgs.comparison.methods import Variant, configure, from_text, read_config, to_text, train_run
 from mrgs.comparison.single import flat
 from mrgs.errors import ConfigError
 from mrgs.training.run_folder import RunFolder
 
 
-def test_the_number_of_neighbours_is_all_that_changes(make_options):
-    options = make_options()
-    usual, other = flat(configure("mrgs", options, 4)), flat(configure("mrgs", options, 4, neighbours_n=5))
-    assert {name for name in usual if usual[name] != other[name]} == {"field.neighbours_n"}
-    assert (usual["seed"], usual["max_steps"], usual["densification.max_gaussians"]) == (4, 3, 60)
+def changes(variant, options):
+    """What a variant's configuration has of its own, against the method's."""
+    usual, other = flat(configure(Variant("", variant.method), options, 4)), flat(configure(variant, options, 4))
+    assert usual["seed"] == other["seed"] == 4
+    return {name: other[name] for name in usual if usual[name] != other[name]}
 
 
-@pytest.mark.parametrize(("method", "n"), [("mrgs", 5), ("3dgs-rgbt", None), ("thermonerf", None)])
-def test_a_configuration_survives_its_text(method, n, make_options):
-    config = configure(method, make_options(), 1, neighbours_n=n)
+def test_a_variant_differs_from_its_method_by_what_its_text_says(make_options):
+    text = "{method: mrgs, seed: 7, densification: {max_gaussians: 90}, field: {neighbours_n: 5}}"
+    variant = Variant.from_text("wide", text, "wide.yaml")
+    assert (variant.name, variant.method) == ("wide", "mrgs")
+    assert changes(variant, make_options()) == {"densification.max_gaussians": 90, "field.neighbours_n": 5}
+
+
+def test_a_variant_of_thermonerf(make_options):
+    variant = Variant.from_text("few rays", "{method: thermonerf, rays_per_batch: 64}", "few.yaml")
+    assert changes(variant, make_options()) == {"rays_per_batch": 64}
+
+
+@pytest.mark.parametrize("text", ["3", "{seed: 1}", "{method: 3}"])
+def test_a_variant_names_its_method(text):
+    with pytest.raises(ConfigError, match=r"wide.yaml does not say which method it changes: add a line such as"):
+        Variant.from_text("wide", text, "wide.yaml")
+
+
+def test_a_misspelt_value_of_a_variant(make_options):
+    with pytest.raises(ConfigError, match=r"wide.yaml: there is no field 'sed'"):
+        configure(Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), make_options(), 0)
+
+
+@pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt", "thermonerf"])
+def test_a_configuration_survives_its_text(method, make_options):
+    config = configure(Variant(method, method), make_options(), 1)
     assert from_text(to_text(config)) == config
     with pytest.raises(ConfigError, match="the request must hold the fields of a configuration"):
         from_text("3")
@@ -25,7 +48,7 @@ def test_a_configuration_survives_its_text(method, n, make_options):
 
 @pytest.mark.parametrize("method", ["3dgs-rgbt", "thermonerf"])
 def test_every_method_is_trained_continued_and_read_back(method, small_scene, tmp_path, make_options):
-    config = configure(method, make_options(), 0)
+    config = configure(Variant(method, method), make_options(), 0)
     train_run(small_scene, tmp_path, config, lambda statistics: statistics.step == 2)
     steps = []
     train_run(small_scene, tmp_path, config, lambda statistics: steps.append(statistics.step))

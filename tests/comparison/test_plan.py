@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import neighbour_methods, plan
 from mrgs.errors import ConfigError, SceneError
 from mrgs.training import train
@@ -22,6 +23,13 @@ def test_every_seed_is_done_for_all_before_the_next(small_scene, make_scene, tmp
 
 def test_mrgs_itself_stands_for_its_own_number_of_neighbours(make_options):
     assert neighbour_methods(make_options(neighbours=(1, 3, 5))) == {1: "mrgs-n1", 3: "mrgs", 5: "mrgs-n5"}
+
+
+def test_variants_come_between_the_methods_and_the_neighbours(small_scene, tmp_path, make_options):
+    variant = Variant("half", "mrgs", "densification: {max_gaussians: 30}", "half.yaml")
+    jobs = plan([small_scene], tmp_path, make_options(methods=("mrgs",), variants=(variant,), neighbours=(1,)))
+    assert [job.method for job in jobs] == ["mrgs", "half", "mrgs-n1"]
+    assert [job.config.densification.max_gaussians for job in jobs] == [60, 30, 60]
 
 
 def test_the_neighbours_alone_need_no_method(small_scene, tmp_path, make_options):

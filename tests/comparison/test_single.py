@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.comparison.methods import configure
+from mrgs.comparison.methods import Variant, configure
 from mrgs.comparison.single import is_scored, require_same_config, run_one
 from mrgs.errors import ConfigError
 from mrgs.training import make_config, train
@@ -13,7 +13,7 @@ from mrgs.training.run_folder import RunFolder
 
 
 def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path, make_options):
-    config = configure("3dgs-rgbt", make_options(), 0)
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
     assert not is_scored(tmp_path / "run", config, with_lpips=False)
     scored = []
     assert run_one(small_scene, tmp_path / "run", config, on_score=lambda done, total: scored.append((done, total)))
@@ -26,7 +26,7 @@ def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path, make
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path, make_options):
-    config = configure("3dgs-rgbt", make_options(), 0)
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
     assert not run_one(small_scene, tmp_path / "cut", config, on_step=lambda statistics: statistics.step == 2)
     assert not (tmp_path / "cut" / "eval").exists()
     steps = []
@@ -38,7 +38,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path, 
 
 
 def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path, make_options):
-    config = configure("3dgs-rgbt", make_options(), 0)
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
     run_one(small_scene, tmp_path, config)
     path = tmp_path / "eval" / "metrics.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"steps": 2}))

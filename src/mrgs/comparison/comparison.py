@@ -78,7 +78,7 @@ def compare(
     if jobs < 1:
         raise ConfigError(f"--jobs must be at least 1, not {jobs}")
     renders = dict(renders or {})
-    _check_names(renders, {*options.methods, *neighbour_methods(options).values()})
+    _check_names(options, renders)
     if lpips_weights is not None:
         Lpips.from_file(lpips_weights)  # better now than after the first training
     planned = plan(scenes, output, options)
@@ -88,7 +88,8 @@ def compare(
     for name, folder in renders.items():
         for scene, path in paths.items():
             found.append(_renders_outcome(name, folder / scene, scene, path, output, options, lpips_weights))
-    outcomes = Outcomes(tuple(found), tuple(paths), (*options.methods, *renders), neighbour_methods(options))
+    rows = (*options.methods, *(variant.name for variant in options.variants), *renders)
+    outcomes = Outcomes(tuple(found), tuple(paths), rows, neighbour_methods(options))
     tables = tuple(all_tables(outcomes))
     _write_tables(output / "tables", tables)
     _write_results(output / "results.json", outcomes, options, paths)
@@ -96,13 +97,16 @@ def compare(
     return Comparison(tables, {_label(each): each.failure for each in found if each.failure is not None}, output)
 
 
-def _check_names(renders: Mapping[str, Path], methods: set[str]) -> None:
-    """Names of renders become folders and rows."""
-    for name in renders:
-        if name in methods:
-            raise ConfigError(f"--renders {name}: a method has this name already; choose another")
+def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
+    """Names of variants and renders become folders and rows."""
+    taken = {*options.methods, *neighbour_methods(options).values()}
+    given = [("--variants", variant.name) for variant in options.variants] + [("--renders", name) for name in renders]
+    for option, name in given:
+        if name in taken:
+            raise ConfigError(f"{option} {name}: a method has this name already; choose another")
         if not name or name in (".", "..") or set(name) & set("/\\:"):
-            raise ConfigError(f"--renders {name}: the name must be usable as a folder's name; choose another")
+            raise ConfigError(f"{option} {name}: the name must be usable as a folder's name; choose another")
+        taken.add(name)
 
 
 def _do(planned: Sequence[Job], jobs: int, lpips_weights: Path | None, say: Say) -> dict[Job, str]:

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from mrgs import thermonerf
+from mrgs.errors import ConfigError
 from mrgs.thermonerf import ThermoNerfConfig, run_files, train_thermonerf
 from mrgs.thermonerf.config import is_thermonerf
 from mrgs.thermonerf.config import to_yaml as thermonerf_yaml
 from mrgs.training import TrainConfig, from_yaml, make_config, train
 from mrgs.training.config import to_yaml
 from mrgs.training.run_folder import RunFolder
+from mrgs.training.strict_yaml import parse_yaml
 
 DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
 
@@ -23,11 +25,41 @@ OnStep: TypeAlias = Callable[[Any], bool | None]
 
 
 @dataclass(frozen=True)
+class Variant:
+    """A method with some values changed, which has rows of its own in the tables.
+
+    Attributes:
+        name: what the tables call it.
+        method: any that ``mrgs train`` knows.
+        changes: the values that differ from the method's, as YAML; empty for none.
+        source: where the changes come from, for messages.
+    """
+
+    name: str
+    method: str
+    changes: str = ""
+    source: str = ""
+
+    @classmethod
+    def from_text(cls, name: str, text: str, source: str) -> Variant:
+        """A variant from YAML that names its method and what differs, as for ``mrgs train --config``.
+
+        Raises:
+            ConfigError: it is not YAML, or does not name a method.
+        """
+        values = parse_yaml(text, source)
+        if not isinstance(values, dict) or not isinstance(values.get("method"), str):
+            raise ConfigError(f"{source} does not say which method it changes: add a line such as method: mrgs")
+        return cls(name, values["method"], text, source)
+
+
+@dataclass(frozen=True)
 class Options:
     """What is compared, and what every run shares.
 
     Attributes:
         methods: any that ``mrgs train`` knows, in the order of the tables' rows.
+        variants: methods with changed values; their rows come after those of the methods.
         neighbours: n of the paper's Table 4; each is a run of ``mrgs``.
         seeds: how many seeds, from 0.
         preset: the preset's name.
@@ -37,6 +69,7 @@ class Options:
     """
 
     methods: tuple[str, ...] = DEFAULT_METHODS
+    variants: tuple[Variant, ...] = ()
     neighbours: tuple[int, ...] = ()
     seeds: int = 1
     preset: str = "default"
@@ -45,24 +78,24 @@ class Options:
     resolution: int | None = None
 
 
-def configure(method: str, options: Options, seed: int, neighbours_n: int | None = None) -> AnyConfig:
+def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
     """The configuration of one run.
 
     Args:
-        method: any that ``mrgs train`` knows.
-        options: what all runs share.
+        variant: the method, and what differs from it.
+        options: what all runs share; a variant's own values count before these.
         seed: of every random choice.
-        neighbours_n: n of the paper's Table 4, in place of the method's own; for methods with Gaussians.
 
     Raises:
         ConfigError: an unknown method or preset, or a value that is not allowed.
     """
-    if method == thermonerf.METHOD:
-        return thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
-    config = make_config(method, options.preset, options.max_steps, options.max_gaussians, options.resolution, seed)
-    if neighbours_n is not None:
-        config = replace(config, field=replace(config.field, neighbours_n=neighbours_n))
-    return config
+    if variant.method == thermonerf.METHOD:
+        config: AnyConfig = thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
+        return thermonerf.from_yaml(variant.changes, variant.source, config) if variant.changes else config
+    config = make_config(
+        variant.method, options.preset, options.max_steps, options.max_gaussians, options.resolution, seed
+    )
+    return replace(from_yaml(variant.changes, variant.source, config), seed=seed) if variant.changes else config
 
 
 def train_run(scene: Path, folder: Path, config: AnyConfig, on_step: OnStep | None = None) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrgs.atomic import replacing
-from mrgs.comparison.methods import AnyConfig, Options, configure
+from mrgs.comparison.methods import AnyConfig, Options, Variant, configure
 from mrgs.comparison.single import require_same_config
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, SceneError
@@ -56,21 +56,30 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Job]:
     """
     if options.seeds < 1:
         raise ConfigError(f"--seeds must be at least 1, not {options.seeds}")
-    if not options.methods and not options.neighbours:
+    variants = _variants(options)
+    if not variants:
         raise ConfigError("there is nothing to compare: name at least one of --methods")
     named = _named(scenes, options.resolution)
-    variants: dict[str, tuple[str, int | None]] = {method: (method, None) for method in options.methods}
-    variants |= {method: (NEIGHBOURS_METHOD, n) for n, method in neighbour_methods(options).items()}
     jobs = []
     for seed in range(options.seeds):
         for name, scene in named.items():
-            for label, (method, n) in variants.items():
+            for label, variant in variants.items():
                 folder = output / "runs" / name / label / f"seed_{seed}"
-                jobs.append(Job(scene, name, label, seed, configure(method, options, seed, n), folder))
+                jobs.append(Job(scene, name, label, seed, configure(variant, options, seed), folder))
     _claim(output / "scenes.json", named)
     for job in jobs:
         require_same_config(job.folder, job.config)
     return jobs
+
+
+def _variants(options: Options) -> dict[str, Variant]:
+    """What is trained on every scene, by its name in the tables."""
+    variants = {method: Variant(method, method) for method in options.methods}
+    variants |= {variant.name: variant for variant in options.variants}
+    for n, name in neighbour_methods(options).items():
+        changes = f"field: {{neighbours_n: {n}}}"
+        variants.setdefault(name, Variant(name, NEIGHBOURS_METHOD, changes, f"--neighbours {n}"))
+    return variants
 
 
 def neighbour_methods(options: Options) -> dict[int, str]:
