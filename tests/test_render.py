@@ -165,6 +165,15 @@ def test_the_background_is_seen_where_nothing_is():
     assert (rendering.alpha_rgb == 0).all()
 
 
+def test_anti_aliased_gaussians_cover_less():
+    model, camera = make_model(), make_camera()
+    plain = render(model, camera, camera)[0]
+    model.antialiased = True
+    compensated = render(model, camera, camera)[0]
+    assert (compensated.alpha_rgb <= plain.alpha_rgb + 1e-6).all()
+    assert compensated.alpha_thermal.sum() < 0.99 * plain.alpha_thermal.sum()
+
+
 def test_the_degree_of_the_harmonics_counts_for_colours_alone():
     model, camera = make_model(), make_camera()
     model.sh_degree = 0

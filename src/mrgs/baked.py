@@ -47,6 +47,7 @@ class BakedModel:
         temperature: the scale of the temperatures; None if the scene has no known °C.
         background_rgb: colour seen where nothing is.
         background_thermal: normalised temperature seen there.
+        antialiased: whether the opacities are compensated for the dilation, see the rasterizer's contract.
     """
 
     means: Float[Tensor, "n 3"]
@@ -59,6 +60,7 @@ class BakedModel:
     temperature: TemperatureRange | None
     background_rgb: float = 0.0
     background_thermal: float = 0.0
+    antialiased: bool = False
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -98,8 +100,9 @@ class BakedModel:
                 Layer(self.opacity_thermal, self.temperatures[:, None], colors.new_full((1,), self.background_thermal)),
             ]
             raster = rasterize(
-                self.means, self.quats, self.scales, layers, camera.viewmat, camera.K, camera.width, camera.height
-            )
+                self.means, self.quats, self.scales, layers, camera.viewmat, camera.K, camera.width, camera.height,
+                antialiased=self.antialiased,
+            )  # fmt: skip
         rgb, thermal = raster.blends
         return Rendering(rgb.image, rgb.depth, thermal.image, thermal.depth, rgb.alpha, thermal.alpha)
 
@@ -132,6 +135,7 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
         temperature=temperature,
         background_rgb=model.background_rgb,
         background_thermal=model.background_thermal,
+        antialiased=model.antialiased,
     )
 
 

@@ -30,6 +30,7 @@ class Model:
         sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
         background_rgb: colour seen where nothing is, the same for all channels.
         background_thermal: normalised temperature seen there.
+        antialiased: whether the opacities are compensated for the dilation, see the rasterizer's contract.
         temperatures: of each Gaussian, normalised, where they are known beforehand (``bake_temperatures``); else None.
     """
 
@@ -39,6 +40,7 @@ class Model:
     sh_degree: int = 3
     background_rgb: float = 0.0
     background_thermal: float = 0.0
+    antialiased: bool = False
     temperatures: Float[Tensor, "n 1"] | None = None
 
 
@@ -256,6 +258,7 @@ def _pass(
         camera.width,
         camera.height,
         offset,
+        model.antialiased,
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))
 

@@ -26,6 +26,7 @@ class RasterizerScene:
     K: Tensor
     width: int
     height: int
+    antialiased: bool = False
 
     def to(self, dtype: torch.dtype) -> RasterizerScene:
         tensors = {name: tensor.to(dtype) for name, tensor in self.tensors.items()}
@@ -39,7 +40,7 @@ class RasterizerScene:
         t = self.tensors
         layers = [Layer(*(t[f"{modality}.{name}"] for name in LAYER_TENSORS)) for modality in modalities]
         camera = (self.viewmat, self.K, self.width, self.height)
-        return rasterize(t["means"], t["quats"], t["scales"], layers, *camera, means2d_offset=t["means2d_offset"])
+        return rasterize(t["means"], t["quats"], t["scales"], layers, *camera, t["means2d_offset"], self.antialiased)
 
     @torch.no_grad()
     def pixels_near_a_threshold(
@@ -60,6 +61,8 @@ class RasterizerScene:
         near = torch.zeros(self.height * self.width, dtype=torch.bool)
         for modality in MODALITIES:
             opacities = t[f"{modality}.opacities"][splats.indices]
+            if self.antialiased:
+                opacities = opacities * reference.compensation(splats.covs2d)
             alpha = opacities * falloff
             transmittance = reference.transmittances(reference.alphas(opacities, falloff))[:, 1:]
             for values, threshold, margin in (

@@ -78,9 +78,10 @@ def test_everything_comes_back(state, path, config, snapshot):
 
 
 def test_the_model_comes_back(state, path, config):
-    model, facts, _ = load_model(path, replace(config, sh_every=1, background_rgb=0.5))
+    model, facts, _ = load_model(path, replace(config, sh_every=1, background_rgb=0.5, antialiased=True))
     assert facts == FACTS
     assert (model.sh_degree, model.background_rgb, model.background_thermal) == (2, 0.5, 0.0)
+    assert model.antialiased
     for name, tensor in state.model.gaussians.tensors().items():
         assert torch.equal(model.gaussians.tensors()[name], tensor)
 

@@ -33,6 +33,7 @@ class Splats:
         scales: standard deviations along the rotated axes, [N, 3].
         opacities: in (0, 1), [N].
         sh: colour coefficients as 3DGS has them (colour = max(0, 0.5 + Σ)), [N, B, 3]; B is 1, 4, 9 or 16.
+        antialiased: whether a viewer should compensate the opacities for its dilation.
     """
 
     means: Float32[np.ndarray, "n 3"]
@@ -40,6 +41,7 @@ class Splats:
     scales: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
     sh: Float32[np.ndarray, "n b 3"]
+    antialiased: bool = False
 
     def __len__(self) -> int:
         return len(self.means)
@@ -162,4 +164,5 @@ def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
 
 def _splats(baked: BakedModel, opacities: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:
     quats = torch.nn.functional.normalize(baked.quats, dim=1)
-    return Splats(to_float32(baked.means), to_float32(quats), to_float32(baked.scales), to_float32(opacities), sh)
+    arrays = (to_float32(tensor) for tensor in (baked.means, quats, baked.scales, opacities))
+    return Splats(*arrays, sh, baked.antialiased)

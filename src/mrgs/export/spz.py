@@ -22,6 +22,8 @@ from mrgs.export.splats import Splats, to_bytes
 
 MAGIC = 0x5053474E
 VERSION = 3
+_ANTIALIASED = 1
+"""Flag: the opacities are for a viewer that compensates them for its dilation."""
 
 MAX_FRACTIONAL_BITS = 20
 POSITION_LIMIT = 2**23
@@ -48,7 +50,8 @@ def write_spz(path: Path, splats: Splats) -> Path:
     bits = min(MAX_FRACTIONAL_BITS, math.floor(math.log2((POSITION_LIMIT - 1) / max(farthest, 1e-3))))
     if bits < 0:
         raise RunError(f"{path}: a splat lies {farthest:g} scene units out, farther than SPZ can store: export a PLY")
-    header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, 0, 0)
+    flags = _ANTIALIASED if splats.antialiased else 0
+    header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, flags, 0)
     parts = [
         _fixed_point(splats.means * _TURN, bits),
         to_bytes(splats.opacities),

@@ -24,8 +24,9 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
+    antialiased: bool = False,
 ) -> Raster:
     """``contract.Rasterizer``: the kernels for float32 tensors on the CPU, the oracle for everything else."""
     use_kernels = means.device.type == "cpu" and means.dtype == torch.float32
     chosen = cpu.rasterize if use_kernels else reference.rasterize
-    return chosen(means, quats, scales, layers, viewmat, K, width, height, means2d_offset)
+    return chosen(means, quats, scales, layers, viewmat, K, width, height, means2d_offset, antialiased)

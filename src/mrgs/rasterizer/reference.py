@@ -23,6 +23,7 @@ from mrgs.rasterizer.contract import (
     COVARIANCE_DILATION_PX2,
     FRUSTUM_MARGIN,
     NEAR_PLANE,
+    THINNEST_AREA_RATIO,
     TRANSMITTANCE_MIN,
     Blend,
     Layer,
@@ -59,6 +60,7 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
+    antialiased: bool = False,
 ) -> Raster:
     """Render the layers from one camera; arguments and result as in ``contract.Rasterizer``.
 
@@ -72,11 +74,14 @@ def rasterize(
         raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
     viewmat, K = viewmat.to(means), K.to(means)
     splats = project(means, quats, scales, viewmat, K, width, height, means2d_offset)
-    radii = extents_px(splats, [layer.opacities for layer in layers], width, height)
+    opacities = [layer.opacities[splats.indices] for layer in layers]
+    if antialiased:
+        opacities = [opacity * compensation(splats.covs2d) for opacity in opacities]
+    radii = torch.zeros_like(means[:, 0]).index_put((splats.indices,), extents_px(splats, opacities, width, height))
     layer_tensors = [
         tensor
-        for layer in layers
-        for tensor in (layer.opacities[splats.indices], layer.features[splats.indices], layer.background)
+        for layer, opacity in zip(layers, opacities, strict=True)
+        for tensor in (opacity, layer.features[splats.indices], layer.background)
     ]
     pixels = pixel_centres(width, height, means)
     images = _BlendInChunks.apply(pixels, splats.means2d, splats.covs2d, splats.depths, *layer_tensors)
@@ -136,6 +141,13 @@ def project_covariances(
     world_to_image = jacobian @ viewmat[:3, :3]
     dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs.dtype, device=covs.device)
     return world_to_image @ covs @ world_to_image.mT + dilation
+
+
+def compensation(covs2d: Float[Tensor, "m 2 2"]) -> Float[Tensor, " m"]:
+    """max(det(Σ' − 0.3 I) / det Σ', ε)^½: what is left of the opacity when it is anti-aliased."""
+    dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs2d.dtype, device=covs2d.device)
+    before, after = ((c[:, 0, 0] * c[:, 1, 1] - c[:, 0, 1] ** 2) for c in (covs2d - dilation, covs2d))
+    return (before / after).clamp(min=THINNEST_AREA_RATIO).sqrt()
 
 
 def project(
@@ -204,22 +216,21 @@ def blend(falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], layer: Lay
 
 @torch.no_grad()
 def extents_px(
-    splats: Splats, opacities: Sequence[Float[Tensor, " n"]], width: int, height: int
-) -> Float[Tensor, " n"]:
-    """The radii of ``contract.Raster``, [N]: where the most opaque layer's α falls to 1/255, along the longest axis.
+    splats: Splats, opacities: Sequence[Float[Tensor, " m"]], width: int, height: int
+) -> Float[Tensor, " m"]:
+    """The radii of ``contract.Raster`` of these splats: how far along its longest axis the largest α reaches 1/255.
 
     That is at τ standard deviations, τ² = 2 ln(255 o). 0 for a Gaussian that no pixel can see: before the near plane,
     o < 1/255, or the ellipse's bounding box misses the image [0, width] × [0, height].
     """
     max_opacity = torch.stack(list(opacities)).amax(dim=0)
-    tau_squared = (2 * torch.log(max_opacity[splats.indices] / ALPHA_MIN)).clamp(min=0)
+    tau_squared = (2 * torch.log(max_opacity / ALPHA_MIN)).clamp(min=0)
     half_box = (tau_squared[:, None] * splats.covs2d.diagonal(dim1=1, dim2=2)).sqrt()
     size = half_box.new_tensor([width, height])
     overlaps = ((splats.means2d + half_box >= 0) & (splats.means2d - half_box <= size)).all(dim=1)
     a, b, c = splats.covs2d[:, 0, 0], splats.covs2d[:, 0, 1], splats.covs2d[:, 1, 1]
     largest_eigenvalue = (a + c) / 2 + torch.hypot((a - c) / 2, b)
-    extents = torch.where(overlaps, (tau_squared * largest_eigenvalue).sqrt(), 0.0)
-    return torch.zeros_like(max_opacity).index_put((splats.indices,), extents)
+    return torch.where(overlaps, (tau_squared * largest_eigenvalue).sqrt(), 0.0)
 
 
 def _blend_layers(pixels: Tensor, means2d: Tensor, covs2d: Tensor, depths: Tensor, *layers: Tensor) -> list[Tensor]:

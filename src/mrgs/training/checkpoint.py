@@ -235,6 +235,7 @@ def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
         sh_degree=config.sh_degree_at(step),
         background_rgb=config.background_rgb,
         background_thermal=config.background_thermal,
+        antialiased=config.antialiased,
     )
 
 

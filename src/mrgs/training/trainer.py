@@ -104,6 +104,7 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         sh_degree=0,
         background_rgb=config.background_rgb,
         background_thermal=config.background_thermal,
+        antialiased=config.antialiased,
     )
     return checkpoint.make_state(model, uncertainty, config, Capture.of(scene), generator)
 

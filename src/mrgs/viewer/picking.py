@@ -121,7 +121,7 @@ def _blend(
     layer = Layer(opacities, values[:, None], values.new_full((1,), background))
     raster = rasterize(
         gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat.to(values), camera.K.to(values),
-        camera.width, camera.height,
+        camera.width, camera.height, antialiased=model.antialiased,
     )  # fmt: skip
     return to_array(raster.blends[0].image[..., 0].clamp_min(0))
 

@@ -6,6 +6,7 @@ import io
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mrgs.baked import BakedModel
 from mrgs.evaluation.palette import colorize
 from mrgs.export.page import write_page
 from mrgs.scene import Camera
@@ -44,8 +46,8 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
     errors: list[str] = []
     contexts = []
 
-    def open_it(modalities: tuple[str, ...] = ("rgb", "thermal"), **options: Any) -> Any:
-        write_page(baked, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities)
+    def open_it(shown: BakedModel = baked, *, modalities: tuple[str, ...] = ("rgb", "thermal"), **options: Any) -> Any:
+        write_page(shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities)
         context = browser.new_context(offline=True, **options)
         contexts.append(context)
         page = context.new_page()
@@ -90,8 +92,10 @@ def read(page: Any, x: int, y: int) -> tuple[float, float]:
     return float(value.get_attribute("data-value")), float(value.get_attribute("data-depth"))
 
 
-def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path):
-    page = open_page(viewport={"width": 800, "height": 420})
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path, antialiased):
+    baked = replace(baked, antialiased=antialiased)
+    page = open_page(baked, viewport={"width": 800, "height": 420})
     page.select_option("#camera", "view 3")
     page.wait_for_selector(SETTLED)
     colours = picture(page)
@@ -166,10 +170,10 @@ def test_a_tap_on_a_phone_reads_a_temperature(open_page):
 
 
 def test_a_page_of_one_modality_shows_that_alone(open_page):
-    thermal = open_page(("thermal",), viewport={"width": 800, "height": 420})
+    thermal = open_page(modalities=("thermal",), viewport={"width": 800, "height": 420})
     assert not thermal.locator("#rgb").is_visible()
     assert thermal.locator("#value").is_visible()
-    colour = open_page(("rgb",), viewport={"width": 800, "height": 420})
+    colour = open_page(modalities=("rgb",), viewport={"width": 800, "height": 420})
     assert not any(colour.locator(name).is_visible() for name in ("#thermal", "#value", "#palette"))
     assert psnr(picture(colour), picture(thermal)) < 20
     colour.mouse.click(200, 200)

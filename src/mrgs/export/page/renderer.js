@@ -77,6 +77,7 @@ class Renderer {
     gl.uniform1i(splats.at("splatsPerRow"), SPLATS_PER_ROW);
     gl.uniform1i(splats.at("texelsPerSplat"), this.texelsPerSplat);
     gl.uniform1i(splats.at("thermal"), look.thermal);
+    gl.uniform1i(splats.at("antialiased"), look.antialiased);
     gl.uniformMatrix3fv(splats.at("rotation"), true, camera.rotation);
     gl.uniform3fv(splats.at("translation"), camera.translation);
     gl.uniform3fv(splats.at("eye"), camera.position);

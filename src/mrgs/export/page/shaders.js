@@ -11,6 +11,7 @@ uniform usampler2D harmonics;  // per splat: the coefficients as bytes
 uniform int splatsPerRow;
 uniform int texelsPerSplat;    // of the harmonics
 uniform bool thermal;
+uniform bool antialiased;
 uniform mat3 rotation;         // world to camera
 uniform vec3 translation;
 uniform vec3 eye;
@@ -77,7 +78,10 @@ void main() {
   float a = dot(jx, sigma * jx) + 0.3;
   float b = dot(jx, sigma * jy);
   float c = dot(jy, sigma * jy) + 0.3;
-  conic = vec3(c, -b, a) / (a * c - b * b);
+  float determinant = a * c - b * b;
+  conic = vec3(c, -b, a) / determinant;
+  if (antialiased) opacity *= sqrt(max(((a - 0.3) * (c - 0.3) - b * b) / determinant, 2.5e-5));
+  if (opacity < 1.0 / 255.0) return;
 
   float middle = 0.5 * (a + c);
   float radius = length(vec2(0.5 * (a - c), b));

@@ -30,8 +30,9 @@ def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tens
         opacities = (baked.opacity_rgb, baked.opacity_thermal)
         layers = [Layer(o, f, f.new_zeros(f.shape[1])) for o, f in zip(opacities, features, strict=True)]
         raster = rasterize(
-            baked.means, baked.quats, baked.scales, layers, small.viewmat, small.K, small.width, small.height
-        )
+            baked.means, baked.quats, baked.scales, layers, small.viewmat, small.K, small.width, small.height,
+            antialiased=baked.antialiased,
+        )  # fmt: skip
         total = torch.stack([blend.image[..., 0].sum() for blend in raster.blends]).sum()
         gradients = torch.autograd.grad(total, features)
         weights += torch.stack([gradient[:, 0] for gradient in gradients])

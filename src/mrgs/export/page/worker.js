@@ -3,6 +3,7 @@
 
 const NEAR_PLANE = 0.01;
 const DILATION = 0.3;
+const THINNEST_AREA_RATIO = 2.5e-5;
 const ALPHA_MAX = 0.999;
 const ALPHA_MIN = 1 / 255;
 const TRANSMITTANCE_MIN = 1e-4;
@@ -87,8 +88,11 @@ function splatAt(camera, px, py, i) {
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
   if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + DILATION)) return null;
   const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
-  const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / (a * c - b * b));
-  const alpha = Math.min(ALPHA_MAX, model.opacityThermal[i] * falloff);
+  const determinant = a * c - b * b;
+  const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / determinant);
+  const undilated = (a - DILATION) * (c - DILATION) - b * b;
+  const left = camera.antialiased ? Math.sqrt(Math.max(undilated / determinant, THINNEST_AREA_RATIO)) : 1;
+  const alpha = Math.min(ALPHA_MAX, left * model.opacityThermal[i] * falloff);
   return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
 }
 
