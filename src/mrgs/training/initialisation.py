@@ -30,7 +30,7 @@ def initial_gaussians(
 
     Args:
         points: start points; a random subset if there are more than ``max_gaussians``.
-        field: its frame is set from the points, and it gives e_m its start.
+        field: gives e_m its start; its frame must be set.
         shares_opacity: whether both modalities are blended with o_c.
         temperature_degree: degree of the temperature's spherical harmonics, 0 or 3.
         max_gaussians: the cap.
@@ -40,7 +40,6 @@ def initial_gaussians(
     if len(means) > max_gaussians:
         chosen = torch.randperm(len(means), generator=generator)[:max_gaussians].sort().values
         means, colors = means[chosen], colors[chosen]
-    field.set_frame(means)
     count = len(means)
     opacity = torch.full((count, 1), math.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)))
     return Gaussians(

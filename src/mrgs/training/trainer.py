@@ -11,10 +11,11 @@ from mrgs.data import load_scene
 from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
 from mrgs.render import Model
-from mrgs.scene import Scene
+from mrgs.scene import PointCloud, Scene
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
+from mrgs.training.distance import with_distant_points
 from mrgs.training.driver import Driver
 from mrgs.training.image_model import Capture
 from mrgs.training.initialisation import initial_gaussians
@@ -89,8 +90,9 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         torch.manual_seed(config.seed)
         field = RadianceField(config.field)
         uncertainty = DepthUncertainty()
+        field.set_frame(scene.points.positions)
         gaussians = initial_gaussians(
-            scene.points,
+            _start_points(scene, config),
             field,
             shares_opacity,
             config.temperature_degree,
@@ -107,6 +109,12 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         antialiased=config.antialiased,
     )
     return checkpoint.make_state(model, uncertainty, config, Capture.of(scene), generator)
+
+
+def _start_points(scene: Scene, config: TrainConfig) -> PointCloud:
+    if not config.distant_points:
+        return scene.points
+    return with_distant_points(scene.points, [view.cameras[0] for view in scene.train])
 
 
 class _Trainer(Driver[StepStatistics]):

@@ -1,0 +1,87 @@
+"""Start points far away, where photos show none: the sky, and what is too far for structure from motion.
+
+Not in the paper. Without them these directions are filled by Gaussians of the nearest surfaces, which grow towards the
+cameras and are seen hanging in the air from everywhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float64
+from torch import Tensor
+
+from mrgs.scene import Camera, PointCloud
+
+CELLS_ACROSS = 24
+"""A photo is divided into so many cells across, which are about square. A direction counts if its cell and those around
+it are empty: smaller gaps lie on surfaces, and what is put behind these makes them transparent."""
+
+FARTHEST_SHARE = 0.99
+TIMES_AS_FAR = 2.0
+"""The points lie on a sphere about the cameras, so many times as far away as that share of the start points, and as the
+farthest camera."""
+
+SPACING_RAD = 0.05
+"""Directions closer than about this become one point."""
+
+GREY = 0.5
+
+
+def with_distant_points(points: PointCloud, cameras: Sequence[Camera]) -> PointCloud:
+    """The start points and, behind them, those far away; the same points where every cell of every photo has one.
+
+    Args:
+        points: start points.
+        cameras: of the training photos.
+    """
+    if not cameras or len(points.positions) == 0:
+        return points
+    positions = points.positions.double()
+    places = torch.stack([camera.position for camera in cameras])
+    centre = places.mean(dim=0)
+    distances = (positions - centre).norm(dim=1)
+    farthest = distances.kthvalue(math.ceil(FARTHEST_SHARE * len(distances))).values
+    radius = TIMES_AS_FAR * torch.maximum(farthest, (places - centre).norm(dim=1).max())
+    reached = [_on_sphere(camera, _empty_cells(camera, positions), centre, radius) for camera in cameras]
+    distant = centre + radius * _merged(torch.cat(reached))
+    return PointCloud(
+        torch.cat([points.positions, distant.to(points.positions)]),
+        torch.cat([points.colors, points.colors.new_full((len(distant), 3), GREY)]),
+    )
+
+
+def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
+    """Which cells of a photo show no start point, and neither do the cells around them."""
+    rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
+    pixels, _ = camera.project(positions)
+    seen = pixels[camera.contains(pixels)]
+    cells = (seen / seen.new_tensor([camera.width, camera.height]) * seen.new_tensor([CELLS_ACROSS, rows])).long()
+    occupied = torch.zeros(1, rows, CELLS_ACROSS)
+    occupied[0, cells[:, 1].clamp_max(rows - 1), cells[:, 0].clamp_max(CELLS_ACROSS - 1)] = 1
+    return torch.nn.functional.max_pool2d(occupied, 3, stride=1, padding=1)[0] == 0
+
+
+def _on_sphere(
+    camera: Camera, empty: Bool[Tensor, "rows columns"], centre: Float64[Tensor, "3"], radius: Float64[Tensor, ""]
+) -> Float64[Tensor, "k 3"]:
+    """Where the rays through the middle of the cells meet the sphere, as directions from its centre."""
+    rows, columns = empty.shape
+    row, column = empty.nonzero().T
+    pixels = torch.stack([(column + 0.5) / columns * camera.width, (row + 0.5) / rows * camera.height], dim=1)
+    rays = camera.unproject(pixels.double(), torch.ones(len(pixels), dtype=torch.float64)) - camera.position
+    rays = torch.nn.functional.normalize(rays, dim=1)
+    start = camera.position - centre
+    along = rays @ start
+    reach = (along.square() - start.square().sum() + radius.square()).clamp_min(0).sqrt() - along
+    return torch.nn.functional.normalize(start + reach[:, None] * rays, dim=1)
+
+
+def _merged(directions: Float64[Tensor, "k 3"]) -> Float64[Tensor, "m 3"]:
+    """One direction for all that share a cell of a grid."""
+    cells = (directions / SPACING_RAD).round().long()
+    unique, cell_of = torch.unique(cells, dim=0, return_inverse=True)
+    sums = torch.zeros(len(unique), 3, dtype=directions.dtype).index_add(0, cell_of, directions)
+    return torch.nn.functional.normalize(sums, dim=1)
