@@ -178,10 +178,28 @@ def test_smoothness_ignores_pixels_that_do_not_count(edge_aware):
     assert losses[0] > 0
 
 
-def test_heat_is_blocked_where_light_is():
-    light, heat = torch.tensor([[1.0, 0.2, 0.9]]), torch.tensor([[0.4, 1.0, 0.9]], requires_grad=True)
-    loss = opaqueness_loss(heat, light.requires_grad_())
-    assert loss.item() == pytest.approx(0.6 / 3)
+def opaqueness(alpha_thermal, alpha_rgb, depth_thermal, depth_rgb):
+    """L_opaque of a row of pixels, and its gradients in the thermal blend."""
+    heat, heat_depth = (torch.tensor([values], requires_grad=True) for values in (alpha_thermal, depth_thermal))
+    light, light_depth = (torch.tensor([values], requires_grad=True) for values in (alpha_rgb, depth_rgb))
+    loss = opaqueness_loss(heat, light, heat_depth, light_depth)
     loss.backward()
-    assert heat.grad.tolist() == [[pytest.approx(-1 / 3), 0, 0]]
     assert light.grad is None
+    assert light_depth.grad is None
+    return loss.item(), heat.grad[0].tolist(), heat_depth.grad[0].tolist()
+
+
+def test_heat_is_blocked_where_light_is():
+    loss, by_alpha, by_depth = opaqueness([0.6, 1.0, 0.9], [1.0, 0.2, 0.9], [1.2, 2.0, 1.8], [2.0, 0.4, 1.8])
+    assert loss == pytest.approx(0.4 / 3)
+    assert by_alpha == pytest.approx([-1 / 3, 0, 0])
+    assert by_depth == [0, 0, 0]
+
+
+def test_heat_does_not_come_from_behind_what_light_shows():
+    """A wall at 2, seen by heat at 2.5 behind it, at 1.5 before it, far behind it, and where light is not blocked."""
+    loss, _, by_depth = opaqueness(
+        [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.4], [2.5, 1.5, 8.0, 9.0], [2.0, 2.0, 2.0, 0.8]
+    )
+    assert loss == pytest.approx((0.2 + 0 + 0.75 + 0) / 4)
+    assert by_depth == pytest.approx([2 / 2.5**2 / 4, 0, 2 / 8.0**2 / 4, 0])

@@ -22,7 +22,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True)
-PLUS_OPAQUE = 0.05
+PLUS_OPAQUE = 0.1
 """What ``mrgs-plus`` adds to ``mrgs``."""
 
 CPU_RATES = {

@@ -17,6 +17,11 @@ from mrgs.training.dissimilarity import l1_dssim
 from mrgs.training.known_gradient import with_gradients
 from mrgs.training.ssim import ssim_map
 
+HALF_COVERED = 0.5
+"""Where less is covered, a blended depth is that of no surface."""
+
+SMALLEST_DEPTH = 1e-6
+
 
 @dataclass(frozen=True)
 class LossConfig:
@@ -190,13 +195,30 @@ def _total_variation(image: Tensor, weights: Sequence[DifferenceWeights]) -> Ten
     return total
 
 
-def opaqueness_loss(alpha_thermal: Float[Tensor, "h w"], alpha_rgb: Float[Tensor, "h w"]) -> Float[Tensor, ""]:
-    """L_opaque, the mean of max(0, α_c − α_t): what blocks light blocks heat radiation too; not in the paper.
+def opaqueness_loss(
+    alpha_thermal: Float[Tensor, "h w"],
+    alpha_rgb: Float[Tensor, "h w"],
+    depth_thermal: Float[Tensor, "h w"],
+    depth_rgb: Float[Tensor, "h w"],
+) -> Float[Tensor, ""]:
+    """L_opaque: what blocks light blocks heat radiation too; not in the paper.
 
-    Without it a surface near the cold end of the range may as well be transparent. Glass, which lets light pass alone,
-    is left free: α_c carries no gradient.
+    The mean of max(0, α_c − α_t) + max(0, 1 − d_c / d_t), with d = D / α the depth of the surface: the thermal image
+    may neither be more transparent than the colours nor look behind what they show. Without it a surface whose
+    temperature is that of what lies behind it, or of the background, may as well be transparent. Glass, which lets
+    light pass alone, is left free: α_c and d_c carry no gradient.
+
+    Args:
+        alpha_thermal: accumulated alpha of the thermal blend.
+        alpha_rgb: of the RGB blend, by the same camera.
+        depth_thermal: D_t, blended depth in scene units.
+        depth_rgb: D_c.
     """
-    return (alpha_rgb.detach() - alpha_thermal).relu().mean()
+    alpha_rgb = alpha_rgb.detach()
+    surface_rgb = depth_rgb.detach() / alpha_rgb.clamp_min(HALF_COVERED)
+    surface_thermal = depth_thermal / alpha_thermal.clamp_min(HALF_COVERED)
+    behind = (1 - surface_rgb / surface_thermal.clamp_min(SMALLEST_DEPTH)).relu()
+    return ((alpha_rgb - alpha_thermal).relu() + torch.where(alpha_rgb >= HALF_COVERED, behind, 0)).mean()
 
 
 def total_loss(terms: Mapping[str, Float[Tensor, ""]], weights: Mapping[str, float]) -> Float[Tensor, ""]:

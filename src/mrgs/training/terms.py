@@ -111,7 +111,9 @@ def _opaqueness(rendering: Rendering) -> Float[Tensor, ""]:
     """L_opaque of a rendering by one camera."""
     assert rendering.alpha_thermal is not None
     assert rendering.alpha_rgb is not None
-    return opaqueness_loss(rendering.alpha_thermal, rendering.alpha_rgb)
+    assert rendering.depth_thermal is not None
+    assert rendering.depth_rgb is not None
+    return opaqueness_loss(rendering.alpha_thermal, rendering.alpha_rgb, rendering.depth_thermal, rendering.depth_rgb)
 
 
 def _radiation(
