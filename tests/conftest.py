@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded: spinning threads starve each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nor do small matrices gain by threads
 
 import numpy as np
 import pytest

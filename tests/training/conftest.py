@@ -28,11 +28,11 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> TrainConfig:
-    """Fast learning rates, and nothing but optimization: no densification, no reset, no start points of its own."""
+    """Fast learning rates, and nothing but optimization: no densification, no reset within the run."""
     config = make_config(method, "fast", max_steps=max_steps, max_gaussians=200)
     rates = replace(OptimizerConfig(), means=2e-3, means_final=5e-4, log_scales=0.02, sh_dc=0.03, temperature_dc=0.03)
     schedule = replace(config.densification, start=max_steps, stop=max_steps, every=1_000, reset_every=1_000)
-    return replace(config, **{"optimizer": rates, "densification": schedule, "distant_points": False} | changes)
+    return replace(config, optimizer=rates, densification=schedule, **changes)
 
 
 def random_gaussians(count: int, shares_opacity: bool = False, bands: int = 0, seed: int = 0) -> Gaussians:

@@ -74,11 +74,17 @@ def test_what_several_photos_see_becomes_one_point():
 def test_cameras_outside_the_points_are_inside_the_sphere():
     """As around a thing on a table: the points lie within the ring of cameras, which look inwards."""
     cameras = [camera_towards(angle, distance=5.0) for angle in (0.0, 2.0, 4.0)]
-    points = PointCloud(0.1 * torch.randn(50, 3, generator=torch.Generator().manual_seed(0)), torch.rand(50, 3))
-    found = with_distant_points(points, cameras).positions[50:].double()
+    points = PointCloud(0.1 * torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), torch.rand(300, 3))
+    found = with_distant_points(points, cameras).positions[300:].double()
     centre = torch.stack([camera.position for camera in cameras]).mean(dim=0)
     assert (found - centre).norm(dim=1).min() > 1.9 * 5.0
     assert all((camera.project(found)[1] > 5.0).any() for camera in cameras)
+
+
+def test_a_photo_of_few_points_does_not_tell_what_is_empty():
+    camera = camera_towards(0.3)
+    points = wall_of(camera, range(10, 18))
+    assert len(with_distant_points(points, [camera]).positions) == len(points.positions) == 8 * 24
 
 
 @pytest.mark.parametrize("missing", ["cameras", "points"])

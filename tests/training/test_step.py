@@ -39,14 +39,6 @@ def test_a_step_moves_every_parameter_that_the_method_has(method, make_start, ma
             assert not torch.equal(after[name], tensor), name
 
 
-def test_distant_start_points_are_added_and_leave_the_frame_of_the_field(make_start, make_short_config):
-    _, usual = make_start(make_short_config())
-    _, state = make_start(make_short_config(distant_points=True))
-    assert len(state.model.gaussians) > len(usual.model.gaussians) == 25
-    for name, tensor in state.model.field.named_buffers():
-        assert torch.equal(tensor, dict(usual.model.field.named_buffers())[name]), name
-
-
 def test_the_loss_is_the_weighted_sum_of_its_terms(make_start, make_short_config):
     config = make_short_config()
     scene, state = make_start(config)

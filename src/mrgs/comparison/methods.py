@@ -90,8 +90,10 @@ def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
         ConfigError: an unknown method or preset, or a value that is not allowed.
     """
     if variant.method == thermonerf.METHOD:
-        config: AnyConfig = thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
-        return thermonerf.from_yaml(variant.changes, variant.source, config) if variant.changes else config
+        nerf = thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
+        return (
+            replace(thermonerf.from_yaml(variant.changes, variant.source, nerf), seed=seed) if variant.changes else nerf
+        )
     config = make_config(
         variant.method, options.preset, options.max_steps, options.max_gaussians, options.resolution, seed
     )

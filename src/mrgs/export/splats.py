@@ -162,7 +162,7 @@ def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
     return tensor.detach().float().cpu().numpy()
 
 
-def _splats(baked: BakedModel, opacities: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:
-    quats = torch.nn.functional.normalize(baked.quats, dim=1)
-    arrays = (to_float32(tensor) for tensor in (baked.means, quats, baked.scales, opacities))
-    return Splats(*arrays, sh, baked.antialiased)
+def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:
+    rotations = torch.nn.functional.normalize(baked.quats, dim=1)
+    means, quats, scales, opacities = (to_float32(tensor) for tensor in (baked.means, rotations, baked.scales, opacity))
+    return Splats(means, quats, scales, opacities, sh, baked.antialiased)

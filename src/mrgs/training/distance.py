@@ -19,6 +19,9 @@ CELLS_ACROSS = 24
 """A photo is divided into so many cells across, which are about square. A direction counts if its cell and those around
 it are empty: smaller gaps lie on surfaces, and what is put behind these makes them transparent."""
 
+FEWEST_PER_CELL = 0.5
+"""A photo with fewer start points than this share of its cells does not tell which directions are empty."""
+
 FARTHEST_SHARE = 0.99
 TIMES_AS_FAR = 2.0
 """The points lie on a sphere about the cameras, so many times as far away as that share of the start points, and as the
@@ -54,10 +57,12 @@ def with_distant_points(points: PointCloud, cameras: Sequence[Camera]) -> PointC
 
 
 def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
-    """Which cells of a photo show no start point, and neither do the cells around them."""
+    """Which cells of a photo show no start point, and neither do the cells around them; none if it shows too few."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]
+    if len(seen) < FEWEST_PER_CELL * rows * CELLS_ACROSS:
+        return torch.zeros(rows, CELLS_ACROSS, dtype=torch.bool)
     cells = (seen / seen.new_tensor([camera.width, camera.height]) * seen.new_tensor([CELLS_ACROSS, rows])).long()
     occupied = torch.zeros(1, rows, CELLS_ACROSS)
     occupied[0, cells[:, 1].clamp_max(rows - 1), cells[:, 0].clamp_max(CELLS_ACROSS - 1)] = 1
