@@ -1,0 +1,63 @@
+"""One camera for all RGB photos and one for all thermal photos: what else there is cannot be one scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+
+from mrgs.data.files import scene_error
+from mrgs.prepare.pairs.inventory import Inventory
+from mrgs.prepare.pairs.photo import Photo
+from mrgs.prepare.pairs.rules import Couple
+
+_ZOOM = 1.02
+"""Focal lengths whose ratio is larger are those of a zoom, not of rounding."""
+
+
+def check_cameras(couples: Sequence[Couple], stock: Inventory) -> tuple[str, ...]:
+    """Warnings about the cameras of the pairs.
+
+    Raises:
+        SceneError: the RGB photos, or the thermal photos, are of two cameras or of two sizes.
+    """
+    rgb = [couple.rgb for couple in couples if couple.rgb is not None]
+    thermal = [couple.thermal for couple in couples]
+    if rgb and (inside := next((couple.thermal for couple in couples if couple.rgb is None), None)) is not None:
+        raise scene_error(
+            stock.root,
+            f"the RGB photos are of different cameras: that of {stock.name(inside)} lies inside, "
+            f"{stock.name(rgb[0])} is a file of its own; use one of the two kinds",
+        )
+    for what, photos in (("RGB", rgb), ("thermal", thermal)):
+        for attribute in (lambda photo: photo.exif.model, lambda photo: photo.size):
+            _check_alike(what, photos, attribute, stock)
+    return _zoomed(rgb)
+
+
+def _check_alike(what: str, photos: Sequence[Photo], attribute: Callable[[Photo], Hashable], stock: Inventory) -> None:
+    groups: dict[Hashable, list[Photo]] = {}
+    for photo in photos:
+        if (value := attribute(photo)) is not None:
+            groups.setdefault(value, []).append(photo)
+    if len(groups) < 2:
+        return
+    most, other = sorted(groups.values(), key=len, reverse=True)[:2]
+    raise scene_error(
+        stock.root,
+        f"the {what} photos are of {len(groups)} cameras or sizes: {len(most)} of {_described(most[0], stock)}, and "
+        f"{len(other)} of {_described(other[0], stock)}; prepare them apart, each with its own folder of photos",
+    )
+
+
+def _described(photo: Photo, stock: Inventory) -> str:
+    size = "" if photo.size is None else f" with {photo.size[0]} x {photo.size[1]} pixels"
+    return f"{photo.exif.model or 'a camera'}{size} such as {stock.name(photo)}"
+
+
+def _zoomed(photos: Sequence[Photo]) -> tuple[str, ...]:
+    focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
+    if not focal_mm or max(focal_mm) <= _ZOOM * min(focal_mm):
+        return ()
+    return (
+        f"The RGB photos were taken with focal lengths of {min(focal_mm):g} mm to {max(focal_mm):g} mm, yet one "
+        "lens is assumed for all: leave out those that were zoomed.",
+    )

@@ -1,0 +1,110 @@
+"""All files of a folder of photos: those that can be photos, and why the others cannot."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+from mrgs.data.files import scene_error
+from mrgs.prepare.contract import LeftOut
+from mrgs.prepare.pairs.names import natural
+from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
+
+
+@dataclass(frozen=True)
+class Inventory:
+    """The photos of a folder, one file for each shot and camera.
+
+    Attributes:
+        root: the folder.
+        photos: in natural order of their paths.
+        left_out: all other files; hidden ones are not counted.
+    """
+
+    root: Path
+    photos: tuple[Photo, ...]
+    left_out: tuple[LeftOut, ...]
+
+    def name(self, photo: Photo) -> str:
+        """The path of a photo's file for messages: below the folder."""
+        return below(self.root, photo.path)
+
+
+def below(root: Path, path: Path) -> str:
+    """A path below a folder, with slashes on every system."""
+    return path.relative_to(root).as_posix()
+
+
+def take_stock(root: Path) -> Inventory:
+    """All files below a folder.
+
+    Raises:
+        SceneError: the folder cannot be listed, or holds no file that can be a photo.
+    """
+    if not root.is_dir():
+        raise scene_error(root, "is not a folder; give the folder that holds the photos")
+    photos, left_out = [], []
+    for path in sorted(_files(root), key=lambda path: natural(below(root, path))):
+        name = below(root, path)
+        found = "is a link to a folder, which is not followed" if path.is_dir() else inspect(path, PurePosixPath(name))
+        if isinstance(found, str):
+            left_out.append(LeftOut(name, found))
+        else:
+            photos.append(found)
+    if not photos:
+        what = f"none of its {len(left_out)} files is a photo that can be read" if left_out else "holds no photos"
+        first = f", such as {left_out[0].name}, which {left_out[0].reason}" if left_out else ""
+        raise scene_error(root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files")
+    kept, replaced = _one_file_per_shot(root, photos)
+    return Inventory(root, tuple(kept), tuple(left_out + replaced))
+
+
+def _files(root: Path) -> Iterator[Path]:
+    """All files, and links to folders; hidden ones, such as those that macOS leaves on cards, are no one's photos."""
+    for parent, folders, names in os.walk(root, onerror=_raise):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        linked = [name for name in folders if os.path.islink(os.path.join(parent, name))]
+        for name in [*names, *linked]:
+            if not name.startswith("."):
+                yield Path(parent, name)
+
+
+def _raise(error: OSError) -> None:
+    raise scene_error(error.filename, f"cannot be read ({error.strerror}); give a folder that is readable") from None
+
+
+def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[LeftOut]]:
+    """Of files that hold the same thermal photo, the best; the others are left out.
+
+    Files of one stem in one folder are the same shot, and so are a DJI R-JPEG and the one file of that stem elsewhere
+    that it was converted to.
+    """
+    by_stem: dict[str, list[Photo]] = {}
+    for photo in photos:
+        by_stem.setdefault(photo.shot.name.casefold(), []).append(photo)
+    best: dict[Photo, Photo] = {}
+    for group in by_stem.values():
+        finished = [photo for photo in group if photo.kind in ("numbers", "table")]
+        for photo in group:
+            beside = [other for other in group if other.path.parent == photo.path.parent and _same(photo, other)]
+            best[photo] = min([photo, *beside], key=lambda one: PREFERENCE.index(one.kind))
+            if best[photo].kind == "dji" and len(finished) == 1:
+                best[photo] = finished[0]
+    used = {photo: original for original, photo in best.items() if photo is not original}
+    kept, left_out = [], []
+    for photo in photos:
+        if best[photo] is not photo:
+            reason = f"the temperatures are taken from {below(root, best[photo].path)}"
+            left_out.append(LeftOut(below(root, photo.path), reason))
+        elif photo in used and used[photo].kind == "dji":
+            kept.append(replace(photo, shot=used[photo].shot, exif=used[photo].exif))
+        else:
+            kept.append(photo)
+    return kept, left_out
+
+
+def _same(photo: Photo, other: Photo) -> bool:
+    """Whether both can show the same thermal shot: a photo in visible light may share its stem with a thermal TIFF."""
+    return photo.is_thermal and other.is_thermal

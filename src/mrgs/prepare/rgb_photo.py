@@ -1,0 +1,129 @@
+"""An RGB photo as it goes into the scene: as the camera wrote it where that can be used, else turned or converted."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image, JpegImagePlugin
+
+from mrgs.data.files import read_bytes, scene_error
+from mrgs.data.images import probe
+from mrgs.data.radiometric import ExifFacts, VisibleImage, read_exif
+
+_ORIENTATION = 0x0112
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What shows an image upright, by its EXIF orientation; 1 is upright."""
+
+_SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
+
+
+@dataclass(frozen=True)
+class RgbPhoto:
+    """An image file to be written.
+
+    Attributes:
+        content: of the file.
+        suffix: ``.jpg`` or ``.png``.
+        size: width and height in pixels.
+        exif: facts about the photo.
+    """
+
+    content: bytes
+    suffix: str
+    size: tuple[int, int]
+    exif: ExifFacts
+
+
+def orientation(path: Path) -> int:
+    """The EXIF orientation of an image file, 1 to 8; 1 if it does not say."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
+                found = image.getexif().get(_ORIENTATION)
+    except Exception:  # Pillow raises almost anything; who reads the photo will tell
+        return 1
+    return found if found in _TURNS else 1
+
+
+def common_orientation(paths: Iterable[Path]) -> int:
+    """The orientation of most photos; the smallest of equally frequent ones."""
+    counts = Counter(orientation(path) for path in paths)
+    return min(counts, key=lambda found: (-counts[found], found), default=1)
+
+
+def turned(image: Image.Image, orientation: int) -> Image.Image:
+    """An image whose orientation is ``orientation``, upright."""
+    return image.transpose(_TURNS[orientation]) if orientation in _TURNS else image
+
+
+def read_rgb(path: Path, turn: int) -> RgbPhoto:
+    """A photo, turned as one with the EXIF orientation ``turn``, whatever its own says.
+
+    A photo that needs no turning keeps its bytes; another keeps its format and quality, and loses the tag.
+
+    Raises:
+        SceneError: not a JPEG, PNG or TIFF image, damaged, cut off or too large.
+    """
+    probe(path)
+    data = read_bytes(path)
+    image, own = _decoded(data, path), orientation(path)
+    exif = read_exif(data)
+    suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
+    if suffix is not None and turn == own == 1:
+        return RgbPhoto(data, suffix, image.size, exif)
+    upright = turned(image, turn)
+    return RgbPhoto(_encoded(upright, image, suffix or ".png"), suffix or ".png", upright.size, exif)
+
+
+def read_embedded(visible: VisibleImage, turn: int) -> RgbPhoto:
+    """The photo inside a thermal photo's file.
+
+    Raises:
+        SceneError: it is damaged.
+    """
+    image = Image.fromarray(visible.pixels())
+    if turn == 1 and visible.data.startswith(b"\xff\xd8\xff"):
+        return RgbPhoto(visible.data, ".jpg", image.size, ExifFacts())
+    upright = turned(image, turn)
+    return RgbPhoto(_encoded(upright, image, ".png"), ".png", upright.size, ExifFacts())
+
+
+def _decoded(data: bytes, path: Path) -> Image.Image:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF"))
+            image.load()
+    except Exception as error:  # Pillow raises almost anything where files are damaged
+        raise scene_error(path, f"cannot be decoded as an image ({error}); copy it from the camera again") from None
+    return image
+
+
+def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
+    """The image as a file; a JPEG with the quality and the EXIF (for the focal length) of the original."""
+    exif = original.getexif()
+    exif.pop(_ORIENTATION, None)
+    file = io.BytesIO()
+    if suffix == ".jpg" and isinstance(original, JpegImagePlugin.JpegImageFile):
+        sampling = JpegImagePlugin.get_sampling(original)
+        image.save(
+            file, "JPEG", qtables=original.quantization, subsampling=sampling if sampling in (0, 1, 2) else 0, exif=exif
+        )
+    else:
+        mode = image.mode if image.mode in ("L", "RGB", "RGBA", "LA") else "RGB"
+        image.convert(mode).save(file, "PNG")
+    return file.getvalue()

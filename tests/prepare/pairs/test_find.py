@@ -1,0 +1,378 @@
+from __future__ import annotations
+
+import os
+import random
+import tempfile
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrgs.errors import ConfigError, SceneError
+from mrgs.prepare.contract import Pairing
+from mrgs.prepare.pairs import find_pairs
+
+NOON = datetime(2024, 5, 1, 12, 0, 0)
+
+
+def files(root: Path, found: Pairing) -> list[tuple[str | None, str]]:
+    """The pairs by the paths of their files."""
+    return [
+        (None if pair.rgb is None else pair.rgb.relative_to(root).as_posix(), pair.thermal.relative_to(root).as_posix())
+        for pair in found.pairs
+    ]
+
+
+def reasons(found: Pairing) -> dict[str, str]:
+    return {item.name: item.reason for item in found.left_out}
+
+
+def at(seconds: float, **more: object) -> dict[str, object]:
+    return {"taken": NOON + timedelta(seconds=seconds), **more}
+
+
+@pytest.mark.parametrize(
+    ("content", "pairs"),
+    [
+        (
+            {
+                "DJI_0002_T.JPG": "celsius",
+                "DJI_0002_W.JPG": "jpg",
+                "DJI_0010_T.JPG": "celsius",
+                "DJI_0010_W.JPG": "jpg",
+            },
+            [("DJI_0002", "DJI_0002_W.JPG", "DJI_0002_T.JPG"), ("DJI_0010", "DJI_0010_W.JPG", "DJI_0010_T.JPG")],
+        ),
+        (
+            {"DCIM/A/DJI_20230101120000_0001_T.JPG": "jpg", "DCIM/A/DJI_20230101120001_0001_V.JPG": "jpg"},
+            [("DJI_0001", "DCIM/A/DJI_20230101120001_0001_V.JPG", "DCIM/A/DJI_20230101120000_0001_T.JPG")],
+        ),
+        (
+            {"wall.jpg": "jpg", "wall_thermal.png": "png", "door.jpg": "jpg", "door_thermal.png": "png"},
+            [("door", "door.jpg", "door_thermal.png"), ("wall", "wall.jpg", "wall_thermal.png")],
+        ),
+        ({"a.jpg": "jpg", "a.tif": "celsius"}, [("a", "a.jpg", "a.tif")]),
+        (
+            {"x/a.jpg": "jpg", "x/a.tif": "celsius", "y/a.jpg": "jpg", "y/a.tif": "celsius"},
+            [("x_a", "x/a.jpg", "x/a.tif"), ("y_a", "y/a.jpg", "y/a.tif")],
+        ),
+    ],
+)
+def test_names(photos, content, pairs):
+    root = photos(content)
+    for rule in ("auto", "names"):
+        found = find_pairs(root, rule=rule)
+        assert [(pair.name, *both) for pair, both in zip(found.pairs, files(root, found), strict=True)] == pairs
+        assert found.rule.startswith("The names of a pair differ only in the camera's mark, such as ")
+        assert found.left_out == found.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("content", "pairs"),
+    [
+        ({"rgb/1.jpg": "jpg", "thermal/1.png": "png"}, [("rgb/1.jpg", "thermal/1.png")]),
+        (
+            {"Images/train/1_rgb.jpg": "jpg", "IR/train/1_ir.jpg": "jpg", "IR/test/1_ir.jpg": "jpg"},
+            [("Images/train/1_rgb.jpg", "IR/train/1_ir.jpg")],
+        ),
+        ({"visible/100/1.jpg": "jpg", "thermal/101/1.jpg": "jpg"}, [("visible/100/1.jpg", "thermal/101/1.jpg")]),
+        ({"house/rgb/1.jpg": "jpg", "house/flir/1.jpg": "flir"}, [("house/rgb/1.jpg", "house/flir/1.jpg")]),
+    ],
+)
+def test_folders(photos, content, pairs):
+    root = photos(content)
+    for rule in ("auto", "folders"):
+        found = find_pairs(root, rule=rule)
+        assert files(root, found) == pairs
+        assert found.rule == "A pair has the same name in the folders of the two cameras."
+
+
+@pytest.mark.parametrize(("step", "word"), [(1, "next"), (-1, "previous")])
+def test_neighbouring_numbers(photos, step, word):
+    numbers = (10, 12, 14)
+    thermal = {f"DCIM/100_FLIR/FLIR{n:04d}.jpg": ("flir", at(60 * n)) for n in numbers}
+    visible = {f"DCIM/100_FLIR/FLIR{n + step:04d}.jpg": ("jpg", at(60 * n + 3)) for n in numbers}
+    root = photos(thermal | visible)
+    found = find_pairs(root)
+    assert files(root, found) == list(zip(visible, thermal, strict=True))
+    assert found.rule == f"The RGB photo of each thermal photo is the file with the {word} number."
+
+
+def test_neighbours_of_other_names(photos):
+    root = photos({"IR_0009.jpg": "flir", "DC_0010.jpg": "jpg"})
+    assert files(root, find_pairs(root)) == [("DC_0010.jpg", "IR_0009.jpg")]
+
+
+def test_neighbours_that_were_taken_far_apart_are_no_pair(photos):
+    root = photos({"IR_1.jpg": ("flir", at(0)), "DC_2.jpg": ("jpg", at(60))})
+    with pytest.raises(
+        SceneError, match="its 1 thermal and 1 other photos make no pairs: neither names nor times tell"
+    ):
+        find_pairs(root)
+
+
+def test_visible_photos_inside(photos):
+    root = photos({"a.jpg": "flir with visible", "b.jpg": "flir with visible", "c.jpg": "flir", "d.jpg": "jpg"})
+    found = find_pairs(root)
+    assert files(root, found) == [(None, "a.jpg"), (None, "b.jpg")]
+    assert all(pair.embedded for pair in found.pairs)
+    assert found.rule == "The visible photo inside each thermal photo is used."
+    assert reasons(found) == {
+        "c.jpg": "holds no visible photo",
+        "d.jpg": "the visible photos inside the thermal photos are used",
+    }
+
+
+def test_photos_beside_are_better_than_photos_inside(photos):
+    root = photos({"IR_1.jpg": "flir with visible", "DC_2.jpg": "jpg"})
+    found = find_pairs(root)
+    assert files(root, found) == [("DC_2.jpg", "IR_1.jpg")]
+    assert not found.pairs[0].embedded
+
+
+def test_times_of_two_clocks(photos):
+    moments = (0, 31, 45, 90, 200)
+    thermal = {f"thermal/T{i}.png": ("png", at(t)) for i, t in enumerate(moments)}
+    rgb = {f"rgb/P{i + 70}.jpg": ("jpg", at(t + 3601)) for i, t in enumerate(moments)}
+    extra = {"rgb/P99.jpg": ("jpg", at(3700)), "rgb/P0.jpg": "jpg"}
+    root = photos(thermal | rgb | extra)
+    for rule in ("auto", "time"):
+        found = find_pairs(root, rule=rule)
+        assert files(root, found) == list(zip(rgb, thermal, strict=True))
+        assert found.rule == (
+            "The photos of a pair were taken within 2 s, after the clocks were compared: "
+            "the RGB camera's is 3601.0 s ahead of the thermal camera's."
+        )
+        assert reasons(found) == {
+            "rgb/P0.jpg": "does not say when it was taken",
+            "rgb/P99.jpg": "has no thermal photo within 2 s",
+        }
+
+
+def test_clocks_that_cannot_be_told_apart(photos):
+    thermal = {f"thermal/T{i:02d}.png": ("png", at(10 * i)) for i in range(12)}
+    rgb = {f"rgb/P{i:02d}.jpg": ("jpg", at(10 * i - 500)) for i in range(12)}
+    found = find_pairs(photos(thermal | rgb))
+    assert len(found.pairs) == 12
+    assert "the RGB camera's is 500.0 s behind the thermal camera's" in found.rule
+    assert found.warnings[0].startswith("The clocks of the cameras may also differ by ")
+
+
+@pytest.mark.parametrize("converted", ["DJI_0001_T.tif", "celsius/DJI_0001_T.tiff"])
+def test_a_converted_photo_stands_for_its_original(photos, converted):
+    original = ("dji", at(0, model="DJI M3T"))
+    root = photos({"card/DJI_0001_T.JPG": original, "card/DJI_0001_W.JPG": "jpg", f"card/{converted}": "celsius"})
+    found = find_pairs(root)
+    assert files(root, found) == [("card/DJI_0001_W.JPG", f"card/{converted}")]
+    assert reasons(found) == {"card/DJI_0001_T.JPG": f"the temperatures are taken from card/{converted}"}
+
+
+def test_the_best_of_several_thermal_files(photos):
+    table = b"\n".join([b"20,5;" * 20] * 4)
+    root = photos(
+        {"a.jpg": "flir", "a.csv": table, "a_rgb.jpg": "jpg", "b.tif": "celsius", "b_8b.jpg": "png", "b_rgb.jpg": "jpg"}
+    )
+    found = find_pairs(root)
+    assert files(root, found) == [("a_rgb.jpg", "a.jpg"), ("b_rgb.jpg", "b.tif")]
+    assert reasons(found) == {
+        "a.csv": "the temperatures are taken from a.jpg",
+        "b_8b.jpg": "b.tif is used instead",
+    }
+
+
+def test_the_wide_photos_are_preferred(photos):
+    content = {f"DJI_000{i}_{mark}.JPG": "jpg" for i in (1, 2) for mark in "TWZ"}
+    content["DJI_0003_T.JPG"] = content["DJI_0003_Z.JPG"] = "jpg"
+    del content["DJI_0002_Z.JPG"]
+    root = photos(content)
+    found = find_pairs(root)
+    assert files(root, found) == [(f"DJI_000{i}_W.JPG", f"DJI_000{i}_T.JPG") for i in (1, 2)]
+    assert reasons(found) == {
+        "DJI_0001_Z.JPG": "DJI_0001_W.JPG is used instead",
+        "DJI_0003_T.JPG": "has no RGB photo of its name",
+        "DJI_0003_Z.JPG": "has no thermal photo of its name",
+    }
+
+
+def test_one_lens_in_folders_too(photos):
+    content = {f"thermal/DJI_000{i}_T.JPG": "jpg" for i in (1, 2, 3)}
+    content |= {f"rgb/DJI_000{i}_W.JPG": "jpg" for i in (1, 2)} | {f"rgb/DJI_000{i}_Z.JPG": "jpg" for i in (1, 3)}
+    assert [pair.rgb.name for pair in find_pairs(photos(content)).pairs] == ["DJI_0001_W.JPG", "DJI_0002_W.JPG"]
+
+
+def test_names_are_surer_than_neighbouring_numbers(photos):
+    """Two photos are missing, so that neighbours make one pair more than names do."""
+    content = {f"DJI_{i:04d}_T.JPG": "jpg" for i in range(1, 10)} | {
+        f"DJI_{i:04d}_W.JPG": "jpg" for i in range(2, 11, 2)
+    }
+    found = find_pairs(photos(content))
+    assert [pair.name for pair in found.pairs] == [f"DJI_{i:04d}" for i in (2, 4, 6, 8)]
+
+
+def test_numbers_that_start_again(photos):
+    stamps = ("20230101120000", "20230101150000")
+    root = photos({f"DJI_{stamp}_0001_{mark}.JPG": "jpg" for stamp in stamps for mark in "TW"})
+    found = find_pairs(root)
+    assert [pair.name for pair in found.pairs] == ["DJI_0001", "DJI_0001_2"]
+    assert all(pair.rgb.name == pair.thermal.name.replace("_T", "_W") for pair in found.pairs)
+
+
+@pytest.mark.parametrize("name", ["card", "thermal"])
+def test_thermal_photos_alone(photos, name):
+    files_ = {"thermal/1.png": "png", "thermal/2.png": "png"} if name == "card" else {"1.png": "png", "2.png": "png"}
+    root = photos(files_, name)
+    found = find_pairs(root)
+    assert files(root, found) == [(None, path) for path in files_]
+    assert (found.rule, found.warnings) == ("The thermal photos are used alone.", ())
+
+
+def test_a_few_other_photos_do_not_make_pairs(photos):
+    content = {f"{i}.jpg": "flir" for i in range(8)} | {"7.jpg": "flir with visible", "team.jpg": "jpg"}
+    found = find_pairs(photos(content))
+    assert len(found.pairs) == 8
+    assert not any(pair.embedded for pair in found.pairs)
+    assert found.warnings[0].startswith("There are 8 thermal photos, yet only 2 in visible light: the thermal photos")
+    assert reasons(found) == {"team.jpg": "most thermal photos have no RGB photo"}
+
+
+def test_hidden_files_do_not_count_and_others_are_listed(photos):
+    content = {"rgb/1.jpg": "jpg", "thermal/1.png": "png", ".DS_Store": b"x", "rgb/._1.jpg": b"x", "log.srt": b"x"}
+    root = photos({**content, "sub/2.heic": b"x"})
+    os.symlink(root / "sub", root / "again")
+    assert reasons(find_pairs(root)) == {
+        "again": "is a link to a folder, which is not followed",
+        "log.srt": "is no photo",
+        "sub/2.heic": "is a HEIC file, which is not read; save it as JPEG or PNG",
+    }
+
+
+def test_zoomed_photos_are_told(photos):
+    rgb = {f"rgb/{i}.jpg": ("jpg", {"focal_mm": focal}) for i, focal in enumerate((24.0, 24.1, 70.0))}
+    found = find_pairs(photos(rgb | {f"thermal/{i}.png": "png" for i in range(3)}))
+    assert found.warnings[0].startswith("The RGB photos were taken with focal lengths of 24 mm to 70 mm, yet one lens")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({}, r"card: holds no photos; give the folder with the camera's JPEG, PNG or TIFF files"),
+        (
+            {"a.mp4": b"x"},
+            r"none of its 1 files is a photo that can be read, such as a\.mp4, which is no photo; give the",
+        ),
+        (
+            {"a.jpg": "jpg", "b.jpg": "jpg"},
+            r"none of its 2 photos can be told to be thermal; put them into folders named",
+        ),
+        ({"a.jpg": "flir", "b.jpg": "jpg"}, r"its 1 thermal and 1 other photos make no pairs: neither names nor times"),
+        (
+            {f"{c}/{i}.jpg": ("jpg", {"model": f"M{i % 2}"}) for c in ("rgb", "thermal") for i in range(3)},
+            r"card: the RGB photos are of 2 cameras or sizes: 2 of M0 with 16 x 12 pixels such as rgb/0\.jpg, and "
+            r"1 of M1 with 16 x 12 pixels such as rgb/1\.jpg; prepare them apart, each with its own folder",
+        ),
+        (
+            {
+                "rgb/1.jpg": "jpg",
+                "rgb/2.jpg": "jpg",
+                "thermal/1.png": "png",
+                "thermal/2.png": ("png", {"size": (8, 6)}),
+            },
+            r"the thermal photos are of 2 cameras or sizes: 1 of a camera with 16 x 12 pixels such as thermal/1\.png",
+        ),
+    ],
+)
+def test_sets_that_cannot_be_used(photos, content, message):
+    with pytest.raises(SceneError, match=message):
+        find_pairs(photos(content))
+
+
+@pytest.mark.parametrize(
+    ("rule", "content", "message"),
+    [
+        (
+            "names",
+            {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"},
+            r"no names differ only in the camera's mark, such as _T and",
+        ),
+        ("folders", {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"}, r"the folders of the two cameras hold no equal names"),
+        (
+            "time",
+            {"rgb/1.jpg": "jpg", "t/1.tif": "celsius"},
+            r"the thermal photos do not say when they were taken; give",
+        ),
+        (
+            "time",
+            {"rgb/1.jpg": "jpg", "t/1.tif": ("celsius", at(0))},
+            r"the other photos do not say when they were taken",
+        ),
+        (
+            "time",
+            {"rgb/1.jpg": ("jpg", at(9)), "t/1.tif": ("celsius", at(0))},
+            r"none were taken within 2 s; give more with --tolerance, or list the pairs in a CSV file and give it with",
+        ),
+    ],
+)
+def test_rules_that_do_not_fit(photos, rule, content, message):
+    with pytest.raises(SceneError, match=message):
+        find_pairs(photos(content), rule=rule)
+
+
+def test_a_folder_that_is_none(tmp_path):
+    with pytest.raises(SceneError, match="nothing: is not a folder; give the folder that holds the photos"):
+        find_pairs(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("tolerance_s", [-1.0, float("nan"), float("inf")])
+def test_a_tolerance_that_is_no_time(tmp_path, tolerance_s):
+    with pytest.raises(ConfigError, match=r"a pair's photos cannot lie .* s apart; give a time of 0 s or more"):
+        find_pairs(tmp_path, tolerance_s=tolerance_s)
+
+
+FOLDERS = st.sampled_from(["", "rgb/", "thermal/", "IR/100/", "x/"])
+STEMS = st.sampled_from(["1", "2", "a_rgb", "a_t", "DJI_0001_T", "DJI_0001_W", "DJI_0001_Z", "IR_3", "DC_4"])
+STEMS |= st.sampled_from(["DJI_20230101120000_0001_T", "DJI_20230101120001_0001_W", "DJI_20230101120300_0001_T"])
+SUFFIXES = st.sampled_from([".jpg", ".jpg", ".jpg", ".png", ".tif", ".txt"])
+NAMES = st.builds(lambda folder, stem, suffix: f"{folder}{stem}{suffix}", FOLDERS, STEMS, SUFFIXES)
+
+
+@settings(max_examples=25)
+@given(names=st.lists(NAMES, max_size=10, unique=True), data=st.data())
+def test_every_file_is_in_one_pair_or_left_out(photo, names, data):
+    """One to one, nothing lost, and the same in whatever order the system lists the files."""
+    kinds = {
+        ".jpg": ["jpg", "jpg", "jpg", "flir", "flir with visible"],
+        ".png": ["png"],
+        ".tif": ["celsius"],
+        ".txt": [b"text"],
+    }
+    chosen = {name: data.draw(st.sampled_from(kinds[name[-4:]])) for name in names}
+    seconds = {name: data.draw(st.sampled_from([None, 0, 1, 2, 5, 3600])) for name in names}
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for name, kind in chosen.items():
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            taken = None if seconds[name] is None else NOON + timedelta(seconds=seconds[name])
+            (root / name).write_bytes(kind if isinstance(kind, bytes) else photo(kind, taken=taken))
+        try:
+            found = find_pairs(root)
+        except SceneError:
+            return
+        used = [path.relative_to(root).as_posix() for pair in found.pairs for path in (pair.rgb, pair.thermal) if path]
+        assert sorted([*used, *reasons(found)]) == sorted(names)
+        assert len({pair.name.lower() for pair in found.pairs}) == len(found.pairs)
+        assert len({(pair.rgb is None, pair.embedded) for pair in found.pairs}) == 1
+        with pytest.MonkeyPatch.context() as patch:
+            walk = os.walk
+            patch.setattr(os, "walk", lambda *args, **more: shuffled(walk(*args, **more)))
+            assert find_pairs(root) == found
+
+
+def shuffled(walked):
+    """What ``os.walk`` gives, in another order."""
+    order = random.Random(1)
+    for parent, folders, names in walked:
+        order.shuffle(folders)
+        order.shuffle(names)
+        yield parent, folders, names

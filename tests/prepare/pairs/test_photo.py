@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import struct
+from datetime import datetime
+from pathlib import PurePosixPath
+
+import numpy as np
+import pytest
+
+from mrgs.prepare.pairs.photo import Photo, inspect
+
+NOON = datetime(2024, 5, 1, 12, 0, 0)
+
+
+@pytest.fixture
+def seen(tmp_path):
+    """What is seen of a file with the given name and content."""
+
+    def look(name: str, content: bytes) -> Photo | str:
+        (tmp_path / name).write_bytes(content)
+        return inspect(tmp_path / name, PurePosixPath("folder", name))
+
+    return look
+
+
+def test_a_plain_photo(seen, photo):
+    found = seen("a.jpg", photo("jpg", size=(20, 10), taken=NOON, model="X100", focal_mm=23.0))
+    assert (found.kind, found.size, found.is_thermal, found.embedded) == ("image", (20, 10), False, False)
+    assert (found.exif.taken, found.exif.model, found.focal_mm) == (NOON, "X100", 23.0)
+    assert found.shot == PurePosixPath("folder/a")
+
+
+def test_a_flir_photo(seen, photo):
+    found = seen("a.jpg", photo("flir", taken=NOON))
+    assert (found.kind, found.is_thermal, found.embedded) == ("signal", True, False)
+    assert found.exif.taken == NOON
+    assert seen("b.jpg", photo("flir with visible")).embedded
+
+
+def test_a_bare_flir_record(seen, flir):
+    assert seen("a.fff", flir().record()).kind == "signal"
+
+
+def test_a_flir_photo_that_is_cut_off(seen, flir):
+    whole = flir(part_bytes=500).jpeg()
+    assert seen("a.jpg", whole[:1400]).startswith("its thermal record is cut off or damaged")
+
+
+def test_a_record_without_raw_image_belongs_to_a_visible_photo(seen, flir, monkeypatch):
+    contents = flir.contents
+    monkeypatch.setattr(flir, "contents", lambda self: {0x20: contents(self)[0x20]})
+    assert seen("DC_0001.jpg", flir().jpeg()).kind == "image"
+
+
+def test_numbers(seen, photo):
+    assert seen("a.tif", photo("celsius")).kind == "numbers"
+    assert seen("a.raw", np.zeros(160 * 120, np.float32).tobytes()).kind == "numbers"
+
+
+def test_a_dji_photo(seen, photo):
+    assert seen("a.jpg", photo("dji", model="DJI M3T")).kind == "dji"
+
+
+def test_a_table(seen):
+    assert seen("a.csv", b"\n".join([b"1,5;" * 20] * 4)).kind == "table"
+    assert seen("a.txt", b"20\t21\t22\t23\t24\t25\t26\t27\t28\n".decode().encode("utf-16")).kind == "table"
+
+
+def test_a_photo_with_a_long_header_is_read_whole(seen, photo):
+    data = photo("jpg", size=(20, 10))
+    filler = b"".join(b"\xff\xe5" + struct.pack(">H", 65_002) + bytes(65_000) for _ in range(18))
+    assert seen("a.jpg", data[:2] + filler + data[2:]).size == (20, 10)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("a.jpg", b"", "is empty; copy it again"),
+        ("a.jpg", b"\xff\xd8\xff\xe0 no", "cannot be decoded as an image; copy or export it again"),
+        ("a.png", b"\x89PNG\r\n\x1a\n no", "cannot be decoded as an image; copy or export it again"),
+        ("a.heic", b"ftypheic", "is a HEIC file, which is not read; save it as JPEG or PNG"),
+        ("a.csv", b"rgb,thermal\na,b\n", "is no photo"),
+        ("a.raw", b"1234", "is no photo"),
+        ("flight.mp4", b"1234", "is no photo"),
+    ],
+)
+def test_what_cannot_be_used(seen, name, content, reason):
+    assert seen(name, content) == reason
+
+
+def test_a_file_that_is_gone(tmp_path):
+    assert inspect(tmp_path / "a.jpg", PurePosixPath("a.jpg")) == (
+        "cannot be read (No such file or directory); check that it is there and readable"
+    )

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import pytest
+
+from mrgs.errors import ConfigError, SceneError
+from mrgs.prepare.pairs import find_pairs
+
+FILES = {"eye/1.jpg": "jpg", "eye/2.jpg": "jpg", "heat/a.jpg": "png", "heat/b.jpg": "png", "notes.md": b"..."}
+
+
+@pytest.fixture
+def paired(photos, tmp_path):
+    """The pairs of ``FILES`` that a table names, as (RGB, thermal)."""
+
+    def find(content: str, encoding: str = "utf-8"):
+        table = tmp_path / "pairs.csv"
+        table.write_bytes(content.encode(encoding))
+        root = photos(FILES)
+        found = find_pairs(root, table=table)
+        assert found.rule == "The pairs are those of pairs.csv."
+        return [
+            ("" if pair.rgb is None else pair.rgb.relative_to(root).as_posix(), pair.thermal.name)
+            for pair in found.pairs
+        ]
+
+    return find
+
+
+BOTH = [("eye/2.jpg", "a.jpg"), ("eye/1.jpg", "b.jpg")]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "eye/1.jpg,heat/b.jpg\neye/2.jpg,heat/a.jpg\n",
+        "rgb,thermal\neye/2.jpg,heat/a.jpg\n\neye/1.jpg,heat/b.jpg",
+        "\ufeffThermal;RGB\r\nheat/b.jpg; eye/1.jpg\r\nheat/a.jpg;eye/2.jpg\r\n",
+        '"eye\\2.jpg"\t"heat\\a.jpg"\neye/./1.jpg\theat/b.jpg',
+    ],
+)
+def test_tables(paired, content):
+    assert paired(content) == BOTH
+
+
+def test_photos_that_the_table_does_not_name(photos, tmp_path):
+    table = tmp_path / "pairs.csv"
+    table.write_text("eye/1.jpg,heat/a.jpg")
+    found = find_pairs(photos(FILES), table=table)
+    assert [(item.name, item.reason) for item in found.left_out] == [
+        ("eye/2.jpg", "is not in pairs.csv"),
+        ("heat/b.jpg", "is not in pairs.csv"),
+        ("notes.md", "is no photo"),
+    ]
+
+
+def test_thermal_photos_alone(paired):
+    assert paired(",heat/a.jpg\n,heat/b.jpg") == [("", "a.jpg"), ("", "b.jpg")]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", r"pairs\.csv: holds no pairs; write lines such as rgb/a\.jpg,thermal/a\.jpg"),
+        ("eye/1.jpg", r"line 1 does not name an RGB and a thermal photo; write lines such as"),
+        ("a,b,c", r"line 1 does not name an RGB and a thermal photo"),
+        ("eye/1.jpg,", r"line 1 does not name an RGB and a thermal photo"),
+        ("rgb,thermal\neye/9.jpg,heat/a.jpg", r"line 2: there is no 'eye/9\.jpg' in .*card; correct the name"),
+        ("../x.jpg,heat/a.jpg", r"line 1: '\.\./x\.jpg' lies outside .*card; name photos relative to that folder"),
+        ("/etc/passwd,heat/a.jpg", r"line 1: '/etc/passwd' lies outside"),
+        ("eye/1.jpg,notes.md", r"line 1: 'notes\.md' is no photo; name another file"),
+        ("eye/1.jpg,heat/a.jpg\neye/1.jpg,heat/b.jpg", r"lines 1 and 2 both name eye/1\.jpg; delete one of them"),
+        ("eye/1.jpg,eye/1.jpg", r"line 1 names one photo twice; leave out the RGB photo if it lies inside"),
+        (
+            '"' + "a" * 200_000 + '",b',
+            r"line 1 cannot be read \(field larger than field limit.*\); write lines such as",
+        ),
+    ],
+)
+def test_tables_that_cannot_be_used(paired, content, message):
+    with pytest.raises(SceneError, match=message):
+        paired(content)
+
+
+def test_a_link_that_leads_outside(paired, photos, tmp_path):
+    root = photos(FILES)
+    (tmp_path / "secret.jpg").write_bytes((root / "eye/1.jpg").read_bytes())
+    (root / "link.jpg").symlink_to(tmp_path / "secret.jpg")
+    with pytest.raises(SceneError, match=r"'link\.jpg' lies outside"):
+        paired("link.jpg,heat/a.jpg")
+
+
+def test_a_table_that_is_missing(photos, tmp_path):
+    with pytest.raises(SceneError, match=r"pairs\.csv: cannot be read"):
+        find_pairs(photos(FILES), table=tmp_path / "pairs.csv")
+
+
+def test_a_table_and_a_rule(photos, tmp_path):
+    with pytest.raises(ConfigError, match="a table of pairs and another way to pair are both given; give one of the"):
+        find_pairs(photos(FILES), table=tmp_path / "pairs.csv", rule="time")
+
+
+def test_visible_photos_inside_and_outside_are_two_cameras(photos, tmp_path):
+    root = photos({"a.jpg": "flir with visible", "b.jpg": "flir", "b_rgb.jpg": "jpg"})
+    table = tmp_path / "pairs.csv"
+    table.write_text(",a.jpg\nb_rgb.jpg,b.jpg")
+    with pytest.raises(SceneError, match=r"that of a\.jpg lies inside, b_rgb\.jpg is a file of its own; use one of"):
+        find_pairs(root, table=table)

@@ -1,0 +1,346 @@
+from __future__ import annotations
+
+import errno
+import os
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.data.radiometric import Overrides, read_thermal_photo
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare import develop as developing
+from mrgs.prepare.contract import Development, Pairing, PhotoPair
+from mrgs.prepare.develop import develop
+from mrgs.prepare.pairs import find_pairs
+
+NOON = datetime(2024, 5, 1, 12, 0, 0)
+
+
+def quiet(step: str, done: int, total: int) -> None:
+    """No progress is shown."""
+
+
+@pytest.fixture
+def scene(tmp_path) -> Path:
+    return tmp_path / "scene"
+
+
+@pytest.fixture
+def made(photos, scene):
+    """Writes photos, pairs and develops them."""
+
+    def make(files: dict[str, object], overrides: Overrides | None = None) -> Development:
+        return develop(find_pairs(photos(files)), scene, overrides or Overrides(), quiet)
+
+    return make
+
+
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as image:
+        return np.array(image)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_flir_photo_and_its_visible_photo(made, scene, photos):
+    found = made({"FLIR1.jpg": ("flir with visible", {"taken": NOON, "model": "E60"})})
+    (view,) = found.views
+    assert (view.name, view.rgb, view.thermal) == ("FLIR1", "images/FLIR1.jpg", "thermal/FLIR1.tiff")
+    truth = read_thermal_photo(photos({}) / "FLIR1.jpg")
+    written = pixels(scene / view.thermal)
+    assert written.dtype == np.float32
+    np.testing.assert_array_equal(written, truth.temperature_c)
+    assert (scene / view.rgb).read_bytes() == truth.facts.visible.data
+    assert view.range_c == (float(written.min()), float(written.max()))
+    assert (view.camera, view.exif.model, view.exif.taken) == ("Test Camera", "E60", NOON)
+    assert found.left_out == found.warnings == ()
+
+
+def test_pixels_without_temperature_are_nan(made, scene, flir):
+    raw = flir().raw
+    raw[3, 4] = 0
+    (view,) = made({"a.jpg": flir(raw=raw).jpeg()}).views
+    assert np.isnan(pixels(scene / view.thermal)).nonzero() == (np.array([3]), np.array([4]))
+    assert view.range_c is not None
+    assert np.isfinite(view.range_c).all()
+    assert "0.1 % of the pixels have no temperature; they are masked." in view.warnings
+
+
+def test_upright_photos_keep_their_bytes(made, scene, photos):
+    files = {"rgb/a.JPG": ("jpg", {"taken": NOON, "model": "X100"}), "rgb/b.jpeg": "jpg", "thermal/a.tif": "celsius"}
+    found = made({**files, "thermal/b.tif": "celsius"})
+    root = photos({})
+    assert [view.rgb for view in found.views] == ["images/a.jpg", "images/b.jpg"]
+    assert (scene / "images/a.jpg").read_bytes() == (root / "rgb/a.JPG").read_bytes()
+    assert (found.views[0].exif.model, found.views[0].exif.taken) == ("X100", NOON)
+    assert found.views[0].notes == ("The numbers are taken for celsius.",)
+
+
+def test_a_tiff_photo_becomes_a_png(made, scene, photos):
+    colours = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
+    root = photos({})
+    (root / "rgb").mkdir()
+    Image.fromarray(colours).save(root / "rgb/a.tif")
+    (view,) = made({"thermal/a.png": "png"}).views
+    assert view.rgb == "images/a.png"
+    np.testing.assert_array_equal(pixels(scene / "images/a.png"), colours)
+
+
+@pytest.mark.parametrize("orientation", range(2, 9))
+def test_a_rotated_photo_is_turned_in_its_pixels(made, scene, orientation):
+    rgb = ("jpg", {"size": (32, 16), "orientation": orientation, "model": "X100", "focal_mm": 23.0})
+    (view,) = made({"rgb/a.jpg": rgb, "thermal/a.tif": "celsius"}).views
+    with Image.open(scene.parent / "card/rgb/a.jpg") as image:
+        upright = np.asarray(image.transpose(developing_turn(orientation)), dtype=int)
+    with Image.open(scene / view.rgb) as image:
+        assert image.format == "JPEG"
+        assert 0x0112 not in image.getexif()
+        assert image.getexif()[0x0110] == "X100"
+        assert image.getexif().get_ifd(0x8769)[0x920A] == 23.0
+        written = np.asarray(image, dtype=int)
+    assert written.shape == upright.shape
+    assert np.abs(written - upright).mean() < 2
+
+
+def developing_turn(orientation: int) -> Image.Transpose:
+    """By what EXIF defines: where the first row and the first column of the pixels are shown."""
+    return {
+        2: Image.Transpose.FLIP_LEFT_RIGHT,
+        3: Image.Transpose.ROTATE_180,
+        4: Image.Transpose.FLIP_TOP_BOTTOM,
+        5: Image.Transpose.TRANSPOSE,
+        6: Image.Transpose.ROTATE_270,
+        7: Image.Transpose.TRANSVERSE,
+        8: Image.Transpose.ROTATE_90,
+    }[orientation]
+
+
+def test_all_photos_are_turned_as_most_of_them(made, scene):
+    """Photos of one camera keep one lens, whichever way it was held."""
+    rgb = {f"rgb/{i}.jpg": ("jpg", {"size": (32, 16), "orientation": (1, 6, 6)[i]}) for i in range(3)}
+    found = made(rgb | {f"thermal/{i}.tif": "celsius" for i in range(3)})
+    assert {pixels(scene / view.rgb).shape for view in found.views} == {(32, 16, 3)}
+
+
+def test_thermal_photos_are_turned_too(made, scene):
+    (view,) = made({"a_t.png": ("png", {"size": (32, 16), "orientation": 6}), "a_rgb.jpg": "jpg"}).views
+    np.testing.assert_array_equal(pixels(scene / view.thermal), np.rot90(pixels(scene.parent / "card/a_t.png"), -1))
+
+
+def test_photos_without_temperatures_still_train(made, scene):
+    found = made({"rgb/a.jpg": "jpg", "thermal/a.png": "png"})
+    (view,) = found.views
+    assert (view.thermal, view.range_c) == ("thermal/a.png", None)
+    np.testing.assert_array_equal(pixels(scene / view.thermal), pixels(scene.parent / "card/thermal/a.png"))
+    assert found.warnings == (
+        "The thermal photos hold no temperatures: the scene shows relative values, not °C. If they are grey with a "
+        "fixed span, give the °C of black and white with --bounds.",
+    )
+
+
+def test_bounds_make_temperatures_of_grey(made, scene):
+    files = {"rgb/a.jpg": "jpg", "thermal/a.png": "png"}
+    made(files)
+    (view,) = made(files, Overrides(bounds_c=(-10.0, 40.0))).views
+    assert view.range_c == (-10.0, 40.0)
+    assert sorted(contents(scene / "thermal")) == ["a.tiff"]  # the grey image of before is gone
+
+
+def counts(value: float) -> np.ndarray:
+    return np.linspace(value, value + 300, 16 * 12).reshape(12, 16).astype(np.uint16)
+
+
+def test_one_set_has_one_unit(made, photos, scene):
+    """The second photo alone could be °C × 100 or K × 10."""
+    root = photos({})
+    for name, values in (("a", counts(1500)), ("b", counts(2900))):
+        Image.fromarray(values).save(root / f"{name}_t.png")
+    found = made({"a_rgb.jpg": "jpg", "b_rgb.jpg": "jpg"})
+    assert [view.range_c for view in found.views] == [(15.0, 18.0), (29.0, 32.0)]
+    assert [view.notes for view in found.views] == [("The numbers are taken for celsius*100.",)] * 2
+
+
+def test_photos_with_and_without_temperatures_are_not_mixed(made, scene):
+    found = made({"a_t.tif": "celsius", "a_rgb.jpg": "jpg", "b_t.png": "png", "b_rgb.jpg": "jpg"})
+    assert [view.name for view in found.views] == ["a"]
+    assert [(item.name, item.reason) for item in found.left_out] == [
+        ("b", "its thermal photo holds no temperatures, while those of others do")
+    ]
+    assert sorted(contents(scene / "images")) == ["a.jpg"]
+
+
+def test_parameters_that_differ_are_told(made, flir):
+    parameters = flir().parameters
+    content = {
+        f"{i}.jpg": flir(parameters={**parameters, "emissivity": value, "window_c": 20.0 + i}).jpeg()
+        for i, value in enumerate((0.9, 0.95))
+    }
+    assert made(content).warnings == (
+        "emissivity differs between the photos (0.9 to 0.95): one surface then has several temperatures. "
+        "Give one value for all.",
+    )
+    assert made(content, Overrides(emissivity=0.9)).warnings == ()
+
+
+def test_a_bad_photo_is_left_out(made, photo, scene):
+    files = {f"{i}_{mark}": kind for i in range(4) for mark, kind in (("t.tif", "celsius"), ("rgb.jpg", "jpg"))}
+    files["1_rgb.jpg"] = photo("jpg", size=(16, 12))[:-30]
+    files["2_t.tif"] = photo("celsius")[:300]
+    found = made(files)
+    assert [view.name for view in found.views] == ["0", "3"]
+    assert [item.name for item in found.left_out] == ["1", "2"]
+    assert "1_rgb.jpg: cannot be decoded as an image (" in found.left_out[0].reason
+    assert "2_t.tif: it cannot be decoded as an image (" in found.left_out[1].reason
+    assert sorted(contents(scene / "images")) == ["0.jpg", "3.jpg"]
+
+
+def test_no_photo_that_can_be_used(made):
+    with pytest.raises(
+        SceneError, match=r"none of the 2 pairs can be used; the first: .*1_T\.JPG: is a DJI R-JPEG, who"
+    ):
+        made({f"DJI_{i}_{m}.JPG": ("dji" if m == "T" else "jpg", {"model": "DJI M3T"}) for i in (1, 2) for m in "TW"})
+
+
+def test_no_pairs(scene):
+    with pytest.raises(SceneError, match="none of the 0 pairs can be used; find pairs first"):
+        develop(Pairing((), (), ""), scene, Overrides(), quiet)
+
+
+def test_thermal_photos_of_two_sizes(made, flir):
+    content = {f"{i}.jpg": flir(raw=flir().raw[: 24 - i // 2, :]).jpeg() for i in range(3)}
+    with pytest.raises(
+        SceneError, match=r"2\.jpg: its thermal image has 32 x 23 pixels, while 2 such as 0\.jpg have 32 x"
+    ):
+        made(content)
+
+
+def test_visible_photos_of_two_sizes(made, photo, flir):
+    content = {f"{i}.jpg": flir(visible=photo("jpg", size=(16, 12 + i))).jpeg() for i in range(2)}
+    with pytest.raises(
+        SceneError, match=r"1\.jpg: its RGB image has 16 x 13 pixels, while 1 such as 0\.jpg have 16 x 12"
+    ):
+        made(content)
+
+
+def test_photos_in_the_scene_s_own_folders(photos, tmp_path):
+    root = photos({"images/a.jpg": "jpg", "thermal/a.tif": "celsius"})
+    before = contents(root)
+    with pytest.raises(SceneError, match=r"a\.jpg: lies where the images of .* are written; choose another folder for"):
+        develop(find_pairs(root), root, Overrides(), quiet)
+    assert contents(root) == before
+
+
+SET = {f"{i}_{mark}": kind for i in range(3) for mark, kind in (("t.tif", "celsius"), ("rgb.jpg", "jpg"))}
+
+
+def test_nothing_is_done_twice(made, monkeypatch, photo, photos):
+    first = made(SET)
+    read = []
+    original = developing.read_rgb
+    monkeypatch.setattr(developing, "read_rgb", lambda path, turn: read.append(path.name) or original(path, turn))
+    assert made({}) == first
+    assert read == []
+    os.utime(photos({"1_rgb.jpg": photo("jpg", taken=NOON)}) / "1_rgb.jpg", ns=(1, 1))
+    assert made({}).views[1].exif.taken == NOON
+    assert read == ["1_rgb.jpg"]
+    made({}, Overrides(unit="fahrenheit"))
+    assert read == ["1_rgb.jpg", "0_rgb.jpg", "1_rgb.jpg", "2_rgb.jpg"]
+
+
+def test_an_image_that_was_removed_is_made_again(made, scene):
+    first = made(SET)
+    (scene / "images/1.jpg").unlink()
+    assert made({}) == first
+    assert (scene / "images/1.jpg").is_file()
+
+
+def test_views_that_are_no_more_are_removed(made, scene, photos):
+    made(SET)
+    (scene / "images/mine.jpg").write_bytes(b"the user's")
+    (photos({}) / "1_t.tif").unlink()
+    made({})
+    assert sorted(contents(scene / "images")) == ["0.jpg", "2.jpg", "mine.jpg"]
+    assert sorted(contents(scene / "thermal")) == ["0.tiff", "2.tiff"]
+
+
+def test_the_photos_are_only_read(made, photos):
+    root = photos(SET)
+    before = contents(root)
+    made({})
+    assert contents(root) == before
+
+
+def test_a_photo_that_changes_while_it_is_read(made, monkeypatch, scene):
+    original = developing.read_rgb
+
+    def changing(path: Path, turn: int):
+        found = original(path, turn)
+        if path.name == "1_rgb.jpg":
+            path.write_bytes(path.read_bytes() + b" more")
+        return found
+
+    monkeypatch.setattr(developing, "read_rgb", changing)
+    found = made(SET)
+    assert [view.name for view in found.views] == ["0", "2"]
+    assert found.left_out[0].reason.endswith(
+        "1_t.tif: this photo or its RGB photo changed while it was read; wait until it is copied"
+    )
+    assert sorted(contents(scene / "images")) == ["0.jpg", "2.jpg"]
+
+
+def test_a_photo_that_vanishes(photos, scene):
+    root = photos(SET)
+    pairing = find_pairs(root)
+    (root / "1_rgb.jpg").unlink()
+    found = develop(pairing, scene, Overrides(), quiet)
+    assert found.left_out[0].reason.endswith(
+        "1_rgb.jpg: cannot be read (No such file or directory); it was there before, put it back"
+    )
+
+
+def test_a_full_disk(made, monkeypatch, scene):
+    """What was written stays whole, and the next call goes on with it."""
+    write = Path.write_bytes
+    written = []
+
+    def full(path: Path, content: bytes) -> int:
+        if len(written) == 1 and path.suffix == ".jpg":
+            write(path, content[:10])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if scene in path.parents:
+            written.append(path)
+        return write(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        with pytest.raises(RunError, match=r"1\.jpg cannot be written \(No space left on device\): free the place or"):
+            made(SET)
+    assert sorted(contents(scene / "images")) == ["0.jpg"]
+    stamp = (scene / "images/0.jpg").stat().st_mtime_ns
+    assert len(made({}).views) == 3
+    assert (scene / "images/0.jpg").stat().st_mtime_ns == stamp
+
+
+def test_a_folder_that_cannot_be_made(photos, tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(RunError, match=r"a\.jpg cannot be written"):
+        develop(find_pairs(photos({"a_t.tif": "celsius", "a_rgb.jpg": "jpg"})), tmp_path / "file", Overrides(), quiet)
+
+
+def test_a_photo_that_says_it_holds_another(photos, scene):
+    root = photos({"a.jpg": "flir"})
+    with pytest.raises(
+        SceneError, match=r"a\.jpg: holds no visible photo, while others do; leave it out, or add its RGB"
+    ):
+        develop(Pairing((PhotoPair("a", None, root / "a.jpg", True),), (), ""), scene, Overrides(), quiet)
+
+
+def test_progress_is_told(photos, scene):
+    told = []
+    develop(find_pairs(photos(SET)), scene, Overrides(), lambda *step: told.append(step))
+    assert told == [("reading and writing", done, 3) for done in range(4)]
