@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig.adjust import Observations, Prior, adjust, pixel_sigma
+from mrgs.prepare.rig.adjust import Observations, Prior, adjust, aimed, pixel_sigma
 from mrgs.prepare.rig.model import MOTION, ThermalCameras, lens_parameters, project
 
 LENS = Lens(640, 480, 640.0, 641.0, 312.0, 250.0, (-0.2, 0.1, 0.0, 0.0))
@@ -28,7 +30,7 @@ def observed(outliers: float, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor
     wild = torch.rand(count, generator=rng) < outliers
     pixels[wild] += 15 * torch.randn(int(wild.sum()), 2, generator=rng, dtype=torch.float64)
     information = torch.eye(2, dtype=torch.float64).expand(count, 2, 2).clone()
-    return rig, motions, Observations(views, points, pixels, information, independent=1.0)
+    return rig, motions, Observations(views, points, pixels, information, torch.ones(count).double(), views * 0)
 
 
 def start_and_prior() -> tuple[ThermalCameras, Prior]:
@@ -68,7 +70,36 @@ def test_what_is_given_stays():
 def test_fewer_independent_patches_are_less_certain():
     _, _, observations = observed(0.0)
     start, prior = start_and_prior()
-    few = Observations(*list(vars(observations).values())[:4], independent=0.1)
+    few = replace(observations, independent=0.1 * observations.independent)
     points = observations.points[:PER_VIEW]
     all_sigma, few_sigma = (pixel_sigma(adjust(o, prior, start), 0, points).median() for o in (observations, few))
     assert few_sigma > 1.5 * all_sigma
+
+
+def test_each_kind_is_trusted_as_far_as_its_own_residuals_go():
+    rig, motions, precise = observed(0.0)
+    start, prior = start_and_prior()
+    noise = 3 * torch.randn(precise.pixels.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    wild = replace(precise, pixels=precise.pixels + noise, kinds=torch.ones_like(precise.kinds))
+    found = adjust(Observations.joined([precise, wild]), prior, start)
+    assert found.residual_px[: len(precise.views)].median() < 1.5 * NOISE_PX
+    own = precise.views == 0
+    points = precise.points[own]
+    shown, true = (
+        project(r, m[0].repeat(len(points), 1), points)
+        for r, m in ((found.cameras.rig, found.cameras.motions), (rig, motions))
+    )
+    assert (shown - true).norm(dim=1).median() < 0.5
+
+
+def test_cameras_are_aimed_at_what_they_observe():
+    rig, motions, observations = observed(0.0)
+    far = motions.clone()
+    far[2, :2] += 0.2
+    found = aimed(ThermalCameras(rig, far), observations)
+    own = observations.views == 2
+    before, after = (
+        (project(rig, m[observations.views], observations.points) - observations.pixels)[own].mean(dim=0).norm()
+        for m in (far, found.motions)
+    )
+    assert after < 0.2 * before

@@ -1,7 +1,8 @@
-"""The rig and the motions of its pairs that explain the matched patches best."""
+"""The rig and the motions of its pairs that explain best what was found in both images."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -20,21 +21,35 @@ _INLIER_WEIGHT = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Patches of all pairs, N of them.
+    """Patches of all pairs, or corners of a target in them, N of them.
 
     Attributes:
         views: index of the pair.
-        points: what the patch shows, in the axes of the pair's RGB camera.
+        points: what is seen, in the axes of the pair's RGB camera.
         pixels: where the thermal image shows it.
-        information: inverse covariance of ``pixels``, but for a common factor.
-        independent: the share of patches whose errors are their own.
+        information: inverse covariance of ``pixels``, but for a factor that those of one kind share.
+        independent: the share of those of its kind whose errors are their own.
+        kinds: 0, 1, ...
     """
 
     views: Int64[Tensor, " n"]
     points: Float64[Tensor, "n 3"]
     pixels: Float64[Tensor, "n 2"]
     information: Float64[Tensor, "n 2 2"]
-    independent: float
+    independent: Float64[Tensor, " n"]
+    kinds: Int64[Tensor, " n"]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Observations]) -> Observations:
+        """All of several."""
+        return cls(
+            views=torch.cat([part.views for part in parts]),
+            points=torch.cat([part.points for part in parts]),
+            pixels=torch.cat([part.pixels for part in parts]),
+            information=torch.cat([part.information for part in parts]),
+            independent=torch.cat([part.independent for part in parts]),
+            kinds=torch.cat([part.kinds for part in parts]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +84,19 @@ class Adjusted:
     inlier: Tensor
 
 
+def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras:
+    """The cameras, each turned so that what it observes lies right on average."""
+    motions = cameras.motions.clone()
+    pixels = project(cameras.rig, motions[observations.views], observations.points)
+    for view in observations.views.unique():
+        right, down = (observations.pixels - pixels)[observations.views == view].mean(dim=0)
+        motions[view, :2] += torch.stack([-down, right]) / cameras.rig[0].exp()
+    return ThermalCameras(cameras.rig, motions)
+
+
 def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> Adjusted:
     """Maximum a posteriori by Gauss-Newton, with Geman and McClure's robust weights; their scale follows from the
-    median of the residuals."""
+    median of the residuals of each kind."""
     rig, motions = start.rig, start.motions
     for _ in range(_STEPS):
         residual, weight = _weights(observations, rig, motions)
@@ -101,7 +126,10 @@ def _weights(
     """Residuals [N, 2], and by what the observations' information is to be multiplied [N]."""
     residual = observations.pixels - project(rig, motions[observations.views], observations.points)
     squared = torch.einsum("ni,nij,nj->n", residual, observations.information, residual)
-    scale = squared.median() / _MEDIAN_CHI2 + 1e-12
+    scale = torch.ones_like(squared)
+    for kind in observations.kinds.unique():
+        own = observations.kinds == kind
+        scale[own] = squared[own].median() / _MEDIAN_CHI2 + 1e-12
     robust = (1 + squared / (_ROBUST_SCALE * scale)) ** -2
     return residual, robust * observations.independent / scale
 

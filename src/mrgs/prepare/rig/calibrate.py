@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, pixel_sigma
-from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView
+from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, adjust, aimed, pixel_sigma
+from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView, TargetFit
 from mrgs.prepare.rig.images import ReducedPair, reduced_pair, too_few_points
 from mrgs.prepare.rig.model import (
     LENS,
@@ -23,6 +23,7 @@ from mrgs.prepare.rig.model import (
 )
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
+from mrgs.prepare.rig.target import SeenTarget, see_target
 from mrgs.scene import PointCloud
 from mrgs.scene.view import spread
 
@@ -56,12 +57,13 @@ def calibrate_rig(
     options: RigOptions | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RigCalibration:
-    """Find the thermal camera's intrinsics, radial distortion and motion against the RGB camera without a target.
+    """Find the thermal camera's intrinsics, radial distortion and motion against the RGB camera.
 
-    First the focal length and the direction, by correlating edges over all scales and shifts (``search``). Then, from
-    coarse to fine (``refine``): each photo is warped through its depth into the thermal camera, patches of it are
-    found in the thermal image, and one adjustment over all pairs moves the cameras (``adjust``). Every pair has a small
-    motion of its own besides the rig's, because two shutters rarely fire together.
+    First the focal length and the direction, by correlating edges over all scales and shifts (``search``); or from the
+    corners of a target, which then count as observations to the end (``target``). Then, from coarse to fine
+    (``refine``): each photo is warped through its depth into the thermal camera, patches of it are found in the thermal
+    image, and one adjustment over all pairs moves the cameras (``adjust``). Every pair has a small motion of its own
+    besides the rig's, because two shutters rarely fire together.
 
     Args:
         pairs: photos with poses, and their thermal images; all thermal images of one size.
@@ -70,19 +72,29 @@ def calibrate_rig(
         progress: called with a stage's name, and how many of its steps are done and there are.
 
     Raises:
-        SceneError: too few pairs or points, thermal images of different sizes, or images that do not tell.
+        SceneError: too few pairs or points, thermal images of different sizes, images that do not tell, or a target
+            that is not seen or that tells nothing.
     """
     options = options or RigOptions()
     report = progress or (lambda stage, done, total: None)
-    reduced, size = _reduced(pairs, points, report)
-    guess = _guess(reduced, size, options, report)
+    target = None if options.target is None else see_target(pairs, options.target, options.metres_per_unit, report)
+    reduced, size = _reduced(pairs, points, target, report)
+    guess = _guess(reduced, size, target, options, report)
     start, prior = _start(reduced, size, guess, options)
-    adjusted, observations = refine(reduced, size, start, prior, report)
-    return _result(pairs, reduced, size, adjusted, observations, options)
+    corners = None
+    if target is not None:
+        corners = target.observations([pair.name for pair in reduced])
+        start = adjust(corners, prior, aimed(start, corners)).cameras
+    adjusted, observations = refine(reduced, size, start, prior, report, corners)
+    fit = None if target is None else target.fit(adjusted, observations)
+    return _result(pairs, reduced, size, adjusted, observations, options, fit)
 
 
 def _reduced(
-    pairs: Sequence[RigPair], points: PointCloud, report: Callable[[str, int, int], None]
+    pairs: Sequence[RigPair],
+    points: PointCloud,
+    target: SeenTarget | None,
+    report: Callable[[str, int, int], None],
 ) -> tuple[list[ReducedPair], tuple[int, int]]:
     """The usable pairs at working size, and the thermal images' width and height."""
     positions = points.positions.double().numpy()
@@ -90,7 +102,8 @@ def _reduced(
     sizes: dict[tuple[int, int], str] = {}
     for done, pair in enumerate(pairs):
         report("reading pairs", done, len(pairs))
-        usable, size = reduced_pair(pair, positions)
+        own = np.zeros((0, 3)) if target is None else target.world_points(pair.name)
+        usable, size = reduced_pair(pair, positions, own)
         sizes.setdefault(size, pair.name)
         if usable is not None:
             reduced.append(usable)
@@ -108,16 +121,19 @@ def _reduced(
 def _guess(
     pairs: Sequence[ReducedPair],
     size: tuple[int, int],
+    target: SeenTarget | None,
     options: RigOptions,
     report: Callable[[str, int, int], None],
 ) -> Guess | None:
-    """The first guess; None if the rig is given.
+    """The first guess: of the target, else of the images' edges; None if the rig is given.
 
     Raises:
         SceneError: no guess stands out.
     """
     if options.thermal_lens is not None and options.thermal_from_rgb is not None:
         return None
+    if target is not None:
+        return target.guess(*size)
     report("searching the thermal camera", 0, 1)
     field_of_view_deg = options.field_of_view_deg
     if options.thermal_lens is not None:
@@ -128,7 +144,8 @@ def _guess(
         raise SceneError(
             "the thermal camera cannot be placed: the edges in the thermal images agree with those in the photos no "
             f"better than by chance (correlation {found.best.score:.2f}, by chance {found.chance:.2f}). Check that the "
-            "pairs belong together, give the thermal camera's field of view, or give its lens and offset"
+            "pairs belong together, and give the thermal camera's field of view (--thermal-fov), its lens and offset "
+            "(--thermal-camera), or a target in sight (--target); if both images show the same, say so (--one-camera)"
         )
     return found.best
 
@@ -167,6 +184,7 @@ def _result(
     adjusted: Adjusted,
     observations: Observations,
     options: RigOptions,
+    target: TargetFit | None,
 ) -> RigCalibration:
     """What is told. Pairs whose photo sees too few points get the rig's motion alone.
 
@@ -183,7 +201,8 @@ def _result(
     if not uncertainty_px <= options.max_uncertainty_px:
         raise SceneError(
             f"the thermal camera cannot be placed: the photos leave {uncertainty_px:.1f} px open (one standard "
-            f"deviation), and {options.max_uncertainty_px:g} px is the limit; give its lens or offset, or more pairs"
+            f"deviation), and {options.max_uncertainty_px:g} px is the limit; give its field of view (--thermal-fov), "
+            "its lens or offset (--thermal-camera), or more pairs"
         )
     residuals = adjusted.residual_px[adjusted.inlier].numpy()
     motion_px = float(np.median(_motion_px(adjusted.cameras, observations, len(reduced))))
@@ -195,6 +214,7 @@ def _result(
         uncertainty_px=uncertainty_px,
         motion_px=motion_px,
         warnings=tuple(_warnings(views, set(seen), motion_px, options)),
+        target=target,
     )
 
 

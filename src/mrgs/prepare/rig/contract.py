@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,7 +10,11 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
+from mrgs.errors import ConfigError
 from mrgs.scene import Pixels, PosedImage
+
+FEWEST_CORNERS = 3
+_MOST_CORNERS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +35,34 @@ class RigPair:
     visible: Int64[Tensor, " k"] | None = None
 
 
+@dataclass(frozen=True)
+class ChessboardTarget:
+    """A chessboard that both cameras see in some pairs, standing still or moved from pair to pair.
+
+    Attributes:
+        inner: how many corners, where four squares meet, there are in a row and in a column; a board of 7×6 squares
+            has 6×5.
+        square_m: width of a square in metres; None if it is not known. With it, a target that stands still tells the
+            scale of the scene.
+
+    Raises:
+        ConfigError: numbers that no chessboard has.
+    """
+
+    inner: tuple[int, int]
+    square_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not all(FEWEST_CORNERS <= count <= _MOST_CORNERS for count in self.inner):
+            raise ConfigError(
+                f"a chessboard of {self.inner[0]}×{self.inner[1]} inner corners cannot be used as a target: give how "
+                f"many corners, where four squares meet, are in a row and in a column, {FEWEST_CORNERS} to "
+                f"{_MOST_CORNERS} each; a board of 7×6 squares has 6×5"
+            )
+        if self.square_m is not None and not 0 < self.square_m < math.inf:
+            raise ConfigError(f"the target's squares cannot be {self.square_m:g} m wide: give their width in metres")
+
+
 @dataclass(frozen=True, eq=False)
 class RigOptions:
     """What is known beforehand, and what is accepted.
@@ -39,12 +72,16 @@ class RigOptions:
         thermal_from_rgb: rigid motion from the RGB camera to the thermal camera [4, 4] in scene units, taken as it is;
             None to find it.
         field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the search to ±10 %.
+        target: a chessboard that is in some of the pairs; None to look for none.
+        metres_per_unit: of the scene, if it is known; only needed for a target that is moved.
         max_uncertainty_px: a result less certain than this (one standard deviation) is refused, in thermal pixels.
     """
 
     thermal_lens: Lens | None = None
     thermal_from_rgb: Float64[Tensor, "4 4"] | None = None
     field_of_view_deg: float | None = None
+    target: ChessboardTarget | None = None
+    metres_per_unit: float | None = None
     max_uncertainty_px: float = 4.0
 
 
@@ -56,8 +93,9 @@ class RigView:
         name: the pair's.
         correction: what the rig's motion is followed by in this pair [4, 4], in the thermal camera's axes and scene
             units: two shutters rarely fire together.
-        matches: number of patches that were found in both images and agree with the result.
-        residual_px: median distance of these patches from where the result puts them, in thermal pixels.
+        matches: number of patches, and of corners of the target, that were found in both images and agree with the
+            result.
+        residual_px: median distance of these from where the result puts them, in thermal pixels.
         uncertainty_px: one standard deviation of the position of what the RGB camera sees, median over its points.
     """
 
@@ -68,6 +106,24 @@ class RigView:
     uncertainty_px: float
 
 
+@dataclass(frozen=True)
+class TargetFit:
+    """What the target told.
+
+    Attributes:
+        pairs: how many pairs show it in both images.
+        still: how many photos show it at one place in the world; 0 if it was moved.
+        residual_px: median and 90 % quantile of its corners' distances from where the result puts them, in thermal
+            pixels.
+        metres_per_unit: of the scene, from a target that stands still and whose squares' width is known; else None.
+    """
+
+    pairs: int
+    still: int
+    residual_px: tuple[float, float]
+    metres_per_unit: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class RigCalibration:
     """The thermal camera of a rig.
@@ -76,10 +132,11 @@ class RigCalibration:
         lens: the thermal camera's intrinsics and distortion, for its photos as they are.
         thermal_from_rgb: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in scene units.
         views: one for each pair, in their order.
-        residual_px: median and 90 % quantile of the matched patches' distances, in thermal pixels.
+        residual_px: median and 90 % quantile of the distances of what was matched, in thermal pixels.
         uncertainty_px: median over the views.
         motion_px: median over the views of how far the correction moves the image, in thermal pixels.
         warnings: sentences that the user should read.
+        target: what the target told; None if none was looked for.
     """
 
     lens: Lens
@@ -89,6 +146,7 @@ class RigCalibration:
     uncertainty_px: float
     motion_px: float
     warnings: tuple[str, ...]
+    target: TargetFit | None = None
 
     def viewmat(self, index: int, rgb_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
         """World to the thermal camera of a pair, from world to its RGB camera."""

@@ -56,8 +56,15 @@ class ReducedPair:
     thermal: Plane
 
 
-def reduced_pair(pair: RigPair, points: Float[np.ndarray, "n 3"]) -> tuple[ReducedPair | None, tuple[int, int]]:
+def reduced_pair(
+    pair: RigPair, points: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "k 3"]
+) -> tuple[ReducedPair | None, tuple[int, int]]:
     """The pair at working size, None if its photo sees too few points; and the thermal file's width and height.
+
+    Args:
+        pair: at full size.
+        points: sparse points of the scene, in the world.
+        target: points of a target that this photo sees, in the world; none if it sees no target.
 
     Raises:
         SceneError: an image cannot be read.
@@ -66,16 +73,17 @@ def reduced_pair(pair: RigPair, points: Float[np.ndarray, "n 3"]) -> tuple[Reduc
     height, width = thermal.values.shape[:2]
     camera = pair.rgb.camera
     camera = camera.with_width(min(RGB_WIDTH_PX, camera.width))
-    depth = inverse_depth(points, camera, None if pair.visible is None else pair.visible.numpy())
+    visible = None if pair.visible is None else np.append(pair.visible.numpy(), len(points) + np.arange(len(target)))
+    depth = inverse_depth(np.concatenate([points, target]), camera, visible)
     if depth is None:
         return None, (width, height)
     reduced = min(THERMAL_WIDTH_PX, width)
     return ReducedPair(
         name=pair.name,
-        rgb=_plane(pair.rgb.load(), pair.name).resized(camera.width, camera.height),
+        rgb=grey_plane(pair.rgb.load(), pair.name).resized(camera.width, camera.height),
         camera=camera,
         depth=depth,
-        thermal=_plane(thermal, pair.name).resized(reduced, max(1, round(height * reduced / width))),
+        thermal=grey_plane(thermal, pair.name).resized(reduced, max(1, round(height * reduced / width))),
     ), (width, height)
 
 
@@ -90,11 +98,16 @@ def too_few_points(names: list[str]) -> SceneError:
     """That too few photos see enough sparse points."""
     return SceneError(
         f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or more sparse points; "
-        "give the rig by hand, or take more overlapping photos"
+        "take more overlapping photos, or say that both images show the same (--one-camera)"
     )
 
 
-def _plane(pixels: Pixels, name: str) -> Plane:
+def grey_plane(pixels: Pixels, name: str) -> Plane:
+    """The luma of a photo, or the only channel; pixels that do not count get the median.
+
+    Raises:
+        SceneError: no pixel counts.
+    """
     values: Tensor = pixels.values
     grey = values[..., 0] if values.shape[-1] == 1 else (values * torch.tensor(_LUMA)).sum(dim=-1)
     valid = torch.isfinite(grey) if pixels.valid is None else pixels.valid & torch.isfinite(grey)

@@ -49,6 +49,7 @@ def refine(
     cameras: ThermalCameras,
     prior: Prior,
     report: Callable[[str, int, int], None],
+    corners: Observations | None = None,
 ) -> tuple[Adjusted, Observations]:
     """The cameras that explain all pairs best, and the last patches that were matched.
 
@@ -58,20 +59,24 @@ def refine(
         cameras: to start from.
         prior: what is likely.
         report: called with a stage's name, and how many of its steps are done and there are.
+        corners: of a target, which the cameras to start from explain already.
 
     Raises:
         SceneError: hardly any patch is found.
     """
     width = pairs[0].thermal.values.shape[1]
     levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]
-    cameras = _shifted(pairs, size, cameras, levels[0])
+    known = set() if corners is None else set(corners.views.tolist())
+    cameras = _shifted(pairs, size, cameras, levels[0], known)
     for number, level in enumerate(levels):
         report("matching", number, len(levels))
         observations = _observe(pairs, size, cameras, level)
+        if corners is not None:
+            observations = Observations.joined([observations, corners])
         if len(observations.views) < FEWEST_MATCHES:
             raise SceneError(
                 "the thermal camera cannot be placed: hardly any patch of the photos is found in the thermal images; "
-                "give the thermal camera's lens and offset"
+                "give the thermal camera's lens and offset (--thermal-camera)"
             )
         adjusted = adjust(observations, prior, cameras)
         cameras = adjusted.cameras
@@ -109,11 +114,14 @@ def _compared(
 
 
 def _shifted(
-    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
+    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level, known: set[int]
 ) -> ThermalCameras:
-    """Each camera turned so that its whole image lies right: patches alone would lose pairs that are far off."""
+    """Each camera but the known ones turned so that its whole image lies right: patches alone would lose pairs that are
+    far off."""
     fx, motions = cameras.lens(*size).fx, cameras.motions.clone()
     for view, pair in enumerate(_compared(pairs, size, cameras, level)):
+        if view in known:
+            continue
         reach = round(_FARTHEST_WIDTHS * pair.photo.values.shape[2])
         right, down = whole_displacement(pair.thermal, pair.photo, reach)
         motions[view, :2] += torch.tensor([-down, right], dtype=torch.float64) * pair.scale / fx
@@ -138,4 +146,5 @@ def _observe(
             )
         )
     views, points, pixels, information = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return Observations(views, points, pixels, information, level.patches.independent)
+    independent = torch.full((len(views),), level.patches.independent, dtype=torch.float64)
+    return Observations(views, points, pixels, information, independent, torch.zeros_like(views))

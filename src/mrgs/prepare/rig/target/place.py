@@ -1,0 +1,224 @@
+"""Where the target was in front of each photo, in the units of the scene.
+
+A target that stands still is placed by the poses of all photos that see it, and so is the size of its squares; one that
+is moved by its own perspective, for which the size of its squares must be known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from mrgs.errors import SceneError
+from mrgs.prepare.rig.target.detect import Corners
+from mrgs.prepare.rig.target.plane import plane_pose
+from mrgs.prepare.rig.target.sightings import Sighting
+from mrgs.scene.view import spread
+
+_FEWEST = 3
+_MOST_HYPOTHESES = 100
+_TURNED_RAD = np.radians(10)
+_ROUGH_SQUARES = 0.3
+_STILL_SQUARES = 0.15
+_UNCERTAIN = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The target before the cameras.
+
+    Attributes:
+        sightings: those that could be placed.
+        points: the corners of each, in their order, in the axes of the photo's camera.
+        square: width of a square, in scene units.
+        still: how many of the sightings show it at one place in the world.
+    """
+
+    sightings: tuple[Sighting, ...]
+    points: tuple[Float[np.ndarray, "n 3"], ...]
+    square: float
+    still: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """A sighting, and the motion from the board's axes to those of the photo's camera, lengths in squares."""
+
+    sighting: Sighting
+    motion: Float[np.ndarray, "4 4"]
+
+    @property
+    def centre(self) -> Float[np.ndarray, "3"]:
+        """Of projection, in the world."""
+        return self.sighting.camera.position.numpy()
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """From the board's axes to the world's."""
+        return self.sighting.camera.viewmat[:3, :3].numpy().T @ self.motion[:3, :3]
+
+    @property
+    def offset(self) -> Float[np.ndarray, "3"]:
+        """From the centre to the board's first corner, along the world's axes, in squares."""
+        return self.sighting.camera.viewmat[:3, :3].numpy().T @ self.motion[:3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class _Board:
+    """A board in the world: the corner in column i and row j is at origin + square · rotation (i, j, 0)."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    origin: Float[np.ndarray, "3"]
+    square: float
+
+    def corners(self, plane: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+        """In the world."""
+        return self.origin + self.square * np.einsum("ij,nj->ni", self.rotation[:, :2], plane)
+
+
+def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
+    """Place the target in front of each photo.
+
+    Each corner is put on the ray on which its photo shows it; only its depth is that of the board. So an error of the
+    photo's pose moves it along the ray alone, where the thermal camera, which is near, sees little of it.
+
+    Args:
+        sightings: of the target.
+        square: width of a square in scene units, if that is known.
+
+    Raises:
+        SceneError: the target does not stand still, and the width of its squares is not known.
+    """
+    plane = _plane(sightings[0])
+    views = [_poses(sighting, plane) for sighting in sightings]
+    board, standing = _still_board(views, plane)
+    if board is None and square is None:
+        raise SceneError(
+            "the target cannot be used: its distance is not known. Let it stand still while it is photographed from 3 "
+            "or more places; or, if it is moved, give the width of its squares and a distance in the scene "
+            "(--known-distance); or leave --target out"
+        )
+    width = square if board is None else board.square
+    assert width is not None
+    placed = [standing.get(index, turns[0]) for index, turns in enumerate(views)]
+    depths = [
+        _in_camera(pose.sighting, board.corners(plane))[:, 2]
+        if board is not None and index in standing
+        else width * (np.einsum("j,nj->n", pose.motion[2, :2], plane) + pose.motion[2, 3])
+        for index, pose in enumerate(placed)
+    ]
+    points = [
+        np.column_stack([pose.sighting.rays, np.ones(len(plane))]) * depth[:, None]
+        for pose, depth in zip(placed, depths, strict=True)
+    ]
+    return Placed(tuple(pose.sighting for pose in placed), tuple(points), width, len(standing))
+
+
+def _poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_Pose]:
+    """The sighting in each order that the board allows, and the motion from the board's axes in that order."""
+    motion = plane_pose(sighting.rays, plane)
+    in_order = Corners(plane.reshape(sighting.photo.grid.shape)).turned()
+    poses = []
+    for turn, corners in zip(sighting.turns(), in_order, strict=True):
+        origin = corners.grid[0, 0]
+        axes = np.eye(4)
+        axes[:2, :2] = np.column_stack([corners.grid[0, 1] - origin, corners.grid[1, 0] - origin])
+        axes[:2, 3] = origin
+        poses.append(_Pose(turn, motion @ axes))
+    return poses
+
+
+def _plane(sighting: Sighting) -> Float[np.ndarray, "n 2"]:
+    """The corners on the board, row by row, a square being 1 wide."""
+    rows, columns, _ = sighting.photo.grid.shape
+    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(np.float64)
+
+
+def _still_board(
+    views: Sequence[Sequence[_Pose]], plane: Float[np.ndarray, "n 2"]
+) -> tuple[_Board | None, dict[int, _Pose]]:
+    """The board at the place where most photos see it, and these with their corners in one order; None if there are
+    too few, or if they see it from too much the same place to tell how far it is."""
+    couples = list(combinations(range(len(views)), 2))
+    most: dict[int, _Pose] = {}
+    for couple in spread(len(couples), _MOST_HYPOTHESES) if couples else []:
+        first, second = (views[index] for index in couples[couple])
+        guess = _from_two(first[0], second)
+        standing = {} if guess is None else _standing(guess, views, plane, _ROUGH_SQUARES)
+        if guess is not None and len(standing) > len(most):
+            best, most = guess, standing
+    if len(most) < _FEWEST:
+        return None, {}
+    board, uncertainty = _fitted(best, list(most.values()), plane)
+    standing = _standing(board, views, plane, _STILL_SQUARES)
+    if len(standing) < _FEWEST or uncertainty > _UNCERTAIN:
+        return None, {}
+    return board, standing
+
+
+def _from_two(first: _Pose, second: Sequence[_Pose]) -> _Board | None:
+    """The board that two photos see at one place; None if they do not. Their distances from it, counted in squares,
+    follow from its perspective; the width of a square is the one with which the two places meet."""
+    turned = max(second, key=lambda pose: float(np.trace(first.rotation.T @ pose.rotation)))
+    if np.trace(first.rotation.T @ turned.rotation) < 1 + 2 * np.cos(_TURNED_RAD):
+        return None
+    apart = turned.offset - first.offset
+    square = float((first.centre - turned.centre) @ apart / max(apart @ apart, 1e-12))
+    return _Board(first.rotation, first.centre + square * first.offset, square) if square > 0 else None
+
+
+def _standing(
+    board: _Board, views: Sequence[Sequence[_Pose]], plane: Float[np.ndarray, "n 2"], tolerance: float
+) -> dict[int, _Pose]:
+    """The views that see the board where it is, to within a share of a square, with the corners in its order."""
+    corners = board.corners(plane)
+    found = {}
+    for index, turns in enumerate(views):
+        misses = [_miss_squares(pose.sighting, corners) for pose in turns]
+        if min(misses) < tolerance:
+            found[index] = turns[int(np.argmin(misses))]
+    return found
+
+
+def _miss_squares(sighting: Sighting, corners: Float[np.ndarray, "n 3"]) -> float:
+    """The median distance of the corners from where the photo shows them, as a share of a square."""
+    inside = _in_camera(sighting, corners)
+    if inside[:, 2].min() <= 0:
+        return np.inf
+    misses = np.linalg.norm(inside[:, :2] / inside[:, 2:] - sighting.rays, axis=1) * sighting.camera.K[0, 0].item()
+    return float(np.median(misses) / np.median(sighting.photo.spacing))
+
+
+def _fitted(board: _Board, poses: Sequence[_Pose], plane: Float[np.ndarray, "n 2"]) -> tuple[_Board, float]:
+    """The board that the photos show best, and how uncertain its distance is: one standard deviation of the width of a
+    square, as a share of it."""
+    rotations = np.stack([pose.sighting.camera.viewmat[:3, :3].numpy() for pose in poses])
+    shifts = np.stack([pose.sighting.camera.viewmat[:3, 3].numpy() for pose in poses])
+    seen = np.stack([pose.sighting.rays for pose in poses])
+
+    def moved(step: Float[np.ndarray, "7"]) -> _Board:
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        return _Board(
+            turn @ board.rotation, board.origin + board.square * step[3:6], board.square * float(np.exp(step[6]))
+        )
+
+    def misses(step: Float[np.ndarray, "7"]) -> Float[np.ndarray, " k"]:
+        inside = np.einsum("vij,nj->vni", rotations, moved(step).corners(plane)) + shifts[:, None]
+        return (inside[..., :2] / inside[..., 2:] - seen).ravel()
+
+    scale = float(np.median(np.abs(misses(np.zeros(7))))) + 1e-9
+    fit = least_squares(misses, np.zeros(7), loss="soft_l1", f_scale=scale)
+    variance = float(np.mean(fit.fun**2))
+    return moved(fit.x), float(np.sqrt(variance * np.linalg.pinv(np.einsum("ka,kb->ab", fit.jac, fit.jac))[6, 6]))
+
+
+def _in_camera(sighting: Sighting, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points of the world in the axes of the photo's camera."""
+    viewmat = sighting.camera.viewmat.numpy()
+    return np.einsum("ij,nj->ni", viewmat[:3, :3], points) + viewmat[:3, 3]

@@ -1,0 +1,86 @@
+"""Which pairs show the target, and which of its corners is which."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from mrgs.errors import SceneError
+from mrgs.prepare.rig.contract import ChessboardTarget, RigPair
+from mrgs.prepare.rig.images import grey_plane
+from mrgs.prepare.rig.target.detect import Corners, detect_chessboard
+from mrgs.scene import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """The target in a pair.
+
+    Attributes:
+        pair: index of the pair.
+        camera: of the photo.
+        photo: the corners in the photo.
+        thermal: the same corners, in the same order, in the thermal image; None if it does not show them.
+    """
+
+    pair: int
+    camera: Camera
+    photo: Corners
+    thermal: Corners | None
+
+    @property
+    def rays(self) -> Float[np.ndarray, "n 2"]:
+        """x / z and y / z of the corners, in the axes of the photo's camera."""
+        K = self.camera.K.numpy()
+        return (self.photo.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
+
+    def turns(self) -> list[Sighting]:
+        """The sighting in each order that the board allows."""
+        photos = self.photo.turned()
+        thermals = [None] * len(photos) if self.thermal is None else self.thermal.turned()
+        return [Sighting(self.pair, self.camera, p, t) for p, t in zip(photos, thermals, strict=True)]
+
+
+def find_sightings(
+    pairs: Sequence[RigPair], target: ChessboardTarget, report: Callable[[str, int, int], None]
+) -> list[Sighting]:
+    """Look for the target in all pairs; those whose photo shows it.
+
+    Args:
+        pairs: photos and thermal images, the same way up.
+        target: what to look for.
+        report: called with a stage's name, and how many of its steps are done and there are.
+
+    Raises:
+        SceneError: no pair shows it in both images, or an image cannot be read.
+    """
+    found, in_thermal = [], 0
+    for index, pair in enumerate(pairs):
+        report("looking for the target", index, len(pairs))
+        photo = detect_chessboard(grey_plane(pair.rgb.load(), pair.name).values, target.inner)
+        thermal = detect_chessboard(grey_plane(pair.load_thermal(), pair.name).values, target.inner)
+        in_thermal += thermal is not None
+        if photo is not None:
+            ordered = None if thermal is None else _same_way_up(photo, thermal)
+            found.append(Sighting(index, pair.rgb.camera, photo, ordered))
+    if not any(sighting.thermal is not None for sighting in found):
+        columns, rows = target.inner
+        raise SceneError(
+            f"no pair shows the chessboard of {columns}×{rows} inner corners in both images (it was found in "
+            f"{len(found)} photos and {in_thermal} thermal images of {len(pairs)}): check the counts, which are of the "
+            "corners where four squares meet and not of the squares, or leave --target out"
+        )
+    return found
+
+
+def _same_way_up(photo: Corners, thermal: Corners) -> Corners:
+    """The thermal corners in the photo's order, under which one image is turned the least against the other."""
+
+    def agreement(corners: Corners) -> float:
+        a, b = (each.pixels - each.pixels.mean(axis=0) for each in (photo, corners))
+        return float((a * b).sum())
+
+    return max(thermal.turned(), key=agreement)
