@@ -65,6 +65,48 @@ def read_transforms(root: Path, file: Path) -> Capture:
     return _Reader(root, file).capture()
 
 
+def lens_from_json(values: Mapping[str, Any], what: str, file: Path, image: Path | None = None) -> Lens:
+    """A lens in nerfstudio's keys: ``camera_model``, ``w``, ``h``, ``fl_x``, ``cx``, ``k1`` and so on.
+
+    Args:
+        values: the JSON object.
+        what: whose lens it is, for messages.
+        file: the JSON file, for messages.
+        image: has the size that ``values`` may leave out.
+
+    Raises:
+        SceneError: a number is missing or cannot be, or the model is not known.
+    """
+
+    def number(name: str, default: float | None = None) -> float:
+        if values.get(name) is None and default is not None:
+            return default
+        return finite_number(values.get(name), f"{name} of {what}", file)
+
+    model = values.get("camera_model", "OPENCV")
+    if not isinstance(model, str) or model not in _PERSPECTIVE_MODELS | _FISHEYE_MODELS:
+        known = ", ".join(sorted(_PERSPECTIVE_MODELS | _FISHEYE_MODELS))
+        raise scene_error(file, f"camera_model is {shown(model)}; undistort the images, or use one of {known}")
+    info = probe(image) if image and (values.get("w") is None or values.get("h") is None) else None
+    width = number("w", float(info.width) if info else None)
+    height = number("h", float(info.height) if info else None)
+    if width % 1 or height % 1:
+        raise scene_error(file, f"the image size of {what}, {width}×{height}, is not whole; correct w and h")
+    focal = number("fl_x")
+    lens = Lens(
+        width=int(width),
+        height=int(height),
+        fx=focal,
+        fy=number("fl_y", focal),
+        cx=number("cx", width / 2),
+        cy=number("cy", height / 2),
+        radial=(number("k1", 0.0), number("k2", 0.0), number("k3", 0.0), number("k4", 0.0)),
+        tangential=(0.0, 0.0) if model in _FISHEYE_MODELS else (number("p1", 0.0), number("p2", 0.0)),
+        fisheye=model in _FISHEYE_MODELS,
+    )
+    return checked_lens(lens, what, file)
+
+
 class _Reader:
     """Holds what every step needs: the folder, the file's content and the notes."""
 
@@ -143,35 +185,7 @@ class _Reader:
 
     def _lens(self, own: Mapping[str, Any], image: Path, what: str, shared: bool = True) -> Lens:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the lens is shared."""
-        values = {**self.top, **own} if shared else own
-
-        def number(name: str, default: float | None = None) -> float:
-            if values.get(name) is None and default is not None:
-                return default
-            return finite_number(values.get(name), f"{name} of {what}", self.file)
-
-        model = values.get("camera_model", "OPENCV")
-        if not isinstance(model, str) or model not in _PERSPECTIVE_MODELS | _FISHEYE_MODELS:
-            known = ", ".join(sorted(_PERSPECTIVE_MODELS | _FISHEYE_MODELS))
-            raise scene_error(self.file, f"camera_model is {shown(model)}; undistort the images, or use one of {known}")
-        info = probe(image) if values.get("w") is None or values.get("h") is None else None
-        width = number("w", float(info.width) if info else None)
-        height = number("h", float(info.height) if info else None)
-        if width % 1 or height % 1:
-            raise scene_error(self.file, f"the image size of {what}, {width}×{height}, is not whole; correct w and h")
-        focal = number("fl_x")
-        lens = Lens(
-            width=int(width),
-            height=int(height),
-            fx=focal,
-            fy=number("fl_y", focal),
-            cx=number("cx", width / 2),
-            cy=number("cy", height / 2),
-            radial=(number("k1", 0.0), number("k2", 0.0), number("k3", 0.0), number("k4", 0.0)),
-            tangential=(0.0, 0.0) if model in _FISHEYE_MODELS else (number("p1", 0.0), number("p2", 0.0)),
-            fisheye=model in _FISHEYE_MODELS,
-        )
-        return checked_lens(lens, what, self.file)
+        return lens_from_json({**self.top, **own} if shared else own, what, self.file, image)
 
     def _lists(self) -> FilenameLists:
         def keys(name: str) -> frozenset[str] | None:

@@ -1,0 +1,87 @@
+"""SIFT features of the images, into the database."""
+
+from __future__ import annotations
+
+import statistics
+
+import pycolmap
+
+from mrgs.prepare.colmap.job import Job, Report, threads
+
+CAMERA_MODEL = "SIMPLE_RADIAL"
+MAX_FEATURES = 4096
+FAINT_PEAK_THRESHOLD = 0.002
+"""A third of COLMAP's: local maxima of the scale space as weak as this count."""
+
+MAX_IMAGE_SIDE_PX = 1600
+MAX_THREADS = 4
+"""Each holds the scale space of an image, about half a gigabyte at 1600 pixels."""
+
+_PLAUSIBLE_FOCAL_LENGTHS = (0.3, 4.0)
+"""Over the image's longer side: fields of view from 118° to 14°."""
+
+
+def find_features(job: Job, report: Report) -> None:
+    """Features of all images that have none yet; an image that cannot be read stays without."""
+    for camera in sorted(set(job.cameras)):
+        _write_camera(job, camera)
+    waiting = _without_features(job)
+    done, total = len(job.files) - len(waiting), len(job.files)
+    report("features", done, total)
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = min(threads(), MAX_THREADS)
+    options.max_image_size = MAX_IMAGE_SIDE_PX
+    options.sift.max_num_features = MAX_FEATURES
+    if job.faint:  # few features, so each must be found again from afar: slower, and worth it
+        options.sift.peak_threshold = FAINT_PEAK_THRESHOLD
+        options.sift.estimate_affine_shape = True
+        options.sift.domain_size_pooling = True
+    batch = 2 * options.num_threads
+    for camera in sorted(set(job.cameras)):
+        files = [file for file, own in zip(job.files, job.cameras, strict=True) if own == camera and file in waiting]
+        for start in range(0, len(files), batch):
+            _extract(job, files[start : start + batch], camera, options)
+            done += len(files[start : start + batch])
+            report("features", done, total)
+
+
+def _without_features(job: Job) -> set[str]:
+    with pycolmap.Database.open(job.database) as database:
+        found = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
+    return set(job.files) - found
+
+
+def _extract(job: Job, files: list[str], camera: int, options: pycolmap.FeatureExtractionOptions) -> None:
+    reader = pycolmap.ImageReaderOptions()
+    reader.existing_camera_id = camera
+    reader.camera_model = CAMERA_MODEL
+    pycolmap.extract_features(
+        job.database,
+        job.root,
+        image_names=files,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reader,
+        extraction_options=options,
+        device=pycolmap.Device.cpu,
+    )
+
+
+def _write_camera(job: Job, number: int) -> None:
+    """A camera with the median focal length that its images' EXIF tells, or else COLMAP's guess."""
+    with pycolmap.Database.open(job.database) as database:
+        if database.exists_camera(number):
+            return
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = CAMERA_MODEL
+    files = [file for file, own in zip(job.files, job.cameras, strict=True) if own == number]
+    guesses = [pycolmap.infer_camera_from_image(job.root / file, reader) for file in files]
+    camera = guesses[0]
+    told = [guess.mean_focal_length() for guess in guesses if guess.has_prior_focal_length]
+    low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
+    told = [focal_length for focal_length in told if low <= focal_length <= high]
+    camera.has_prior_focal_length = bool(told)
+    camera.focal_length = statistics.median(told) if told else 1.2 * max(camera.width, camera.height)
+    camera.camera_id = number
+    with pycolmap.Database.open(job.database) as database:
+        database.write_camera(camera, use_camera_id=True)

@@ -1,0 +1,125 @@
+"""Incremental mapping: poses and points from verified matches, and the largest model of them into files."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from mrgs.prepare.colmap.job import MODEL_FOLDER, POINTS_FILE, REPORT_FILE, Job, Report
+from mrgs.prepare.colmap.matching import SEED
+
+MIN_TRACK = 3
+MAX_ERROR_PX = 2.0
+FEW_IMAGES = 8
+"""In smaller sets points that two images see are used as well."""
+
+FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
+"""Of the first pair, and of each further image; COLMAP's are 100 and 30."""
+
+
+def map_images(job: Job, report: Report) -> None:
+    """Make the model, or nothing if it is there. Where no two images fit, its report says so and it has no points."""
+    if (job.folder / MODEL_FOLDER).is_dir():
+        return
+    models = sorted(_models(job, report), key=lambda model: model.num_reg_images(), reverse=True)
+    fresh = job.folder / f"{MODEL_FOLDER}.new"
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir()
+    if models:
+        _drop_noise(models[0], len(job.files))
+        models[0].write_binary(fresh)
+        _save_points(models[0], job.files, fresh / POINTS_FILE)
+    content = json.dumps(_report(job, models), indent=1)
+    (fresh / REPORT_FILE).write_text(content, encoding="utf-8")
+    os.replace(fresh, job.folder / MODEL_FOLDER)
+
+
+def _models(job: Job, report: Report) -> list[pycolmap.Reconstruction]:
+    """All models; they do not share images but at their borders."""
+    total, registered = len(job.files), 0
+
+    def start() -> None:
+        nonlocal registered
+        registered = 2
+        report("mapping", registered, total)
+
+    def another() -> None:
+        nonlocal registered
+        registered = min(registered + 1, total)
+        report("mapping", registered, total)
+
+    report("mapping", 0, total)
+    folder = job.folder / "models"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = SEED
+    options.min_model_size = 3
+    options.triangulation.ignore_two_view_tracks = total >= FEW_IMAGES
+    if job.faint:
+        options.mapper.init_min_num_inliers = FAINT_INITIAL_MATCHES
+        options.mapper.abs_pose_min_num_inliers = FAINT_POSE_MATCHES
+    models = pycolmap.incremental_mapping(
+        job.database, job.root, folder, options, initial_image_pair_callback=start, next_image_callback=another
+    )
+    shutil.rmtree(folder)
+    return list(models.values())
+
+
+def _drop_noise(model: pycolmap.Reconstruction, images: int) -> None:
+    """Points that few images see, or that are far from where they were seen."""
+    least = MIN_TRACK if images >= FEW_IMAGES else 2
+    poor = [
+        number for number, point in model.points3D.items() if point.track.length() < least or point.error > MAX_ERROR_PX
+    ]
+    for number in poor:
+        model.delete_point3D(number)
+
+
+def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
+    """Positions, colours (0 to 255), and which image sees which point: rows of (place in ``files``, row of a point)."""
+    places = {name: place for place, name in enumerate(files)}
+    points = [model.points3D[number] for number in sorted(model.points3D)]
+    seen = {
+        (places[model.images[element.image_id].name], row)
+        for row, point in enumerate(points)
+        for element in point.track.elements
+    }
+    np.savez(
+        file,
+        positions=np.array([point.xyz for point in points]).reshape(-1, 3),
+        colors=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
+        seen=np.array(sorted(seen), dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def _report(job: Job, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
+    """What happened to each image."""
+    with pycolmap.Database.open(job.database) as database:
+        ids = {image.name: image.image_id for image in database.read_all_images()}
+        features = {file: database.num_keypoints_for_image(ids[file]) if file in ids else None for file in job.files}
+        pairs, inliers = database.read_two_view_geometry_num_inliers()
+    best: dict[int, tuple[int, int]] = {}
+    for pair, count in zip(pairs, inliers, strict=True):
+        first, second = pycolmap.pair_id_to_image_pair(pair)
+        for own, other in ((first, second), (second, first)):
+            best[own] = max(best.get(own, (0, 0)), (count, other))
+    names = {number: file for file, number in ids.items()}
+    groups = [{model.images[number].name for number in model.reg_image_ids()} for model in models]
+    images = []
+    for file in job.files:
+        matches, other = best.get(ids.get(file, 0), (0, 0))
+        group = next((index for index, members in enumerate(groups) if file in members), None)
+        images.append({"features": features[file], "matches": matches, "with": names.get(other), "group": group})
+    return {
+        "images": images,
+        "groups": [len(members) for members in groups],
+        "reprojection_px": models[0].compute_mean_reprojection_error() if models else None,
+    }

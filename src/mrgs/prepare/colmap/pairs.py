@@ -1,0 +1,72 @@
+"""Which images are compared with which."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+MAX_EXHAUSTIVE = 100
+"""A pair takes a tenth of a second on two cores: all pairs of more images outgrow the time that a user has."""
+
+NEIGHBOURS = 10
+ALIKE = 20
+WORDS = 64
+_SAMPLES = 50_000
+_ITERATIONS = 10
+
+
+def pairs_to_match(count: int, descriptors: Callable[[], list[UInt8[np.ndarray, "_ d"]]]) -> list[tuple[int, int]]:
+    """All pairs of a small set; else each image with those taken before and after it, and with those most like it.
+
+    Args:
+        count: of images, numbered in the order in which they were taken.
+        descriptors: reads those of all images; not called for a small set.
+    """
+    if count <= MAX_EXHAUSTIVE:
+        return list(combinations(range(count), 2))
+    chosen = {pair for first in range(count) for pair in _next(first, count)}
+    signatures = image_signatures(descriptors())
+    likeness = signatures @ signatures.T
+    np.fill_diagonal(likeness, -np.inf)
+    for image, others in enumerate(np.argsort(-likeness, axis=1, kind="stable")[:, :ALIKE].tolist()):
+        chosen |= {(min(image, other), max(image, other)) for other in others}
+    return sorted(chosen)
+
+
+def _next(first: int, count: int) -> list[tuple[int, int]]:
+    return [(first, second) for second in range(first + 1, min(first + 1 + NEIGHBOURS, count))]
+
+
+def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.ndarray, "n f"]:
+    """A unit vector for each image, whose product with another's tells how much alike the two are.
+
+    Vectors of locally aggregated descriptors (Jégou et al., 2010) with normalised residuals (Arandjelović and
+    Zisserman, 2013); the words are those of the images themselves, so that no vocabulary is needed.
+    """
+    rng = np.random.default_rng(0)
+    share = max(_SAMPLES // len(descriptors), 1)
+    sample = np.concatenate([rng.permutation(own)[:share] for own in descriptors]).astype(np.float32)
+    if len(sample) == 0:
+        return np.zeros((len(descriptors), 1), dtype=np.float32)
+    words = rng.permutation(sample)[:WORDS]
+    for _ in range(_ITERATIONS):
+        nearest = _nearest(sample, words)
+        sums = np.stack([sample[nearest == word].sum(axis=0) for word in range(len(words))])
+        counts = np.bincount(nearest, minlength=len(words))[:, None]
+        words = np.where(counts > 0, sums / np.maximum(counts, 1), words).astype(np.float32)
+    return np.stack([_signature(own.astype(np.float32), words) for own in descriptors])
+
+
+def _signature(own: Float32[np.ndarray, "k d"], words: Float32[np.ndarray, "w d"]) -> Float32[np.ndarray, " f"]:
+    nearest = _nearest(own, words)
+    residuals = np.stack([(own[nearest == word] - words[word]).sum(axis=0) for word in range(len(words))])
+    residuals /= np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-12)
+    return (residuals / max(float(np.linalg.norm(residuals)), 1e-12)).ravel()
+
+
+def _nearest(own: Float32[np.ndarray, "k d"], words: Float32[np.ndarray, "w d"]) -> np.ndarray:
+    """The word nearest to each descriptor."""
+    return (own @ words.T - (words**2).sum(axis=1) / 2).argmax(axis=1)

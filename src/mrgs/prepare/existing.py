@@ -1,0 +1,146 @@
+"""Poses that the user has, from COLMAP or in nerfstudio's format."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.data.capture import Notes
+from mrgs.data.colmap_model import MODEL_FOLDERS, ColmapModel, find_model, read_images, read_points3d
+from mrgs.data.files import is_file, scene_error, without_image_suffix
+from mrgs.data.images import probe
+from mrgs.data.lens import Lens
+from mrgs.data.nerfstudio import find_transforms, read_transforms
+from mrgs.data.points import point_cloud
+from mrgs.errors import SceneError
+from mrgs.prepare.contract import LeftOut, Reconstruction
+from mrgs.scene import PointCloud
+
+MIN_VIEWS = 3
+_ASPECT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """An image in the file: its name there, without folders and extension."""
+
+    stem: str
+    lens: Lens
+    viewmat: Float64[Tensor, "4 4"]
+
+
+def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
+    """The poses in a folder, for images with the same names (extensions and folders may differ).
+
+    Understood are a ``transforms.json`` with its images, and COLMAP's models, as in ``mrgs.data``. Where an image is
+    larger or smaller than the one in the file, the lens is scaled.
+
+    Args:
+        folder: with the poses, or a transforms file.
+        images: files by the views' names, to which the stems are compared.
+
+    Raises:
+        SceneError: no poses are found, they are damaged, or fewer than three belong to the images.
+    """
+    poses, points, what, notes = _read(folder)
+    by_stem = _unique(poses, folder)
+    viewmats, lenses, failed = {}, {}, []
+    for name, path in images.items():
+        pose = by_stem.get(name) or by_stem.get(without_image_suffix(path.name))
+        if pose is None:
+            failed.append(LeftOut(name, f"{what} has no pose of this name"))
+            continue
+        viewmats[name], lenses[name] = pose.viewmat, _scaled(pose.lens, path)
+    if len(viewmats) < MIN_VIEWS:
+        theirs = ", ".join(sorted(by_stem)[:3])
+        raise scene_error(
+            folder,
+            f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and {MIN_VIEWS} are needed; "
+            f"the names there are like {theirs}: give the poses of these photos",
+        )
+    warnings = tuple(notes.mended)
+    if points is None:
+        points = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
+        warnings += (f"{what} has no points: the thermal camera cannot be found from the photos without them.",)
+    source = f"The poses of {len(viewmats)} of {len(images)} photos are those of {what}."
+    return Reconstruction(viewmats, lenses, points, None, tuple(failed), None, source, warnings=warnings)
+
+
+def _read(folder: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
+    """Poses, points, the name of the file that has them, and what was mended."""
+    if folder.suffix == ".json" and is_file(folder):
+        return _from_transforms(folder.parent.resolve(), folder.parent.resolve() / folder.name)
+    if not folder.is_dir():
+        raise scene_error(folder, "is not a folder; give the one with the poses")
+    root = folder.resolve()
+    if file := find_transforms(root):
+        return _from_transforms(root, file)
+    model = find_model(root) or _model_itself(root)
+    if model is None:
+        looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
+        raise scene_error(folder, f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one")
+    notes = Notes()
+    poses = [_Pose(_stem(image.name), image.lens, image.viewmat) for image in read_images(model)]
+    return poses, point_cloud(*read_points3d(model), notes), model.file("images").name, notes
+
+
+def _from_transforms(root: Path, file: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
+    capture = read_transforms(root, file)
+    poses = []
+    for shot in capture.shots:
+        source = shot.rgb or shot.thermal
+        if source is not None:
+            poses.append(_Pose(_stem(shot.key), source.lens, source.viewmat))
+    return poses, capture.points, file.name, capture.notes
+
+
+def _model_itself(root: Path) -> ColmapModel | None:
+    """A model whose files lie in the folder itself."""
+    for suffix in (".bin", ".txt"):
+        model = ColmapModel(root, suffix)
+        if is_file(model.file("cameras")) and is_file(model.file("images")):
+            return model
+    return None
+
+
+def _stem(name: str) -> str:
+    return without_image_suffix(PurePosixPath(name.replace("\\", "/")).name)
+
+
+def _unique(poses: Sequence[_Pose], folder: Path) -> dict[str, _Pose]:
+    counts = Counter(pose.stem for pose in poses)
+    if several := sorted(stem for stem, count in counts.items() if count > 1):
+        raise scene_error(
+            folder, f"has several poses named {', '.join(several[:3])}; give each photo a name of its own in it"
+        )
+    return {pose.stem: pose for pose in poses}
+
+
+def _scaled(lens: Lens, path: Path) -> Lens:
+    """The lens for the image as it is here.
+
+    Raises:
+        SceneError: the image is of another shape than that of the pose.
+    """
+    info = probe(path)
+    across, down = info.width / lens.width, info.height / lens.height
+    if abs(across / down - 1) > _ASPECT_TOLERANCE:
+        raise SceneError(
+            f"{path} is {info.width}×{info.height} px, but its pose is for {lens.width}×{lens.height} px; "
+            "give the photos as they were when the poses were made, not cropped"
+        )
+    return replace(
+        lens,
+        width=info.width,
+        height=info.height,
+        fx=lens.fx * across,
+        fy=lens.fy * down,
+        cx=lens.cx * across,
+        cy=lens.cy * down,
+    )

@@ -1,0 +1,123 @@
+"""A length that the user knows, between two pixels of a photo, in the units of the reconstruction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.data.lens import Lens
+from mrgs.errors import SceneError
+from mrgs.prepare.contract import Reconstruction
+
+NEIGHBOURS = 12
+"""Triangulated points that tell how far away a pixel is."""
+
+_MIN_NEIGHBOURS = 3
+_SEARCH_SHARE = 0.05
+_MAJORITY = 0.75
+_MAX_SCATTER = 0.1
+_REWEIGHTINGS = 10
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """A distance in the world.
+
+    Attributes:
+        view: name of the view in whose image it is seen.
+        pixel_a: one end, (x, y) from the image's upper left corner.
+        pixel_b: the other end.
+        metres: how long it is.
+    """
+
+    view: str
+    pixel_a: tuple[float, float]
+    pixel_b: tuple[float, float]
+    metres: float
+
+
+def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
+    """The known distance in the reconstruction's units.
+
+    Each end lies on its pixel's ray, as deep as the surface through the triangulated points around it.
+
+    Raises:
+        SceneError: the view has no pose, a pixel is outside of its image, no points are near one, they lie at many
+            depths, or the length is 0 or not finite.
+    """
+    if not (math.isfinite(known.metres) and known.metres > 0):
+        raise SceneError(f"the known distance is {known.metres:g} m; it must be longer than 0 m")
+    if known.view not in reconstruction.viewmats:
+        some = ", ".join(sorted(reconstruction.viewmats)[:5])
+        raise SceneError(
+            f"the known distance is given in {known.view}, which has no pose; give it in another: {some}, …"
+        )
+    points, pixels = _seen_points(known.view, reconstruction)
+    lens = reconstruction.lenses[known.view]
+    ends = [
+        _place(np.array(pixel, dtype=float), known.view, lens, points, pixels)
+        for pixel in (known.pixel_a, known.pixel_b)
+    ]
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    if not length > 1e-9 * float(np.linalg.norm(ends[0])):
+        raise SceneError(f"the two ends of the known distance in {known.view} are one point; give two different pixels")
+    return length
+
+
+def _seen_points(
+    view: str, reconstruction: Reconstruction
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"]]:
+    """The points that a view sees, in the camera's axes, and their pixels."""
+    world = reconstruction.points.positions.double().numpy()
+    if reconstruction.visible is not None:
+        world = world[reconstruction.visible[view].numpy()]
+    viewmat, lens = reconstruction.viewmats[view].numpy(), reconstruction.lenses[view]
+    points = np.einsum("ij,nj->ni", viewmat[:3, :3], world) + viewmat[:3, 3]
+    points = points[points[:, 2] > 1e-9]
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    inside = lens.before_fold(x, y)
+    u, v = lens.distort(x[inside], y[inside])
+    return points[inside], np.column_stack([u * lens.fx + lens.cx, v * lens.fy + lens.cy])
+
+
+def _place(
+    pixel: Float64[np.ndarray, "2"],
+    view: str,
+    lens: Lens,
+    points: Float64[np.ndarray, "n 3"],
+    pixels: Float64[np.ndarray, "n 2"],
+) -> Float64[np.ndarray, "3"]:
+    """Where the ray of a pixel meets the surface, in the camera's axes."""
+    where = f"pixel ({pixel[0]:g}, {pixel[1]:g}) of {view}"
+    if not ((pixel >= 0) & (pixel <= [lens.width, lens.height])).all():
+        raise SceneError(f"{where} is outside of the image of {lens.width}×{lens.height} px; give one inside")
+    distances = np.linalg.norm(pixels - pixel, axis=1)
+    nearest = np.argsort(distances, kind="stable")[:NEIGHBOURS]
+    nearest = nearest[distances[nearest] <= _SEARCH_SHARE * max(lens.width, lens.height)]
+    if len(nearest) < _MIN_NEIGHBOURS:
+        raise SceneError(f"{where} has no reconstructed points near it; choose one on a surface with more detail")
+    inverse_depth, scatter = _surface(pixels[nearest] - pixel, 1 / points[nearest, 2])
+    if not (inverse_depth > 0 and scatter <= _MAX_SCATTER):
+        raise SceneError(f"{where} lies where near and far surfaces meet; choose one that is well inside a surface")
+    x, y = lens.undistort(np.array([(pixel[0] - lens.cx) / lens.fx]), np.array([(pixel[1] - lens.cy) / lens.fy]))
+    return np.array([x[0], y[0], 1.0]) / inverse_depth
+
+
+def _surface(offsets: Float64[np.ndarray, "n 2"], inverse_depths: Float64[np.ndarray, " n"]) -> tuple[float, float]:
+    """1/depth at offset 0, and the deviation relative to it that most points do not exceed.
+
+    A plane's 1/depth is linear in the pixel; with few points it is taken as constant. Least absolute deviations, by
+    reweighting.
+    """
+    columns = offsets if len(offsets) >= NEIGHBOURS // 2 else offsets[:, :0]
+    design = np.column_stack([np.ones(len(offsets)), columns / max(np.abs(offsets).max(), 1e-9)])
+    weights = np.ones(len(offsets))
+    for _ in range(_REWEIGHTINGS):
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(design * root[:, None], inverse_depths * root, rcond=None)[0]
+        deviations = np.abs(inverse_depths - (design * solution).sum(axis=1))
+        weights = 1 / np.maximum(deviations, 1e-3 * np.abs(inverse_depths).mean())
+    return float(solution[0]), float(np.quantile(deviations, _MAJORITY) / abs(solution[0]))

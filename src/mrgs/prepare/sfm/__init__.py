@@ -1,0 +1,5 @@
+"""Poses from the images alone (structure from motion)."""
+
+from mrgs.prepare.sfm.reconstruct import reconstruct
+
+__all__ = ["reconstruct"]

@@ -1,0 +1,77 @@
+"""The real thing, on a few small photos of the bundled scene."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.data import load_scene
+from mrgs.errors import SceneError
+from mrgs.prepare.sfm import reconstruct
+
+TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
+needs_pycolmap = pytest.mark.skipif(
+    importlib.util.find_spec("pycolmap") is None, reason="pycolmap is not installed (extra sfm)"
+)
+
+
+class StoppedError(Exception):
+    """Ends a call as Ctrl-C does."""
+
+
+def noise(path: Path, seed: int) -> Path:
+    Image.fromarray(np.random.default_rng(seed).integers(0, 256, (120, 160), dtype=np.uint8)).save(path)
+    return path
+
+
+@needs_pycolmap
+def test_poses_of_the_table_top_after_an_interruption(tmp_path):
+    """Stopped after the features, continued with the matches; one photo belongs to something else."""
+    truth = {view.name: view.rgb.camera.viewmat for view in load_scene(TABLETOP).train[:6]}
+    images = {name: TABLETOP / "images" / f"{name}.jpg" for name in truth}
+    images["elsewhere"] = noise(tmp_path / "elsewhere.png", 1)
+    cameras = {name: "another" if name == "elsewhere" else "one" for name in images}
+    steps = []
+
+    def stop_at_matching(*step: object) -> None:
+        steps.append(step)
+        if step[0] == "matching":
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        reconstruct(images, cameras, tmp_path, stop_at_matching)
+    assert steps[-2:] == [("features", 7, 7), ("matching", 0, 21)]
+    steps.clear()
+    found = reconstruct(images, cameras, tmp_path, lambda *step: steps.append(step))
+    assert steps[0] == ("features", 7, 7)
+    assert steps[-1] == ("mapping", 6, 7)
+    assert [left.name for left in found.failed] == ["elsewhere"]
+    assert found.reprojection_px < 1
+    assert len(found.points.positions) > 100
+    assert found.lenses[next(iter(truth))].fx == pytest.approx(307.4, rel=0.05)
+    first, *others = truth
+    for name in others:
+        own = found.viewmats[name] @ found.viewmats[first].inverse()
+        true = truth[name] @ truth[first].inverse()
+        angle_deg = np.degrees(np.arccos(((own[:3, :3] * true[:3, :3]).sum().item() - 1) / 2))
+        assert angle_deg < 1
+    sees = found.points.positions[found.visible[first]].double() @ found.viewmats[first][:3, :3].T
+    assert ((sees + found.viewmats[first][:3, 3])[:, 2] > 0).all()
+
+
+@needs_pycolmap
+def test_photos_that_share_nothing(tmp_path):
+    images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(3)}
+    with pytest.raises(SceneError, match=r"^only 0 of 3 photos could be placed, and 3 are needed \(photo_0"):
+        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
+
+
+def test_two_photos_are_too_few(tmp_path):
+    images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
+    with pytest.raises(SceneError) as error:
+        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
+    assert str(error.value) == "there are 2 photos, and 3 are needed at least; take more, all around"

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from mrgs.errors import SceneError
+from mrgs.prepare.sfm.result import read_result
+
+
+def image(group: int | None, features: int | None = 900, matches: int = 200) -> dict:
+    return {"features": features, "matches": matches, "with": "000001.jpg" if matches else None, "group": group}
+
+
+def write(folder, images: list[dict], groups: list[int], reprojection_px: float = 0.5) -> None:
+    """What the process leaves: views named a, b, c, …; the largest model has one camera, and three points."""
+    files = [f"{number:06d}.jpg" for number in range(1, len(images) + 1)]
+    names = [{"file": file, "name": "abcdefghijklmno"[index]} for index, file in enumerate(files)]
+    (folder / "job.json").write_text(json.dumps({"images": names}))
+    model = folder / "model"
+    model.mkdir()
+    report = {"images": images, "groups": groups, "reprojection_px": reprojection_px if groups else None}
+    (model / "report.json").write_text(json.dumps(report))
+    registered = [index for index, own in enumerate(images) if own["group"] == 0]
+    (model / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 1, 2, 40, 30, 35.0, 20.0, 15.0, 0.01))
+    body = struct.pack("<Q", len(registered))
+    for index in registered:
+        body += struct.pack("<I7dI", index + 7, 1, 0, 0, 0, 0.1 * index, 0, 3, 1) + files[index].encode() + b"\0"
+        body += struct.pack("<Q", 0)
+    (model / "images.bin").write_bytes(body)
+    np.savez(
+        model / "points.npz",
+        positions=np.arange(9.0).reshape(3, 3),
+        colors=np.array([[255, 0, 51], [0, 255, 0], [1, 2, 3]], dtype=np.uint8),
+        seen=np.array([[0, 0], [0, 2], [1, 1], [3, 0]]),
+    )
+
+
+def test_poses_points_and_what_each_view_sees(tmp_path):
+    write(tmp_path, [image(0), image(0), image(None, matches=12), image(0)], [3])
+    found = read_result(tmp_path, "rgb")
+    assert list(found.viewmats) == list(found.lenses) == ["a", "b", "d"]
+    assert found.viewmats["d"][0, 3] == pytest.approx(0.3)
+    assert found.lenses["a"].radial[0] == 0.01
+    assert found.points.positions.shape == (3, 3)
+    assert found.points.colors[0].tolist() == pytest.approx([1, 0, 0.2])
+    assert {name: seen.tolist() for name, seen in found.visible.items()} == {"a": [0, 2], "b": [1], "d": [0]}
+    assert (found.reprojection_px, found.images, found.warnings) == (0.5, "rgb", ())
+    assert found.source == "Structure from motion with COLMAP: 3 of 4 photos, 3 points."
+    assert [(left.name, left.reason) for left in found.failed] == [
+        ("c", "little in common with any other photo (12 matches at most, with a)")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("own", "reason"),
+    [
+        (image(None, features=None), "the image could not be read"),
+        (image(None, features=31), "too little texture, or blurred (31 features)"),
+        (image(None, matches=0), "little in common with any other photo (0 matches at most)"),
+        (image(1), "connected only to a group of 2 photos, apart from the largest"),
+        (image(None), "no place among the others fits its matches (200 at most, with a)"),
+    ],
+)
+def test_why_an_image_has_no_pose(tmp_path, own, reason):
+    write(tmp_path, [image(0), image(0), image(0), own], [3, 2])
+    (failed,) = read_result(tmp_path, "rgb").failed
+    assert (failed.name, failed.reason) == ("d", reason)
+
+
+def test_groups_that_are_not_connected_are_told(tmp_path):
+    write(tmp_path, [image(0)] * 5 + [image(1)] * 3, [5, 3])
+    assert read_result(tmp_path, "thermal").warnings == (
+        "The photos fall into 2 groups that are not connected (5, 3 photos); the largest is used. Photos that overlap "
+        "both would join them.",
+    )
+
+
+def test_rough_poses_are_told(tmp_path):
+    write(tmp_path, [image(0)] * 4, [4], reprojection_px=1.34)
+    assert read_result(tmp_path, "thermal").warnings == (
+        "The poses are rough: points lie 1.3 px from where they were seen (mean). Sharper photos with more texture "
+        "would help.",
+    )
+
+
+def test_too_few_views(tmp_path):
+    write(tmp_path, [image(0), image(0)] + [image(None, features=12)] * 8 + [image(None, matches=0)], [2])
+    with pytest.raises(SceneError) as error:
+        read_result(tmp_path, "rgb")
+    assert str(error.value) == (
+        "only 2 of 11 photos could be placed, and 3 are needed (c, d, e, f, g, h and 2 more: too little texture, or "
+        "blurred; k: little in common with any other photo); take photos that overlap by two thirds, sharp and with "
+        "texture"
+    )
+
+
+def test_no_model_at_all(tmp_path):
+    write(tmp_path, [image(None, matches=0)] * 4, [])
+    with pytest.raises(SceneError, match="only 0 of 4 photos could be placed"):
+        read_result(tmp_path, "rgb")
