@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from mrgs.commands import Command, Compare, Demo, Eval, Export, Render, Report, Synth, Train, View
+from mrgs.commands import Command, Compare, Demo, Eval, Export, Prepare, Render, Report, Synth, Train, View
 from mrgs.errors import ConfigError, MrgsError, TrainingError
 from mrgs.terminal import (
+    PrepareProgress,
     TrainingProgress,
     counter,
     note_unfinished,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from mrgs.training import StepStatistics, TrainConfig
     from mrgs.viewer import LiveView
 
+EXIT_BAD_SCENE = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
@@ -41,7 +43,7 @@ MAX_SYNTH_SEED = 1_000_000
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0, 2 for what the user can mend, 130 after Ctrl-C."""
+    """Run a command; returns the exit code: 0, 1 for a bad scene, 2 for what the user can mend, 130 after Ctrl-C."""
     # Threads that spin while they wait cost more than they save on shared cores. Read once, when torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     command: Any = tyro.cli(
@@ -50,7 +52,8 @@ def main(argv: list[str] | None = None) -> int:
         description="RGB and thermal photos in, one 3D Gaussian model with colour and °C out.",
         args=argv,
     )
-    handlers: dict[type, Callable[[Any], None]] = {
+    handlers: dict[type, Callable[[Any], int | None]] = {
+        Prepare: _prepare,
         Train: _train,
         Eval: _eval,
         Render: _render,
@@ -63,7 +66,7 @@ def main(argv: list[str] | None = None) -> int:
     }
     with plain_warnings():
         try:
-            handlers[type(command)](command)
+            return handlers[type(command)](command) or 0
         except MrgsError as error:
             print(f"mrgs: error: {error}", file=sys.stderr)
             return EXIT_USER_ERROR
@@ -73,7 +76,50 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             print("mrgs: stopped", file=sys.stderr)
             return EXIT_INTERRUPTED
-    return 0
+
+
+def _prepare(command: Prepare) -> int | None:
+    if command.check:
+        return _check_scene(command)
+    if command.scene is None:
+        raise ConfigError("name two folders, the photos' and the scene's: mrgs prepare PHOTOS SCENE")
+    _without_blas_threads()
+    from mrgs.prepare import prepare
+
+    progress = PrepareProgress()
+    try:
+        with progress:
+            made = prepare(command.photos, command.scene, command.options(), progress.step, progress.stage)
+            progress.end(made)
+    except KeyboardInterrupt:
+        print("what was found is kept; the same command goes on")
+        raise
+    print(f"scene:     {made.scene}\nlook here: {made.page}\ntrain it:  mrgs train {shlex.quote(str(made.scene))}")
+    return None
+
+
+def _without_blas_threads() -> None:
+    """Thousands of matrices of 2×2 are inverted one by one; on a busy machine threads wait for each other all the time.
+
+    Read once, when NumPy and SciPy are loaded.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def _check_scene(command: Prepare) -> int:
+    if command.scene is not None:
+        raise ConfigError("--check takes one folder, the scene's: mrgs prepare --check SCENE")
+    _without_blas_threads()
+    from mrgs.prepare import check_scene
+
+    with PrepareProgress() as progress:
+        found = check_scene(command.photos, progress.step)
+    for line in found.lines:
+        print(line)
+    for problem in found.problems:
+        print(f"{problem.severity}: {problem.text} {problem.remedy}".rstrip())
+    print(f"look here: {found.page}")
+    return 0 if found.usable else EXIT_BAD_SCENE
 
 
 def _train(command: Train) -> None:

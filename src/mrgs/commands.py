@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+if TYPE_CHECKING:
+    from mrgs.prepare import PrepareOptions
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,93 @@ class Compare:
 
 
 @dataclass(frozen=True)
+class Prepare:
+    """Make a scene from a folder of photos: pairs, temperatures, poses, the thermal camera, scale. Needs mrgs[sfm].
+
+    The photos are only read. SCENE/prepare.html shows what was understood: look at it before training. The same command
+    goes on where it was cut off. With --check, look at a scene that was made elsewhere, and say what is wrong with it.
+    """
+
+    photos: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTOS")]
+    """The folder of the photos; with --check, the scene's."""
+    scene: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[SCENE]")] = None
+    """The folder to make."""
+    check: bool = False
+    """Check a scene instead of making one."""
+    pairs: Literal["auto", "names", "folders", "time"] = "auto"
+    """How the two photos of a moment are told: by their names, by two folders, or by their time."""
+    pair_table: Path | None = None
+    """A CSV with two columns, the RGB and the thermal photo, where the names do not tell."""
+    tolerance: float = 2.0
+    """Photos farther apart in time are no pair, s."""
+    poses: Path | None = None
+    """A folder with COLMAP's or nerfstudio's poses of these photos, to be taken as they are."""
+    emissivity: float | None = None
+    """Of the surfaces; this and the next six replace what radiometric photos say. docs/radiometric.md"""
+    reflected: float | None = None
+    """Reflected apparent temperature, °C."""
+    distance: float | None = None
+    """From the camera to the object, m."""
+    atmospheric: float | None = None
+    """Temperature of the air, °C."""
+    humidity: float | None = None
+    """Relative humidity of the air, 0 to 1."""
+    window: float | None = None
+    """Temperature of an infrared window before the camera, °C."""
+    window_transmission: float | None = None
+    """Transmission of that window, 0 to 1."""
+    unit: str | None = None
+    """What the numbers in TIFF, PNG and CSV files are, for instance celsius, kelvin*100."""
+    bounds: tuple[float, float] | None = None
+    """°C of black and white, where the thermal photos are grey pictures of one fixed span."""
+    thermal_fov: float | None = None
+    """Horizontal field of view of the thermal camera from its data sheet, degrees; helps to find it."""
+    thermal_camera: Path | None = None
+    """JSON with the thermal camera, such as the transforms.json of another scene of the same camera. docs/prepare.md"""
+    one_camera: bool = False
+    """The two images of a pair show the same, pixel for pixel."""
+    target: tuple[str, float] | None = None
+    """A chessboard that both cameras see: its inner corners and the side of a square in m, for instance 7x6 0.05."""
+    known_distance: tuple[str, str, float] | None = None
+    """Two pixels of a view and the distance between what they show in m: NAME:X,Y NAME:X,Y METRES."""
+    eval_every: int = 8
+    """Every so-many-th view is held out for scoring; 0 holds none out."""
+
+    def options(self) -> PrepareOptions:
+        """What ``prepare`` takes.
+
+        Raises:
+            ConfigError: a value that cannot be, or two options that exclude each other.
+        """
+        from mrgs.data.radiometric import Overrides
+        from mrgs.prepare import PrepareOptions, parse_known_distance, parse_target
+
+        return PrepareOptions(
+            overrides=Overrides(
+                emissivity=self.emissivity,
+                distance_m=self.distance,
+                reflected_c=self.reflected,
+                atmospheric_c=self.atmospheric,
+                humidity=self.humidity,
+                window_c=self.window,
+                window_transmission=self.window_transmission,
+                unit=self.unit,
+                bounds_c=self.bounds,
+            ),
+            pairs=self.pairs,
+            pair_table=self.pair_table,
+            tolerance_s=self.tolerance,
+            poses=self.poses,
+            one_camera=self.one_camera,
+            thermal_fov_deg=self.thermal_fov,
+            thermal_camera=self.thermal_camera,
+            target=None if self.target is None else parse_target(*self.target),
+            known_distance=None if self.known_distance is None else parse_known_distance(*self.known_distance),
+            eval_every=self.eval_every,
+        )
+
+
+@dataclass(frozen=True)
 class Synth:
     """Generate a scene with exact temperatures and depths: the bundled table-top, or another. Needs mrgs[synth]."""
 
@@ -189,6 +279,7 @@ class Synth:
 
 Command = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Prepare, tyro.conf.subcommand("prepare")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
+    from mrgs.prepare import Preparation, StageReport
     from mrgs.run import Run, TrainedRun
     from mrgs.scene import Scene
     from mrgs.thermonerf import ThermoNerfConfig, ThermoNerfStatistics
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 PLAIN_LINE_EVERY_S = 10.0
 """Between progress lines where the output is not a terminal."""
+
+LEFT_OUT_SHOWN = 20
+"""Files that are named at the end of a preparation."""
 
 
 @contextmanager
@@ -173,6 +177,61 @@ class TrainingProgress:
         if value - value == 0:
             old = self._smoothed.get(name, value)
             self._smoothed[name] = old + 0.02 * (value - old)
+
+
+class PrepareProgress:
+    """The lines that follow a preparation: the step under way, each stage when it is done, at the end what to know."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdout.isatty()
+        self._started = self._last_line = time.perf_counter()
+        self._step = ""
+        self._warnings: list[str] = []
+
+    def __enter__(self) -> PrepareProgress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._clear()
+        sys.stdout.flush()
+        for text in self._warnings:
+            print(f"mrgs: note: {text}", file=sys.stderr)
+
+    def step(self, step: str, done: int, total: int) -> None:
+        """Show how far a step is."""
+        now = time.perf_counter()
+        if step != self._step:
+            self._step, self._started = step, now
+            self._last_line = now if not self._terminal else 0.0
+        if now - self._last_line < (0.1 if self._terminal else PLAIN_LINE_EVERY_S):
+            return
+        self._last_line = now
+        line = f"{step}{f' {done}/{total}' if total else ''} | {_duration(now - self._started)}"
+        if self._terminal:  # a line that wraps would stay
+            line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\033[K"
+        print(line, end="" if self._terminal else "\n", flush=True)
+
+    def stage(self, report: StageReport) -> None:
+        """Say what a stage found."""
+        self._clear()
+        took = "as before" if report.reused else f"{report.seconds:.1f} s"
+        first, *others = report.lines
+        print(f"{report.title + ':':17}{first} ({took})")
+        for line in others:
+            print(f"{'':17}{line}")
+        sys.stdout.flush()
+        self._warnings += [f"{report.title}: {text}" for text in report.warnings]
+
+    def end(self, preparation: Preparation) -> None:
+        """Name what was left out."""
+        for item in preparation.left_out[:LEFT_OUT_SHOWN]:
+            self._warnings.append(f"left out: {item.name}: {item.reason}")
+        if (more := len(preparation.left_out) - LEFT_OUT_SHOWN) > 0:
+            self._warnings.append(f"left out: {more} more; {preparation.page} lists all")
+
+    def _clear(self) -> None:
+        if self._terminal:
+            print("\r\033[K", end="")
 
 
 def _plan(scene: Scene, config: TrainConfig | ThermoNerfConfig) -> str:

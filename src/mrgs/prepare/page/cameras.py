@@ -1,0 +1,113 @@
+"""The sections on the cameras: where they stand, their lenses, and the thermal camera against the RGB camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from html import escape
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.data.lens import Lens
+from mrgs.prepare.contract import Georeference
+from mrgs.prepare.page.markup import column_table, fact_table, folded, paragraph, section
+from mrgs.prepare.page.world import World, plans
+from mrgs.prepare.rig import RigCalibration
+
+_ORBIT_HELP = "Drag to turn, wheel or pinch to zoom. Point at a camera for its name; click it to see its photos."
+
+
+def world_section(world: World | None) -> str:
+    """Cameras and points, to turn on the screen, and from above and from the side in print."""
+    if world is None:
+        return section("world", "Cameras and points", paragraph("There is no scene yet."))
+    north = "" if world.north else " Which way is up is taken from how the cameras were held."
+    drawings = "".join(
+        f"<figure>{drawing}<figcaption>{escape(caption)}.</figcaption></figure>" for caption, drawing in plans(world)
+    )
+    colors = '<span class="key camera">training</span> <span class="key held">held out</span>'
+    content = (
+        '<div id="orbit"><canvas id="orbit-canvas" tabindex="0" aria-label="cameras and points in 3D: drag to turn, '
+        'arrow keys turn, plus and minus zoom"></canvas><div id="orbit-name" hidden></div></div>'
+        f'<p class="note">{escape(_ORBIT_HELP + north)} {colors}</p><div class="plans">{drawings}</div>'
+    )
+    return section("world", "Cameras and points", content)
+
+
+def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
+    """Each lens of a set of images once, with the number of its views."""
+    distinct: dict[Lens, int] = {}
+    for lens in lenses.values():
+        distinct[lens] = distinct.get(lens, 0) + 1
+    return [(f"{what}, {count} view{'' if count == 1 else 's'}", lens_text(lens)) for lens, count in distinct.items()]
+
+
+def lens_text(lens: Lens) -> str:
+    """Size, field of view, focal length, principal point and distortion, in a sentence."""
+    wide, high = (
+        math.degrees(2 * math.atan(0.5 * pixels / focal))
+        for pixels, focal in ((lens.width, lens.fx), (lens.height, lens.fy))
+    )
+    text = (
+        f"{lens.width} × {lens.height} px, {wide:.1f}° × {high:.1f}°, focal length {lens.fx:.1f} × {lens.fy:.1f} px, "
+        f"centre {lens.cx:.1f}, {lens.cy:.1f} px"
+    )
+    names = ("k1", "k2", "k3", "k4", "p1", "p2")
+    bent = [f"{name} {value:.4g}" for name, value in zip(names, (*lens.radial, *lens.tangential), strict=True) if value]
+    model = "fisheye " if lens.fisheye else ""
+    return f"{text}, {model}distortion {', '.join(bent)}" if bent else f"{text}, {model or 'no '}distortion"
+
+
+def rig_content(rig: RigCalibration, georeference: Georeference | None) -> str:
+    """The thermal camera against the RGB camera: summary, and a row for each view."""
+    unit = georeference is not None and georeference.metric
+    median, most = rig.residual_px
+    rows = [
+        ("Thermal lens", lens_text(rig.lens)),
+        ("Distance between the lenses", _offset(rig.thermal_from_rgb, unit)),
+        ("Angle between the axes", f"{_angle_deg(rig.thermal_from_rgb):.2f}°"),
+        ("Residual", f"{median:.2f} px (median), {most:.2f} px (nine tenths are below), in thermal pixels"),
+        ("Uncertainty", f"{rig.uncertainty_px:.2f} px (one standard deviation)"),
+        ("Motion from pair to pair", f"{rig.motion_px:.2f} px (median)"),
+    ]
+    if rig.target is not None:
+        fit = rig.target.residual_px[0]
+        rows.append(("Chessboard", f"seen by both cameras in {rig.target.pairs} pairs; {fit:.2f} px residual (median)"))
+    views = column_table(
+        ["View", "Matches", "Residual, px", "Uncertainty, px"],
+        [
+            [view.name, str(view.matches), _number(view.residual_px), _number(view.uncertainty_px)]
+            for view in sorted(rig.views, key=lambda view: (-_finite(view.uncertainty_px), view.name))
+        ],
+    )
+    return (
+        "<h3>Thermal camera against RGB camera</h3>"
+        + fact_table(rows)
+        + folded(f"Each of the {len(rig.views)} views, the least certain first", views)
+    )
+
+
+def _offset(thermal_from_rgb: Float64[Tensor, "4 4"], metric: bool) -> str:
+    """How far the thermal camera stands from the RGB camera, and in which direction."""
+    position = -thermal_from_rgb[:3, :3].T @ thermal_from_rgb[:3, 3]
+    factor, unit, digits = (100.0, "cm", 1) if metric else (1.0, "scene units", 4)
+    words = (("right", "left"), ("below", "above"), ("ahead", "behind"))
+    parts = [
+        f"{abs(value) * factor:.{digits}f} {plus if value >= 0 else minus}"
+        for value, (plus, minus) in zip(position.tolist(), words, strict=True)
+    ]
+    return f"{position.norm().item() * factor:.{digits}f} {unit}: the thermal camera is {', '.join(parts)}"
+
+
+def _angle_deg(thermal_from_rgb: Float64[Tensor, "4 4"]) -> float:
+    return math.degrees(torch.acos(thermal_from_rgb[2, 2].clamp(-1, 1)).item())
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 1e9
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "not known"

@@ -1,0 +1,97 @@
+"""From a folder of photos to a scene, one stage after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from mrgs.data.files import scene_error
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare import pipeline
+from mrgs.prepare.contract import Development, Pairing, Preparation, Progress, StageReport
+from mrgs.prepare.georeference import apply
+from mrgs.prepare.options import PrepareOptions
+from mrgs.prepare.page import write_page
+from mrgs.prepare.stages import WORK, Stages, only_one
+from mrgs.prepare.thermal_camera import with_scale_of_target
+
+
+def prepare(
+    photos: str | Path,
+    scene: str | Path,
+    options: PrepareOptions | None = None,
+    progress: Progress | None = None,
+    report: Callable[[StageReport], None] | None = None,
+) -> Preparation:
+    """Make a scene that ``train`` takes from a folder of photos, and a page that shows what was understood.
+
+    The photos are only read. What a stage finds is kept in ``SCENE/prepare``: the same call goes on where it was cut
+    off, and does again only what follows from a photo or an option that has changed.
+
+    Args:
+        photos: the folder of the photos.
+        scene: the folder to make, or one that an earlier call made.
+        options: what is known of the photos.
+        progress: called with "stage: step", and how many of the step's parts are done and there are (0 of 0 where that
+            is not known).
+        report: called with each stage's report when it is done.
+
+    Raises:
+        SceneError: the photos cannot be used: no pairs, fewer than three poses, no thermal camera.
+        RunError: the scene's folder cannot be written, holds something else, or is in use.
+        ConfigError: an option that does not fit the photos.
+    """
+    photos, scene, options = Path(photos).resolve(), Path(scene), options or PrepareOptions()
+    _check_folders(photos, scene)
+    with only_one(scene / WORK):
+        stages = Stages(scene / WORK, progress, report)
+        pairing = stages.run(pipeline.pairs(photos, options))
+        development = stages.run(pipeline.photos(photos, pairing, scene, options))
+        try:
+            return _posed(scene, pairing, development, stages, options)
+        except SceneError as error:
+            page = _page_so_far(scene, pairing, development, stages, error)
+            raise SceneError(f"{error}; {page} shows what was understood so far") from error
+
+
+def _posed(
+    scene: Path, pairing: Pairing, development: Development, stages: Stages, options: PrepareOptions
+) -> Preparation:
+    """The second half: from images to a scene."""
+    digests = pipeline.contents(scene, development)
+    found = stages.run(pipeline.poses(pairing, development, digests, scene, options))
+    place = stages.run(pipeline.scale_and_north(development, found, options))
+    rig = stages.run(pipeline.thermal_camera(scene, development, digests, apply(place, found), place, options))
+    place, rig = with_scale_of_target(place, rig)
+    posed = apply(place, found)
+    stages.run(pipeline.scene_files(scene, development, posed, rig, place, options))
+    left_out = (*pairing.left_out, *development.left_out, *found.failed)
+    page = stages.run(pipeline.page(scene, stages.reports, left_out, development, digests, posed, rig, place))
+    return Preparation(scene, scene / page, tuple(stages.reports), left_out)
+
+
+def _page_so_far(scene: Path, pairing: Pairing, development: Development, stages: Stages, error: SceneError) -> Path:
+    """The page of a preparation that cannot go on: most often the photos show why."""
+    stages.forget("page")
+    reports = [*stages.reports, StageReport("stopped", (str(error),), (str(error),))]
+    return write_page(scene, reports, development, None, None, None, left_out=pairing.left_out)
+
+
+def _check_folders(photos: Path, scene: Path) -> None:
+    """Nothing of the user's may be taken for the program's own, or the other way round.
+
+    Raises:
+        SceneError: there are no photos.
+        RunError: the scene's folder holds something else, or one of the folders lies in the other.
+    """
+    if not photos.is_dir():
+        raise scene_error(photos, "is not a folder; give the folder that holds the photos")
+    own = scene.resolve()
+    if own.is_relative_to(photos) or photos.is_relative_to(own):
+        raise RunError(f"{scene} and the photos lie in one another: choose a folder beside the photos")
+    try:
+        foreign = own.is_dir() and not (own / WORK).is_dir() and any(own.iterdir())
+    except OSError as error:
+        raise RunError(f"{scene} cannot be read ({error.strerror}): choose another folder") from None
+    if foreign:
+        raise RunError(f"{scene} holds something that `mrgs prepare` did not make: choose a new folder")

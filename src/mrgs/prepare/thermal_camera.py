@@ -1,0 +1,157 @@
+"""The thermal camera of a set of photos: what a file says of it, and its calibration from the photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.data.capture import ImageSource
+from mrgs.data.files import read_json_object, scene_error, shown
+from mrgs.data.images import decode, probe
+from mrgs.data.lens import Lens
+from mrgs.data.nerfstudio import lens_from_json
+from mrgs.data.posed import decode_rgb, posed_image
+from mrgs.data.poses import matrix_from_json, nearest_rotation, rigid
+from mrgs.prepare.contract import DevelopedView, Development, Georeference, Progress, Reconstruction
+from mrgs.prepare.options import PrepareOptions
+from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
+from mrgs.scene import Pixels
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalCamera:
+    """What is known of a thermal camera.
+
+    Attributes:
+        lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find them.
+        thermal_from_rgb: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to find it.
+    """
+
+    lens: Lens | None
+    thermal_from_rgb: Float64[Tensor, "4 4"] | None
+
+
+def read_thermal_camera(path: Path) -> ThermalCamera:
+    """Read ``thermal_camera``, ``thermal_from_rgb_m`` (4×4, OpenCV axes, metres), or both, from a JSON object.
+
+    The keys are those of the ``transforms.json`` of a prepared scene, so that such a file can be given as it is.
+
+    Raises:
+        SceneError: the file cannot be read, holds neither, or a camera that cannot be used.
+    """
+    content = read_json_object(path)
+    own, motion = content.get("thermal_camera"), content.get("thermal_from_rgb_m")
+    if own is None and motion is None:
+        raise scene_error(path, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them")
+    lens = matrix = None
+    if own is not None:
+        if not isinstance(own, dict):
+            raise scene_error(path, f"thermal_camera is {shown(own)}, not an object; correct it")
+        lens = lens_from_json(own, "thermal_camera", path)
+        if lens.fisheye or any(lens.tangential) or any(lens.radial[2:]):
+            raise scene_error(path, "thermal_camera is distorted by more than k1 and k2; calibrate it with these alone")
+    if motion is not None:
+        given = matrix_from_json(motion, (3, 4), "thermal_from_rgb_m", path)
+        matrix = rigid(nearest_rotation(given[:3, :3], "thermal_from_rgb_m", path), given[:3, 3])
+    return ThermalCamera(lens, matrix)
+
+
+def calibrate_thermal_camera(
+    scene: Path,
+    development: Development,
+    reconstruction: Reconstruction,
+    metric: bool,
+    options: PrepareOptions,
+    progress: Progress,
+) -> RigCalibration | None:
+    """The thermal camera of the set, from the photos and what the user knows of it.
+
+    Args:
+        scene: holds the images.
+        development: the images.
+        reconstruction: poses of the RGB images in the scene's world.
+        metric: whether the scene's unit is the metre.
+        options: of these, those on the thermal camera.
+        progress: called with a step's name, and how many of its parts are done and there are.
+
+    Returns:
+        None where one camera serves both images of a pair, or where there are thermal images only.
+
+    Raises:
+        SceneError: the photos do not tell where the thermal camera is, or a given one does not fit them.
+    """
+    if reconstruction.images == "thermal" or options.one_camera:
+        return None
+    views = [view for view in development.views if view.name in reconstruction.viewmats]
+    pairs = [_rig_pair(view, scene, reconstruction) for view in views]
+    known = _known(options, scene / views[0].thermal, metric)
+    return calibrate_rig(pairs, reconstruction.points, known, progress)
+
+
+def _rig_pair(view: DevelopedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
+    assert view.rgb is not None  # it has a pose, and the poses are those of RGB images
+    source = ImageSource(scene / view.rgb, reconstruction.lenses[view.name], reconstruction.viewmats[view.name])
+    visible = None if reconstruction.visible is None else reconstruction.visible.get(view.name)
+    return RigPair(view.name, posed_image(source, decode_rgb, None), partial(_load, scene / view.thermal), visible)
+
+
+def _load(path: Path) -> Pixels:
+    decoded = decode(path)
+    return Pixels(decoded.values[..., :1].contiguous(), decoded.valid)
+
+
+def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
+    """What the user knows of the thermal camera, in scene units.
+
+    Raises:
+        SceneError: the camera's file does not fit the thermal images, or its offset cannot be used without metres.
+    """
+    lens = motion = None
+    if (file := options.thermal_camera) is not None:
+        given = read_thermal_camera(file)
+        lens, motion = given.lens, given.thermal_from_rgb if metric else None
+        if lens is None and motion is None:
+            raise scene_error(
+                file, "its offset is in metres, and these photos have no scale; add --known-distance, or its lens"
+            )
+        info = probe(image)
+        if lens is not None and (lens.width, lens.height) != (info.width, info.height):
+            raise scene_error(
+                file,
+                f"is for images of {lens.width}×{lens.height} px, but {image.name} has {info.width}×{info.height} px; "
+                "give the camera that took these photos",
+            )
+    return RigOptions(
+        thermal_lens=lens,
+        thermal_from_rgb=motion,
+        field_of_view_deg=options.thermal_fov_deg,
+        target=options.target,
+        metres_per_unit=1.0 if metric else None,
+    )
+
+
+def with_scale_of_target(place: Georeference, rig: RigCalibration | None) -> tuple[Georeference, RigCalibration | None]:
+    """The same in metres, where a target told their length and nothing else did."""
+    metres = None if rig is None or rig.target is None else rig.target.metres_per_unit
+    if rig is None or metres is None or place.metric:
+        return place, rig
+    place = replace(
+        place,
+        scale=metres * place.scale,
+        translation=metres * place.translation,
+        metric=True,
+        text=f"The scale is that of the target's squares. {place.text.removeprefix('The scale is arbitrary. ')}",
+    )
+    views = tuple(replace(view, correction=_longer(view.correction, metres)) for view in rig.views)
+    return place, replace(rig, thermal_from_rgb=_longer(rig.thermal_from_rgb, metres), views=views)
+
+
+def _longer(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:
+    """A rigid motion in a world that is so many times larger."""
+    motion = motion.clone()
+    motion[:3, 3] *= factor
+    return motion

@@ -1,0 +1,99 @@
+"""A scene on disk, looked over."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare.check import Problem, check_scene
+from mrgs.prepare.check.problems import worst_first
+
+
+def texts(check) -> str:
+    return " | ".join(f"{problem.severity}: {problem.text}" for problem in check.problems)
+
+
+def test_a_usable_scene_is_described_and_drawn(make_scene):
+    folder = make_scene()
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    steps: list[tuple[str, int, int]] = []
+    check = check_scene(folder, lambda *step: steps.append(step))
+    assert check.usable
+    assert "6 views to train on, 2 held out." in check.lines
+    assert "8 thermal images, 40×30 px." in check.lines
+    assert "Temperatures from 10 to 30 °C." in check.lines
+    assert "warning: There are only 6 views to train on" in texts(check)
+    assert check.page == folder / "check.html"
+    page = check.page.read_text(encoding="utf-8")
+    for words in ("Scene check: scene", "only 6 views", "40×30 px", "frame_eval_00002", "From above", "mean that the"):
+        assert words in page
+    assert steps[-1] == ("reading images", 8, 8)
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def test_the_file_may_be_named_too(make_scene):
+    folder = make_scene(rgb=False)
+    assert check_scene(folder / "transforms.json").page == folder / "check.html"
+
+
+def test_what_the_reader_refuses_is_an_error_on_a_page(make_scene):
+    folder = make_scene()
+    (folder / "transforms.json").write_text('{"frames": [<script>]}')
+    check = check_scene(folder)
+    assert not check.usable
+    assert "transforms.json: is not valid JSON" in texts(check)
+    assert "1 error: the scene will not train" in check.page.read_text(encoding="utf-8")
+
+
+def test_what_the_reader_mends_is_a_warning(make_scene):
+    folder = make_scene()
+    bounds = {"absolute_min_temperature": 30.0, "absolute_max_temperature": 10.0}
+    (folder / "temperature_bounds.json").write_text(json.dumps(bounds))
+    assert "warning: temperature_bounds.json has its bounds swapped" in texts(check_scene(folder))
+
+
+def test_an_image_that_is_cut_off_is_an_error_and_the_page_shows_the_others(make_scene):
+    folder = make_scene()
+    image = folder / "images" / "frame_train_00003.png"
+    image.write_bytes(image.read_bytes()[:-200])
+    check = check_scene(folder)
+    assert not check.usable
+    assert check.problems[0].severity == "error"
+    assert "frame_train_00003.png: cannot be decoded" in check.problems[0].text
+    assert "frame_train_00003" in check.page.read_text(encoding="utf-8")
+
+
+def test_file_names_are_no_markup(make_scene):
+    folder = make_scene()
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"]:
+        for key in ("file_path", "thermal_file_path"):
+            path = folder / frame[key]
+            hostile = path.with_name(path.name.replace("frame", "<b onclick=alert(1)>&amp;'"))
+            path.rename(hostile)
+            frame[key] = hostile.relative_to(folder).as_posix()
+    (folder / "transforms.json").write_text(json.dumps(content))
+    page = check_scene(folder).page.read_text(encoding="utf-8")
+    assert "&lt;b onclick=alert(1)&gt;" in page
+    assert "<b onclick" not in page
+
+
+@pytest.mark.parametrize("name", ["nowhere", "notes.txt"])
+def test_what_is_no_folder_is_told(tmp_path, name):
+    (tmp_path / "notes.txt").write_text("no scene")
+    with pytest.raises(SceneError, match=f"{name}: is not a folder; give the folder that holds the scene"):
+        check_scene(tmp_path / name)
+
+
+def test_a_folder_that_cannot_be_written_is_told(make_scene):
+    folder = make_scene()
+    (folder / "check.html").mkdir()
+    with pytest.raises(RunError, match=r"check\.html cannot be written"):
+        check_scene(folder)
+
+
+def test_the_worst_comes_first():
+    problems = [Problem("note", "a"), Problem("error", "b"), Problem("warning", "c"), Problem("error", "d")]
+    assert [problem.text for problem in worst_first(problems)] == ["b", "d", "c", "a"]

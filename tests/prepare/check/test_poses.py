@@ -1,0 +1,166 @@
+"""Every problem of cameras and points is found where it was made, and not in the bundled scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mrgs.data import load_scene
+from mrgs.prepare.check.poses import NO_POINTS, pose_problems
+from mrgs.scene import Camera, PointCloud, View
+
+FLIP = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
+
+
+def with_cameras(view: View, change) -> View:
+    """Both cameras changed alike."""
+    return View(
+        view.name,
+        replace(view.rgb, camera=change(view.rgb.camera)),
+        replace(view.thermal, camera=change(view.thermal.camera)),
+    )
+
+
+def moved(camera: Camera, matrix: torch.Tensor) -> Camera:
+    return replace(camera, viewmat=matrix)
+
+
+def at(camera: Camera, position: torch.Tensor) -> Camera:
+    viewmat = camera.viewmat.clone()
+    viewmat[:3, 3] = -viewmat[:3, :3] @ position
+    return moved(camera, viewmat)
+
+
+def zoomed(camera: Camera, change) -> Camera:
+    K = camera.K.clone()
+    change(K)
+    return replace(camera, K=K)
+
+
+def test_the_bundled_scene_has_no_problems(tabletop):
+    assert tabletop.problems() == []
+
+
+@pytest.mark.parametrize(
+    ("read", "words", "remedy"),
+    [
+        (lambda viewmat: FLIP @ viewmat, "camera axes as in OpenCV", "second and the third column of each"),
+        (
+            lambda viewmat: FLIP @ torch.linalg.inv(viewmat),
+            "world-to-camera matrices with OpenCV axes",
+            "Invert each transform_matrix, then negate",
+        ),
+        (
+            lambda viewmat: FLIP @ torch.linalg.inv(FLIP @ viewmat),
+            "world-to-camera matrices with OpenGL axes",
+            "Invert each transform_matrix: it must be camera to world.",
+        ),
+    ],
+)
+def test_a_mixed_up_convention_is_named(tabletop, read, words, remedy):
+    """``read`` gives the view matrix that the reader makes of a file which holds ``words``, from the right one."""
+    broken = tabletop.posed(lambda view: with_cameras(view, lambda camera: moved(camera, read(camera.viewmat))))
+    problem = pose_problems(broken.scene)[0]
+    assert problem.severity == "error"
+    assert words in problem.text
+    assert remedy in problem.remedy
+
+
+def test_points_of_another_world_are_told(tabletop):
+    points = tabletop.scene.points
+    far = replace(tabletop.scene, points=PointCloud(points.positions + 1000, points.colors))
+    (problem,) = pose_problems(far)
+    assert problem.severity == "error"
+    assert "do not look at the points" in problem.text
+    assert "one world" in problem.remedy
+
+
+def test_a_camera_that_looks_away_is_named(tabletop):
+    turned = tabletop.posed(lambda view: with_cameras(view, lambda c: moved(c, FLIP @ c.viewmat)), every=100, first=5)
+    (problem,) = pose_problems(turned.scene)
+    assert f"({tabletop.scene.train[5].name})" in problem.text
+    assert "looks away" in problem.text
+
+
+def test_points_outside_all_views_are_told(tabletop):
+    points = tabletop.scene.points
+    positions = points.positions.clone()
+    positions[::3, 2] += 50
+    (problem,) = pose_problems(replace(tabletop.scene, points=PointCloud(positions, points.colors)))
+    assert "33% of the points lie outside all views" in problem.text
+
+
+@pytest.mark.parametrize("factor", [1e-5, 1e6])
+def test_a_scale_that_is_wildly_off_is_told(tabletop, factor):
+    points = PointCloud(tabletop.scene.points.positions * factor, tabletop.scene.points.colors)
+    scaled = tabletop.posed(lambda view: with_cameras(view, lambda c: at(c, c.position * factor)))
+    (problem,) = pose_problems(replace(scaled.scene, points=points))
+    assert problem.severity == "error"
+    assert "the scale is wildly off" in problem.text
+
+
+def test_a_scene_in_map_coordinates_is_told(tabletop):
+    offset = torch.tensor([690_000.0, 5_330_000.0, 0], dtype=torch.float64)
+    far = tabletop.posed(lambda view: with_cameras(view, lambda c: at(c, c.position + offset)))
+    points = PointCloud(tabletop.scene.points.positions + offset.float(), tabletop.scene.points.colors)
+    texts = [problem.text for problem in pose_problems(replace(far.scene, points=points))]
+    assert any("units from the origin" in text for text in texts)
+
+
+def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
+    scene = tabletop.scene
+    again = replace(scene.train[3], name="again")
+    (problem,) = pose_problems(replace(scene, train=(*scene.train, again)))
+    assert f"1 pair of views has nearly the same pose ({scene.train[3].name} and again)" in problem.text
+    assert "held out" not in problem.text
+    (problem,) = pose_problems(replace(scene, eval=(*scene.eval, again)))
+    assert "Of 1 of them one is held out" in problem.text
+
+
+def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
+    def turn(view: View) -> View:
+        camera = moved(view.thermal.camera, FLIP @ view.thermal.camera.viewmat)
+        return replace(view, thermal=replace(view.thermal, camera=camera))
+
+    (problem,) = pose_problems(tabletop.posed(turn, every=10).scene)
+    assert problem.severity == "error"
+    assert "3 views" in problem.text
+    assert "thermal_transform_matrix" in problem.remedy
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda K: K[0].mul_(20), "a field of view of"),
+        (lambda K: K[0, :1].mul_(0.1), "a field of view of"),
+        (lambda K: K[0, 2:].mul_(1.7), "at 85% of its width and 50% of its height"),
+        (lambda K: K[1, 1:2].mul_(3), "pixels 0.33 times as high as wide"),
+    ],
+)
+def test_intrinsics_that_no_camera_has_are_told(tabletop, change, words):
+    odd = tabletop.posed(lambda view: with_cameras(view, lambda camera: zoomed(camera, change)), every=12)
+    texts = [problem.text for problem in pose_problems(odd.scene)]
+    for kind in ("RGB", "thermal"):
+        assert any(f"The {kind} intrinsics of 3 views" in text and words in text for text in texts), texts
+
+
+@pytest.mark.parametrize(("count", "severity"), [(2, "error"), (8, "warning")])
+def test_few_views_are_told(tabletop, count, severity):
+    problem = pose_problems(replace(tabletop.scene, train=tabletop.scene.train[:count]))[0]
+    assert problem.severity == severity
+    assert f"{count} views to train on" in problem.text
+
+
+def test_a_scene_without_held_out_views_is_told(tabletop):
+    (problem,) = pose_problems(replace(tabletop.scene, eval=()))
+    assert "No view is held out" in problem.text
+
+
+def test_a_scene_without_points_is_told(make_scene):
+    folder = make_scene()
+    (folder / "sparse_pc.ply").unlink()
+    scene = load_scene(folder)
+    assert any(note.startswith(NO_POINTS) for note in scene.notes)
+    assert any("no points of its own" in problem.text for problem in pose_problems(scene))

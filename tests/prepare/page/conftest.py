@@ -1,0 +1,76 @@
+"""A prepared scene of six views of the bundled table-top; the last has no pose."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import torch
+
+from mrgs.data.nerfstudio import read_transforms
+from mrgs.data.radiometric import ExifFacts
+from mrgs.prepare.contract import DevelopedView, Development, Georeference, LeftOut, Reconstruction, StageReport
+from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
+from mrgs.prepare.scene_files import write_scene
+from mrgs.scene import PointCloud
+
+TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
+HOSTILE = "<img src=x onerror=alert(1)>&'\""
+"""A name that would be markup if it were not escaped; the last view's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What ``write_page`` takes."""
+
+    scene: Path
+    stages: list[StageReport]
+    development: Development
+    reconstruction: Reconstruction
+    rig: RigCalibration
+    georeference: Georeference
+
+
+@pytest.fixture(scope="session")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    """Only to be read."""
+    scene = tmp_path_factory.mktemp("prepared") / "table & chairs"
+    capture = read_transforms(TABLETOP, TABLETOP / "transforms.json")
+    shots = capture.shots[::8]
+    views = []
+    for folder in ("images", "thermal"):
+        (scene / folder).mkdir(parents=True)
+    for index, shot in enumerate(shots):
+        stem = f"view {index}"
+        files = []
+        for source, folder in ((shot.rgb, "images"), (shot.thermal, "thermal")):
+            files.append(f"{folder}/{stem}{source.path.suffix}")
+            shutil.copy(source.path, scene / files[-1])
+        notes = ("Emissivity 0.95, as the file says.",)
+        name = HOSTILE if index == len(shots) - 1 else stem
+        views.append(DevelopedView(name, *files, ExifFacts(), "FLIR E60", (-0.5, 82.5), notes))
+    names = [view.name for view in views[:-1]]
+    points = PointCloud(capture.points.positions[::4], capture.points.colors[::4])
+    reconstruction = Reconstruction(
+        {name: shot.rgb.viewmat for name, shot in zip(names, shots, strict=False)},
+        dict.fromkeys(names, shots[0].rgb.lens),
+        points, None, (LeftOut(HOSTILE, "too few features <b>match</b>"),), 0.61, "Structure from motion.",
+    )  # fmt: skip
+    offset = torch.eye(4, dtype=torch.float64)
+    offset[0, 3] = -0.031
+    still = torch.eye(4, dtype=torch.float64)
+    rig = RigCalibration(
+        shots[0].thermal.lens, offset, tuple(RigView(name, still, 80, 0.5, 0.4) for name in names),
+        (0.6, 1.4), 0.4, 0.2, (), TargetFit(4, 0, (0.31, 0.7), None),
+    )  # fmt: skip
+    georeference = Georeference(1.0, still[:3, :3], torch.zeros(3).double(), True, True, None, 0.4, "By GPS.")
+    development = Development(tuple(views), (LeftOut("IMG_7.jpg", "is cut off"),))
+    stages = [
+        StageReport("pairs", ("6 pairs.",), ("One photo was taken a day later.",), 0.2),
+        StageReport("poses", ("5 of 6 images have a pose.",), (), 312.0),
+        StageReport("thermal camera", ("55.0° wide.",), (), 4.0, True),
+    ]
+    write_scene(scene, development, reconstruction, rig, georeference, eval_every=8, bounds=None)
+    return Prepared(scene, stages, development, reconstruction, rig, georeference)

@@ -1,0 +1,169 @@
+"""Overlays, drawings, charts and sizes."""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.data.lens import Lens
+from mrgs.prepare.page.cameras import lens_text
+from mrgs.prepare.page.charts import histogram, span_chart, span_of
+from mrgs.prepare.page.markup import views_text
+from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_on_rgb
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs_section, thumbnail_width
+from mrgs.prepare.page.shots import Shot
+from mrgs.prepare.page.world import orbit_facts, plans, round_length, world_of
+from mrgs.scene import Camera, PointCloud
+
+
+def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:
+    """Looks along z from (x, 0, 0)."""
+    K = torch.tensor([[60.0, 0, width / 2], [0, 60, height / 2], [0, 0, 1]], dtype=torch.float64)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 3] = -x
+    return Camera(K, viewmat, width, height)
+
+
+def wall(depth: float) -> PointCloud:
+    """Points of a plane across the axis."""
+    x, y = torch.meshgrid(torch.linspace(-3, 3, 25), torch.linspace(-3, 3, 25), indexing="ij")
+    positions = torch.stack([x, y, torch.full_like(x, depth)], dim=-1).reshape(-1, 3)
+    return PointCloud(positions, torch.rand(positions.shape, generator=torch.Generator().manual_seed(0)))
+
+
+def shot_of(thermal: np.ndarray, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Shot:
+    rgb = np.full((48, 64, 3), 90, dtype=np.uint8)
+    return Shot("view", "training", True, rgb, rgb_camera, thermal.astype(np.float32), thermal_camera)
+
+
+def test_the_thermal_image_lands_where_the_photo_shows_the_same_thing():
+    """Thermal camera 0.5 to the right, wall at 5: what the photo has at column c, it has at c - 6."""
+    columns = np.tile(np.arange(64.0), (48, 1))
+    overlay = thermal_on_rgb(shot_of(columns, camera(), camera(0.5)), wall(5.0))
+    np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
+    assert np.isnan(overlay[:, :6]).all()
+
+
+def test_an_overlay_needs_both_poses():
+    thermal = np.zeros((48, 64))
+    assert thermal_on_rgb(shot_of(thermal, camera(), None), wall(5.0)) is None
+    assert thermal_on_rgb(shot_of(thermal, None, camera()), wall(5.0)) is None
+
+
+def test_few_points_give_their_median_depth():
+    columns = np.tile(np.arange(64.0), (48, 1))
+    few = PointCloud(wall(5.0).positions[300:303], wall(5.0).colors[300:303])
+    overlay = thermal_on_rgb(shot_of(columns, camera(), camera(0.5)), few)
+    np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
+
+
+def test_edges_are_drawn_where_the_temperature_jumps_and_not_where_the_image_ends():
+    values = np.full((40, 60), 20.0, dtype=np.float32)
+    values[:, 30:] = 40.0
+    values[:, :10] = np.nan
+    layer = edge_layer(values)
+    opacity = np.asarray(layer.convert("RGBA"))
+    assert (opacity[:, 28:32, 3] > 200).any(axis=1).all()
+    assert opacity[:, 40:, 3].max() == opacity[:, :25, 3].max() == 0
+    assert tuple(opacity[20, 20, :3]) == EDGE_COLOR
+
+
+def test_a_flat_image_has_no_edges():
+    assert np.asarray(edge_layer(np.full((20, 30), 7.0, dtype=np.float32)).convert("RGBA"))[..., 3].max() == 0
+
+
+def test_points_of_the_orbit_view_come_back_from_their_integers():
+    world = world_of({"a": camera(), "b": camera(1.0)}, frozenset({"b"}), wall(5.0), True, False)
+    facts = orbit_facts(world)
+    quantised = np.frombuffer(base64.b64decode(facts["points"]), dtype="<u2").reshape(-1, 3)
+    np.testing.assert_allclose(quantised * facts["step"] + facts["low"], world.points, atol=facts["step"])
+    assert [(item["name"], item["heldOut"]) for item in facts["cameras"]] == [("a", False), ("b", True)]
+    np.testing.assert_allclose(facts["up"], [0, -1, 0], atol=1e-6)  # the images' upper edges
+    np.testing.assert_allclose(facts["cameras"][1]["position"], [1, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("metric", "words"), [(True, "1 m"), (False, "1 unit, scale not known")])
+def test_drawings_have_a_scale(metric, words):
+    world = world_of({"<a>": camera(), "b": camera(1.0)}, frozenset(), wall(5.0), metric, False)
+    (above, drawing), (side, _) = plans(world)
+    assert (above, side) == ("From above", "From the side")
+    assert f">{words}<" in drawing
+    assert "<title>&lt;a&gt;</title>" in drawing
+
+
+def test_a_drawing_from_above_has_north_up():
+    """A camera that looks east stands left of what it sees."""
+    looking_east = torch.eye(4, dtype=torch.float64)
+    looking_east[:3, :3] = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    east = Camera(camera().K, looking_east, 64, 48)
+    far = PointCloud(torch.tensor([[4.0, 0, 0], [4.0, 1, 0]]), torch.ones(2, 3))
+    (caption, drawing), _ = plans(world_of({"a": east}, frozenset(), far, True, True))
+    assert caption == "From above, north is up"
+    dots = [tuple(map(int, dot)) for dot in re.findall(r"M(\d+) (\d+)h0", drawing)]
+    apex = tuple(map(float, re.search(r'd="M([\d.]+) ([\d.]+)l', drawing).groups()))
+    assert all(x > apex[0] for x, _ in dots)
+    assert dots[1][1] < dots[0][1]  # the second point lies farther north
+
+
+@pytest.mark.parametrize(("most", "length"), [(1.0, 1), (4.9, 2), (0.0999, 0.05), (730, 500)])
+def test_scale_bars_have_round_lengths(most, length):
+    assert round_length(most) == pytest.approx(length)
+
+
+def test_a_camera_alone_can_be_drawn():
+    empty = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
+    world = world_of({"a": camera()}, frozenset(), empty, False, False)
+    assert len(plans(world)) == 2
+    assert math.isfinite(orbit_facts(world)["radius"])
+
+
+def test_spans_are_those_of_the_valid_pixels():
+    values = np.array([[np.nan, 10.0], [20.0, 30.0]])
+    span = span_of("a", values)
+    assert (span.lowest, span.median, span.highest) == (10, 20, 30)
+    assert span_of("a", np.full((2, 2), np.nan)) is None
+
+
+def test_charts_have_axes_with_units_and_escaped_names():
+    spans = [span_of(name, np.array([[15.0, 22.0], [30.0, 41.0]])) for name in ("<x>", "b")]
+    chart = span_chart(spans, 10.0, 50.0, "°C")
+    assert "50 °C" in chart
+    assert "&lt;x&gt;: 15.0 to 41.0 °C" in chart
+    assert "<x>" not in chart
+    bars = histogram(np.array([0.0, 3.0, 6.0]), 10.0, 40.0, "°C")
+    assert bars.count("<rect") == 2
+    assert "40 °C" in bars
+
+
+def test_a_lens_is_told_with_its_field_of_view():
+    assert lens_text(Lens(320, 240, 160.0, 120.0, 160.0, 120.0)) == (
+        "320 × 240 px, 90.0° × 90.0°, focal length 160.0 × 120.0 px, centre 160.0, 120.0 px, no distortion"
+    )
+    assert lens_text(Lens(4, 4, 2.0, 2.0, 2.0, 2.0, (-0.1, 0, 0, 0), (0, 0.02))).endswith("distortion k1 -0.1, p2 0.02")
+    assert lens_text(Lens(4, 4, 2.0, 2.0, 2.0, 2.0, fisheye=True)).endswith("fisheye distortion")
+
+
+def test_many_names_are_counted():
+    assert views_text(["a"]) == "1 view (a)"
+    assert views_text(list("abcdefg")) == "7 views (a, b, c, d, e and 2 more)"
+
+
+def test_a_hundred_pairs_stay_under_six_megabytes():
+    """Coarse noise under fine noise: more detail than photos have at this size."""
+    rng = np.random.default_rng(0)
+    width = thumbnail_width(100)
+    shots, overlays = [], {}
+    for index in range(10):
+        coarse = np.kron(rng.uniform(30, 220, (18, 24, 3)), np.ones((10, 10, 1)))
+        rgb = np.clip(coarse + rng.normal(0, 12, coarse.shape), 0, 255).astype(np.uint8)
+        thermal = np.kron(rng.uniform(10, 40, (9, 12)), np.ones((20, 20))) + rng.normal(0, 0.1, (180, 240))
+        shots.append(Shot(f"v{index}", "training", True, rgb, None, thermal.astype(np.float32), None))
+        overlays[f"v{index}"] = thermal.astype(np.float32)
+    assert rgb.shape[1] == width
+    assert 10 * len(pairs_section(shots, overlays, "°C", 10)) < 6e6
+    assert MOST_SHOWN <= 120

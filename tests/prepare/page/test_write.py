@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from mrgs.errors import RunError
+from mrgs.prepare.contract import LeftOut
+from mrgs.prepare.page import write_page
+
+LEFT_OUT = [LeftOut("notes <script>alert(1)</script>.txt", "is no photo")]
+
+
+class Page(HTMLParser):
+    """The page's words, tags and attributes."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.source = path.read_text(encoding="utf-8")
+        self.words: list[str] = []
+        self.tags: list[str] = []
+        self.sources: list[str] = []
+        self.handlers: list[str] = []
+        self.feed(self.source)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attributes if name in ("src", "href") and value]
+        self.handlers += [name for name, _ in attributes if name.startswith("on") or name == "style"]
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def page(prepared) -> Page:
+    p = prepared
+    path = write_page(p.scene, p.stages, p.development, p.reconstruction, p.rig, p.georeference, left_out=LEFT_OUT)
+    assert path == p.scene / "prepare.html"
+    return Page(path)
+
+
+def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
+    for words in (
+        "5 of 6 views are in the scene: 4 to train on, 1 held out", "mrgs train '", "table & chairs'",
+        "1 thing to look at first:", "One photo was taken a day later.",
+        "pairs", "6 pairs.", "5 min 12 s", "from before",
+        "From above, north is up", "0.5 m",
+        "view 0", "held out", "view 1", "training", "not in the scene: too few features",
+        "6 with °C", "FLIR E60 (6 photos)", "-1 to 83 °C", "Emissivity 0.95, as the file says. (6 photos)",
+        "RGB lens, 5 views", "320 × 240 px, 55.0° × 42.7°", "3.1 cm: the thermal camera is 3.1 right",
+        "0.60 px (median), 1.40 px", "in 4 pairs; 0.31 px", "By GPS.", "0.40 m (median)",
+        "Set the scale by a known distance", "The scene is in metres already.",
+        "IMG_7.jpg", "is cut off", "is no photo",
+    ):  # fmt: skip
+        assert words in page.text, words
+
+
+def test_everything_is_in_the_file(page):
+    assert "default-src 'none'" in page.source
+    assert all(source.startswith("data:image/") for source in page.sources)
+    assert page.handlers == []
+    assert page.tags.count("script") == 2
+
+
+def test_text_from_files_is_no_markup(page):
+    assert "<b>match</b>" in page.text
+    assert "alert(1)" in page.text
+    assert "b" not in page.tags
+    assert "onerror=alert(1)>" not in page.source.replace("&gt;", "")
+    assert "</script>alert" not in page.source
+
+
+def test_each_view_is_shown_with_its_thermal_image_on_its_photo(page):
+    assert page.source.count('class="card"') == 5
+    assert page.source.count('class="card failed"') == 1
+    assert page.source.count('class="warped"') == page.source.count('class="edges"') == 5
+
+
+def test_a_set_without_poses_is_shown_too(prepared, tmp_path):
+    for folder in ("images", "thermal"):
+        (tmp_path / folder).symlink_to(prepared.scene / folder)
+    (stage, *_), development = prepared.stages, prepared.development
+    page = Page(write_page(tmp_path, [stage], development, None, None, None))
+    assert "There is no scene yet; the stages below say why." in page.text
+    assert "mrgs train" not in page.text
+    assert page.source.count('class="card failed"') == 6
+    assert "6 with °C" in page.text
+
+
+def test_an_image_that_has_gone_is_told_beside_its_view(prepared, tmp_path):
+    (tmp_path / "images").symlink_to(prepared.scene / "images")
+    development = replace(prepared.development, views=prepared.development.views[:1])
+    assert "cannot be decoded" in Page(write_page(tmp_path, [], development, None, None, None)).text
+
+
+def test_a_page_that_cannot_be_written_is_told(prepared, tmp_path):
+    (tmp_path / "prepare.html").mkdir()
+    development = replace(prepared.development, views=())
+    with pytest.raises(RunError, match=r"prepare\.html cannot be written"):
+        write_page(tmp_path, [], development, None, None, None)

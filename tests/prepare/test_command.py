@@ -1,0 +1,161 @@
+"""``mrgs prepare`` as its user sees it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mrgs import terminal
+from mrgs.cli import main
+from mrgs.data.radiometric import Overrides
+from mrgs.errors import SceneError
+from mrgs.prepare import KnownDistance, LeftOut, Preparation, PrepareOptions, SceneCheck, StageReport
+from mrgs.prepare.check import Problem
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list:
+    """What ``prepare`` is called with; it reports two stages, and leaves files out."""
+    calls: list = []
+
+    def prepare(photos, scene, options, progress, report) -> Preparation:
+        calls.append((photos, scene, options))
+        progress("pairs: reading", 1, 4)
+        stages = (
+            StageReport("pairs", ("4 pairs. By names.", "25 files left out."), (), 0.25),
+            StageReport("thermal camera", ("57.0° wide.",), ("The camera moved.",), 0.0, True),
+        )
+        for stage in stages:
+            report(stage)
+        left_out = tuple(LeftOut(f"{number}.txt", "is no photo") for number in range(25))
+        return Preparation(scene, scene / "prepare.html", stages, left_out)
+
+    monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
+    return calls
+
+
+def run(*arguments: object) -> int:
+    return main(["prepare", *(str(argument) for argument in arguments)])
+
+
+def test_stages_are_said_and_what_to_do_next(asked, capsys):
+    assert run("photos", "my scene") == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        "pairs:           4 pairs. By names. (0.2 s)",
+        "                 25 files left out.",
+        "thermal camera:  57.0° wide. (as before)",
+        "scene:     my scene",
+        "look here: my scene/prepare.html",
+        "train it:  mrgs train 'my scene'",
+    ]
+    notes = printed.err.splitlines()
+    assert notes[0] == "mrgs: note: thermal camera: The camera moved."
+    assert notes[1] == "mrgs: note: left out: 0.txt: is no photo"
+    assert notes[-1] == "mrgs: note: left out: 5 more; my scene/prepare.html lists all"
+    assert len(notes) == 22
+    assert asked == [(Path("photos"), Path("my scene"), PrepareOptions())]
+
+
+def test_every_option_arrives(asked):
+    line = """--pairs names --tolerance 3 --poses poses --emissivity 0.9 --reflected -5 --distance 10 --atmospheric 4
+    --humidity 0.4 --window 21 --window-transmission 0.8 --unit kelvin*100 --thermal-fov 57 --thermal-camera camera.json
+    --known-distance a:1,2 a:3,4 0.5 --eval-every 5"""
+    assert run("photos", "scene", *line.split()) == 0
+    assert asked[0][2] == PrepareOptions(
+        overrides=Overrides(0.9, 10.0, -5.0, 4.0, 0.4, 21.0, 0.8, "kelvin*100"),
+        pairs="names",
+        tolerance_s=3.0,
+        poses=Path("poses"),
+        thermal_fov_deg=57.0,
+        thermal_camera=Path("camera.json"),
+        known_distance=KnownDistance("a", (1.0, 2.0), (3.0, 4.0), 0.5),
+        eval_every=5,
+    )
+    assert run("photos", "scene", "--pair-table", "pairs.csv", "--bounds", -10, 40, "--target", "7x6", 0.05) == 0
+    options = asked[1][2]
+    assert (options.pair_table, options.overrides.bounds_c) == (Path("pairs.csv"), (-10.0, 40.0))
+    assert (options.target.inner, options.target.square_m) == ((7, 6), 0.05)
+    assert run("photos", "scene", "--one-camera") == 0
+    assert asked[2][2].one_camera
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("photos",), "name two folders, the photos' and the scene's: mrgs prepare PHOTOS SCENE"),
+        (("--check", "photos", "scene"), "--check takes one folder, the scene's: mrgs prepare --check SCENE"),
+        (("photos", "scene", "--emissivity", 2), r"emissivity = 2 is not between 0\.01 and 1"),
+        (("photos", "scene", "--target", "7", 0.05), "--target 7: write the inner corners"),
+        (("photos", "scene", "--eval-every", 1), "cannot be held out; give 2 or more, or 0 for none"),
+    ],
+)
+def test_a_bad_option_is_one_line(arguments, message, asked, capsys):
+    assert run(*arguments) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.match(f"mrgs: error: .*{message}", error), error
+    assert asked == []
+
+
+def test_a_missing_folder_is_one_line_and_nothing_is_made(tmp_path, capsys):
+    assert run(tmp_path / "nowhere", tmp_path / "scene") == 2
+    assert re.fullmatch(r"mrgs: error: .*nowhere: is not a folder; give the folder.*\n", capsys.readouterr().err)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_found_before_an_error_is_said(monkeypatch, capsys):
+    def prepare(photos, scene, options, progress, report):
+        report(StageReport("pairs", ("4 pairs.",), ("The clocks differ.",), 0.1))
+        raise SceneError("fewer than 3 views have a pose")
+
+    monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
+    assert run("photos", "scene") == 2
+    printed = capsys.readouterr()
+    assert printed.out == "pairs:           4 pairs. (0.1 s)\n"
+    assert printed.err.splitlines() == [
+        "mrgs: note: pairs: The clocks differ.",
+        "mrgs: error: fewer than 3 views have a pose",
+    ]
+
+
+def test_ctrl_c_says_that_the_same_command_goes_on(monkeypatch, capsys):
+    def prepare(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
+    assert run("photos", "scene") == 130
+    printed = capsys.readouterr()
+    assert printed.out == "what was found is kept; the same command goes on\n"
+    assert printed.err == "mrgs: stopped\n"
+
+
+def test_on_a_terminal_one_line_follows_the_step(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    clock = iter(range(100))
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(clock)))
+    with terminal.PrepareProgress() as progress:
+        progress.step("poses: matching", 3, 7)
+        progress.step("poses", 0, 0)
+        progress.stage(StageReport("poses", ("4 of 4.",), (), 61.0))
+    out = capsys.readouterr().out
+    assert "\rposes: matching 3/7 | 0:00\033[K" in out
+    assert "\rposes | 0:00\033[K\r\033[Kposes:           4 of 4. (61.0 s)\n" in out
+
+
+@pytest.mark.parametrize(("severity", "code"), [("warning", 0), ("error", 1)])
+def test_check_lists_what_is_wrong_and_tells_by_its_exit_code(severity, code, monkeypatch, capsys):
+    def check_scene(scene, progress) -> SceneCheck:
+        progress("looking at images", 1, 8)
+        problems = (Problem(severity, "Half of the points lie behind the cameras.", "Turn the poses."),)
+        return SceneCheck(problems, ("8 views.",), scene / "check.html")
+
+    monkeypatch.setattr("mrgs.prepare.check.check_scene", check_scene)
+    assert run("--check", "scene") == code
+    assert capsys.readouterr().out.splitlines() == [
+        "8 views.",
+        f"{severity}: Half of the points lie behind the cameras. Turn the poses.",
+        "look here: scene/check.html",
+    ]

@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.data import load_scene
+from mrgs.errors import SceneError
+from mrgs.prepare.existing import existing_poses
+
+
+def photos(folder: Path, names: list[str], size: tuple[int, int] = (40, 30)) -> dict[str, Path]:
+    folder.mkdir(exist_ok=True)
+    images = {}
+    for name in names:
+        images[name] = folder / f"{name}.png"
+        Image.fromarray(np.zeros((size[1], size[0], 3), dtype=np.uint8)).save(images[name])
+    return images
+
+
+def write_colmap(folder: Path, names: list[str], points: bool = True) -> None:
+    folder.mkdir(parents=True)
+    (folder / "cameras.txt").write_text("1 SIMPLE_RADIAL 40 30 35 20 15 0.01\n")
+    lines = [f"{index + 1} 1 0 0 0 {0.1 * index} 0 3 1 {name}\n\n" for index, name in enumerate(names)]
+    (folder / "images.txt").write_text("".join(lines))
+    if points:
+        (folder / "points3D.txt").write_text("1 0.5 -0.25 0.125 255 0 51 0.5 1 0 2 3\n")
+
+
+def test_transforms(small_scene, tmp_path):
+    scene = load_scene(small_scene)
+    truth = {view.name: view.rgb.camera.viewmat for view in scene.train}
+    found = existing_poses(small_scene, photos(tmp_path / "photos", [*truth, "another"]))
+    assert found.viewmats.keys() == truth.keys()
+    for name, viewmat in found.viewmats.items():
+        assert viewmat.numpy() == pytest.approx(truth[name].numpy())
+    assert len(found.points.positions) == 25
+    assert found.visible is None
+    assert found.source == f"The poses of {len(truth)} of {len(truth) + 1} photos are those of transforms.json."
+    assert [(left.name, left.reason) for left in found.failed] == [
+        ("another", "transforms.json has no pose of this name")
+    ]
+    by_file = existing_poses(small_scene / "transforms.json", photos(tmp_path / "photos", list(truth)))
+    assert by_file.viewmats.keys() == truth.keys()
+
+
+@pytest.mark.parametrize("folder", ["sparse/0", "."])
+def test_colmap(tmp_path, folder):
+    write_colmap(tmp_path / "model" / folder, ["rgb/a.jpg", "rgb/b.jpg", "rgb/c.JPG", "rgb/d.jpg"])
+    found = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
+    assert list(found.viewmats) == ["a", "b", "c"]
+    assert found.viewmats["c"][0, 3] == pytest.approx(0.2)
+    assert found.lenses["a"].fx == 35
+    assert found.points.colors.tolist() == [pytest.approx([1, 0, 0.2])]
+    assert found.warnings == ()
+
+
+def test_views_whose_name_is_not_that_of_their_file(tmp_path):
+    write_colmap(tmp_path / "model", ["IMG_1.jpg", "IMG_2.jpg", "IMG_3.jpg"])
+    files = photos(tmp_path / "photos", ["IMG_1", "IMG_2", "IMG_3"])
+    found = existing_poses(tmp_path / "model", {f"view_{name}": path for name, path in files.items()})
+    assert list(found.viewmats) == ["view_IMG_1", "view_IMG_2", "view_IMG_3"]
+
+
+def test_larger_photos_scale_the_lens(tmp_path):
+    write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"])
+    lens = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"], (80, 60))).lenses["a"]
+    assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (80, 60, 70, 70, 40, 30)
+    assert lens.radial[0] == 0.01
+
+
+def test_without_points(tmp_path):
+    write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"], points=False)
+    found = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
+    assert found.points.positions.shape == (0, 3)
+    assert found.warnings == (
+        "images.txt has no points: the thermal camera cannot be found from the photos without them.",
+    )
+
+
+def test_cropped_photos(tmp_path):
+    write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"])
+    images = photos(tmp_path / "photos", ["a", "b", "c"], (40, 20))
+    with pytest.raises(SceneError) as error:
+        existing_poses(tmp_path / "model", images)
+    assert str(error.value) == (
+        f"{images['a']} is 40×20 px, but its pose is for 40×30 px; give the photos as they were when the poses were "
+        "made, not cropped"
+    )
+
+
+def test_other_names(tmp_path):
+    write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
+    with pytest.raises(SceneError) as error:
+        existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "x", "y"]))
+    assert str(error.value) == (
+        f"{tmp_path / 'model'}: 1 of 3 photos have a pose of their name there, and 3 are needed; the names there are "
+        "like a, b, c: give the poses of these photos"
+    )
+
+
+def test_names_that_stand_for_two_images(tmp_path):
+    write_colmap(tmp_path / "model", ["one/a.jpg", "two/a.jpg", "c.jpg", "d.jpg"])
+    with pytest.raises(SceneError, match="has several poses named a; give each photo a name of its own in it"):
+        existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "c", "d"]))
+
+
+def test_a_folder_without_poses(tmp_path):
+    with pytest.raises(SceneError, match=r"holds no poses; looked for transforms.json, sparse/0/cameras.bin or .txt, "):
+        existing_poses(tmp_path, {})
+    with pytest.raises(SceneError, match="missing: is not a folder; give the one with the poses"):
+        existing_poses(tmp_path / "missing", {})
+
+
+def test_a_damaged_file_is_named(small_scene, tmp_path):
+    shutil.copytree(small_scene, tmp_path / "scene")
+    content = json.loads((tmp_path / "scene" / "transforms.json").read_text())
+    content["frames"][3]["transform_matrix"][0][0] = None
+    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(SceneError, match=r"transforms.json: transform_matrix of frame 3 .* not a number"):
+        existing_poses(tmp_path / "scene", {})

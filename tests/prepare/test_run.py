@@ -1,0 +1,323 @@
+"""The whole way from photos to a scene; only what takes long, or needs sharper images, is replaced."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+import torch
+from filelock import FileLock
+from PIL import Image
+
+from mrgs.data import load_scene
+from mrgs.data.lens import Lens
+from mrgs.data.radiometric import Overrides
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare import PrepareOptions, pipeline, prepare, thermal_camera
+from mrgs.prepare import run as run_module
+from mrgs.prepare.contract import LeftOut, Reconstruction
+from mrgs.prepare.develop import develop
+from mrgs.prepare.existing import existing_poses
+from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.rig import ChessboardTarget, RigCalibration, RigView, TargetFit
+from mrgs.prepare.stages import stamps
+
+STAGES = ["pairs", "photos", "poses", "scale and north", "thermal camera", "scene", "page"]
+BOUNDS = Overrides(bounds_c=(10.0, 30.0))
+
+
+@pytest.fixture
+def photos(small_scene: Path, tmp_path: Path) -> Path:
+    """Eight pairs in folders of their own, under other names, and a file that is no photo."""
+    folder = tmp_path / "photos"
+    for own, name in (("images", "rgb"), ("thermal", "thermal")):
+        (folder / name).mkdir(parents=True)
+        for index, image in enumerate(sorted((small_scene / own).iterdir())):
+            shutil.copy2(image, folder / name / f"shot_{index:02d}.png")
+    (folder / "notes.txt").write_text("windy")
+    return folder
+
+
+@dataclass
+class Fakes:
+    """Stand-ins for structure from motion and the calibration, and how often they were called."""
+
+    poses: Path
+    calls: list[str] = field(default_factory=list)
+    failed: tuple[LeftOut, ...] = ()
+    fails: str = ""
+
+    def reconstruct(self, images, cameras, work, progress, *, stretch=False) -> Reconstruction:
+        assert cameras.keys() == images.keys()
+        self.calls.append("thermal poses" if stretch else "poses")
+        progress("matching", 1, 2)
+        return replace(existing_poses(self.poses, images), images="thermal" if stretch else "rgb")
+
+    def calibrate(self, pairs, points, options, progress) -> RigCalibration:
+        self.calls.append("thermal camera")
+        if self.fails == "thermal camera":
+            raise KeyboardInterrupt
+        pose = torch.eye(4, dtype=torch.float64)
+        views = tuple(RigView(pair.name, pose, 5, 0.1, 0.2) for pair in pairs)
+        pose = pose.clone()
+        pose[0, 3] = -0.03
+        return RigCalibration(Lens(40, 30, 41.0, 41.0, 20.0, 15.0), pose, views, (0.1, 0.2), 0.3, 0.1, ())
+
+
+def short_page(scene: Path, stages, *arguments, **options) -> Path:
+    """A page that holds what the stages said."""
+    text = "\n".join(line for stage in stages for line in stage.lines)
+    (scene / "prepare.html").write_text(text, encoding="utf-8")
+    return scene / "prepare.html"
+
+
+@pytest.fixture
+def posed(photos: Path, small_scene: Path, tmp_path: Path) -> Path:
+    """The scene that the photos were copied from, with their names."""
+    renamed = tmp_path / "posed"
+    text = (small_scene / "transforms.json").read_text()
+    for own in ("images", "thermal"):
+        (renamed / own).mkdir(parents=True)
+        for index, image in enumerate(sorted((small_scene / own).iterdir())):
+            shutil.copy2(image, renamed / own / f"shot_{index:02d}.png")
+            text = text.replace(image.name, f"shot_{index:02d}.png")
+    (renamed / "transforms.json").write_text(text)
+    shutil.copy2(small_scene / "sparse_pc.ply", renamed)
+    return renamed
+
+
+@pytest.fixture
+def fakes(posed: Path, monkeypatch: pytest.MonkeyPatch) -> Fakes:
+    """Poses as they are known, a thermal camera that is not looked for, and a short page."""
+    found = Fakes(posed)
+    for module in (pipeline, run_module):
+        monkeypatch.setattr(module, "write_page", short_page)
+    monkeypatch.setattr(pipeline, "reconstruct", found.reconstruct)
+    monkeypatch.setattr(thermal_camera, "calibrate_rig", found.calibrate)
+    return found
+
+
+def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
+    before, reports = stamps(photos), []
+    options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True, eval_every=4)
+    made = prepare(photos, tmp_path / "scene", options, report=reports.append)
+    assert [report.title for report in reports] == STAGES
+    assert made.stages == tuple(reports)
+    assert made.page == tmp_path / "scene" / "prepare.html"
+    assert "shot_03" in made.page.read_text(encoding="utf-8")
+    assert [item.name for item in made.left_out] == ["notes.txt"]
+    assert stamps(photos) == before
+    scene, truth = load_scene(tmp_path / "scene"), load_scene(posed)
+    assert ([view.name for view in scene.eval], len(scene.train)) == (["shot_00", "shot_04"], 6)
+    assert (scene.temperature.min_c, scene.temperature.max_c) == (10.0, 30.0)
+    true = {view.name: view for view in (*truth.train, *truth.eval)}
+    for view in (*scene.train, *scene.eval):
+        assert view.shares_camera
+        assert torch.equal(view.rgb.load().values, true[view.name].rgb.load().values)
+        # The same pictures through the same lenses; the world may have been turned upright.
+        assert torch.allclose(view.rgb.camera.K, true[view.name].rgb.camera.K)
+        assert torch.allclose(view.thermal.load().values, true[view.name].thermal.load().values, atol=1e-6)
+
+
+def test_the_thermal_camera_comes_into_the_scene(photos, fakes, tmp_path):
+    prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
+    assert fakes.calls == ["poses", "thermal camera"]
+    view = load_scene(tmp_path / "scene").train[0]
+    between = view.thermal.camera.viewmat @ torch.linalg.inv(view.rgb.camera.viewmat)
+    assert torch.allclose(between[:3, 3], torch.tensor([-0.03, 0.0, 0.0], dtype=torch.float64), atol=1e-9)
+    assert view.thermal.camera.K[0, 0] == 41.0
+
+
+def touch(path: Path) -> None:
+    os.utime(path, ns=(1, 2))
+
+
+def repaint(path: Path) -> None:
+    with Image.open(path) as image:
+        image.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(path)
+
+
+CHANGES: dict[str, tuple[Callable[[Path, Path], object], PrepareOptions, list[str]]] = {
+    "nothing": (lambda photos, scene: None, PrepareOptions(), []),
+    "other file": (lambda photos, scene: touch(photos / "notes.txt"), PrepareOptions(), ["pairs"]),
+    "same photo, copied again": (
+        lambda photos, scene: touch(photos / "rgb" / "shot_02.png"), PrepareOptions(), ["pairs", "photos", "scene"],
+    ),
+    "other photo": (lambda photos, scene: repaint(photos / "rgb" / "shot_02.png"), PrepareOptions(),
+                    ["pairs", "photos", "poses", "thermal camera", "scene", "page"]),
+    "other temperatures": (
+        lambda photos, scene: None, PrepareOptions(overrides=BOUNDS), ["photos", "thermal camera", "scene", "page"],
+    ),
+    "split": (lambda photos, scene: None, PrepareOptions(eval_every=3), ["scene", "page"]),
+    "field of view": (lambda photos, scene: None, PrepareOptions(thermal_fov_deg=50), ["thermal camera"]),
+    "one camera": (
+        lambda photos, scene: None, PrepareOptions(one_camera=True), ["thermal camera", "scene", "page"],
+    ),
+    "image removed": (
+        lambda photos, scene: (scene / "thermal" / "shot_01.png").unlink(), PrepareOptions(), ["photos", "scene"],
+    ),
+    "scene removed": (lambda photos, scene: (scene / "transforms.json").unlink(), PrepareOptions(), ["scene"]),
+    "page removed": (lambda photos, scene: (scene / "prepare.html").unlink(), PrepareOptions(), ["page"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "options", "expected"), CHANGES.values(), ids=CHANGES)
+def test_only_what_follows_from_a_change_is_done_again(change, options, expected, photos, fakes, tmp_path):
+    scene = tmp_path / "scene"
+    prepare(photos, scene)
+    change(photos, scene)
+    made = prepare(photos, scene, options)
+    assert [report.title for report in made.stages] == STAGES
+    assert [report.title for report in made.stages if not report.reused] == expected
+    assert load_scene(scene).train
+
+
+def test_after_ctrl_c_the_same_call_goes_on(photos, fakes, tmp_path):
+    fakes.fails = "thermal camera"
+    with pytest.raises(KeyboardInterrupt):
+        prepare(photos, tmp_path / "scene")
+    assert not (tmp_path / "scene" / "transforms.json").exists()
+    fakes.fails = ""
+    made = prepare(photos, tmp_path / "scene")
+    assert [report.title for report in made.stages if report.reused] == STAGES[:4]
+    assert fakes.calls == ["poses", "thermal camera", "thermal camera"]
+
+
+def test_a_scene_whose_images_have_changed_is_no_scene_until_it_is_whole(photos, fakes, tmp_path):
+    prepare(photos, tmp_path / "scene")
+    fakes.fails = "thermal camera"
+    with pytest.raises(KeyboardInterrupt):
+        prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
+    with pytest.raises(SceneError, match="no scene found"):
+        load_scene(tmp_path / "scene")
+
+
+def test_thermal_photos_alone_are_posed_by_themselves(photos, fakes, tmp_path):
+    shutil.rmtree(photos / "rgb")
+    made = prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
+    assert fakes.calls == ["thermal poses"]
+    scene = load_scene(tmp_path / "scene")
+    assert not scene.has_rgb
+    assert scene.has_thermal
+    assert made.stages[4].lines == ("There are thermal images alone.",)
+
+
+def test_progress_names_the_stage_and_the_step(photos, fakes, tmp_path):
+    steps = []
+    prepare(photos, tmp_path / "scene", progress=lambda *step: steps.append(step))
+    assert ("poses: matching", 1, 2) in steps
+    assert {step.partition(":")[0] for step, _, _ in steps} == set(STAGES)
+
+
+def test_what_was_left_out_is_told(photos, fakes, tmp_path):
+    (photos / "rgb" / "shot_03.png").write_bytes(b"torn")
+    made = prepare(photos, tmp_path / "scene")
+    assert {item.name for item in made.left_out} >= {"notes.txt", "rgb/shot_03.png"}
+    assert not any("shot_03" in path.name for path in (tmp_path / "scene" / "images").iterdir())
+
+
+BAD_FOLDERS: dict[str, tuple[Callable[[Path], tuple[Path, Path]], type[Exception], str]] = {
+    "no photos": (lambda root: (root / "nowhere", root / "scene"), SceneError,
+                  "nowhere: is not a folder; give the folder that holds the photos"),
+    "scene in photos": (lambda root: (root / "photos", root / "photos" / "scene"), RunError,
+                        "scene and the photos lie in one another: choose a folder beside the photos"),
+    "photos in scene": (lambda root: (root / "photos", root), RunError, "lie in one another"),
+    "something else": (lambda root: (root / "photos", root / "posed"), RunError,
+                       "posed holds something that `mrgs prepare` did not make: choose a new folder"),
+    "a file": (lambda root: (root / "photos", root / "photos.txt"), RunError, r"photos\.txt.* cannot be written"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("folders", "kind", "message"), BAD_FOLDERS.values(), ids=BAD_FOLDERS)
+def test_a_folder_that_cannot_be_used_is_named_and_left_alone(folders, kind, message, photos, fakes, tmp_path):
+    (tmp_path / "photos.txt").write_text("mine")
+    before = stamps(tmp_path)
+    with pytest.raises(kind, match=message):
+        prepare(*folders(tmp_path))
+    assert stamps(tmp_path) == before
+
+
+def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path, monkeypatch):
+    def fails(*arguments):
+        raise SceneError("the thermal camera cannot be placed: noise")
+
+    prepare(photos, tmp_path / "scene")
+    with monkeypatch.context() as patch:
+        patch.setattr(thermal_camera, "calibrate_rig", fails)
+        with pytest.raises(SceneError, match=r"placed: noise; .*prepare\.html shows what was understood"):
+            prepare(photos, tmp_path / "scene", PrepareOptions(thermal_fov_deg=50))
+    shown = (tmp_path / "scene" / "prepare.html").read_text(encoding="utf-8")
+    assert "The poses of 8 of 8 photos are those of transforms.json." in shown
+    assert shown.endswith("the thermal camera cannot be placed: noise")
+    made = prepare(photos, tmp_path / "scene")
+    assert [report.title for report in made.stages if not report.reused] == ["page"]
+    assert "cannot be placed" not in made.page.read_text(encoding="utf-8")
+
+
+def test_a_target_gives_metres(photos, fakes, tmp_path, monkeypatch):
+    def calibrate(*arguments) -> RigCalibration:
+        return replace(fakes.calibrate(*arguments), target=TargetFit(5, 5, (0.1, 0.2), 2.0))
+
+    before = load_scene(prepare(photos, tmp_path / "scene").scene)
+    monkeypatch.setattr(thermal_camera, "calibrate_rig", calibrate)
+    made = prepare(photos, tmp_path / "scene", PrepareOptions(target=ChessboardTarget((7, 6), 0.05)))
+    assert made.stages[4].lines[-1] == "The target gives the scale: the scene is in metres."
+    after = load_scene(made.scene)
+    for old, new in zip(before.train, after.train, strict=True):
+        assert torch.allclose(2 * old.rgb.camera.position, new.rgb.camera.position, atol=1e-9)
+        assert torch.allclose(2 * old.thermal.camera.position, new.thermal.camera.position, atol=1e-9)
+        assert torch.allclose(old.rgb.camera.viewmat[:3, :3], new.rgb.camera.viewmat[:3, :3])
+    assert torch.allclose(2 * before.points.positions, after.points.positions, atol=1e-5)
+    camera = thermal_camera.read_thermal_camera(made.scene / "transforms.json")  # for other scenes of this camera
+    assert camera.lens.fx == 41.0
+    assert camera.thermal_from_rgb[0, 3] == pytest.approx(-0.06)
+
+
+def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, tmp_path):
+    names = {path.stem: f"DJI_{path.stem[-2:]}" for path in sorted((photos / "rgb").iterdir())}
+    for name, new in names.items():
+        (photos / "rgb" / f"{name}.png").rename(photos / "rgb" / f"{new}_W.png")
+        (photos / "thermal" / f"{name}.png").rename(photos / "thermal" / f"{new}_T.png")
+        (posed / "images" / f"{name}.png").rename(posed / "images" / f"{new}_W.png")
+        (posed / "thermal" / f"{name}.png").rename(posed / "thermal" / f"{new}_T.png")
+    text = (posed / "transforms.json").read_text()
+    for name, new in names.items():
+        text = text.replace(f"images/{name}.png", f"images/{new}_W.png").replace(
+            f"thermal/{name}.png", f"thermal/{new}_T.png"
+        )
+    (posed / "transforms.json").write_text(text)
+    pairing = find_pairs(photos)
+    assert [pair.name for pair in pairing.pairs] == list(names.values())
+    development = develop(pairing, tmp_path / "scene", BOUNDS, lambda *step: None)
+    stage = pipeline.poses(
+        pairing,
+        development,
+        pipeline.contents(tmp_path / "scene", development),
+        tmp_path / "scene",
+        PrepareOptions(poses=posed),
+    )
+    found = stage.make(lambda *step: None)
+    assert list(found.viewmats) == list(found.lenses) == list(names.values())
+    assert found.failed == ()
+
+
+def test_two_at_once_are_refused(photos, fakes, tmp_path):
+    (tmp_path / "scene" / "prepare").mkdir(parents=True)
+    with FileLock(tmp_path / "scene" / "prepare" / ".lock"), pytest.raises(RunError, match="by another run: wait"):
+        prepare(photos, tmp_path / "scene")
+
+
+def test_a_full_disk_is_told_and_the_rest_is_kept(photos, fakes, tmp_path, monkeypatch):
+    def full(*arguments, **options):
+        raise RunError("transforms.json cannot be written (No space left on device): free the place or choose another")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline, "write_scene", full)
+        with pytest.raises(RunError, match="No space left"):
+            prepare(photos, tmp_path / "scene")
+    made = prepare(photos, tmp_path / "scene")
+    assert [report.title for report in made.stages if not report.reused] == ["scene", "page"]

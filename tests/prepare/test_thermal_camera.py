@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.data.lens import Lens
+from mrgs.data.radiometric import ExifFacts
+from mrgs.errors import SceneError
+from mrgs.prepare import PrepareOptions, thermal_camera
+from mrgs.prepare.contract import DevelopedView, Development, Reconstruction
+from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
+from mrgs.scene import PointCloud
+
+LENS = {"camera_model": "OPENCV", "w": 32, "h": 24, "fl_x": 40.0, "cx": 16.0, "cy": 12.0, "k1": -0.3, "k2": 0.1}
+MOTION = [[0.0, -1.0, 0.0, 0.03], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a camera file of these keys."""
+
+    def written(**content: object) -> Path:
+        (tmp_path / "camera.json").write_text(json.dumps(content))
+        return tmp_path / "camera.json"
+
+    return written
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list:
+    """What the calibration is called with, instead of calibrating."""
+    calls: list = []
+    monkeypatch.setattr(thermal_camera, "calibrate_rig", lambda *arguments: calls.append(arguments))
+    return calls
+
+
+@pytest.fixture
+def calibrate(tmp_path: Path) -> Callable[..., object]:
+    """Calls the stage on two views, one of them without a pose."""
+    for folder, size in (("images", (40, 30)), ("thermal", (32, 24))):
+        (tmp_path / folder).mkdir()
+        for name in "ab":
+            Image.fromarray(np.full(size[::-1], 100, np.uint8)).save(tmp_path / folder / f"{name}.png")
+    views = tuple(DevelopedView(name, f"images/{name}.png", f"thermal/{name}.png", ExifFacts()) for name in "ab")
+    found = Reconstruction(
+        {"b": torch.eye(4, dtype=torch.float64)},
+        {"b": Lens(40, 30, 40.0, 40.0, 20.0, 15.0)},
+        PointCloud(torch.zeros(3, 3), torch.zeros(3, 3)),
+        {"b": torch.arange(2)},
+        (),
+        None,
+        "test",
+    )
+
+    def called(metric: bool = True, **options: object) -> object:
+        development = Development(views, ())
+        return calibrate_thermal_camera(
+            tmp_path, development, found, metric, PrepareOptions(**options), lambda step, done, total: None
+        )
+
+    return called
+
+
+def test_views_with_poses_are_calibrated(calibrate, asked):
+    calibrate(thermal_fov_deg=50.0)
+    ((pairs, points, options, _),) = asked
+    assert [(pair.name, pair.visible.tolist()) for pair in pairs] == [("b", [0, 1])]
+    assert pairs[0].rgb.load().values.shape == (30, 40, 3)
+    assert pairs[0].load_thermal().values.shape == (24, 32, 1)
+    assert len(points.positions) == 3
+    assert (options.field_of_view_deg, options.thermal_lens, options.thermal_from_rgb) == (50.0, None, None)
+
+
+def test_one_camera_needs_no_calibration(calibrate, asked):
+    assert calibrate(one_camera=True) is None
+    assert asked == []
+
+
+def test_a_file_is_taken_as_it_is(calibrate, asked, write):
+    calibrate(thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
+    options = asked[0][2]
+    assert options.thermal_lens == Lens(32, 24, 40.0, 40.0, 16.0, 12.0, (-0.3, 0.1, 0.0, 0.0))
+    assert options.thermal_from_rgb.tolist() == MOTION
+
+
+def test_without_metres_the_lens_alone_is_taken(calibrate, asked, write):
+    calibrate(False, thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
+    assert asked[0][2].thermal_lens is not None
+    assert asked[0][2].thermal_from_rgb is None
+    with pytest.raises(SceneError, match="offset is in metres, and these photos have no scale; add --known-distance"):
+        calibrate(False, thermal_camera=write(thermal_from_rgb_m=MOTION))
+
+
+def test_a_camera_of_other_images_is_told(calibrate, asked, write):
+    file = write(thermal_camera={**LENS, "w": 64, "h": 48})
+    with pytest.raises(
+        SceneError, match=r"is for images of 64×48 px, but b\.png has 32×24 px; give the camera that took"
+    ):
+        calibrate(thermal_camera=file)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"frames": []}, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them"),
+        ({"thermal_camera": 5}, "thermal_camera is 5, not an object; correct it"),
+        ({"thermal_camera": {**LENS, "fl_x": None}}, "fl_x of thermal_camera is None, not a number"),
+        ({"thermal_camera": {**LENS, "fl_x": -4}}, "the focal length of thermal_camera is -4"),
+        ({"thermal_camera": {**LENS, "w": None}}, "w of thermal_camera is None, not a number"),
+        ({"thermal_camera": {**LENS, "p1": 0.01}}, "distorted by more than k1 and k2; calibrate it with these alone"),
+        ({"thermal_camera": {**LENS, "camera_model": "OPENCV_FISHEYE"}}, "distorted by more than k1 and k2"),
+        ({"thermal_from_rgb_m": [[1, 0], [0, 1]]}, "thermal_from_rgb_m is .*, not a 3×4 or 4×4 matrix"),
+        ({"thermal_from_rgb_m": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, "is not a rotation and a translation"),
+    ],
+)
+def test_a_bad_file_is_named(content, message, write):
+    with pytest.raises(SceneError, match=rf"camera\.json: .*{message}"):
+        read_thermal_camera(write(**content))
