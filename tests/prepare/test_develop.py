@@ -137,10 +137,9 @@ def test_photos_without_temperatures_still_train(made, scene):
     (view,) = found.views
     assert (view.thermal, view.range_c) == ("thermal/a.png", None)
     np.testing.assert_array_equal(pixels(scene / view.thermal), pixels(scene.parent / "card/thermal/a.png"))
-    assert found.warnings == (
-        "The thermal photos hold no temperatures: the scene shows relative values, not °C. If they are grey with a "
-        "fixed span, give the °C of black and white with --bounds.",
-    )
+    assert found.warnings == ()
+    (warning,) = view.warnings
+    assert "relative values from 0 to 1 are used, and °C cannot be had from it without --bounds" in warning
 
 
 def test_bounds_make_temperatures_of_grey(made, scene):

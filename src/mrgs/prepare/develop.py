@@ -330,11 +330,6 @@ def _text(size: tuple[int, int] | None) -> str:
 def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
     """What is to be said about the whole set."""
     found = []
-    if all(record.view.range_c is None for record in records):
-        found.append(
-            "The thermal photos hold no temperatures: the scene shows relative values, not °C. If they are grey with a "
-            "fixed span, give the °C of black and white with --bounds."
-        )
     for name in PARAMETER_LIMITS:
         values = {round(record.parameters[name], 4) for record in records if record.parameters is not None}
         if len(values) > 1:

@@ -9,6 +9,9 @@ from mrgs.prepare.contract import Development, Georeference, Pairing, Reconstruc
 from mrgs.prepare.rig import RigCalibration
 from mrgs.prepare.stages import Told
 
+SCALE_TOLERANCE = 0.03
+"""Two sources of the scene's scale may differ by this share."""
+
 
 def tell_pairs(pairing: Pairing) -> Told:
     """How many pairs there are, and how they were found."""
@@ -70,7 +73,18 @@ def tell_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -
         lines.append(f"The target is in {pairs}; {residual_px:.2f} px residual.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
-    return Told(tuple(lines), rig.warnings)
+    return Told(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
+
+
+def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:
+    """Whether the target's squares contradict the metre that the scene has from elsewhere."""
+    told = None if rig.target is None else rig.target.metres_per_unit
+    if not metric or told is None or abs(told - 1) <= SCALE_TOLERANCE:
+        return ()
+    return (
+        f"The target's squares say that the scene is {told:.2f} times as large as GPS or the known distance says: "
+        "check the side of a square, and the distance.",
+    )
 
 
 def _about(text: str, names: Sequence[str]) -> str:
