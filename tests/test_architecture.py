@@ -13,6 +13,7 @@ FILES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.rgl
 FLOORS = {
     "errors": 0.0,
     "atomic": 0.5,
+    "isolation": 0.5,
     "jit": 0.5,
     "scene": 1.0,
     "data": 2.0,

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,26 @@ def test_the_request_holds_the_job(make_jobs, tmp_path):
     assert (request["scene"], request["folder"]) == (str(job.scene), str(job.folder))
     assert "max_steps: 3" in request["config"]
     assert request["lpips_weights"] is None
+
+
+def test_the_request_holds_absolute_paths(make_jobs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (job,) = make_jobs("say(**request); say(end='scored')")
+    job = replace(job, scene=Path("scene"), folder=Path("seed_0"))
+    heard: list[dict] = []
+    run_jobs([job], 1, Path("lpips.safetensors"), lambda job, message: heard.append(message), lambda: None)
+    paths = [heard[1][key] for key in ("scene", "folder", "lpips_weights")]
+    assert paths == [str(tmp_path / name) for name in ("scene", "seed_0", "lpips.safetensors")]
+
+
+def test_a_poisoned_current_folder_is_not_imported_from(tmp_path, monkeypatch):
+    """The real child, which fails for want of a scene: all that it imports before comes from elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("json", "mrgs", "numpy", "torch"):
+        (tmp_path / f"{name}.py").write_text("raise RuntimeError('poisoned')")
+    job = Job(Path("missing"), "missing", "mrgs", 0, make_config("mrgs", "fast", max_steps=3), Path("seed_0"))
+    (reason,) = do([job])[0].values()
+    assert reason.startswith(str(tmp_path / "missing"))
 
 
 def test_cores_are_divided(make_jobs):

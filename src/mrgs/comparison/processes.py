@@ -19,6 +19,7 @@ from typing import Any
 
 from mrgs.comparison.methods import to_text
 from mrgs.comparison.plan import Job
+from mrgs.isolation import CHILD_FOLDER, child_environment
 
 CHILD = ("-m", "mrgs.comparison.child")
 TICK_S = 1.0
@@ -90,10 +91,10 @@ def _start(
     job: Job, threads: int, lpips_weights: Path | None, inbox: queue.Queue[tuple[_Child, Message | None]]
 ) -> _Child:
     request = {
-        "scene": str(job.scene),
-        "folder": str(job.folder),
+        "scene": str(job.scene.absolute()),  # the child runs in another folder
+        "folder": str(job.folder.absolute()),
         "config": to_text(job.config),
-        "lpips_weights": None if lpips_weights is None else str(lpips_weights),
+        "lpips_weights": None if lpips_weights is None else str(lpips_weights.absolute()),
     }
     # Threads that spin while they wait would starve those of the other processes.
     limits = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
@@ -107,7 +108,8 @@ def _start(
             stderr=file,
             text=True,
             encoding="utf-8",
-            env={**os.environ, **limits},
+            env=child_environment(**limits),
+            cwd=CHILD_FOLDER,
             start_new_session=True,  # Ctrl-C is for this process alone
         )
     child = _Child(job, process, errors)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.errors import SceneError
+from mrgs.errors import RunError, SceneError
 from mrgs.prepare.colmap.job import read_job
 from mrgs.prepare.sfm.job import set_up
 
@@ -43,7 +43,7 @@ def test_what_was_made_of_the_same_images_stays(photos, tmp_path):
     assert (folder / "database.db").exists()
 
 
-@pytest.mark.parametrize("change", ["content", "camera", "order", "stretch", "cut off"])
+@pytest.mark.parametrize("change", ["content", "camera", "order", "stretch", "cut off", "damaged"])
 def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
     folder, cameras = tmp_path / "sfm", dict.fromkeys(photos, "a")
     set_up(folder, photos, cameras, False, silent)
@@ -57,6 +57,8 @@ def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
         photos = dict(reversed(photos.items()))
     if change == "cut off":
         (folder / "job.json").unlink()
+    if change == "damaged":
+        (folder / "job.json").write_bytes(b"\xff\xfe")
     set_up(folder, photos, cameras, change == "stretch", silent)
     assert not (folder / "database.db").exists()
     assert len(json.loads((folder / "job.json").read_text())["images"]) == 3
@@ -83,5 +85,5 @@ def test_photos_of_one_camera_are_of_one_size(photos, tmp_path):
 
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(SceneError, match=r"file/sfm cannot be written \(.+\); free the place or choose another"):
+    with pytest.raises(RunError, match=r"file/sfm cannot be written \(.+\); free the place or choose another"):
         set_up(tmp_path / "file" / "sfm", photos, dict.fromkeys(photos, "a"), False, silent)

@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+from pathlib import Path
 
 import pytest
 
-from mrgs.errors import ConfigError, SceneError
+from mrgs.errors import ConfigError, RunError, SceneError
 from mrgs.prepare.sfm import process
 from mrgs.prepare.sfm.process import run_colmap
 
@@ -70,6 +71,27 @@ time.sleep(600)
         run_colmap(tmp_path, interrupt)
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def test_a_poisoned_current_folder_is_not_imported_from(monkeypatch, tmp_path):
+    """The real child, which fails for want of a job: all that it imports before comes from elsewhere."""
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.4")
+    monkeypatch.chdir(tmp_path)
+    for name in ("json", "mrgs", "numpy", "pycolmap"):
+        (tmp_path / f"{name}.py").write_text("raise RuntimeError('from the photos')")
+    (tmp_path / "sfm").mkdir()
+    with pytest.raises(SceneError, match=r"job\.json") as error:
+        run_colmap(Path("sfm"), silent)
+    assert "from the photos" not in str(error.value) + (tmp_path / "sfm" / "log.txt").read_text()
+
+
+def test_a_folder_that_cannot_be_written(child, tmp_path):
+    (tmp_path / "log.txt").mkdir()
+    with pytest.raises(RunError) as error:
+        run_colmap(tmp_path, silent)
+    assert str(error.value) == (
+        f"{tmp_path / 'log.txt'} cannot be written (Is a directory); free the place or choose another"
+    )
 
 
 def test_without_pycolmap(monkeypatch, tmp_path):

@@ -74,4 +74,4 @@ def test_two_photos_are_too_few(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
     with pytest.raises(SceneError) as error:
         reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
-    assert str(error.value) == "there are 2 photos, and 3 are needed at least; take more, all around"
+    assert str(error.value) == "poses need 3 photos at least, and 2 can be used; take more, all around"

@@ -12,7 +12,7 @@ from PIL import Image
 
 from mrgs.atomic import replacing
 from mrgs.data.images import probe
-from mrgs.errors import SceneError
+from mrgs.errors import RunError, SceneError
 from mrgs.prepare.colmap.job import IMAGE_FOLDER, JOB_FILE
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.stretch import span_of, stretched
@@ -34,11 +34,11 @@ def set_up(
         RunError: the folder cannot be written.
     """
     _check_sizes(images, cameras)
-    content = json.dumps(_job(images, cameras, stretch), indent=1)
+    content = json.dumps(_job(images, cameras, stretch), indent=1).encode()
     file = folder / JOB_FILE
-    if file.is_file() and file.read_text(encoding="utf-8") == content:
-        return
     try:
+        if file.is_file() and file.read_bytes() == content:
+            return
         shutil.rmtree(folder, ignore_errors=True)
         (folder / IMAGE_FOLDER).mkdir(parents=True)
         span = span_of(images.values()) if stretch else None
@@ -50,9 +50,9 @@ def set_up(
                 Image.fromarray(stretched(source, span)).save(target)
                 progress("contrast", number, len(images))
         with replacing(file) as temporary:  # last: it says that the rest is there
-            temporary.write_text(content, encoding="utf-8")
+            temporary.write_bytes(content)
     except OSError as error:
-        raise SceneError(f"{folder} cannot be written ({error.strerror}); free the place or choose another") from None
+        raise RunError(f"{folder} cannot be written ({error.strerror}); free the place or choose another") from None
 
 
 def _job(images: Mapping[str, Path], cameras: Mapping[str, str], stretch: bool) -> dict[str, object]:

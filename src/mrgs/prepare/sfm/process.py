@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
-from mrgs.errors import ConfigError, SceneError
+from mrgs.errors import ConfigError, RunError, SceneError
+from mrgs.isolation import CHILD_FOLDER, child_environment
 from mrgs.prepare.contract import Progress
 
 CHILD = ("-m", "mrgs.prepare.colmap")
@@ -28,12 +28,13 @@ def run_colmap(folder: Path, progress: Progress) -> None:
     Raises:
         ConfigError: pycolmap is not installed, or too old.
         SceneError: it failed, crashed, or was killed.
+        RunError: the folder cannot be written.
     """
     _check_installed()
     log = folder / LOG_FILE
-    with log.open("w", encoding="utf-8") as errors:
+    with _opened(log) as errors:
         process = subprocess.Popen(
-            [sys.executable, *CHILD, str(folder)],
+            [sys.executable, *CHILD, str(folder.resolve())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -41,7 +42,8 @@ def run_colmap(folder: Path, progress: Progress) -> None:
             encoding="utf-8",
             errors="replace",
             # Threads that spin while they wait would starve those that work.
-            env={**os.environ, "OMP_WAIT_POLICY": "PASSIVE"},
+            env=child_environment(OMP_WAIT_POLICY="PASSIVE"),
+            cwd=CHILD_FOLDER,
             start_new_session=True,  # Ctrl-C is for this process alone
         )
     try:
@@ -65,6 +67,13 @@ def _check_installed() -> None:
         raise ConfigError(f"finding the poses needs pycolmap: {install}, or give poses that you have") from None
     if int(version.partition(".")[0]) < LEAST_VERSION:
         raise ConfigError(f"pycolmap {version} is too old: {install}")
+
+
+def _opened(log: Path) -> TextIO:
+    try:
+        return log.open("w", encoding="utf-8")
+    except OSError as error:
+        raise RunError(f"{log} cannot be written ({error.strerror}); free the place or choose another") from None
 
 
 def _listen(process: subprocess.Popen[str], progress: Progress) -> dict[str, Any]:

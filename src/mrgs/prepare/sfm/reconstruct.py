@@ -37,7 +37,9 @@ def reconstruct(
         RunError: the folder cannot be written.
     """
     if len(images) < MIN_VIEWS:
-        raise SceneError(f"there are {len(images)} photos, and {MIN_VIEWS} are needed at least; take more, all around")
+        raise SceneError(
+            f"poses need {MIN_VIEWS} photos at least, and {len(images)} can be used; take more, all around"
+        )
     folder = work / "sfm"
     set_up(folder, images, cameras, stretch, progress)
     run_colmap(folder, progress)

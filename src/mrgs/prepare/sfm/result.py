@@ -11,9 +11,8 @@ import numpy as np
 import torch
 
 from mrgs.data.colmap_model import ColmapModel, read_images
-from mrgs.errors import SceneError
 from mrgs.prepare.colmap.job import JOB_FILE, MODEL_FOLDER, POINTS_FILE, REPORT_FILE
-from mrgs.prepare.contract import LeftOut, Reconstruction
+from mrgs.prepare.contract import LeftOut, Reconstruction, TooFewPosesError
 from mrgs.scene import PointCloud
 
 MIN_VIEWS = 3
@@ -31,7 +30,7 @@ def read_result(folder: Path, images: Literal["rgb", "thermal"]) -> Reconstructi
         images: what the images show.
 
     Raises:
-        SceneError: fewer than ``MIN_VIEWS`` images have a pose.
+        TooFewPosesError: fewer than ``MIN_VIEWS`` images have a pose.
     """
     listed = _read(folder / JOB_FILE)["images"]
     names = {image["file"]: image["name"] for image in listed}
@@ -39,7 +38,7 @@ def read_result(folder: Path, images: Literal["rgb", "thermal"]) -> Reconstructi
     report = _read(model / REPORT_FILE)
     failed = _failed(names, report)
     if len(names) - len(failed) < MIN_VIEWS:
-        raise SceneError(_too_few(len(names), failed))
+        raise TooFewPosesError(_too_few(len(names), failed), failed)
     registered = read_images(ColmapModel(model, ".bin"))
     with np.load(model / POINTS_FILE) as arrays:
         positions, colors, seen = arrays["positions"], arrays["colors"], arrays["seen"]
