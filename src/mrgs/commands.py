@@ -182,8 +182,8 @@ class Prepare:
     """The folder to make."""
     check: bool = False
     """Check a scene instead of making one."""
-    pairs: Literal["auto", "names", "folders", "time"] = "auto"
-    """How the two photos of a moment are told: by their names, by two folders, or by their time."""
+    pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
+    """How the two photos of a moment are told: by names, two folders, time; or the thermal photos alone."""
     pair_table: Path | None = None
     """A CSV with two columns, the RGB and the thermal photo, where the names do not tell."""
     tolerance: float = 2.0

@@ -19,7 +19,7 @@ class PrepareOptions:
 
     Attributes:
         overrides: what is known better than the thermal photos say.
-        pairs: how the photos of one moment are told.
+        pairs: how the photos of one moment are told; ``thermal`` leaves the RGB photos out.
         pair_table: a CSV with the pairs; None for none.
         tolerance_s: photos farther apart in time are no pair, seconds.
         poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None to find their poses.
@@ -35,7 +35,7 @@ class PrepareOptions:
     """
 
     overrides: Overrides = field(default_factory=Overrides)
-    pairs: Literal["auto", "names", "folders", "time"] = "auto"
+    pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
     pair_table: Path | None = None
     tolerance_s: float = 2.0
     poses: Path | None = None

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import os
 import random
+import sys
 import tempfile
+import unicodedata
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -132,6 +134,17 @@ def test_photos_beside_are_better_than_photos_inside(photos):
     assert not found.pairs[0].embedded
 
 
+@pytest.mark.parametrize(("beside", "embedded"), [(9, False), (8, True)])
+def test_a_missing_photo_beside_does_not_make_those_inside_better(photos, beside, embedded):
+    content = {f"IR_{2 * i:04d}.jpg": "flir with visible" for i in range(10)}
+    root = photos(content | {f"DC_{2 * i + 1:04d}.jpg": "jpg" for i in range(beside)})
+    found = find_pairs(root)
+    assert {pair.embedded for pair in found.pairs} == {embedded}
+    assert len(found.pairs) == (10 if embedded else beside)
+    if not embedded:
+        assert reasons(found) == {"IR_0018.jpg": "has no RGB photo with the next number"}
+
+
 def test_times_of_two_clocks(photos):
     moments = (0, 31, 45, 90, 200)
     thermal = {f"thermal/T{i}.png": ("png", at(t)) for i, t in enumerate(moments)}
@@ -228,6 +241,42 @@ def test_thermal_photos_alone(photos, name):
     assert (found.rule, found.warnings) == ("The thermal photos are used alone.", ())
 
 
+def test_thermal_photos_alone_although_there_are_others(photos):
+    """Visible photos taken in the dark are of no use, neither beside nor inside."""
+    root = photos(
+        {"IR_1.jpg": "flir with visible", "DC_2.jpg": "jpg", "IR_3.jpg": "flir with visible", "IR_5.jpg": "flir"}
+    )
+    found = find_pairs(root, rule="thermal")
+    assert files(root, found) == [(None, "IR_1.jpg"), (None, "IR_3.jpg"), (None, "IR_5.jpg")]
+    assert not any(pair.embedded for pair in found.pairs)
+    assert (found.rule, found.warnings) == ("The thermal photos are used alone.", ())
+    assert reasons(found) == {"DC_2.jpg": "the thermal photos are used alone"}
+
+
+@pytest.mark.parametrize("names", [("rgb/Küche 0.jpg", "thermal/Küche 0.png"), ("Küche_rgb.jpg", "Küche_thermal.png")])
+def test_names_in_both_unicode_forms(photos, names):
+    """A Mac and a PC write the same name differently."""
+    rgb, thermal = unicodedata.normalize("NFC", names[0]), unicodedata.normalize("NFD", names[1])
+    root = photos({rgb: "jpg", thermal: "png"})
+    found = find_pairs(root)
+    assert files(root, found) == [(rgb, thermal)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems allow no such names")
+def test_names_that_are_no_utf8_can_be_printed(photos):
+    """Two of them may look the same, yet are two photos."""
+    odd = [os.fsdecode(name) for name in (b"K\xfcche", b"K\xf6che")]
+    root = photos({f"{name}_{mark}.jpg": "jpg" for name in odd for mark in ("rgb", "wide", "thermal")})
+    root = photos({f"{odd[0]}.srt": b"x"})
+    found = find_pairs(root)
+    assert sorted(pair.thermal.name for pair in found.pairs) == sorted(f"{name}_thermal.jpg" for name in odd)
+    assert found.rule.endswith(", such as K\ufffdche_wide.jpg and K\ufffdche_thermal.jpg.")
+    assert [(item.name, item.reason) for item in found.left_out] == [
+        ("K\ufffdche.srt", "is no photo"),
+        *[("K\ufffdche_rgb.jpg", "K\ufffdche_wide.jpg is used instead")] * 2,
+    ]
+
+
 def test_a_few_other_photos_do_not_make_pairs(photos):
     content = {f"{i}.jpg": "flir" for i in range(8)} | {"7.jpg": "flir with visible", "team.jpg": "jpg"}
     found = find_pairs(photos(content))
@@ -291,6 +340,7 @@ def test_sets_that_cannot_be_used(photos, content, message):
 @pytest.mark.parametrize(
     ("rule", "content", "message"),
     [
+        ("thermal", {"a.jpg": "jpg", "b.jpg": "jpg"}, r"none of its 2 photos can be told to be thermal; put them into"),
         (
             "names",
             {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"},

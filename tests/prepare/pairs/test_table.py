@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import unicodedata
+
 import pytest
 
 from mrgs.errors import ConfigError, SceneError
@@ -50,6 +52,17 @@ def test_photos_that_the_table_does_not_name(photos, tmp_path):
         ("eye/2.jpg", "is not in pairs.csv"),
         ("heat/b.jpg", "is not in pairs.csv"),
         ("notes.md", "is no photo"),
+    ]
+
+
+@pytest.mark.parametrize(("in_table", "on_disk"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_names_in_another_unicode_form(photos, tmp_path, in_table, on_disk):
+    table = tmp_path / "pairs.csv"
+    table.write_text(unicodedata.normalize(in_table, "Küche/ä.jpg,Küche/ö.jpg"), encoding="utf-8")
+    content = {unicodedata.normalize(on_disk, name): "jpg" for name in ("Küche/ä.jpg", "Küche/ö.jpg")}
+    found = find_pairs(photos(content), table=table)
+    assert [(pair.rgb.name, pair.thermal.name) for pair in found.pairs] == [
+        (unicodedata.normalize(on_disk, "ä.jpg"), unicodedata.normalize(on_disk, "ö.jpg"))
     ]
 
 

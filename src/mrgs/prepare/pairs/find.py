@@ -14,6 +14,7 @@ from mrgs.prepare.pairs.inventory import Inventory, take_stock
 from mrgs.prepare.pairs.names import natural, read_stem, view_names
 from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import (
+    NEARLY,
     Couple,
     Match,
     by_embedded,
@@ -25,7 +26,7 @@ from mrgs.prepare.pairs.rules import (
 )
 from mrgs.prepare.pairs.table import by_table
 
-Rule = Literal["auto", "names", "folders", "time"]
+Rule = Literal["auto", "names", "folders", "time", "thermal"]
 
 _FEWEST_PAIRS = 3
 """With fewer, or with fewer than a tenth of the thermal photos, a set of mostly thermal photos has no RGB photos."""
@@ -40,7 +41,8 @@ def find_pairs(photos: Path, *, rule: Rule = "auto", table: Path | None = None, 
         photos: the folder.
         rule: ``names`` compares the names of files (DJI's ``_T`` and ``_W``, FLIR's neighbouring numbers, suffixes), or
             takes the visible photos inside FLIR's files; ``folders`` looks for equal names in folders such as ``rgb``
-            and ``thermal``; ``time`` compares the times in EXIF; ``auto`` takes the one of these that pairs most.
+            and ``thermal``; ``time`` compares the times in EXIF; ``auto`` takes the one of these that pairs most;
+            ``thermal`` takes the thermal photos alone, whatever RGB photos there are.
         table: a CSV file with the pairs, ``rgb,thermal``, relative to the folder; instead of a rule.
         tolerance_s: photos farther apart in time are no pair, seconds.
 
@@ -81,10 +83,12 @@ def _view_key(thermal: Photo) -> str:
 def _match(stock: Inventory, rule: Rule, tolerance_s: float) -> Match:
     """What the rule finds; with ``auto``, the best."""
     rgb, thermal = roles(stock.photos, stock.root.resolve().name)
+    if rule == "thermal" and thermal:
+        return _alone(thermal, dict.fromkeys(rgb, "the thermal photos are used alone"))
     best = _best_match(stock, rule, tolerance_s, min(len(rgb), len(thermal)))
     pairs = _count(best)
     if 2 * max(pairs, len(rgb)) < len(thermal) and pairs < max(_FEWEST_PAIRS, len(thermal) / 10):
-        return _alone(rgb, thermal)
+        return _mostly_thermal(rgb, thermal)
     if best is None:
         raise _no_pairs(stock, rgb, thermal, rule, tolerance_s)
     return best
@@ -101,7 +105,7 @@ def _best_match(stock: Inventory, rule: Rule, tolerance_s: float, pairable: int)
     if rule in ("auto", "names"):
         if 2 * _count(best) <= pairable:
             best = _larger(best, by_numbers(photos))
-        best = _larger(best, by_embedded(photos))
+        best = _unless_nearly(best, by_embedded(photos))
     if rule == "time" or (rule == "auto" and 2 * _count(best) < pairable):
         best = _larger(best, by_time(photos, root_name, tolerance_s))
     return best
@@ -116,16 +120,26 @@ def _larger(first: Match | None, second: Match | None) -> Match | None:
     return second if _count(second) > _count(first) else first
 
 
-def _alone(rgb: list[Photo], thermal: list[Photo]) -> Match:
-    """The thermal photos without RGB photos, where there are none, or too few to be worth the others."""
+def _unless_nearly(beside: Match | None, inside: Match | None) -> Match | None:
+    """Photos in files of their own are larger than those inside the thermal ones: a few may be missing."""
+    return inside if _count(beside) < NEARLY * _count(inside) else beside
+
+
+def _mostly_thermal(rgb: list[Photo], thermal: list[Photo]) -> Match:
+    """The thermal photos alone, where there are no RGB photos, or too few to be worth the others."""
     others = len(rgb) + sum(photo.embedded for photo in thermal)
     doubt = (
         f"There are {len(thermal)} thermal photos, yet only {others} in visible light: the thermal photos are used "
         "alone. To use the pairs alone, remove the other photos, or list the pairs in a CSV file (--pair-table).",
     )
     reasons = dict.fromkeys(rgb, "most thermal photos have no RGB photo")
+    return _alone(thermal, reasons, doubt if others else ())
+
+
+def _alone(thermal: list[Photo], reasons: dict[Photo, str], warnings: tuple[str, ...] = ()) -> Match:
+    """The thermal photos without RGB photos, and why those are not used."""
     couples = tuple(Couple(None, photo) for photo in thermal)
-    return Match(couples, "The thermal photos are used alone.", "", reasons, doubt if others else ())
+    return Match(couples, "The thermal photos are used alone.", "", reasons, warnings)
 
 
 def _no_pairs(stock: Inventory, rgb: list[Photo], thermal: list[Photo], rule: Rule, tolerance_s: float) -> SceneError:

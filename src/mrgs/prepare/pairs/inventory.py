@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from mrgs.data.files import scene_error
 from mrgs.prepare.contract import LeftOut
-from mrgs.prepare.pairs.names import natural
+from mrgs.prepare.pairs.names import composed, natural, printable
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
 
 
@@ -33,8 +33,8 @@ class Inventory:
 
 
 def below(root: Path, path: Path) -> str:
-    """A path below a folder, with slashes on every system."""
-    return path.relative_to(root).as_posix()
+    """A path below a folder for messages, with slashes on every system."""
+    return printable(path.relative_to(root).as_posix())
 
 
 def take_stock(root: Path) -> Inventory:
@@ -46,11 +46,11 @@ def take_stock(root: Path) -> Inventory:
     if not root.is_dir():
         raise scene_error(root, "is not a folder; give the folder that holds the photos")
     photos, left_out = [], []
-    for path in sorted(_files(root), key=lambda path: natural(below(root, path))):
-        name = below(root, path)
-        found = "is a link to a folder, which is not followed" if path.is_dir() else inspect(path, PurePosixPath(name))
+    for path in sorted(_files(root), key=lambda path: natural(path.relative_to(root).as_posix())):
+        relative = PurePosixPath(path.relative_to(root))
+        found = "is a link to a folder, which is not followed" if path.is_dir() else inspect(path, relative)
         if isinstance(found, str):
-            left_out.append(LeftOut(name, found))
+            left_out.append(LeftOut(below(root, path), found))
         else:
             photos.append(found)
     if not photos:
@@ -83,7 +83,7 @@ def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], li
     """
     by_stem: dict[str, list[Photo]] = {}
     for photo in photos:
-        by_stem.setdefault(photo.shot.name.casefold(), []).append(photo)
+        by_stem.setdefault(composed(photo.shot.name.casefold()), []).append(photo)
     best: dict[Photo, Photo] = {}
     for group in by_stem.values():
         finished = [photo for photo in group if photo.kind in ("numbers", "table")]

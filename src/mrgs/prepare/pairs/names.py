@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -51,6 +52,16 @@ class StemFacts:
     role: Role | None = None
     mark: str = ""
     moment: datetime | None = None
+
+
+def composed(text: str) -> str:
+    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters, where other systems write one."""
+    return unicodedata.normalize("NFC", text)
+
+
+def printable(name: str) -> str:
+    """The name of a file for messages: bytes that are not UTF-8 can be neither shown nor saved."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def read_stem(stem: str, radiometric: bool = False) -> StemFacts:

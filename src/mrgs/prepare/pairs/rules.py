@@ -11,14 +11,13 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from mrgs.prepare.pairs.clocks import ClockOffset, clock_offset, match_times
-from mrgs.prepare.pairs.names import RGB_MARKS, Role, folder_role, natural, read_stem
+from mrgs.prepare.pairs.names import RGB_MARKS, Role, composed, folder_role, natural, printable, read_stem
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo
 
 _NEIGHBOUR_S = 10.0
 """Photos with neighbouring numbers that were taken farther apart in time, seconds, do not belong together."""
 
-
-_NEARLY = 0.9
+NEARLY = 0.9
 """A better camera is taken even if another one has a few photos more: down to this share of the most."""
 
 
@@ -62,7 +61,7 @@ class Shot(NamedTuple):
 def shot_by_name(photo: Photo) -> Shot:
     """The camera is told by the content and by the file's name; the folder is part of the key."""
     facts = read_stem(photo.shot.name, photo.is_thermal)
-    key = "/".join([*photo.shot.parts[:-1], facts.key]).casefold()
+    key = composed("/".join([*photo.shot.parts[:-1], facts.key]).casefold())
     return Shot(photo, "thermal" if photo.is_thermal else facts.role, key, facts.mark, facts.moment)
 
 
@@ -70,7 +69,7 @@ def shot_by_folder(photo: Photo, root_name: str) -> Shot:
     """The camera is told by the content and by the folder, which is then no part of the key."""
     facts = read_stem(photo.shot.name, photo.is_thermal)
     role, rest = folder_role([root_name, *photo.shot.parts[:-1]])
-    key = "/".join([*rest, facts.key]).casefold()
+    key = composed("/".join([*rest, facts.key]).casefold())
     return Shot(photo, "thermal" if photo.is_thermal else role, key, facts.mark, facts.moment)
 
 
@@ -90,7 +89,7 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     if not couples:
         return None
     rgb, thermal, _ = couples[0]
-    example = "" if rgb is None else f", such as {rgb.path.name} and {thermal.path.name}"
+    example = "" if rgb is None else f", such as {printable(rgb.path.name)} and {printable(thermal.path.name)}"
     return Match(couples, f"The names of a pair differ only in the camera's mark{example}.", "of its name", reasons)
 
 
@@ -145,7 +144,7 @@ def _best_mark(rgb: Mapping[str, Sequence[Shot]], keys: Collection[str]) -> str:
     """The mark of the RGB photos to be used, for one camera has one lens: the first of those that nearly all have."""
     counts = Counter(mark for key in rgb if key in keys for mark in {shot.mark for shot in rgb[key]})
     order = {mark: index for index, mark in enumerate(RGB_MARKS)}
-    enough = _NEARLY * max(counts.values(), default=0)
+    enough = NEARLY * max(counts.values(), default=0)
     frequent = sorted(mark for mark in counts if counts[mark] >= enough)
     return min(frequent, key=lambda mark: order.get(mark, len(order)), default="")
 
@@ -175,7 +174,9 @@ def _instead(shots: Sequence[Shot], used: Sequence[Photo | None]) -> dict[Photo,
     """The reason for files of a shot that another file of it made superfluous."""
     if len(used) != 1 or used[0] is None:
         return {}
-    return {shot.photo: f"{used[0].path.name} is used instead" for shot in shots if shot.photo is not used[0]}
+    return {
+        shot.photo: f"{printable(used[0].path.name)} is used instead" for shot in shots if shot.photo is not used[0]
+    }
 
 
 def by_numbers(photos: Sequence[Photo]) -> Match | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from mrgs.data.files import contained, is_file, read_bytes, scene_error, shown
 from mrgs.errors import SceneError
 from mrgs.prepare.pairs.inventory import Inventory
-from mrgs.prepare.pairs.names import natural
+from mrgs.prepare.pairs.names import composed, natural, printable
 from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import Couple, Match
 
@@ -44,8 +44,8 @@ def by_table(table: Path, stock: Inventory) -> Match:
     if not couples:
         raise scene_error(table, f"holds no pairs; {_EXAMPLE}")
     couples.sort(key=lambda couple: natural(str(couple.thermal.shot)))
-    reasons = dict.fromkeys(stock.photos, f"is not in {table.name}")
-    return Match(tuple(couples), f"The pairs are those of {table.name}.", reasons=reasons)
+    reasons = dict.fromkeys(stock.photos, f"is not in {printable(table.name)}")
+    return Match(tuple(couples), f"The pairs are those of {printable(table.name)}.", reasons=reasons)
 
 
 def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
@@ -88,11 +88,20 @@ def _photo(text: str, photos: dict[Path, Photo], stock: Inventory, table: Path, 
         raise scene_error(
             table, f"line {number}: {shown(text)} lies outside {stock.root}; name photos relative to that folder"
         ) from None
+    path = path if is_file(path) else _spelled(path, stock)
     if not is_file(path):
         raise scene_error(table, f"line {number}: there is no {shown(text)} in {stock.root}; correct the name")
     if path.resolve() not in photos:
         raise scene_error(table, f"line {number}: {shown(text)} {_why(path, stock)}; name another file")
     return photos[path.resolve()]
+
+
+def _spelled(path: Path, stock: Inventory) -> Path:
+    """The file whose name is the same text in another Unicode form; the path itself if there is none."""
+    root, wanted = stock.root.resolve(), composed(str(path))
+    names = [photo.path.relative_to(stock.root).as_posix() for photo in stock.photos]
+    names += [item.name for item in stock.left_out]
+    return next((root / name for name in names if composed(str(root / name)) == wanted), path)
 
 
 def _why(path: Path, stock: Inventory) -> str:
