@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import os
+import struct
 from datetime import datetime
 from pathlib import Path
 
@@ -12,8 +13,10 @@ from PIL import Image
 from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import develop as developing
+from mrgs.prepare import pipeline
 from mrgs.prepare.contract import Development, Pairing, PhotoPair
 from mrgs.prepare.develop import develop
+from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs import find_pairs
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
@@ -118,6 +121,76 @@ def developing_turn(orientation: int) -> Image.Transpose:
         7: Image.Transpose.TRANSVERSE,
         8: Image.Transpose.ROTATE_90,
     }[orientation]
+
+
+def with_exif(photo: bytes, tags: dict[int, tuple[int, int, bytes]]) -> bytes:
+    """A JPEG with an EXIF of tags (type, count, value) as they are, and FocalLength 23 mm."""
+    main = {**tags, 0x8769: (4, 1, struct.pack("<L", 8 + 2 + 12 * (len(tags) + 1) + 4))}
+    rational = 8 + 2 + 12 * len(main) + 4 + 2 + 12 + 4
+    tiff = b"II*\0" + struct.pack("<L", 8)
+    for entries in (main, {0x920A: (5, 1, struct.pack("<L", rational))}):
+        tiff += struct.pack("<H", len(entries))
+        for tag, (kind, count, value) in sorted(entries.items()):
+            tiff += struct.pack("<HHL", tag, kind, count) + value.ljust(4, b"\0")
+        tiff += bytes(4)
+    exif = b"Exif\0\0" + tiff + struct.pack("<LL", 23, 1)
+    start = 2 + 2 + struct.unpack(">H", photo[4:6])[0]  # after JFIF's segment
+    return photo[:start] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + photo[start:]
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        {0x011A: (2, 3, b"72\0")},  # XResolution as text
+        {0x0128: (2, 2, b"2\0")},  # ResolutionUnit as text
+        {0x0128: (8, 1, struct.pack("<h", -1))},
+        {0x010F: (3, 1, b"\1\0")},  # Make as a number
+    ],
+)
+def test_damaged_exif_does_not_keep_a_photo_from_being_turned(made, scene, photo, damaged):
+    tags = {0x0110: (2, 4, b"X10\0"), 0x0112: (3, 1, b"\6\0")}
+    jpeg = with_exif(photo("jpg", size=(32, 16)), tags | damaged)
+    made({"rgb/a.jpg": jpeg, "thermal/a.tif": "celsius"})
+    with Image.open(scene / "images/a.jpg") as image:
+        assert image.size == (16, 32)
+        assert dict(image.getexif()).keys() == {0x0110, 0x8769}
+        assert image.getexif()[0x0110] == "X10"
+        assert image.getexif().get_ifd(0x8769) == {0x920A: 23.0}
+
+
+def test_exif_that_cannot_be_written_is_left_away(made, scene, photo, monkeypatch):
+    def refuse(exif: Image.Exif, offset: int = 8) -> bytes:
+        raise struct.error
+
+    rgb = photo("jpg", orientation=3, model="X100")  # written before it is refused
+    with monkeypatch.context() as patch:
+        patch.setattr(Image.Exif, "tobytes", refuse)
+        made({"rgb/a.jpg": rgb, "thermal/a.tif": photo("celsius")})
+    with Image.open(scene / "images/a.jpg") as image:
+        assert not image.getexif()
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_images_with_given_poses_stay_as_they_are_stored(photos, scene, orientation):
+    turn = {"size": (32, 16), "orientation": orientation}
+    root = photos({"rgb/a.jpg": ("jpg", turn), "thermal/a.png": ("png", turn)})
+    (view,) = develop(find_pairs(root), scene, Overrides(), quiet, turns=False).views
+    stored = pixels(root / "rgb/a.jpg").astype(int)
+    written = pixels(scene / view.rgb).astype(int)
+    assert written.shape == stored.shape
+    assert np.abs(written - stored).mean() < 2
+    np.testing.assert_array_equal(pixels(scene / view.thermal), pixels(root / "thermal/a.png"))
+
+
+def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
+    root = photos({"rgb/a.jpg": ("jpg", {"size": (32, 16), "orientation": 6}), "thermal/a.tif": "celsius"})
+    found, given = (
+        pipeline.photos(root, find_pairs(root), scene, PrepareOptions(poses=poses)) for poses in (None, scene)
+    )
+    assert found.depends != given.depends
+    for stage, shape in ((found, (32, 16, 3)), (given, (16, 32, 3))):
+        (view,) = stage.make(quiet).views
+        assert pixels(scene / view.rgb).shape == shape
 
 
 def test_all_photos_are_turned_as_most_of_them(made, scene):

@@ -59,11 +59,12 @@ def test_colmap(tmp_path, folder):
     assert found.warnings == ()
 
 
-def test_views_whose_name_is_not_that_of_their_file(tmp_path):
-    write_colmap(tmp_path / "model", ["IMG_1.jpg", "IMG_2.jpg", "IMG_3.jpg"])
-    files = photos(tmp_path / "photos", ["IMG_1", "IMG_2", "IMG_3"])
-    found = existing_poses(tmp_path / "model", {f"view_{name}": path for name, path in files.items()})
-    assert list(found.viewmats) == ["view_IMG_1", "view_IMG_2", "view_IMG_3"]
+def test_a_view_is_not_given_the_pose_of_another_photo_that_its_file_is_named_after(tmp_path):
+    write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
+    files = photos(tmp_path / "photos", ["a", "b", "c", "d"])
+    found = existing_poses(tmp_path / "model", {**{name: files[name] for name in "abc"}, "other": files["d"]})
+    assert list(found.viewmats) == ["a", "b", "c"]
+    assert [left.name for left in found.failed] == ["other"]
 
 
 def test_larger_photos_scale_the_lens(tmp_path):

@@ -19,7 +19,7 @@ from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions, pipeline, prepare, thermal_camera
 from mrgs.prepare import run as run_module
-from mrgs.prepare.contract import LeftOut, Reconstruction
+from mrgs.prepare.contract import LeftOut, Reconstruction, TooFewPosesError
 from mrgs.prepare.develop import develop
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.pairs import find_pairs
@@ -253,8 +253,9 @@ def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path, monkeypatch):
     shown = (tmp_path / "scene" / "prepare.html").read_text(encoding="utf-8")
     assert "The poses of 8 of 8 photos are those of transforms.json." in shown
     assert shown.endswith("the thermal camera cannot be placed: noise")
+    assert not (tmp_path / "scene" / "transforms.json").exists()  # of other options
     made = prepare(photos, tmp_path / "scene")
-    assert [report.title for report in made.stages if not report.reused] == ["page"]
+    assert [report.title for report in made.stages if not report.reused] == ["scene", "page"]
     assert "cannot be placed" not in made.page.read_text(encoding="utf-8")
 
 
@@ -305,8 +306,47 @@ def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, t
     assert found.failed == ()
 
 
+def test_a_folder_of_the_user_s_that_is_called_prepare_is_left_alone(photos, fakes, tmp_path):
+    own = tmp_path / "scene" / "prepare" / "notes.txt"
+    own.parent.mkdir(parents=True)
+    own.write_text("mine")
+    with pytest.raises(RunError, match="scene holds something that `mrgs prepare` did not make: choose a new folder"):
+        prepare(photos, tmp_path / "scene")
+    assert [path.name for path in (tmp_path / "scene").rglob("*")] == ["prepare", "notes.txt"]
+
+
+def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, monkeypatch):
+    told = []
+
+    def fails(*arguments, **options):
+        raise TooFewPosesError("only 2 of 8 photos could be placed", (LeftOut("view_3", "too little texture"),))
+
+    def page(scene, *arguments, left_out):
+        told.extend(left_out)
+        return scene / "prepare.html"
+
+    monkeypatch.setattr(pipeline, "reconstruct", fails)
+    monkeypatch.setattr(run_module, "write_page", page)
+    with pytest.raises(SceneError, match=r"only 2 of 8 photos could be placed; .*prepare\.html shows"):
+        prepare(photos, tmp_path / "scene")
+    assert told == [LeftOut("notes.txt", told[0].reason), LeftOut("view_3", "too little texture")]
+
+
+def test_a_page_that_cannot_be_written_hides_no_error(photos, fakes, tmp_path, monkeypatch):
+    def fails(*arguments, **options):
+        raise SceneError("noise")
+
+    def full(*arguments, **options):
+        raise RunError("the disk is full")
+
+    monkeypatch.setattr(pipeline, "reconstruct", fails)
+    monkeypatch.setattr(run_module, "write_page", full)
+    with pytest.raises(SceneError, match=r"^noise$"):
+        prepare(photos, tmp_path / "scene")
+
+
 def test_two_at_once_are_refused(photos, fakes, tmp_path):
-    (tmp_path / "scene" / "prepare").mkdir(parents=True)
+    prepare(photos, tmp_path / "scene")
     with FileLock(tmp_path / "scene" / "prepare" / ".lock"), pytest.raises(RunError, match="by another run: wait"):
         prepare(photos, tmp_path / "scene")
 

@@ -97,12 +97,25 @@ def test_stamps_tell_of_every_change(tmp_path):
     for name in ("z.jpg", "b/y.jpg", "b/c/x.jpg"):
         (tmp_path / name).write_text(name)
     before = stamps(tmp_path)
-    assert [name for name, _, _ in before] == ["b/c/x.jpg", "b/y.jpg", "z.jpg"]
+    assert [name for name, *_ in before] == ["b/c/x.jpg", "b/y.jpg", "z.jpg"]
     assert stamps(tmp_path) == before
     os.utime(tmp_path / "b" / "y.jpg", ns=(1, 2))
     assert [a == b for a, b in zip(stamps(tmp_path), before, strict=True)] == [True, False, True]
     (tmp_path / "z.jpg").unlink()
     assert len(stamps(tmp_path)) == 2
+
+
+def test_stamps_leave_hidden_files_out_and_follow_links(tmp_path):
+    photo = tmp_path / "elsewhere.jpg"
+    photo.write_text("1")
+    (tmp_path / "photos" / ".Trashes").mkdir(parents=True)
+    (tmp_path / "photos" / ".Trashes" / "a.jpg").write_text("old")
+    (tmp_path / "photos" / "a.jpg").symlink_to(photo)
+    (tmp_path / "photos" / "gone.jpg").symlink_to(tmp_path / "nowhere")
+    before = stamps(tmp_path / "photos")
+    assert [name for name, *_ in before] == ["a.jpg", "gone.jpg"]
+    photo.write_text("12")
+    assert [a == b for a, b in zip(stamps(tmp_path / "photos"), before, strict=True)] == [False, True]
 
 
 def test_a_folder_that_cannot_be_listed_is_named(tmp_path):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from PIL import Image
 
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts
-from mrgs.errors import SceneError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare import PrepareOptions, thermal_camera
 from mrgs.prepare.contract import DevelopedView, Development, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
@@ -58,10 +59,10 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
         "test",
     )
 
-    def called(metric: bool = True, **options: object) -> object:
-        development = Development(views, ())
+    def called(metric: bool = True, images: str = "rgb", **options: object) -> object:
+        development, reconstruction = Development(views, ()), replace(found, images=images)
         return calibrate_thermal_camera(
-            tmp_path, development, found, metric, PrepareOptions(**options), lambda step, done, total: None
+            tmp_path, development, reconstruction, metric, PrepareOptions(**options), lambda step, done, total: None
         )
 
     return called
@@ -79,6 +80,22 @@ def test_views_with_poses_are_calibrated(calibrate, asked):
 
 def test_one_camera_needs_no_calibration(calibrate, asked):
     assert calibrate(one_camera=True) is None
+    assert asked == []
+
+
+def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
+    Image.fromarray(np.full((20, 32), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
+    with pytest.raises(
+        SceneError, match=r"b: its RGB image has 40×30 px and its thermal image 32×20: they cannot show"
+    ):
+        calibrate(one_camera=True)
+
+
+@pytest.mark.parametrize("options", [{"one_camera": True}, {"thermal_fov_deg": 40.0}])
+def test_thermal_images_alone_have_no_second_camera(calibrate, asked, options):
+    assert calibrate(images="thermal") is None
+    with pytest.raises(ConfigError, match=r"there are thermal images alone, so that --thermal-fov, .* leave them out"):
+        calibrate(images="thermal", **options)
     assert asked == []
 
 

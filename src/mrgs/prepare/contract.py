@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition
+from mrgs.errors import SceneError
 from mrgs.scene import PointCloud
 
 Progress = Callable[[str, int, int], None]
@@ -41,6 +42,18 @@ class LeftOut:
 
     name: str
     reason: str
+
+
+class TooFewPosesError(SceneError):
+    """Structure from motion placed fewer images than a scene needs.
+
+    Attributes:
+        failed: the images without a pose, and why.
+    """
+
+    def __init__(self, message: str, failed: tuple[LeftOut, ...]) -> None:
+        super().__init__(message)
+        self.failed = failed
 
 
 @dataclass(frozen=True)

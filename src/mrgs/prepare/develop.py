@@ -64,7 +64,9 @@ class _Set(NamedTuple):
         return self.overrides if unit is None else dataclasses.replace(self.overrides, unit=unit)
 
 
-def develop(pairing: Pairing, scene: Path, overrides: Overrides, progress: Progress) -> Development:
+def develop(
+    pairing: Pairing, scene: Path, overrides: Overrides, progress: Progress, *, turns: bool = True
+) -> Development:
     """Read all photos, and write them into ``images`` and ``thermal`` of the scene's folder.
 
     What an earlier call wrote is kept where the photos and the overrides are the same. A pair with a photo that cannot
@@ -75,6 +77,8 @@ def develop(pairing: Pairing, scene: Path, overrides: Overrides, progress: Progr
         scene: the scene's folder, made if need be. It is the program's own: images of views' names are replaced.
         overrides: what the user knows better than the thermal photos.
         progress: told about each view.
+        turns: turn the images upright by their EXIF orientation; else they stay as they are stored, as given poses and
+            lenses take them.
 
     Raises:
         SceneError: no photo can be used, the photos lie where the scene's images go, or are of different cameras.
@@ -86,8 +90,8 @@ def develop(pairing: Pairing, scene: Path, overrides: Overrides, progress: Progr
         scene,
         overrides,
         _units(pairing, overrides),
-        common_orientation(pair.rgb for pair in pairing.pairs if pair.rgb is not None),
-        common_orientation(pair.thermal for pair in pairing.pairs),
+        common_orientation(pair.rgb for pair in pairing.pairs if turns and pair.rgb is not None),
+        common_orientation(pair.thermal for pair in pairing.pairs if turns),
     )
     _remove_others(scene, {pair.name for pair in pairing.pairs})
     records: list[Record] = []

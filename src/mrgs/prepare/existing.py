@@ -43,7 +43,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
 
     Args:
         folder: with the poses, or a transforms file.
-        images: files by the views' names, to which the stems are compared.
+        images: files by the names that the poses' images have, without folders and extension.
 
     Raises:
         SceneError: no poses are found, they are damaged, or fewer than three belong to the images.
@@ -52,7 +52,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     by_stem = _unique(poses, folder)
     viewmats, lenses, failed = {}, {}, []
     for name, path in images.items():
-        pose = by_stem.get(name) or by_stem.get(without_image_suffix(path.name))
+        pose = by_stem.get(name)
         if pose is None:
             failed.append(LeftOut(name, f"{what} has no pose of this name"))
             continue

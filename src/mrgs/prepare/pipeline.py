@@ -42,15 +42,16 @@ def pairs(folder: Path, options: PrepareOptions) -> Stage[Pairing]:
 def photos(folder: Path, pairing: Pairing, scene: Path, options: PrepareOptions) -> Stage[Development]:
     """Colours and temperatures; depends on the photos that are in pairs."""
     used = {path for pair in pairing.pairs for path in (pair.rgb, pair.thermal)}
+    turns = options.poses is None  # poses from elsewhere are those of the images as they are stored
 
     def make(progress: Progress) -> Development:
         _remove(scene / "transforms.json")  # the images that it describes are about to change
-        return develop(pairing, scene, options.overrides, progress)
+        return develop(pairing, scene, options.overrides, progress, turns=turns)
 
     return Stage(
         "photos",
         Development,
-        (pairing.pairs, [stamp for stamp in stamps(folder) if folder / stamp[0] in used], options.overrides),
+        (pairing.pairs, [stamp for stamp in stamps(folder) if folder / stamp[0] in used], options.overrides, turns),
         make,
         tell_photos,
         lambda made: [scene / image for view in made.views for image in (view.rgb, view.thermal) if image is not None],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from collections import Counter
 from collections.abc import Iterable
@@ -10,12 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PIL import Image, JpegImagePlugin
+from PIL.TiffImagePlugin import IFDRational
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.images import probe
 from mrgs.data.radiometric import ExifFacts, VisibleImage, read_exif
+from mrgs.data.radiometric.exif import clean_text
 
-_ORIENTATION = 0x0112
+_MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
+_EXIF_IFD, _DATE_TIME_ORIGINAL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x9003, 0x920A, 0xA405
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -73,7 +77,8 @@ def turned(image: Image.Image, orientation: int) -> Image.Image:
 def read_rgb(path: Path, turn: int) -> RgbPhoto:
     """A photo, turned as one with the EXIF orientation ``turn``, whatever its own says.
 
-    A photo that needs no turning keeps its bytes; another keeps its format and quality, and loses the tag.
+    A photo that needs no turning keeps its bytes; another keeps its format and quality, and of its EXIF
+    the camera, the focal length and the time.
 
     Raises:
         SceneError: not a JPEG, PNG or TIFF image, damaged, cut off or too large.
@@ -114,16 +119,53 @@ def _decoded(data: bytes, path: Path) -> Image.Image:
 
 
 def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
-    """The image as a file; a JPEG with the quality and the EXIF (for the focal length) of the original."""
-    exif = original.getexif()
-    exif.pop(_ORIENTATION, None)
+    """The image as a file; a JPEG with the quality of the original, and with what is kept of its EXIF."""
     file = io.BytesIO()
     if suffix == ".jpg" and isinstance(original, JpegImagePlugin.JpegImageFile):
         sampling = JpegImagePlugin.get_sampling(original)
         image.save(
-            file, "JPEG", qtables=original.quantization, subsampling=sampling if sampling in (0, 1, 2) else 0, exif=exif
+            file,
+            "JPEG",
+            qtables=original.quantization,
+            subsampling=sampling if sampling in (0, 1, 2) else 0,
+            exif=_kept_exif(original),
         )
     else:
         mode = image.mode if image.mode in ("L", "RGB", "RGBA", "LA") else "RGB"
         image.convert(mode).save(file, "PNG")
     return file.getvalue()
+
+
+def _kept_exif(original: Image.Image) -> bytes:
+    """The camera, the focal length and the time, as EXIF; empty if the original's is too damaged.
+
+    Written anew, because Pillow reads tags of wrong types and then cannot write them.
+    """
+    kept = Image.Exif()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            main = original.getexif()
+            photo = main.get_ifd(_EXIF_IFD)
+            texts = {tag: clean_text(main.get(tag)) for tag in (_MAKE, _MODEL)}
+            kept.update({tag: text for tag, text in texts.items() if text is not None})
+            details = {
+                _DATE_TIME_ORIGINAL: clean_text(photo.get(_DATE_TIME_ORIGINAL)),
+                _FOCAL_LENGTH: _focal_length_mm(photo.get(_FOCAL_LENGTH)),
+                _FOCAL_LENGTH_35MM: _short(photo.get(_FOCAL_LENGTH_35MM)),
+            }
+            kept.get_ifd(_EXIF_IFD).update({tag: value for tag, value in details.items() if value is not None})
+            return kept.tobytes()
+    except Exception:  # Pillow raises almost anything where tags are damaged; the photo itself is fine
+        return b""
+
+
+def _focal_length_mm(value: object) -> IFDRational | None:
+    if not isinstance(value, (int, float, IFDRational)):
+        return None
+    focal_mm = float(value)
+    return IFDRational(focal_mm) if math.isfinite(focal_mm) and 0 < focal_mm < 1e5 else None
+
+
+def _short(value: object) -> int | None:
+    return value if isinstance(value, int) and 0 < value < 2**16 else None

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
+from mrgs.atomic import replacing
 from mrgs.data.files import scene_error
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import pipeline
-from mrgs.prepare.contract import Development, Pairing, Preparation, Progress, StageReport
+from mrgs.prepare.contract import Development, Pairing, Preparation, Progress, StageReport, TooFewPosesError
 from mrgs.prepare.georeference import apply
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.page import write_page
 from mrgs.prepare.stages import WORK, Stages, only_one
 from mrgs.prepare.thermal_camera import with_scale_of_target
+
+MARK = "README.txt"
+MARK_TEXT = """mrgs prepare keeps here what its stages have found: the same command goes on where it was cut off.
+The images, transforms.json and prepare.html of the folder above are its own too. To begin anew, delete that folder.
+"""
 
 
 def prepare(
@@ -44,13 +51,19 @@ def prepare(
     photos, scene, options = Path(photos).resolve(), Path(scene), options or PrepareOptions()
     _check_folders(photos, scene)
     with only_one(scene / WORK):
+        _mark(scene / WORK)
         stages = Stages(scene / WORK, progress, report)
         pairing = stages.run(pipeline.pairs(photos, options))
         development = stages.run(pipeline.photos(photos, pairing, scene, options))
         try:
             return _posed(scene, pairing, development, stages, options)
         except SceneError as error:
-            page = _page_so_far(scene, pairing, development, stages, error)
+            with suppress(OSError):  # of an earlier call, with other photos or options
+                (scene / "transforms.json").unlink(missing_ok=True)
+            try:
+                page = _page_so_far(scene, pairing, development, stages, error)
+            except RunError:  # the disk is full
+                raise error from None
             raise SceneError(f"{error}; {page} shows what was understood so far") from error
 
 
@@ -74,7 +87,17 @@ def _page_so_far(scene: Path, pairing: Pairing, development: Development, stages
     """The page of a preparation that cannot go on: most often the photos show why."""
     stages.forget("page")
     reports = [*stages.reports, StageReport("stopped", (str(error),), (str(error),))]
-    return write_page(scene, reports, development, None, None, None, left_out=pairing.left_out)
+    failed = error.failed if isinstance(error, TooFewPosesError) else ()
+    left_out = (*pairing.left_out, *development.left_out, *failed)
+    return write_page(scene, reports, development, None, None, None, left_out=left_out)
+
+
+def _mark(work: Path) -> None:
+    """Say whose folder this is, to the user and to later calls."""
+    mark = work / MARK
+    if not mark.exists():
+        with replacing(mark) as temporary:
+            temporary.write_text(MARK_TEXT, encoding="utf-8")
 
 
 def _check_folders(photos: Path, scene: Path) -> None:
@@ -90,7 +113,7 @@ def _check_folders(photos: Path, scene: Path) -> None:
     if own.is_relative_to(photos) or photos.is_relative_to(own):
         raise RunError(f"{scene} and the photos lie in one another: choose a folder beside the photos")
     try:
-        foreign = own.is_dir() and not (own / WORK).is_dir() and any(own.iterdir())
+        foreign = own.is_dir() and not (own / WORK / MARK).is_file() and any(own.iterdir())
     except OSError as error:
         raise RunError(f"{scene} cannot be read ({error.strerror}): choose another folder") from None
     if foreign:

@@ -130,19 +130,24 @@ def only_one(folder: Path) -> Iterator[None]:
         yield
 
 
-def stamps(folder: Path) -> tuple[tuple[str, int, int], ...]:
-    """Path, bytes and time of change (ns) of every file below a folder, in order of their paths.
+def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
+    """Path, bytes and times (ns) of the last change of content and of rights, of every file below a folder, sorted.
+
+    Links are followed. Hidden files and folders are left out, as they are when photos are looked for.
 
     Raises:
         SceneError: the folder cannot be listed.
     """
     try:
         found = []
-        for parent, _, names in os.walk(folder, onerror=_raise):
+        for parent, folders, names in os.walk(folder, onerror=_raise):
+            folders[:] = [name for name in folders if not name.startswith(".")]
             for name in names:
                 path = Path(parent, name)
-                status = path.stat(follow_symlinks=False)
-                found.append((path.relative_to(folder).as_posix(), status.st_size, status.st_mtime_ns))
+                if not name.startswith("."):
+                    status = path.stat() if path.exists() else path.lstat()
+                    times = status.st_mtime_ns, status.st_ctime_ns
+                    found.append((path.relative_to(folder).as_posix(), status.st_size, *times))
         return tuple(sorted(found))
     except OSError as error:
         raise scene_error(

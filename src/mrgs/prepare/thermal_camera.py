@@ -16,10 +16,14 @@ from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation, rigid
+from mrgs.errors import ConfigError
 from mrgs.prepare.contract import DevelopedView, Development, Georeference, Progress, Reconstruction
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
 from mrgs.scene import Pixels
+
+SHAPE_TOLERANCE = 0.01
+"""Width over height may differ by this share between two images of one camera: sizes are whole numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +87,48 @@ def calibrate_thermal_camera(
 
     Raises:
         SceneError: the photos do not tell where the thermal camera is, or a given one does not fit them.
+        ConfigError: an option on it, for a set of thermal images alone.
     """
-    if reconstruction.images == "thermal" or options.one_camera:
-        return None
     views = [view for view in development.views if view.name in reconstruction.viewmats]
+    if reconstruction.images == "thermal":
+        _check_alone(options)
+        return None
+    if options.one_camera:
+        _check_same_shape(scene, views[0])
+        return None
     pairs = [_rig_pair(view, scene, reconstruction) for view in views]
     known = _known(options, scene / views[0].thermal, metric)
     return calibrate_rig(pairs, reconstruction.points, known, progress)
+
+
+def _check_alone(options: PrepareOptions) -> None:
+    """Thermal images alone need no second camera.
+
+    Raises:
+        ConfigError: an option on the thermal camera, which could not act.
+    """
+    given = (options.thermal_fov_deg, options.thermal_camera, options.target)
+    if options.one_camera or any(value is not None for value in given):
+        raise ConfigError(
+            "there are thermal images alone, so that --thermal-fov, --thermal-camera, --target and --one-camera cannot "
+            "act; leave them out"
+        )
+
+
+def _check_same_shape(scene: Path, view: DevelopedView) -> None:
+    """Two images of one camera may differ in size, not in shape.
+
+    Raises:
+        SceneError: they do.
+    """
+    assert view.rgb is not None  # it has a pose, and the poses are those of RGB images
+    rgb, thermal = probe(scene / view.rgb), probe(scene / view.thermal)
+    if abs(rgb.width * thermal.height / (rgb.height * thermal.width) - 1) > SHAPE_TOLERANCE:
+        raise scene_error(
+            view.name,
+            f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image {thermal.width}×{thermal.height}: "
+            "they cannot show the same pixel for pixel; leave --one-camera out",
+        )
 
 
 def _rig_pair(view: DevelopedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
