@@ -10,7 +10,16 @@ from mrgs.atomic import replacing
 from mrgs.data.files import scene_error
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import pipeline
-from mrgs.prepare.contract import Development, Pairing, Preparation, Progress, StageReport, TooFewPosesError
+from mrgs.prepare.contract import (
+    Development,
+    Georeference,
+    Pairing,
+    Preparation,
+    Progress,
+    Reconstruction,
+    StageReport,
+    TooFewPosesError,
+)
 from mrgs.prepare.georeference import apply
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.page import write_page
@@ -55,26 +64,28 @@ def prepare(
         stages = Stages(scene / WORK, progress, report)
         pairing = stages.run(pipeline.pairs(photos, options))
         development = stages.run(pipeline.photos(photos, pairing, scene, options))
-        try:
-            return _posed(scene, pairing, development, stages, options)
-        except SceneError as error:
-            with suppress(OSError):  # of an earlier call, with other photos or options
-                (scene / "transforms.json").unlink(missing_ok=True)
-            try:
-                page = _page_so_far(scene, pairing, development, stages, error)
-            except RunError:  # the disk is full
-                raise error from None
-            raise SceneError(f"{error}; {page} shows what was understood so far") from error
+        return _with_poses(scene, pairing, development, stages, options)
 
 
-def _posed(
+def _with_poses(
     scene: Path, pairing: Pairing, development: Development, stages: Stages, options: PrepareOptions
 ) -> Preparation:
-    """The second half: from images to a scene."""
+    """From images to a scene; where that cannot go on, to a page of what there is.
+
+    Raises:
+        SceneError: no poses, or no thermal camera.
+    """
     digests = pipeline.contents(scene, development)
-    found = stages.run(pipeline.poses(pairing, development, digests, scene, options))
-    place = stages.run(pipeline.scale_and_north(development, found, options))
-    rig = stages.run(pipeline.thermal_camera(scene, development, digests, apply(place, found), place, options))
+    found = place = None
+    try:
+        found = stages.run(pipeline.poses(pairing, development, digests, scene, options))
+        place = stages.run(pipeline.scale_and_north(development, found, options))
+        posed = apply(place, found)
+        rig = stages.run(pipeline.thermal_camera(scene, development, digests, posed, place, options))
+    except SceneError as error:
+        reached = found if found is None or place is None else apply(place, found)
+        shown = _page_so_far(scene, pairing, development, stages, error, reached, place)
+        raise (error if shown is None else SceneError(f"{error}; {shown} shows what was understood so far")) from error
     place, rig = with_scale_of_target(place, rig)
     posed = apply(place, found)
     stages.run(pipeline.scene_files(scene, development, posed, rig, place, options))
@@ -83,13 +94,26 @@ def _posed(
     return Preparation(scene, scene / page, tuple(stages.reports), left_out)
 
 
-def _page_so_far(scene: Path, pairing: Pairing, development: Development, stages: Stages, error: SceneError) -> Path:
-    """The page of a preparation that cannot go on: most often the photos show why."""
+def _page_so_far(
+    scene: Path,
+    pairing: Pairing,
+    development: Development,
+    stages: Stages,
+    error: SceneError,
+    reconstruction: Reconstruction | None,
+    place: Georeference | None,
+) -> Path | None:
+    """The page of a preparation that cannot go on: most often the photos show why. None if it cannot be written."""
     stages.forget("page")
     reports = [*stages.reports, StageReport("stopped", (str(error),), (str(error),))]
     failed = error.failed if isinstance(error, TooFewPosesError) else ()
     left_out = (*pairing.left_out, *development.left_out, *failed)
-    return write_page(scene, reports, development, None, None, None, left_out=left_out)
+    with suppress(OSError):  # of an earlier call, with other photos or options
+        (scene / "transforms.json").unlink(missing_ok=True)
+    try:
+        return write_page(scene, reports, development, reconstruction, None, place, left_out=left_out)
+    except RunError:  # the disk is full
+        return None
 
 
 def _mark(work: Path) -> None:

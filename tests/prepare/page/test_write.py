@@ -95,6 +95,19 @@ def test_a_set_without_poses_is_shown_too(prepared, tmp_path):
     assert "6 with °C" in page.text
 
 
+def test_poses_without_a_thermal_camera_are_shown_and_can_be_measured(prepared, tmp_path):
+    for folder in ("images", "thermal"):
+        (tmp_path / folder).symlink_to(prepared.scene / folder)
+    found, place = prepared.reconstruction, prepared.georeference
+    page = Page(write_page(tmp_path, prepared.stages[:2], prepared.development, found, None, place))
+    assert "There is no scene yet; the stages below say why." in page.text
+    assert f"{len(found.points.positions):,}" in page.text
+    assert "By GPS." in page.text
+    assert "One camera serves both images." not in page.text
+    assert "not in the scene: too few features" in page.text
+    assert 'id="measure"' in page.source
+
+
 def test_an_image_that_has_gone_is_told_beside_its_view(prepared, tmp_path):
     (tmp_path / "images").symlink_to(prepared.scene / "images")
     development = replace(prepared.development, views=prepared.development.views[:1])

@@ -53,7 +53,7 @@ def write_page(
         scene: the folder of the scene, written by ``write_scene`` if there are poses.
         stages: what was done, in order.
         development: the images.
-        reconstruction: poses in the scene's world; None if there is no scene yet.
+        reconstruction: poses in the scene's world; None if there are none. The scene itself may be missing still.
         rig: the thermal camera; None if there is none of its own.
         georeference: scale and north; None if nothing is known of them.
         left_out: files that are in no view, to be listed with the views that have no pose.
@@ -70,7 +70,7 @@ def write_page(
         world_section(world),
         pairs_section(content.shots, _overlays(content, reconstruction), content.unit, content.total),
         _temperatures(content, development),
-        _cameras(reconstruction, rig, georeference),
+        _cameras(content, reconstruction, rig, georeference),
         _measure(scene, development, reconstruction, georeference),
         _left_out(development, reconstruction, left_out),
     ]
@@ -104,7 +104,8 @@ class _Content:
 def _content(scene: Path, development: Development, reconstruction: Reconstruction | None) -> _Content:
     shown = [development.views[index] for index in spread(len(development.views), MOST_SHOWN)]
     width = thumbnail_width(len(shown))
-    loaded = None if reconstruction is None else load_scene(scene, resolution=width)
+    written = reconstruction is not None and (scene / "transforms.json").is_file()
+    loaded = load_scene(scene, resolution=width) if written else None
     temperature = None if loaded is None else loaded.temperature
     views = {} if loaded is None else _with_status(loaded)
     failed = {item.name: item.reason for item in reconstruction.failed} if reconstruction is not None else {}
@@ -116,7 +117,7 @@ def _content(scene: Path, development: Development, reconstruction: Reconstructi
             reason = f"not in the scene: {failed[view.name]}" if view.name in failed else "in no scene yet"
             shots.append(shot_of_files(scene, view, reason, temperature, width))
     found: list[Agreement | None] = [None] * len(shots)
-    if reconstruction is not None:
+    if reconstruction is not None and written:
         images = [shot.thermal if shot.registered else None for shot in shots]
         found = agreements(images, [shot.thermal_camera for shot in shots], reconstruction.points)
     known = temperature is not None or any(view.range_c is not None for view in development.views)
@@ -143,7 +144,7 @@ def _world(content: _Content, development: Development, georeference: Georeferen
 
 def _overlays(content: _Content, reconstruction: Reconstruction | None) -> dict[str, Float32[np.ndarray, "h w"]]:
     """The thermal images as the photos' cameras would have taken them."""
-    if reconstruction is None:
+    if reconstruction is None or content.scene is None:
         return {}
     visible = reconstruction.visible or {}
     found = {shot.name: thermal_on_rgb(shot, reconstruction.points, visible.get(shot.name)) for shot in content.shots}
@@ -210,6 +211,7 @@ def _jumps(content: _Content) -> list[str]:
 
 
 def _cameras(
+    content: _Content,
     reconstruction: Reconstruction | None,
     rig: RigCalibration | None,
     georeference: Georeference | None,
@@ -227,8 +229,8 @@ def _cameras(
         rows.append(("Scale and north", georeference.text))
         if georeference.residual_m is not None:
             rows.append(("Distance from the GPS positions", f"{georeference.residual_m:.2f} m (median)"))
-    both = reconstruction.images == "rgb"
-    shared = paragraph("One camera serves both images.", "note") if both and rig is None else ""
+    is_shared = content.scene is not None and reconstruction.images == "rgb" and rig is None
+    shared = paragraph("One camera serves both images.", "note") if is_shared else ""
     own = rig_content(rig, georeference) if rig is not None else shared
     return section("cameras", "Lenses", fact_table(rows) + own)
 
