@@ -72,7 +72,7 @@ def write_page(
         _temperatures(content, development),
         _cameras(content, reconstruction, rig, georeference),
         _measure(scene, development, reconstruction, georeference),
-        _left_out(development, reconstruction, left_out),
+        _left_out(content, development, reconstruction, left_out),
     ]
     title = f"Prepared scene: {scene.resolve().name}"
     subtitle = f"{date.today().isoformat()}. {scene}"
@@ -248,11 +248,13 @@ def _measure(
     return measure_section(scene, views, georeference)
 
 
-def _left_out(development: Development, reconstruction: Reconstruction | None, more: Sequence[LeftOut]) -> str:
+def _left_out(
+    content: _Content, development: Development, reconstruction: Reconstruction | None, more: Sequence[LeftOut]
+) -> str:
     """Every file and view that is not in the scene, once, with the reason."""
     failed = reconstruction.failed if reconstruction is not None else ()
     items = list(dict.fromkeys((item.name, item.reason) for item in (*more, *development.left_out, *failed)))
     if not items:
-        nothing = "Nothing: every photo is in the scene." if reconstruction is not None else "Nothing so far."
+        nothing = "Nothing: every photo is in the scene." if content.scene is not None else "Nothing so far."
         return section("left-out", "Left out", paragraph(nothing))
     return section("left-out", "Left out", column_table(["File or view", "Why"], items))
