@@ -14,6 +14,7 @@ FLOORS = {
     "errors": 0.0,
     "atomic": 0.5,
     "isolation": 0.5,
+    "webpage": 0.5,
     "jit": 0.5,
     "scene": 1.0,
     "data": 2.0,

@@ -17,7 +17,7 @@ from mrgs.scene import TemperatureRange
 
 BOUNDS_FILES = ("temperature_bounds.json", "thermal/temperature_bounds.json")
 
-_LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
+LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
 """ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its values."""
 
 
@@ -94,7 +94,7 @@ def decode_thermal(
     """
     values, valid, kind = decode(path)
     if kind == "colour":
-        return values @ _LUMINANCE[:, None], valid
+        return values @ LUMINANCE[:, None], valid
     if kind == "float":
         if temperature is None:
             raise scene_error(path, "holds °C, but the range is not known; add temperature_bounds.json")

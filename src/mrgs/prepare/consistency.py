@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from mrgs.data.thermal import LUMINANCE
 from mrgs.prepare.rig.images import sampled
 from mrgs.scene import Camera, PointCloud
 from mrgs.scene.view import spread
@@ -121,4 +122,4 @@ def _line(
 
 def luma(rgb: np.ndarray) -> Float[np.ndarray, "h w"]:
     """Brightness of an 8-bit colour image, 0 to 1 (ITU-R BT.601, before linearisation)."""
-    return (torch.from_numpy(rgb).double() @ torch.tensor([0.299, 0.587, 0.114], dtype=torch.float64) / 255).numpy()
+    return (torch.from_numpy(rgb).double() @ LUMINANCE.double() / 255).numpy()

@@ -18,6 +18,9 @@ from mrgs.scene import PointCloud
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, and how many of its parts are done and there are (0 of 0 where that is not known)."""
 
+MIN_VIEWS = 3
+"""A scene needs poses of so many views."""
+
 
 @dataclass(frozen=True)
 class PhotoPair:

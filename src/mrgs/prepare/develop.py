@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from mrgs.atomic import replacing
+from mrgs.atomic import remove, replacing
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, ThermalPhoto, read_exif, read_thermal_photo
 from mrgs.data.radiometric.measurement import PARAMETER_LIMITS
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import SceneError
 from mrgs.prepare.contract import DevelopedView, Development, LeftOut, Pairing, PhotoPair, Progress
 from mrgs.prepare.rgb_photo import RgbPhoto, common_orientation, read_embedded, read_rgb, turned
 from mrgs.prepare.store import fingerprint, load, save
@@ -275,7 +275,7 @@ def _remove_others(scene: Path, names: set[str]) -> None:
     for file in sorted(folder.glob("*.safetensors")) if folder.is_dir() else ():
         if file.stem not in names:
             _remove(scene, file.stem)
-            _unlink(file)
+            remove(file)
 
 
 def _remove(scene: Path, name: str, keep: Iterable[str | None] = ()) -> None:
@@ -285,14 +285,7 @@ def _remove(scene: Path, name: str, keep: Iterable[str | None] = ()) -> None:
         for suffix in (".jpg", ".png", ".tiff"):
             path = scene / folder / f"{name}{suffix}"
             if path not in kept:
-                _unlink(path)
-
-
-def _unlink(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise RunError(f"{path} cannot be removed ({error.strerror}): remove it, or choose another folder") from None
+                remove(path)
 
 
 def _of_one_kind(records: Sequence[Record]) -> tuple[list[Record], list[LeftOut]]:

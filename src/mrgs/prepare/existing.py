@@ -19,10 +19,9 @@ from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import point_cloud
 from mrgs.errors import SceneError
-from mrgs.prepare.contract import LeftOut, Reconstruction
+from mrgs.prepare.contract import MIN_VIEWS, LeftOut, Reconstruction
 from mrgs.scene import PointCloud
 
-MIN_VIEWS = 3
 _ASPECT_TOLERANCE = 0.01
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mrgs.atomic import remove
 from mrgs.data import load_scene
-from mrgs.errors import RunError
 from mrgs.prepare.contract import Development, Georeference, LeftOut, Pairing, Progress, Reconstruction, StageReport
 from mrgs.prepare.develop import develop
 from mrgs.prepare.existing import existing_poses
@@ -45,7 +45,7 @@ def photos(folder: Path, pairing: Pairing, scene: Path, options: PrepareOptions)
     turns = options.poses is None  # poses from elsewhere are those of the images as they are stored
 
     def make(progress: Progress) -> Development:
-        _remove(scene / "transforms.json")  # the images that it describes are about to change
+        remove(scene / "transforms.json")  # the images that it describes are about to change
         return develop(pairing, scene, options.overrides, progress, turns=turns)
 
     return Stage(
@@ -197,10 +197,3 @@ def page(
 def _tell_scene(written: WrittenScene) -> Told:
     bounds = "no °C" if written.range_c is None else f"{written.range_c[0]:g} °C to {written.range_c[1]:g} °C"
     return Told((f"{written.train} training views, {written.eval} held out, {bounds}.",))
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise RunError(f"{path} cannot be removed ({error.strerror}): remove it, or choose another folder") from None

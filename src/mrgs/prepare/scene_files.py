@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.atomic import replacing
+from mrgs.atomic import remove, replacing
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
-from mrgs.errors import ConfigError, RunError, SceneError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import DevelopedView, Development, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
 from mrgs.scene import PointCloud
@@ -196,7 +196,7 @@ def _write_bounds(path: Path, views: Sequence[DevelopedView], given: tuple[float
         low, high = math.floor(min(low for low, _ in ranges)), math.ceil(max(high for _, high in ranges))
         given = float(low), float(max(high, low + 1))
     if given is None:
-        _remove(path)
+        remove(path)  # what an earlier call wrote would be wrong now
         return
     _write_json(path, {"absolute_min_temperature": given[0], "absolute_max_temperature": given[1]})
 
@@ -204,7 +204,7 @@ def _write_bounds(path: Path, views: Sequence[DevelopedView], given: tuple[float
 def _write_points(path: Path, points: PointCloud) -> None:
     """Coloured points as a binary PLY file."""
     if not len(points.positions):
-        _remove(path)
+        remove(path)  # what an earlier call wrote would be wrong now
         return
     rows = np.empty(len(points.positions), dtype=[("position", "<f4", 3), ("color", "u1", 3)])
     rows["position"] = points.positions.numpy()
@@ -219,11 +219,3 @@ def _write_points(path: Path, points: PointCloud) -> None:
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _remove(path: Path) -> None:
-    """Take away what an earlier call wrote and what would be wrong now."""
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise RunError(f"{path} cannot be removed ({error.strerror or error}): remove it by hand") from error

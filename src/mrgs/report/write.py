@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from datetime import date
 from html import escape
 from importlib.metadata import version
@@ -15,6 +13,7 @@ from mrgs.atomic import replacing
 from mrgs.report.sections import capture, contact_sheet, limits, metrics, spots, training
 from mrgs.run import Run
 from mrgs.scene import Scene
+from mrgs.webpage import policy_hash
 
 
 def write_report(run: Run, scene: Scene, path: Path) -> Path:
@@ -42,13 +41,12 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
         training(run),
     ]
     style = files("mrgs.report").joinpath("report.css").read_text(encoding="utf-8")
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     page = Template(files("mrgs.report").joinpath("report.html").read_text(encoding="utf-8")).substitute(
         title=escape(f"Thermal report: {scene.name}"),
         subtitle=escape(f"{date.today().isoformat()}. Run {run.folder.path.resolve().name}, {run.config.method}."),
         version=escape(version("mrgs")),
         style=style,
-        style_hash=f"'sha256-{digest}'",
+        style_hash=policy_hash(style),
         sections="\n".join(sections),
     )
     with replacing(path) as temporary:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
 from html import escape
@@ -26,6 +24,7 @@ from mrgs.evaluation.pictures import to_array
 from mrgs.export.page.packing import pack
 from mrgs.export.page.visibility import most_visible
 from mrgs.scene import Camera, TemperatureRange, spread
+from mrgs.webpage import policy_hash, script_json
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
@@ -93,7 +92,7 @@ def write_page(
     }
     data = {
         "modalities": " ".join(kinds),
-        "facts": _script_json(facts),
+        "facts": script_json(facts),
         "model": _base64(packed.data),
     }
     page = _assemble(_texts(baked, packed.header, title, cameras, palette, notes) | data)
@@ -229,23 +228,14 @@ def _options(labels: Iterable[str], selected: str = "") -> str:
     return "".join(f"<option{' selected' if label == selected else ''}>{escape(label)}</option>" for label in labels)
 
 
-def _script_json(value: Any) -> str:
-    """JSON that cannot end the script element that holds it."""
-    return json.dumps(value, ensure_ascii=True, allow_nan=False).replace("<", "\\u003c")
-
-
 def _assemble(content: dict[str, str]) -> str:
     """Fill the template; the policy allows exactly this script and this style."""
     script = '"use strict";\n' + "\n".join(_asset(name) for name in SCRIPTS)
     style = _asset("page.css")
-    hashes = {"script_hash": _policy_hash(script), "style_hash": _policy_hash(style)}
+    hashes = {"script_hash": policy_hash(script), "style_hash": policy_hash(style)}
     return Template(_asset("page.html")).substitute(
         content, script=script, worker=_asset("worker.js"), style=style, **hashes
     )
-
-
-def _policy_hash(text: str) -> str:
-    return f"'sha256-{_base64(hashlib.sha256(text.encode()).digest())}'"
 
 
 def _asset(name: str) -> str:

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from mrgs.data.thermal import LUMINANCE
 from mrgs.errors import SceneError
 from mrgs.prepare.page.shots import Shot, shot_of_pixels
 from mrgs.scene import Pixels, PosedImage, TemperatureRange, View
 
-_LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
 _AT_END = 1e-3
 """Normalised; nearer than this to 0 or 1 (a quarter of an 8-bit step) a value lies at the end of the scale."""
 
@@ -46,7 +45,7 @@ def look_at(view: View, status: str, temperature: TemperatureRange | None, width
     ends = None if thermal is None else _ends(thermal)
     return Look(
         shot=shot_of_pixels(view, status, temperature, width, rgb, thermal),
-        sharpness=None if rgb is None else sharpness((rgb.values @ _LUMINANCE).double().numpy()),
+        sharpness=None if rgb is None else sharpness((rgb.values @ LUMINANCE).double().numpy()),
         cold_end=None if ends is None else ends[0],
         hot_end=None if ends is None else ends[1],
         spread=None if ends is None else ends[2],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.metadata import version
@@ -13,7 +11,7 @@ from string import Template
 from typing import Any
 
 from mrgs.atomic import replacing
-from mrgs.prepare.page.markup import script_json
+from mrgs.webpage import policy_hash, script_json
 
 SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
 
@@ -40,18 +38,13 @@ def write_document(path: Path, title: str, subtitle: str, sections: Sequence[str
         sections="\n".join(section for section in sections if section),
         facts=script_json(facts),
         style=style,
-        style_hash=_policy_hash(style),
+        style_hash=policy_hash(style),
         script=script,
-        script_hash=_policy_hash(script),
+        script_hash=policy_hash(script),
     )
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="replace")  # names of files need not be valid text
     return path
-
-
-def _policy_hash(text: str) -> str:
-    digest = hashlib.sha256(text.encode("utf-8", "replace")).digest()
-    return f"'sha256-{base64.b64encode(digest).decode('ascii')}'"
 
 
 def _asset(name: str) -> str:

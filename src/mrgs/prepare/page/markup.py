@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any
 
 from PIL import Image
 
@@ -62,11 +60,6 @@ def picture(image: Image.Image, text: str, *, kind: str = "", quality: int = 80,
     size = f'width="{image.width}" height="{image.height}"'
     source = f"data:image/{'png' if png else 'jpeg'};base64,{content}"
     return f'<img{_class(kind)} {size} alt="{escape(text)}" src="{source}">'
-
-
-def script_json(value: Any) -> str:
-    """JSON that cannot end the script element that holds it."""
-    return json.dumps(value, ensure_ascii=True, allow_nan=False).replace("<", "\\u003c")
 
 
 def views_text(names: Sequence[str], most: int = 5) -> str:

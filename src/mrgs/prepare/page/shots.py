@@ -12,13 +12,12 @@ from torch import Tensor
 
 from mrgs.data.images import decode
 from mrgs.data.posed import decode_rgb
+from mrgs.data.thermal import LUMINANCE
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.evaluation.pictures import to_rgb8
 from mrgs.prepare.contract import DevelopedView
 from mrgs.scene import Camera, Pixels, TemperatureRange, View
-
-_LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +84,7 @@ def shot_of_files(
             values, _ = decode_rgb(scene / view.rgb)
             rgb = to_rgb8(_reduced(values, None, width)[0])
         decoded = decode(scene / view.thermal)
-        values = decoded.values if decoded.kind != "colour" else decoded.values @ _LUMINANCE[:, None]
+        values = decoded.values if decoded.kind != "colour" else decoded.values @ LUMINANCE[:, None]
         thermal = _temperatures(values, decoded.valid, None if decoded.kind == "float" else temperature, width)
     except SceneError as error:
         status = f"{status}; {error}"

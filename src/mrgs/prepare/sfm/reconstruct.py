@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mrgs.errors import SceneError
-from mrgs.prepare.contract import Progress, Reconstruction
+from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction
 from mrgs.prepare.sfm.job import set_up
 from mrgs.prepare.sfm.process import run_colmap
-from mrgs.prepare.sfm.result import MIN_VIEWS, read_result
+from mrgs.prepare.sfm.result import read_result
 
 
 def reconstruct(

@@ -12,10 +12,9 @@ import torch
 
 from mrgs.data.colmap_model import ColmapModel, read_images
 from mrgs.prepare.colmap.job import JOB_FILE, MODEL_FOLDER, POINTS_FILE, REPORT_FILE
-from mrgs.prepare.contract import LeftOut, Reconstruction, TooFewPosesError
+from mrgs.prepare.contract import MIN_VIEWS, LeftOut, Reconstruction, TooFewPosesError
 from mrgs.scene import PointCloud
 
-MIN_VIEWS = 3
 FEW_FEATURES = 100
 FEW_MATCHES = 30
 ROUGH_PX = 1.0
