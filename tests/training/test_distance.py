@@ -4,9 +4,10 @@ import math
 
 import pytest
 import torch
+from torch import Tensor
 
-from mrgs.scene import Camera, PointCloud
-from mrgs.training.distance import SPACING_RAD, TIMES_AS_FAR, with_distant_points
+from mrgs.scene import Camera
+from mrgs.training.distance import SPACING_RAD, TIMES_AS_FAR, distant_points
 
 
 def camera_towards(angle: float, distance: float = 0.0) -> Camera:
@@ -20,33 +21,27 @@ def camera_towards(angle: float, distance: float = 0.0) -> Camera:
     return Camera(K, viewmat, 96, 72)
 
 
-def wall_of(camera: Camera, rows: range, depth: float = 3.0) -> PointCloud:
+def wall_of(camera: Camera, rows: range, depth: float = 3.0) -> Tensor:
     """A point in the middle of each of 24 × 18 cells of the photo, in some rows."""
     column, row = torch.meshgrid(torch.arange(24.0), torch.tensor([float(row) for row in rows]), indexing="xy")
     pixels = torch.stack([4 * column.flatten() + 2, 4 * row.flatten() + 2], dim=1).double()
-    positions = camera.unproject(pixels, torch.full((len(pixels),), depth).double()).float()
-    return PointCloud(positions, torch.rand(len(positions), 3, generator=torch.Generator().manual_seed(0)))
+    return camera.unproject(pixels, torch.full((len(pixels),), depth).double()).float()
 
 
 def test_a_photo_full_of_points_gets_none_behind_them():
     camera = camera_towards(0.3)
-    points = wall_of(camera, range(18))
-    assert len(with_distant_points(points, [camera]).positions) == len(points.positions)
+    assert len(distant_points(wall_of(camera, range(18)), [camera])) == 0
 
 
 def test_the_sky_above_a_wall_gets_points_far_away():
     camera = camera_towards(0.3)
     points = wall_of(camera, range(9, 18))
-    found = with_distant_points(points, [camera])
-    count = len(points.positions)
-    assert torch.equal(found.positions[:count], points.positions)
-    assert torch.equal(found.colors[:count], points.colors)
-    sky = found.positions[count:].double()
+    sky = distant_points(points, [camera]).double()
     pixels, _ = camera.project(sky)
     assert camera.contains(pixels).all()
     assert (pixels[:, 1] < 33).all()  # the cells that touch the wall are left out
     assert 8 * 24 / 2 < len(sky) <= 8 * 24
-    farthest = points.positions.norm(dim=1).max().item()
+    farthest = points.norm(dim=1).max().item()
     torch.testing.assert_close(
         sky.norm(dim=1), torch.full((len(sky),), TIMES_AS_FAR * farthest).double(), rtol=0.05, atol=0
     )
@@ -55,17 +50,16 @@ def test_the_sky_above_a_wall_gets_points_far_away():
 def test_a_small_gap_in_a_wall_stays_as_it_is():
     camera = camera_towards(0.3)
     points = wall_of(camera, range(18))
-    pixels, _ = camera.project(points.positions.double())
+    pixels, _ = camera.project(points.double())
     gap = (pixels - pixels.new_tensor([44.0, 40.0])).abs().amax(dim=1) < 3
-    rest = PointCloud(points.positions[~gap], points.colors[~gap])
     assert gap.sum() == 4
-    assert with_distant_points(rest, [camera]).positions.shape == rest.positions.shape
+    assert len(distant_points(points[~gap], [camera])) == 0
 
 
 def test_what_several_photos_see_becomes_one_point():
     cameras = [camera_towards(0.3), camera_towards(0.3, distance=0.01)]
     points = wall_of(cameras[0], range(9, 18))
-    one, two = (with_distant_points(points, cameras[:count]).positions[len(points.positions) :] for count in (1, 2))
+    one, two = (distant_points(points, cameras[:count]) for count in (1, 2))
     nearest = torch.cdist(two / two.norm(dim=1, keepdim=True), one / one.norm(dim=1, keepdim=True)).min(dim=1).values
     assert (nearest < 2 * SPACING_RAD).all()
     assert len(two) < 1.5 * len(one)
@@ -74,8 +68,8 @@ def test_what_several_photos_see_becomes_one_point():
 def test_cameras_outside_the_points_are_inside_the_sphere():
     """As around a thing on a table: the points lie within the ring of cameras, which look inwards."""
     cameras = [camera_towards(angle, distance=5.0) for angle in (0.0, 2.0, 4.0)]
-    points = PointCloud(0.1 * torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), torch.rand(300, 3))
-    found = with_distant_points(points, cameras).positions[300:].double()
+    points = 0.1 * torch.randn(300, 3, generator=torch.Generator().manual_seed(0))
+    found = distant_points(points, cameras).double()
     centre = torch.stack([camera.position for camera in cameras]).mean(dim=0)
     assert (found - centre).norm(dim=1).min() > 1.9 * 5.0
     assert all((camera.project(found)[1] > 5.0).any() for camera in cameras)
@@ -84,12 +78,11 @@ def test_cameras_outside_the_points_are_inside_the_sphere():
 def test_a_photo_of_few_points_does_not_tell_what_is_empty():
     camera = camera_towards(0.3)
     points = wall_of(camera, range(10, 18))
-    assert len(with_distant_points(points, [camera]).positions) == len(points.positions) == 8 * 24
+    assert len(points) == 8 * 24
+    assert len(distant_points(points, [camera])) == 0
 
 
 @pytest.mark.parametrize("missing", ["cameras", "points"])
 def test_nothing_to_go_by(missing):
-    points = PointCloud(
-        torch.zeros(0 if missing == "points" else 4, 3), torch.zeros(0 if missing == "points" else 4, 3)
-    )
-    assert with_distant_points(points, [] if missing == "cameras" else [camera_towards(0.0)]) is points
+    points = torch.zeros(0 if missing == "points" else 4, 3)
+    assert distant_points(points, [] if missing == "cameras" else [camera_towards(0.0)]).shape == (0, 3)

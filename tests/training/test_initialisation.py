@@ -2,37 +2,49 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 
 from mrgs.field import FieldConfig, RadianceField
-from mrgs.scene import Gaussians, PointCloud
+from mrgs.scene import Gaussians
 from mrgs.training.initialisation import SMALLEST_DISTANCE, initial_gaussians
+from mrgs.training.start_points import StartPoints
 
 
-def cloud(count: int) -> PointCloud:
-    generator = torch.Generator().manual_seed(0)
-    return PointCloud(torch.randn(count, 3, generator=generator), torch.rand(count, 3, generator=generator))
+def points_at(positions: Tensor) -> StartPoints:
+    """Points that differ in everything."""
+    generator = torch.Generator().manual_seed(1)
+    colors = torch.rand(len(positions), 3, generator=generator)
+    temperatures = torch.rand(len(positions), generator=generator)
+    return StartPoints(positions, colors, temperatures, 0.1 + 0.8 * torch.rand(len(positions), generator=generator))
 
 
-def start(points: PointCloud, shares_opacity=False, degree=0, cap=1_000, seed=0, **field) -> Gaussians:
+def cloud(count: int) -> StartPoints:
+    return points_at(torch.randn(count, 3, generator=torch.Generator().manual_seed(0)))
+
+
+def start(points: StartPoints, shares_opacity=False, degree=0, cap=1_000, seed=0, **field) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
     return initial_gaussians(points, RadianceField(FieldConfig(**field)), shares_opacity, degree, cap, generator)
 
 
-def test_one_gaussian_per_point_with_its_colour():
+@pytest.mark.parametrize("degree", [0, 3])
+def test_one_gaussian_per_point_with_its_colour_temperature_and_opacity(degree):
     points = cloud(30)
-    gaussians = start(points)
+    gaussians = start(points, degree=degree)
     assert torch.equal(gaussians.means, points.positions)
     field = RadianceField(FieldConfig(residuals=False))
-    torch.testing.assert_close(field.colors(gaussians, torch.zeros(3).double(), 3), points.colors)
-    torch.testing.assert_close(gaussians.opacity_rgb, torch.full((30,), 0.1))
-    torch.testing.assert_close(gaussians.opacity_thermal, torch.full((30,), 0.1))
+    anywhere = torch.zeros(3).double()
+    torch.testing.assert_close(field.colors(gaussians, anywhere, 3), points.colors)
+    torch.testing.assert_close(field.temperatures(gaussians, None, anywhere, degree)[:, 0], points.temperatures)
+    torch.testing.assert_close(gaussians.opacity_rgb, points.opacities)
+    torch.testing.assert_close(gaussians.opacity_thermal, points.opacities)
     torch.testing.assert_close(gaussians.quats, torch.tensor([1.0, 0, 0, 0]).expand(30, 4))
 
 
 def test_sizes_are_the_spacing_of_the_points():
     line = torch.zeros(9, 3)
     line[:, 0] = torch.arange(9.0)
-    scales = start(PointCloud(line, line.clone())).scales
+    scales = start(points_at(line)).scales
     torch.testing.assert_close(scales[4], torch.full((3,), ((1 + 1 + 4) / 3) ** 0.5))
     torch.testing.assert_close(scales[0], torch.full((3,), ((1 + 4 + 9) / 3) ** 0.5))
 
@@ -40,7 +52,7 @@ def test_sizes_are_the_spacing_of_the_points():
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_few_or_coincident_points_have_some_size(count):
     point = torch.ones(count, 3)
-    gaussians = start(PointCloud(point, 0.5 * point))
+    gaussians = start(points_at(point))
     torch.testing.assert_close(gaussians.scales, torch.full((count, 3), SMALLEST_DISTANCE))
     assert all(tensor.isfinite().all() for tensor in gaussians.tensors().values())
 
@@ -52,6 +64,9 @@ def test_too_many_points_give_a_random_subset():
     assert len(set(rows)) == 20
     assert rows == sorted(rows)
     assert torch.equal(start(points, cap=20).means, gaussians.means)
+    whole = start(points)
+    for name in ("sh_dc", "temperature_dc", "opacity_rgb_logit"):
+        assert torch.equal(getattr(gaussians, name), getattr(whole, name)[rows])
     assert not torch.equal(start(points, cap=20, seed=1).means, gaussians.means)
 
 

@@ -53,6 +53,7 @@ class TrainConfig:
         sh_every: steps between the degrees of the spherical harmonics.
         shares_opacity: blend both modalities with o_c.
         distant_points: start with points far away too, in the directions where no start point lies; not in the paper.
+        photo_temperatures: start with temperatures read off the thermal photos, not with one for all; not in the paper.
         neighbours_every: steps after which the neighbours are searched anew, besides whenever N changes.
         background_rgb: colour behind the scene.
         background_thermal: normalised temperature behind the scene.
@@ -75,6 +76,7 @@ class TrainConfig:
     sh_every: int = 1_000
     shares_opacity: bool = False
     distant_points: bool = False
+    photo_temperatures: bool = False
     neighbours_every: int = 500
     background_rgb: float = 0.0
     background_thermal: float = 0.0
@@ -163,7 +165,13 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     loss = replace(config.loss, smooth_rgb=0.0, smooth_thermal=0.25, smooth_depth=0.0)
     optimizer = replace(config.optimizer, **CPU_RATES)
     return replace(
-        config, distant_points=True, densification=densification, field=field, loss=loss, optimizer=optimizer
+        config,
+        distant_points=True,
+        photo_temperatures=True,
+        densification=densification,
+        field=field,
+        loss=loss,
+        optimizer=optimizer,
     )
 
 

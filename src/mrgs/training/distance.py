@@ -10,10 +10,10 @@ import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from mrgs.scene import Camera, PointCloud
+from mrgs.scene import Camera
 
 CELLS_ACROSS = 24
 """A photo is divided into so many cells across, which are about square. A direction counts if its cell and those around
@@ -30,30 +30,24 @@ farthest camera."""
 SPACING_RAD = 0.05
 """Directions closer than about this become one point."""
 
-GREY = 0.5
 
-
-def with_distant_points(points: PointCloud, cameras: Sequence[Camera]) -> PointCloud:
-    """The start points and, behind them, those far away; the same points where every cell of every photo has one.
+def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> Float[Tensor, "m 3"]:
+    """Points behind the start points; none where every cell of every photo shows one of those.
 
     Args:
-        points: start points.
+        points: start points in world coordinates.
         cameras: of the training photos.
     """
-    if not cameras or len(points.positions) == 0:
-        return points
-    positions = points.positions.double()
+    if not cameras or len(points) == 0:
+        return points[:0]
+    positions = points.double()
     places = torch.stack([camera.position for camera in cameras])
     centre = places.mean(dim=0)
     distances = (positions - centre).norm(dim=1)
     farthest = distances.kthvalue(math.ceil(FARTHEST_SHARE * len(distances))).values
     radius = TIMES_AS_FAR * torch.maximum(farthest, (places - centre).norm(dim=1).max())
     reached = [_on_sphere(camera, _empty_cells(camera, positions), centre, radius) for camera in cameras]
-    distant = centre + radius * _merged(torch.cat(reached))
-    return PointCloud(
-        torch.cat([points.positions, distant.to(points.positions)]),
-        torch.cat([points.colors, points.colors.new_full((len(distant), 3), GREY)]),
-    )
+    return (centre + radius * _merged(torch.cat(reached))).to(points)
 
 
 def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:

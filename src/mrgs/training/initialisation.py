@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
-from mrgs.scene import Gaussians, PointCloud
+from mrgs.scene import Gaussians
+from mrgs.training.start_points import StartPoints
 
-INITIAL_OPACITY = 0.1
 INITIAL_SCALE_NEIGHBOURS = 3
 SMALLEST_DISTANCE = 1e-7
 """Coincident points still become Gaussians of some size (scene units)."""
 
 
 def initial_gaussians(
-    points: PointCloud,
+    points: StartPoints,
     field: RadianceField,
     shares_opacity: bool,
     temperature_degree: int,
@@ -36,21 +34,21 @@ def initial_gaussians(
         max_gaussians: the cap.
         generator: of the subset.
     """
-    means, colors = points.positions.clone(), points.colors
-    if len(means) > max_gaussians:
-        chosen = torch.randperm(len(means), generator=generator)[:max_gaussians].sort().values
-        means, colors = means[chosen], colors[chosen]
-    count = len(means)
-    opacity = torch.full((count, 1), math.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)))
+    count = len(points.positions)
+    if count > max_gaussians:
+        points = points.rows(torch.randperm(count, generator=generator)[:max_gaussians].sort().values)
+        count = max_gaussians
+    means = points.positions.clone()
+    opacity = points.opacities.logit()[:, None]
     return Gaussians(
         means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         log_scales=_spacing(means).log()[:, None].repeat(1, 3),
         opacity_rgb_logit=opacity,
         opacity_thermal_logit=opacity[:, :0].clone() if shares_opacity else opacity.clone(),
-        sh_dc=((colors - 0.5) / C0)[:, None],
+        sh_dc=((points.colors - 0.5) / C0)[:, None],
         sh_rest=torch.zeros(count, 15, 3),
-        temperature_dc=torch.zeros(count, 1, 1),
+        temperature_dc=((points.temperatures - 0.5) / C0)[:, None, None],
         temperature_rest=torch.zeros(count, (temperature_degree + 1) ** 2 - 1, 1),
         embedding=field.initial_embedding(means),
     )

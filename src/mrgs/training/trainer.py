@@ -11,16 +11,16 @@ from mrgs.data import load_scene
 from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
 from mrgs.render import Model
-from mrgs.scene import PointCloud, Scene
+from mrgs.scene import Scene
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
-from mrgs.training.distance import with_distant_points
 from mrgs.training.driver import Driver
 from mrgs.training.image_model import Capture
 from mrgs.training.initialisation import initial_gaussians
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
+from mrgs.training.start_points import start_points
 from mrgs.training.step import StepStatistics, TrainingState, control_density, training_step
 from mrgs.training.terms import Photos, SceneScale
 from mrgs.training.views import PhotoCache
@@ -92,7 +92,7 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         uncertainty = DepthUncertainty()
         field.set_frame(scene.points.positions)
         gaussians = initial_gaussians(
-            _start_points(scene, config),
+            start_points(scene, config),
             field,
             shares_opacity,
             config.temperature_degree,
@@ -109,12 +109,6 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         antialiased=config.antialiased,
     )
     return checkpoint.make_state(model, uncertainty, config, Capture.of(scene), generator)
-
-
-def _start_points(scene: Scene, config: TrainConfig) -> PointCloud:
-    if not config.distant_points:
-        return scene.points
-    return with_distant_points(scene.points, [view.cameras[0] for view in scene.train])
 
 
 class _Trainer(Driver[StepStatistics]):

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from mrgs.scene import Camera, Pixels, PointCloud, PosedImage, Scene, View
+from mrgs.training.config import make_config
+from mrgs.training.photo_values import UNSEEN
+from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, start_points
+
+WIDTH, HEIGHT = 48, 36
+WALL_C, SKY_C = 0.8, 0.1
+SKY = torch.tensor([0.3, 0.5, 0.9])
+
+
+def image(above: Tensor, below: Tensor, camera: Camera) -> PosedImage:
+    """One value above the horizon, another below it."""
+    upper = torch.arange(HEIGHT)[:, None, None] < HEIGHT // 2
+    return PosedImage(camera, lambda: Pixels(torch.where(upper, above, below).expand(HEIGHT, WIDTH, -1).contiguous()))
+
+
+def wall_under_sky(has_rgb: bool = True, has_thermal: bool = True) -> Scene:
+    """A wall of grey points fills the lower half of the only photo, from 3 units before the camera."""
+    K = torch.tensor([[WIDTH, 0, WIDTH / 2], [0, WIDTH, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64)
+    camera = Camera(K, torch.eye(4, dtype=torch.float64), WIDTH, HEIGHT)
+    rows, columns = torch.arange(HEIGHT // 2, HEIGHT), torch.arange(WIDTH)
+    pixels = torch.cartesian_prod(columns, rows).double() + 0.5
+    positions = camera.unproject(pixels, torch.full((len(pixels),), 3.0).double()).float()
+    rgb = image(SKY, torch.tensor([0.2, 0.2, 0.2]), camera) if has_rgb else None
+    thermal = image(torch.tensor([SKY_C]), torch.tensor([WALL_C]), camera) if has_thermal else None
+    points = PointCloud(positions, torch.full_like(positions, 0.4))
+    return Scene("wall", (View("one", rgb, thermal),), (), points, None)
+
+
+def test_the_scenes_own_points_keep_their_colours_and_get_temperatures():
+    scene = wall_under_sky()
+    found = start_points(scene, make_config("mrgs", "fast"))
+    own = slice(len(scene.points.positions))
+    assert torch.equal(found.positions[own], scene.points.positions)
+    assert torch.equal(found.colors[own], scene.points.colors)
+    torch.testing.assert_close(found.temperatures[own], torch.full_like(found.temperatures[own], WALL_C))
+    assert (found.opacities[own] == OPACITY).all()
+
+
+def test_the_sky_is_opaque_and_as_the_photos_show_it():
+    scene = wall_under_sky()
+    count = len(scene.points.positions)
+    found = start_points(scene, make_config("mrgs", "fast"))
+    assert len(found.positions) > count + 50
+    assert (found.opacities[count:] == DISTANT_OPACITY).all()
+    torch.testing.assert_close(found.temperatures[count:], torch.full_like(found.temperatures[count:], SKY_C))
+    torch.testing.assert_close(found.colors[count:], SKY.expand(len(found.positions) - count, 3))
+
+
+@pytest.mark.parametrize(("has_rgb", "has_thermal"), [(True, False), (False, True)])
+def test_a_modality_without_photos_says_nothing(has_rgb, has_thermal):
+    scene = wall_under_sky(has_rgb, has_thermal)
+    found = start_points(scene, make_config("mrgs", "fast"))
+    if not has_rgb:
+        assert (found.colors[len(scene.points.positions) :] == UNSEEN).all()
+    if not has_thermal:
+        assert (found.temperatures == UNSEEN).all()
+
+
+def test_as_published_only_the_scenes_points_are_there():
+    scene = wall_under_sky()
+    found = start_points(scene, make_config("mrgs", "paper"))
+    assert torch.equal(found.positions, scene.points.positions)
+    assert (found.temperatures == UNSEEN).all()
+    assert (found.opacities == OPACITY).all()
+
+
+def test_each_switch_acts_alone():
+    scene = wall_under_sky()
+    published = make_config("mrgs", "paper")
+    warm = start_points(scene, replace(published, photo_temperatures=True))
+    far = start_points(scene, replace(published, distant_points=True))
+    assert len(warm.positions) == len(scene.points.positions)
+    torch.testing.assert_close(warm.temperatures, torch.full_like(warm.temperatures, WALL_C))
+    assert len(far.positions) > len(scene.points.positions)
+    assert (far.temperatures == UNSEEN).all()
