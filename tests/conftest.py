@@ -1,11 +1,11 @@
-"""What holds for every test: quiet threads, checked shapes; and small scenes with known contents."""
+"""What holds for every test: quiet threads, checked shapes, a device; and small scenes with known contents."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded: spinning threads starve each other
@@ -13,21 +13,29 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nor do small matrices gain
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import settings
 from jaxtyping import install_import_hook
 from PIL import Image
 
+if not torch.cuda.is_available():
+    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is loaded: its kernels then run on CPU tensors
+
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
 UNCHECKED = (
     "mrgs.rasterizer.cpu",
+    "mrgs.rasterizer.gpu",
     "mrgs.field.cpu",
+    "mrgs.field.gpu",
     "mrgs.training.cpu",
+    "mrgs.training.gpu",
     "mrgs.thermonerf.cpu",
     "mrgs.terminal",
     "mrgs.cli",
     "mrgs.commands",
 )
-"""The hook's decorators break Numba's cache, and cli imports what it annotates only when it is needed."""
+"""The hook's decorators break Numba's cache and Triton's reading of a kernel's source; cli imports what it annotates
+only when it is needed."""
 
 
 def _checked_modules() -> list[str]:
@@ -43,6 +51,40 @@ install_import_hook(_checked_modules(), "beartype.beartype(conf=beartype.Beartyp
 # The same examples on every machine, and no verdict from how busy it is.
 settings.register_profile("mrgs", deadline=None, derandomize=True)
 settings.load_profile("mrgs")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leaves out what needs a GPU, where there is none."""
+    if torch.cuda.is_available():
+        return
+    for item in items:
+        if item.get_closest_marker("gpu"):
+            item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def auto_is_the_cpu() -> Iterator[None]:
+    """With a GPU, too, a test runs on the CPU unless it says otherwise: many compare bits."""
+    from mrgs import gpu
+
+    choose = gpu.choose_device
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gpu, "choose_device", lambda name: choose("cpu" if name == "auto" else name))
+        yield
+
+
+@pytest.fixture
+def gpu_device() -> Iterator[str]:
+    """Where the Triton kernels run: "cuda"; or, without a CUDA device, "cpu", where they are interpreted."""
+    pytest.importorskip("triton")
+    if torch.cuda.is_available():
+        yield "cuda"
+        return
+    from mrgs import gpu
+
+    with gpu.interpreted():
+        yield "cpu"
+
 
 WIDTH, HEIGHT = 40, 30
 MIN_C, MAX_C = 10.0, 30.0

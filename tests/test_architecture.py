@@ -16,6 +16,8 @@ FLOORS = {
     "isolation": 0.5,
     "webpage": 0.5,
     "jit": 0.5,
+    "gpu": 0.5,
+    "gpu_kernels": 0.5,
     "scene": 1.0,
     "data": 2.0,
     "field": 2.0,

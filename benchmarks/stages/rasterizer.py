@@ -12,8 +12,7 @@ from torch import Tensor
 from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import camera, layers_of, room
-from mrgs.rasterizer import rasterize
-from mrgs.rasterizer.cpu import splat
+from mrgs.rasterizer import rasterize, splat
 from mrgs.rasterizer.cpu.blend import blend
 from mrgs.rasterizer.cpu.blend_backward import blend_backward
 from mrgs.rasterizer.cpu.projection import project, project_backward

@@ -19,6 +19,10 @@ class ConfigError(MrgsError):
     """An option or a configuration value is not allowed."""
 
 
+class DeviceError(MrgsError):
+    """The GPU that was asked for cannot be used."""
+
+
 class TrainingError(MrgsError):
     """Training had to stop; the last good checkpoint is kept."""
 

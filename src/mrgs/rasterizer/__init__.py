@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from mrgs.gpu import serves
 from mrgs.rasterizer import cpu, reference
-from mrgs.rasterizer.contract import Blend, Layer, Raster
+from mrgs.rasterizer.contract import Blend, Layer, Raster, Rasterizer
 
 __all__ = ["Blend", "Layer", "Raster", "rasterize"]
 
@@ -26,7 +27,16 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
     antialiased: bool = False,
 ) -> Raster:
-    """``contract.Rasterizer``: the kernels for float32 tensors on the CPU, the oracle for everything else."""
-    use_kernels = means.device.type == "cpu" and means.dtype == torch.float32
-    chosen = cpu.rasterize if use_kernels else reference.rasterize
+    """``contract.Rasterizer``: the kernels for float32 tensors on a GPU or the CPU, the oracle for everything else."""
+    chosen = _kernels_for(means) or reference.rasterize
     return chosen(means, quats, scales, layers, viewmat, K, width, height, means2d_offset, antialiased)
+
+
+def _kernels_for(means: Tensor) -> Rasterizer | None:
+    if serves(means):
+        from mrgs.rasterizer import gpu  # only here: it imports Triton
+
+        return gpu.rasterize
+    if means.device.type == "cpu" and means.dtype == torch.float32:
+        return cpu.rasterize
+    return None

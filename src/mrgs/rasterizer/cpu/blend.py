@@ -13,8 +13,7 @@ import math
 import numpy as np
 from numba import prange
 
-from mrgs.rasterizer import contract
-from mrgs.rasterizer.cpu import splat
+from mrgs.rasterizer import contract, splat
 from mrgs.rasterizer.cpu.jit import inlined_kernel, kernel, parallel_kernel
 from mrgs.rasterizer.cpu.simd import (
     LANES,

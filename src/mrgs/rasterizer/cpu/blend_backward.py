@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mrgs.rasterizer.cpu import splat
+from mrgs.rasterizer import splat
 from mrgs.rasterizer.cpu.blend import (
     ALL_VECTORS,
     ALPHA_MAX,

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import Blend, Layer, Raster
-from mrgs.rasterizer.cpu import splat
 from mrgs.rasterizer.cpu.blend import blend
 from mrgs.rasterizer.cpu.blend_backward import blend_backward
 from mrgs.rasterizer.cpu.projection import project, project_backward

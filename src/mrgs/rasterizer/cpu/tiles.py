@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
-from mrgs.rasterizer.cpu import splat
+from mrgs.rasterizer import splat
 from mrgs.rasterizer.cpu.jit import kernel, parallel_kernel
 from mrgs.rasterizer.cpu.simd import load, pointer, prefetch, store
 

@@ -1,4 +1,4 @@
-"""The record of a projected Gaussian: sixteen floats, one cache line, read by the tiler and the blender."""
+"""The record of a projected Gaussian: sixteen floats, one cache line, read by tilers and blenders of all kernels."""
 
 from __future__ import annotations
 

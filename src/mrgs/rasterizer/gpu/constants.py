@@ -1,0 +1,57 @@
+"""The constants of the kernels, as Triton wants them: of the image model, and of the records.
+
+The records are those of the CPU kernels, explained in ``splat``; the gradients of a (tile, Gaussian) pair too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import triton.language as tl
+
+from mrgs.rasterizer import contract, splat
+
+NEAR_PLANE = tl.constexpr(contract.NEAR_PLANE)
+DILATION = tl.constexpr(contract.COVARIANCE_DILATION_PX2)
+THINNEST = tl.constexpr(contract.THINNEST_AREA_RATIO)
+MARGIN = tl.constexpr(contract.FRUSTUM_MARGIN)
+ALPHA_MAX = tl.constexpr(contract.ALPHA_MAX)
+ALPHA_MIN = tl.constexpr(contract.ALPHA_MIN)
+TRANSMITTANCE_MIN = tl.constexpr(contract.TRANSMITTANCE_MIN)
+
+EXPONENT = tl.constexpr(-0.5 / math.log(2.0))
+"""exp(−½ x) = 2 ** (EXPONENT · x)."""
+
+LARGEST_PX = tl.constexpr(1e9)
+"""Gaussians that reach farther are left out, with those whose place or size is not a number."""
+
+TILE_WIDTH = tl.constexpr(16)
+TILE_HEIGHT = tl.constexpr(8)
+TILE_PIXELS = tl.constexpr(16 * 8)
+"""One warp blends a tile, each thread four of its pixels: whether any pixel is left, and the sums over the pixels,
+are then told within the warp, without a barrier; and small images still give many tiles to many processors."""
+
+SLACK_PX = tl.constexpr(1e-3)
+"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a pixel."""
+
+MEAN_X = tl.constexpr(splat.MEAN_X)
+MEAN_Y = tl.constexpr(splat.MEAN_Y)
+ACROSS = tl.constexpr(splat.ACROSS)
+SHEAR = tl.constexpr(splat.SHEAR)
+ALONG = tl.constexpr(splat.ALONG)
+EXTENT_Y = tl.constexpr(splat.EXTENT_Y)
+HALF_WIDTH = tl.constexpr(splat.HALF_WIDTH)
+DEPTH = tl.constexpr(splat.DEPTH)
+RGB = tl.constexpr(splat.RGB)
+THERMAL = tl.constexpr(splat.THERMAL)
+SPLAT_FLOATS = tl.constexpr(splat.SPLAT_FLOATS)
+
+GRAD_DX = tl.constexpr(splat.GRAD_DX)
+GRAD_DY = tl.constexpr(splat.GRAD_DY)
+GRAD_DXDX = tl.constexpr(splat.GRAD_DXDX)
+GRAD_DXDY = tl.constexpr(splat.GRAD_DXDY)
+GRAD_DYDY = tl.constexpr(splat.GRAD_DYDY)
+GRAD_DEPTH = tl.constexpr(splat.GRAD_DEPTH)
+GRAD_RGB = tl.constexpr(splat.GRAD_RGB)
+GRAD_THERMAL = tl.constexpr(splat.GRAD_THERMAL)
+GRAD_FLOATS = tl.constexpr(splat.GRAD_FLOATS)
