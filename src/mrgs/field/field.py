@@ -127,7 +127,7 @@ class RadianceField(nn.Module):
             rows: distinct Gaussians to evaluate; all if None (V = N).
 
         Raises:
-            IndexError: rows that do not exist.
+            IndexError: rows on the CPU that do not exist.
         """
         _check_places("rows", rows, len(gaussians))
         camera_position = camera_position.to(gaussians.means)
@@ -156,7 +156,7 @@ class RadianceField(nn.Module):
 
         Raises:
             ValueError: heat is exchanged, but ``neighbours`` is None or of another shape.
-            IndexError: rows or neighbours that do not exist.
+            IndexError: rows or neighbours on the CPU that do not exist.
         """
         _check_places("rows", rows, len(gaussians))
         if self.config.residuals:
@@ -192,7 +192,7 @@ class RadianceField(nn.Module):
                 f"neighbours of {len(gaussians)} Gaussians are needed, not of shape {tuple(neighbours.shape)}"
             )
         _check_places("neighbours", neighbours, len(gaussians))
-        projected = self._projected_features(gaussians, None if rows is None else with_neighbours(rows, neighbours))
+        projected = self._projected_features(gaussians, _needed(rows, neighbours))
         opacity = _take(gaussians.opacity_thermal, rows)
         anchors = _listed(rows, gaussians.means)
         return self.config.residual_scale * self.heat.readout(
@@ -260,7 +260,14 @@ def _listed(rows: Int64[Tensor, " v"] | None, means: Float[Tensor, "n 3"]) -> In
     return torch.arange(len(means), device=means.device) if rows is None else rows
 
 
+def _needed(rows: Int64[Tensor, " v"] | None, neighbours: Int64[Tensor, "n k"]) -> Int64[Tensor, " m"] | None:
+    """These Gaussians and their neighbours; all (None) on a GPU: to learn how many they are the host would wait."""
+    return None if rows is None or rows.device.type != "cpu" else with_neighbours(rows, neighbours)
+
+
 def _check_places(name: str, places: Int64[Tensor, "..."] | None, count: int) -> None:
-    """The kernels do not look again."""
-    if places is not None and places.numel() and not (places.min() >= 0 and places.max() < count):
+    """The kernels do not look again; a GPU is not asked, because the host would wait for its answer."""
+    if places is None or places.device.type != "cpu" or places.numel() == 0:
+        return
+    if not (places.min() >= 0 and places.max() < count):
         raise IndexError(f"{name} must lie in 0 to {count - 1}, but reach from {places.min()} to {places.max()}")

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
+from mrgs import gpu
 from mrgs.field import cpu
 from mrgs.field.product import product
 
@@ -16,10 +17,18 @@ def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n 
     """Indices of the k nearest other Gaussians, nearest first.
 
     Where fewer than k others exist, the remaining places hold the Gaussian itself: it exchanges no heat with itself.
+    On a GPU up to 16 neighbours are searched there, more on the host.
 
     Raises:
-        ValueError: a position is not finite.
+        ValueError: a position is not finite. Not on a GPU, which takes it as very far away: to look for it, the host
+            would have to wait for the device.
     """
+    if gpu.serves(means):
+        from mrgs.field.gpu import MAX_K
+        from mrgs.field.gpu import nearest_neighbours as nearest_on_device
+
+        if k <= MAX_K:
+            return nearest_on_device(means, k)
     points = means.detach().to("cpu", torch.float64).numpy()
     count = len(points)
     itself = np.arange(count, dtype=np.int64)[:, None]
@@ -39,13 +48,8 @@ def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n 
 
 
 def with_neighbours(rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]) -> Int64[Tensor, " m"]:
-    """These Gaussians and all their neighbours, each once, in ascending order."""
-    if neighbours.device.type == "cpu":
-        return torch.from_numpy(cpu.with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
-    is_needed = torch.zeros(len(neighbours), dtype=torch.bool, device=rows.device)
-    is_needed[rows] = True
-    is_needed[neighbours.index_select(0, rows).flatten()] = True
-    return is_needed.nonzero().squeeze(1)
+    """These Gaussians and all their neighbours, each once, in ascending order; for tensors on the CPU."""
+    return torch.from_numpy(cpu.with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
 
 
 class FourierHeatTransformation(nn.Module):

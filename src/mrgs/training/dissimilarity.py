@@ -1,4 +1,4 @@
-"""The fused kernel of L1, SSIM and S-SSIM, for torch tensors on the CPU."""
+"""The fused kernels of L1, SSIM and S-SSIM, for torch tensors on the CPU or on a GPU."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from mrgs import gpu
 from mrgs.training.cpu.dissimilarity import STRIP_ROWS, TAPS, Comparison, compare
 from mrgs.training.ssim import K1, K2, STRUCTURE_C2, WEIGHTS
 
@@ -20,14 +21,19 @@ class Dissimilarity(NamedTuple):
     """Two images compared.
 
     Attributes:
-        total: the weighted sum over all values.
+        total: the weighted sum over all values; on a GPU a tensor that stays there, so that nobody waits for it.
         grad_x: its gradient by x, [H, W, C]; None unless x asks for one.
         grad_y: its gradient by y; likewise.
     """
 
-    total: float
+    total: float | Float[Tensor, ""]
     grad_x: Float[Tensor, "h w c"] | None
     grad_y: Float[Tensor, "h w c"] | None
+
+
+def serves(tensor: Tensor) -> bool:
+    """Whether there is a fused kernel for this tensor: float32 or float64 on the CPU, float32 on a GPU."""
+    return tensor.device.type == "cpu" or gpu.serves(tensor)
 
 
 def l1_dssim(
@@ -36,12 +42,12 @@ def l1_dssim(
     """Σ weights ((1 − dssim) |x − y| + dssim (1 − SSIM)) with ``ssim.ssim_map`` at a data range of 1.
 
     Args:
-        x: an image, float32 or float64.
+        x: an image that ``serves`` says yes to.
         y: the image to compare with.
         weights: of each pixel, [H, W], or [1, W] for all rows alike; where 0, both images are read as 0.
         dssim: λ.
     """
-    return _compare(x, y, weights, [dssim, 1 - dssim, K1**2, K2**2], x.new_empty(0, 0))
+    return _compare(x, y, weights, (dssim, 1 - dssim, K1**2, K2**2), False)[0]
 
 
 def structural_dissimilarity(
@@ -51,12 +57,27 @@ def structural_dissimilarity(
 
     The arguments are those of ``l1_dssim``.
     """
-    height, width, channels = x.shape
-    errors = x.new_empty(height, width * channels)
-    return _compare(x, y, weights, [1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2], errors), errors.view(x.shape)
+    result, errors = _compare(x, y, weights, (1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2), True)
+    assert errors is not None
+    return result, errors
 
 
-def _compare(x: Tensor, y: Tensor, weights: Tensor, scalars: list[float], errors: Tensor) -> Dissimilarity:
+def _compare(
+    x: Tensor, y: Tensor, weights: Tensor, scalars: tuple[float, float, float, float], wants_errors: bool
+) -> tuple[Dissimilarity, Tensor | None]:
+    """What the device's kernel finds, and 1 − SSIM of each value if that is wanted."""
+    if gpu.serves(x):
+        from mrgs.training.gpu import compare as compare_on_device
+
+        found = compare_on_device(x, y, weights, scalars, y.requires_grad, wants_errors)
+        grad_x = found.gradient_x if x.requires_grad else None
+        return Dissimilarity(found.total, grad_x, found.gradient_y), found.errors
+    errors = x.new_empty(x.shape if wants_errors else (0, 0))
+    result = _compare_on_cpu(x, y, weights, list(scalars), errors.flatten(1))
+    return result, errors if wants_errors else None
+
+
+def _compare_on_cpu(x: Tensor, y: Tensor, weights: Tensor, scalars: list[float], errors: Tensor) -> Dissimilarity:
     """Call the kernel; ``errors`` is filled unless it is empty."""
     height, width, channels = x.shape
     in_memory = (height, width * channels)

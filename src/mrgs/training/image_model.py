@@ -23,6 +23,9 @@ from mrgs.training.point_spread import spread_points
 INITIAL_POINT_SPREAD_PX = 0.8
 SMALLEST_POINT_SPREAD_PX = 0.2
 
+SMALL_ROTATION = 1e-2
+"""Radians below which two terms of the series are as exact as float32."""
+
 
 @dataclass(frozen=True)
 class ImageModelConfig:
@@ -145,7 +148,7 @@ class ThermalPoses(nn.Module):
         return torch.cat(
             [
                 torch.cat([_rotation(twist[:3]), self._extent * twist[3:, None]], dim=1),
-                twist.new_tensor([[0.0, 0.0, 0.0, 1.0]]),
+                torch.eye(4, dtype=twist.dtype, device=twist.device)[3:],
             ]
         )
 
@@ -154,7 +157,21 @@ def _rotation(vector: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
     """The rotation by a rotation vector."""
     x, y, z = vector
     zero = torch.zeros_like(x)
-    return torch.linalg.matrix_exp(torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3))
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
+    return torch.linalg.matrix_exp(skew) if vector.device.type == "cpu" else _exponential(vector, skew)
+
+
+def _exponential(vector: Float[Tensor, "3"], skew: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
+    """Rodrigues' formula; torch's matrix exponential makes the host wait for a GPU.
+
+    I + sin θ/θ K + (1 − cos θ)/θ² K², with the series about θ = 0 where the quotients lose their digits.
+    """
+    squared = (vector * vector).sum()
+    is_small = squared < SMALL_ROTATION**2
+    angle = torch.where(is_small, 1, squared).sqrt()  # away from 0, where the root has no derivative
+    first = torch.where(is_small, 1 - squared / 6, angle.sin() / angle)
+    second = torch.where(is_small, 0.5 - squared / 24, 2 * ((0.5 * angle).sin() / angle) ** 2)
+    return torch.eye(3, dtype=vector.dtype, device=vector.device) + first * skew + second * (skew @ skew)
 
 
 class ImageModel(nn.Module):

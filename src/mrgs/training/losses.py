@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
+from mrgs import gpu
 from mrgs.errors import ConfigError
 from mrgs.training.cpu.variation import STRIP_ROWS, sum_differences
-from mrgs.training.dissimilarity import l1_dssim
+from mrgs.training.dissimilarity import l1_dssim, serves
 from mrgs.training.known_gradient import with_gradients
 from mrgs.training.ssim import ssim_map
 
@@ -71,14 +72,14 @@ def photometric_loss(
         valid: pixels that count, all if None. The others are 0 in both images, and the mean leaves them out.
         dssim: λ.
     """
-    if render.device.type != "cpu":
+    if not serves(render):
         return _photometric_loss(render, target, valid, dssim)
     compared = l1_dssim(render, target, mean_weights(render[:, :, 0], valid) / render.shape[2], dssim)
     return with_gradients(compared.total, (render, target), (compared.grad_x, compared.grad_y))
 
 
 def _photometric_loss(render: Tensor, target: Tensor, valid: Tensor | None, dssim: float) -> Tensor:
-    """Eq. 17 in plain torch, for accelerators; the fused kernel is tested against it."""
+    """Eq. 17 in plain torch, for other devices; the fused kernels are tested against it."""
     if valid is not None:
         render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))
     x, y = _planes(render), _planes(target)
@@ -113,12 +114,11 @@ def smoothness_loss(
     """
     edges = target if config.edge_aware else None
     weights = [difference_weights(image[:, :, 0], axis, valid, edges, config.beta) for axis in (0, 1)]
-    variation = total_variation if image.device.type == "cpu" else _total_variation
     loss = image.new_zeros(())
     if image_weight > 0:
-        loss = loss + image_weight * variation(image, weights)
+        loss = loss + image_weight * total_variation(image, weights)
     if config.smooth_depth > 0:
-        loss = loss + config.smooth_depth / extent * variation(depth[:, :, None], weights)
+        loss = loss + config.smooth_depth / extent * total_variation(depth[:, :, None], weights)
     return loss
 
 
@@ -126,11 +126,11 @@ class DifferenceWeights(NamedTuple):
     """How the first differences along one axis count.
 
     Attributes:
-        counted: how many do.
+        counted: how many do; where a mask decides and the image is not on the CPU, a tensor beside it.
         weights: [H − 1, W] between rows or [H, W − 1] between columns, 0 for those that do not; None for 1.
     """
 
-    counted: int
+    counted: int | Int64[Tensor, ""]
     weights: Float[Tensor, "h2 w2"] | None
 
 
@@ -151,13 +151,14 @@ def difference_weights(
         beta: β, how sharply an edge cuts the weight.
     """
     height, width = plane.shape
-    counted, weights = (height - 1) * width if axis == 0 else height * (width - 1), None
+    counted: int | Tensor = (height - 1) * width if axis == 0 else height * (width - 1)
+    weights = None
     if edges is not None:
         weights = torch.exp(-beta * edges.diff(dim=axis).abs().mean(dim=2))
     if valid is not None:
         steps = valid.shape[axis] - 1
         both = valid.narrow(axis, 0, steps) & valid.narrow(axis, 1, steps)
-        counted = int(both.sum())
+        counted = int(both.sum()) if both.device.type == "cpu" else both.sum()
         weights = both.to(plane.dtype) if weights is None else torch.where(both, weights, 0)
     return DifferenceWeights(counted, weights)
 
@@ -169,10 +170,16 @@ def total_variation(image: Float[Tensor, "h w c"], weights: Sequence[DifferenceW
         image: float32 or float64.
         weights: how the differences between rows and those between columns count.
     """
+    if gpu.serves(image):
+        return _total_variation_on_gpu(image, weights)
+    return _total_variation_on_cpu(image, weights) if image.device.type == "cpu" else _total_variation(image, weights)
+
+
+def _total_variation_on_cpu(image: Tensor, weights: Sequence[DifferenceWeights]) -> Tensor:
     height, width, channels = image.shape
     pixels = image.detach().contiguous()
     gradient = torch.empty_like(pixels)
-    scales = [1 / max(channels * axis.counted, 1) for axis in weights]
+    scales = [1 / _at_least_one(channels * axis.counted) for axis in weights]
     sums = torch.zeros(math.ceil(height / STRIP_ROWS), width * channels, dtype=torch.float64)
     sum_differences(
         pixels.view(height, width * channels).numpy(),
@@ -185,13 +192,32 @@ def total_variation(image: Float[Tensor, "h w c"], weights: Sequence[DifferenceW
     return with_gradients(sums.sum().item(), [image], [gradient])
 
 
+def _total_variation_on_gpu(image: Tensor, weights: Sequence[DifferenceWeights]) -> Tensor:
+    from mrgs.training.gpu import total_variation as variation_on_device
+
+    scaled, scales = [], []
+    for counted, weight in weights:
+        share = 1 / _at_least_one(image.shape[2] * counted)
+        if isinstance(share, Tensor):  # only the device knows it
+            assert weight is not None
+            weight, share = weight * share, 1.0
+        scaled.append(weight)
+        scales.append(share)
+    value, gradient = variation_on_device(image, (scaled[0], scaled[1]), (scales[0], scales[1]))
+    return with_gradients(value, [image], [gradient])
+
+
+def _at_least_one(count: int | Tensor) -> int | Tensor:
+    return count.clamp_min(1) if isinstance(count, Tensor) else max(count, 1)
+
+
 def _total_variation(image: Tensor, weights: Sequence[DifferenceWeights]) -> Tensor:
-    """``total_variation`` in plain torch, for accelerators; the fused kernel is tested against it."""
+    """``total_variation`` in plain torch, for other devices; the fused kernels are tested against it."""
     total = image.new_zeros(())
     for axis, (counted, weight) in enumerate(weights):
         difference = image.diff(dim=axis).abs()
         weighted = difference if weight is None else weight[:, :, None] * difference
-        total = total + weighted.sum() / max(counted * image.shape[2], 1)
+        total = total + weighted.sum() / _at_least_one(counted * image.shape[2])
     return total
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from mrgs import gpu
 from mrgs.training.cpu.separable import filter_plane
 
 REACH = 4.0
@@ -23,6 +24,10 @@ def spread_points(plane: Float[Tensor, "h w"], sigma_px: Float[Tensor, ""]) -> F
         plane: float32 or float64.
         sigma_px: standard deviation in pixels.
     """
+    if gpu.serves(plane):
+        from mrgs.training.gpu import spread_points as spread_on_device
+
+        return spread_on_device(plane, sigma_px, REACH)
     if plane.device.type != "cpu":
         return _spread_points(plane, sigma_px)
     result: Tensor = _Spread.apply(plane, sigma_px)
@@ -30,16 +35,21 @@ def spread_points(plane: Float[Tensor, "h w"], sigma_px: Float[Tensor, ""]) -> F
 
 
 def _spread_points(plane: Tensor, sigma_px: Tensor) -> Tensor:
-    """The blur in plain torch, for accelerators; the kernel is tested against it."""
-    radius = math.ceil(REACH * sigma_px.item())
-    places = torch.arange(-radius, radius + 1, dtype=plane.dtype, device=plane.device)
-    weights = torch.exp(-0.5 * (places / sigma_px) ** 2)
+    """The blur in plain torch, for other devices; the kernels are tested against it."""
+    down, across = (_means(size, sigma_px.to(plane.dtype), plane) for size in plane.shape)
+    return down @ plane @ across.T
 
-    def blur(image: Tensor) -> Tensor:
-        down = nn.functional.conv2d(image[None, None], weights[None, None, :, None], padding=(radius, 0))
-        return nn.functional.conv2d(down, weights[None, None, None, :], padding=(0, radius))[0, 0]
 
-    return blur(plane) / blur(torch.ones_like(plane))
+def _means(size: int, sigma_px: Tensor, plane: Tensor) -> Tensor:
+    """The matrix that gives each place along an axis the mean of its neighbourhood: [size, size].
+
+    As a matrix it does not depend on how far the weights reach, which the host would have to ask the device for.
+    """
+    places = torch.arange(size, dtype=plane.dtype, device=plane.device)
+    distances = (places[:, None] - places).abs()
+    weights = torch.exp(-0.5 * (distances / sigma_px) ** 2)
+    weights = torch.where(distances <= torch.ceil(REACH * sigma_px.detach()), weights, 0)
+    return weights / weights.sum(dim=1, keepdim=True)
 
 
 class _Spread(torch.autograd.Function):

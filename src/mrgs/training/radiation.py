@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from mrgs.errors import ConfigError
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.training.convolution import convolve
-from mrgs.training.dissimilarity import structural_dissimilarity
+from mrgs.training.dissimilarity import serves, structural_dissimilarity
 from mrgs.training.known_gradient import with_gradients
 from mrgs.training.losses import masked_mean, mean_weights
 from mrgs.training.ssim import structural_similarity
@@ -87,11 +87,12 @@ def normalise_radiation(
 
     The two statistics carry no gradient, and come from the valid pixels alone. A flat map becomes 0.
     """
-    if valid is not None and not valid.any():
-        return torch.zeros_like(radiation)
     values = radiation.detach()
     low = (values if valid is None else torch.where(valid, values, math.inf)).amin()
     high = (values if valid is None else torch.where(valid, values, -math.inf)).amax()
+    if valid is not None:  # without a valid pixel nothing was found
+        found = valid.any()
+        low, high = torch.where(found, low, 0), torch.where(found, high, 0)
     span = high - low
     return (radiation - low) / torch.where(span > 1e-6 * high, span, math.inf)
 
@@ -114,7 +115,9 @@ class DepthUncertainty(nn.Module):
         if depth.device.type == "cpu":
             response = convolve(relative, self.psi.weight[0, 0], self.psi.bias)
         else:
-            response = self.psi(relative[None, None])[0, 0]
+            # As a product, which does not depend on torch's leave to convolve with ten bits of mantissa.
+            neighbourhoods = nn.functional.unfold(relative[None, None], kernel_size=3, padding=1)[0]
+            response = (self.psi.weight.view(1, 9) @ neighbourhoods).view(depth.shape) + self.psi.bias
         return response.sigmoid()
 
 
@@ -134,18 +137,19 @@ def boltzmann_loss(
         uncertainty: u(D_t) from ``DepthUncertainty``.
         valid: pixels that count, all if None; the others are 0 in both maps.
     """
-    if thermal.device.type != "cpu":
+    if not serves(thermal):
         return _boltzmann_loss(thermal, radiation, uncertainty, valid)
     mean, u = mean_weights(thermal, valid), uncertainty.detach()
     trust = mean / u.exp()
     compared, errors = structural_dissimilarity(thermal[:, :, None], radiation[:, :, None], trust)
-    value = compared.total + (mean * u).sum(dtype=torch.float64).item()
+    untrusted = (mean * u).sum(dtype=torch.float64)
+    value = compared.total + (untrusted if isinstance(compared.total, Tensor) else untrusted.item())
     gradients = [None if gradient is None else gradient[:, :, 0] for gradient in (compared.grad_x, compared.grad_y)]
     return with_gradients(value, (thermal, radiation, uncertainty), (*gradients, mean - trust * errors[:, :, 0]))
 
 
 def _boltzmann_loss(thermal: Tensor, radiation: Tensor, uncertainty: Tensor, valid: Tensor | None) -> Tensor:
-    """Eq. 16 in plain torch, for accelerators; the fused kernel is tested against it."""
+    """Eq. 16 in plain torch, for other devices; the fused kernels are tested against it."""
     if valid is not None:
         thermal, radiation = torch.where(valid, thermal, 0), torch.where(valid, radiation, 0)
     dissimilarity = 1 - structural_similarity(thermal[None], radiation[None])

@@ -1,0 +1,116 @@
+"""Total variation of an image with its gradient, in one Triton kernel.
+
+As in ``mrgs.training.cpu.variation``: a pixel's gradient is the two steps that lead to it less the two that leave it,
+where a step is the weight of a difference with the difference's sign. Sums are taken in a fixed order.
+"""
+
+from __future__ import annotations
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from mrgs.gpu_kernels import KernelSpec
+
+BLOCK = 512
+"""Values per program."""
+
+NUM_WARPS = 4
+SIZES = ("height", "width", "channels")
+
+
+@triton.jit(do_not_specialize=SIZES)
+def variation_kernel(
+    image,
+    row_weights,
+    column_weights,
+    gradient,
+    totals,
+    height,
+    width,
+    channels,
+    row_scale,
+    column_scale,
+    BLOCK: tl.constexpr,
+):
+    """Σ scale weight |first difference| of each program's values, to the next row and to the next column.
+
+    Args:
+        image: [H, W, C].
+        row_weights: of the differences between neighbouring rows, [H − 1, W]; None for 1.
+        column_weights: of the differences between neighbouring columns, [H, W − 1]; None for 1.
+        gradient: receives the gradient, [H, W, C].
+        totals: receives each program's part of the sum.
+        height: H.
+        width: W.
+        channels: C.
+        row_scale: of all differences between rows.
+        column_scale: of all differences between columns.
+    """
+    at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    row_values = width * channels
+    mask = at < height * row_values
+    row, column = at // row_values, at % row_values // channels
+    has_above, has_below = mask & (row > 0), mask & (row + 1 < height)
+    has_left, has_right = mask & (column > 0), mask & (column + 1 < width)
+
+    above = tl.where(has_above, row_scale, 0.0)
+    below = tl.where(has_below, row_scale, 0.0)
+    if row_weights is not None:
+        weight_at = row_weights + row * width + column
+        above *= tl.load(weight_at - width, mask=has_above, other=0.0)
+        below *= tl.load(weight_at, mask=has_below, other=0.0)
+    left = tl.where(has_left, column_scale, 0.0)
+    right = tl.where(has_right, column_scale, 0.0)
+    if column_weights is not None:
+        weight_at = column_weights + row * (width - 1) + column
+        left *= tl.load(weight_at - 1, mask=has_left, other=0.0)
+        right *= tl.load(weight_at, mask=has_right, other=0.0)
+
+    value = tl.load(image + at, mask=mask, other=0.0)
+    from_above = value - tl.load(image + at - row_values, mask=has_above, other=0.0)
+    to_below = tl.load(image + at + row_values, mask=has_below, other=0.0) - value
+    from_left = value - tl.load(image + at - channels, mask=has_left, other=0.0)
+    to_right = tl.load(image + at + channels, mask=has_right, other=0.0) - value
+    arriving = tl.where(from_above > 0, above, tl.where(from_above < 0, -above, 0.0))
+    arriving += tl.where(from_left > 0, left, tl.where(from_left < 0, -left, 0.0))
+    leaving = tl.where(to_below > 0, below, tl.where(to_below < 0, -below, 0.0))
+    leaving += tl.where(to_right > 0, right, tl.where(to_right < 0, -right, 0.0))
+    tl.store(gradient + at, arriving - leaving, mask=mask)
+    total = tl.where(has_below, below * tl.abs(to_below), 0.0) + tl.where(has_right, right * tl.abs(to_right), 0.0)
+    tl.store(totals + tl.program_id(0), tl.sum(total, axis=0))
+
+
+def total_variation(
+    image: Tensor, weights: tuple[Tensor | None, Tensor | None], scales: tuple[float, float]
+) -> tuple[Tensor, Tensor]:
+    """Σ scale weight |first difference| as a float64 tensor on the image's device, and its gradient.
+
+    Args:
+        image: float32, [H, W, C].
+        weights: of the differences between rows, [H − 1, W], and between columns, [H, W − 1]; None for 1.
+        scales: of all differences between rows, and of all between columns.
+    """
+    image = image.detach().contiguous()
+    row_weights, column_weights = (None if tensor is None else tensor.contiguous() for tensor in weights)
+    gradient = torch.empty_like(image)
+    programs = triton.cdiv(image.numel(), BLOCK)
+    totals = image.new_empty(programs)
+    variation_kernel[(programs,)](
+        image, row_weights, column_weights, gradient, totals, *image.shape, *scales, BLOCK=BLOCK, num_warps=NUM_WARPS
+    )
+    return totals.sum(dtype=torch.float64), gradient
+
+
+def _specs() -> tuple[KernelSpec, ...]:
+    """Without and with weights."""
+    always = dict.fromkeys(("image", "gradient", "totals"), "*fp32") | dict.fromkeys(SIZES, "i32")
+    always |= dict.fromkeys(("row_scale", "column_scale"), "fp32")
+    weights = ("row_weights", "column_weights")
+    plain = KernelSpec(variation_kernel, always, {"BLOCK": BLOCK} | dict.fromkeys(weights), NUM_WARPS, variant="plain")
+    signature = always | dict.fromkeys(weights, "*fp32")
+    return plain, KernelSpec(variation_kernel, signature, {"BLOCK": BLOCK}, NUM_WARPS, variant="weighted")
+
+
+KERNELS = _specs()

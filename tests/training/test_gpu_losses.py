@@ -1,0 +1,224 @@
+"""The losses' Triton kernels against plain torch in float64; tiny, because they are interpreted where no GPU is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mrgs import gpu
+from mrgs.render import Rendering
+from mrgs.scene import Pixels, TemperatureRange
+from mrgs.training import losses, point_spread, radiation
+from mrgs.training.config import make_config
+from mrgs.training.image_model import Capture, ImageModel, ImageModelConfig, _exponential, _rotation
+from mrgs.training.losses import DifferenceWeights, difference_weights, total_loss
+from mrgs.training.radiation import DepthUncertainty
+from mrgs.training.terms import Photos, SceneScale, loss_terms, loss_weights
+
+
+def image(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def assert_same(
+    loss: Callable[..., torch.Tensor],
+    plain: Callable[..., torch.Tensor],
+    inputs: list[torch.Tensor],
+    device: str,
+    tolerance: float = 3e-6,
+) -> None:
+    """A loss in float32 on the device agrees with a definition in float64, and so do the gradients by the inputs."""
+    exact = [tensor.double().requires_grad_() for tensor in inputs]
+    found = [tensor.to(device, torch.float32).requires_grad_() for tensor in inputs]
+    expected, value = plain(*exact), loss(*found)
+    assert value.dtype == torch.float32
+    assert value.device.type == device
+    torch.testing.assert_close(value.cpu(), expected.float(), rtol=2e-6, atol=1e-7)
+    scale = torch.linspace(1, 2, expected.numel(), dtype=torch.float64).view_as(expected)
+    gradients = torch.autograd.grad((scale.to(value) * value).sum(), found)
+    wanted = torch.autograd.grad((scale * expected).sum(), exact)
+    for gradient, exact_gradient in zip(gradients, wanted, strict=True):
+        assert (gradient.cpu() - exact_gradient).norm() <= tolerance * exact_gradient.norm()
+
+
+@pytest.fixture
+def small_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Strips of four rows and blocks of 32 values, so that tiny images fill several."""
+    pytest.importorskip("triton")
+    from mrgs.training.gpu import dissimilarity as compared
+
+    monkeypatch.setattr(compared, "STRIP_ROWS", 4)
+    monkeypatch.setattr(compared, "BLOCK", 32)
+
+
+@pytest.mark.parametrize(
+    ("shape", "masked", "dssim"), [((5, 8, 3), False, 0.2), ((3, 40, 1), True, 0.2), ((3, 2, 2), True, 0.0)]
+)
+def test_the_photometric_loss_is_that_of_plain_torch(gpu_device, small_programs, shape, masked, dssim):
+    target = image(*shape, seed=1)
+    valid = image(*shape[:2], seed=2) > 0.3 if masked else None
+    on_device = (target.to(gpu_device, torch.float32), None if valid is None else valid.to(gpu_device))
+    assert_same(
+        lambda render: losses.photometric_loss(render, *on_device, dssim),
+        lambda render: losses._photometric_loss(render, target, valid, dssim),
+        [image(*shape)],
+        gpu_device,
+    )
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_radiation_loss_is_that_of_plain_torch(gpu_device, masked):
+    valid = image(4, 9, seed=3) > 0.3 if masked else None
+    on_device = None if valid is None else valid.to(gpu_device)
+    assert_same(
+        lambda *maps: radiation.boltzmann_loss(*maps, on_device),
+        lambda *maps: radiation._boltzmann_loss(*maps, valid),
+        [image(4, 9), image(4, 9, seed=1), image(4, 9, seed=2)],
+        gpu_device,
+    )
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 2), (1, 6, 2), (6, 1, 2), (13, 15, 3)])
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("edge_aware", [False, True])
+def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked, edge_aware):
+    valid = image(*shape, seed=1)[..., 0] > 0.3 if masked else None
+    edges = image(*shape, seed=2) if edge_aware else None
+    plane = image(*shape)[..., 0]
+    weights = [difference_weights(plane, axis, valid, edges, 2.0) for axis in (0, 1)]
+
+    def to_device(counted: int, weight: torch.Tensor | None) -> DifferenceWeights:
+        count = torch.tensor(counted, device=gpu_device) if masked else counted
+        return DifferenceWeights(count, None if weight is None else weight.to(gpu_device, torch.float32))
+
+    on_device = [to_device(*axis) for axis in weights]
+    assert_same(
+        lambda values: losses.total_variation(values, on_device),
+        lambda values: losses._total_variation(values, weights),
+        [image(*shape)],
+        gpu_device,
+    )
+
+
+@pytest.mark.parametrize(("shape", "sigma_px"), [((7, 9), 1.1), ((2, 30), 0.3), ((1, 4), 2.5), ((20, 17), 0.8)])
+def test_the_blur_is_that_of_plain_torch(gpu_device, shape, sigma_px):
+    assert_same(
+        point_spread.spread_points,
+        point_spread._spread_points,
+        [image(*shape), torch.tensor(sigma_px)],
+        gpu_device,
+        tolerance=6e-6,  # the gradient by σ is a sum of both signs
+    )
+
+
+def test_a_value_that_is_not_finite_is_not_hidden(gpu_device):
+    spoilt = image(2, 5, 1).to(gpu_device, torch.float32)
+    spoilt[1, 2, 0] = float("nan")
+    weights = [difference_weights(spoilt[..., 0], axis) for axis in (0, 1)]
+    assert losses.total_variation(spoilt, weights).isnan()
+    assert losses.photometric_loss(spoilt, torch.zeros_like(spoilt), None, 0.2).isnan()
+
+
+class NoKernel:
+    """Stands for a kernel where there is nothing to compute."""
+
+    def __getitem__(self, grid: tuple[int, ...]) -> Callable[..., None]:
+        return lambda *args, **kwargs: None
+
+
+@pytest.fixture(params=["plain torch", "kernels"])
+def without_values(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A device whose tensors have no values: what asks for one fails, as on a GPU it would make the host wait."""
+    if request.param == "kernels":
+        pytest.importorskip("triton")
+        from mrgs.training.gpu import dissimilarity as compared
+        from mrgs.training.gpu import point_spread as spread
+        from mrgs.training.gpu import variation
+
+        monkeypatch.setattr(gpu, "serves", lambda tensor: tensor.dtype == torch.float32)
+        for module, names in (
+            (compared, ("compare_kernel", "gradients_kernel")),
+            (spread, ("spread_kernel", "spread_backward_kernel")),
+            (variation, ("variation_kernel",)),
+        ):
+            for name in names:
+                monkeypatch.setattr(module, name, NoKernel())
+    return "meta"
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_no_loss_makes_the_host_wait(without_values, masked):
+    config = make_config("mrgs", "fast")
+    parts = ImageModelConfig(
+        point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
+    )
+    size = (30, 20)
+    image_model = ImageModel(parts, Capture(4, size, 2.0)).to(without_values)
+    uncertainty = DepthUncertainty().to(without_values)
+
+    def plane(*channels: int) -> torch.Tensor:
+        return torch.empty(size[1], size[0], *channels, device=without_values)
+
+    def photo(channels: int) -> Pixels:
+        return Pixels(plane(channels), plane() > 0 if masked else None)
+
+    rendering = Rendering(*(plane(*c).requires_grad_() for c in ((3,), (), (1,), (), (), ())))
+    photographed = image_model(rendering, 1)
+    for edge_aware in (False, True):
+        changed = replace(config, loss=replace(config.loss, edge_aware=edge_aware, opaque=0.1, smooth_depth=1.0))
+        terms = loss_terms(
+            rendering,
+            photographed,
+            Photos(photo(3), photo(1), shares_camera=True),
+            changed,
+            SceneScale(2.0, TemperatureRange(10.0, 30.0)),
+            uncertainty,
+        )
+        assert set(terms) == {"rgb", "thermal", "smooth", "opaque", "boltzmann"}
+        total_loss(terms, loss_weights(changed, 700)).backward(retain_graph=True)
+    motion = image_model.thermal_motion(1)
+    assert motion is not None
+    motion.sum().backward()
+    assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == ["alpha_rgb"]
+    assert all(parameter.grad is not None for parameter in uncertainty.parameters())
+
+
+def test_asking_a_tensor_without_values_fails():
+    with pytest.raises(RuntimeError):
+        torch.empty(3, device="meta").sum().item()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-4, 0.0099, 0.0101, 0.3, 3.0])
+def test_rodrigues_formula_is_the_matrix_exponential(angle):
+    axis = torch.nn.functional.normalize(torch.tensor([0.3, -1.0, 0.5], dtype=torch.float64), dim=0)
+    vector = (angle * axis).requires_grad_()
+    x, y, z = vector
+    zero = torch.zeros_like(x)
+    result = _exponential(vector, torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3))
+    expected = _rotation(vector)
+    torch.testing.assert_close(result, expected, rtol=0, atol=1e-9)
+    weights = torch.arange(9, dtype=torch.float64).view(3, 3)
+    gradients = [torch.autograd.grad((weights * matrix).sum(), vector)[0] for matrix in (result, expected)]
+    torch.testing.assert_close(*gradients, rtol=0, atol=1e-6)
+
+
+@pytest.mark.gpu
+def test_large_images_and_the_same_bits_again():
+    render, target = image(480, 641, 3), image(480, 641, 3, seed=1)
+    valid = image(480, 641, seed=2) > 0.1
+    on_device = (target.to("cuda", torch.float32), valid.to("cuda"))
+
+    def loss(render: torch.Tensor) -> torch.Tensor:
+        return losses.photometric_loss(render, *on_device, 0.2)
+
+    assert_same(loss, lambda render: losses._photometric_loss(render, target, valid, 0.2), [render], "cuda")
+    found = render.to("cuda", torch.float32).requires_grad_()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        gradients = [torch.autograd.grad(loss(found), found)[0] for _ in range(2)]
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert torch.equal(*gradients)
