@@ -22,6 +22,7 @@ from safetensors.torch import save_file
 
 from mrgs import commands, terminal
 from mrgs.cli import main
+from mrgs.training import StepStatistics
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")
 TRAINED = "frame_train_00003.png"
@@ -595,3 +596,64 @@ def test_help_lists_the_commands(capsys):
         run("--help")
     text = capsys.readouterr().out
     assert all(command.__name__.lower() in text for command in COMMANDS)
+
+
+NO_GPU = r"; or use --device cpu$"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("train", "SCENE", "--output", "NEW"),
+        ("eval", "RUN"),
+        ("render", "RUN"),
+        ("report", "RUN"),
+        ("demo", "--output", "NEW"),
+        ("compare", "SCENE", "--output", "NEW"),
+    ],
+)
+def test_a_gpu_that_cannot_be_used_is_refused(arguments, small_scene, own_run, tmp_path, capsys):
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    places = {"SCENE": small_scene, "RUN": own_run, "NEW": tmp_path / "new"}
+    refused(capsys, NO_GPU, *(places.get(each, each) for each in arguments), "--device", "cuda")
+    assert not (tmp_path / "new").exists()
+
+
+def test_thermonerf_says_that_it_works_on_the_cpu_alone(small_scene, tmp_path, capsys):
+    options = ("--method", "thermonerf", "--output", tmp_path / "new", "--device", "cuda")
+    refused(capsys, "thermonerf works on the CPU alone: leave --device out", "train", small_scene, *options)
+
+
+def test_the_cpu_can_be_asked_for_and_is_noted(small_scene, tmp_path):
+    assert run("train", small_scene, "--output", tmp_path / "run", "--device", "cpu", *TINY) == 0
+    assert run("eval", tmp_path / "run", "--device", "cpu") == 0
+    assert json.loads((tmp_path / "run/eval/metrics.json").read_text())["device"] == "cpu"
+
+
+def test_a_gpu_that_is_used_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: "NVIDIA H200")
+    terminal.note_gpu(torch.device("cpu"))
+    assert capsys.readouterr().out == ""
+    terminal.note_gpu(torch.device("cuda", 0))
+    assert capsys.readouterr().out == "training on the NVIDIA H200\n"
+
+
+def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, capsys):
+    """On a GPU, to read is to wait."""
+    clock = iter([0.0, 0.1, 0.2, 60.0])
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: next(clock))
+    read: list[int] = []
+
+    class Step(StepStatistics):
+        def _read(self) -> list[float]:
+            read.append(self.step)
+            return super()._read()
+
+    progress = terminal.TrainingProgress()
+    for number in (1, 2):
+        progress.step(Step(number, 0.5, {}, 0.25, 10, False))
+    assert read == []
+    progress.step(Step(3, 0.5, {}, 0.25, 10, False))
+    assert set(read) == {1, 2, 3}
+    assert "loss 0.5000 | thermal 0.2500 (no °C)" in capsys.readouterr().out

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 import mrgs
-from mrgs.errors import RunError, SceneError
-from mrgs.run import Run, load_run
+from mrgs import run as run_module
+from mrgs.errors import DeviceError, RunError, SceneError
+from mrgs.run import Run, load_run, open_run
 from mrgs.training import make_config, train
 
 MIN_C, MAX_C = 10.0, 30.0
@@ -87,3 +88,32 @@ def test_another_temperature_range_or_other_cameras_are_refused(run, make_scene,
     )
     with pytest.raises(RunError, match="another temperature range than the run was trained with"):
         load_run(folder.path).load_scene()
+
+
+def test_a_gpu_without_enough_memory_to_render_is_said(run, monkeypatch):
+    def full(*_) -> None:
+        raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    monkeypatch.setattr(run_module, "render", full)
+    with pytest.raises(DeviceError) as caught:
+        run.render(run.load_scene().eval[0].rgb.camera)
+    assert str(caught.value) == "the GPU's memory does not suffice to render 25 Gaussians: use --device cpu"
+
+
+def test_a_gpu_that_cannot_be_used_is_said(run):
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    for opened in (load_run, open_run):
+        with pytest.raises(DeviceError, match="use --device cpu"):
+            opened(run.folder.path, device="cuda")
+
+
+@pytest.mark.gpu
+def test_a_gpu_renders_what_the_cpu_does_into_the_hosts_memory(run):
+    on_gpu = load_run(run.folder.path, device="cuda")
+    view = run.load_scene().eval[0]
+    for found, expected in zip(on_gpu.render_view(view), run.render_view(view), strict=True):
+        assert found.device.type == "cpu"
+        assert (found - expected).abs().max() < 1e-3
+    assert on_gpu.model.gaussians.means.device.type == "cpu"
+    assert on_gpu.photograph(on_gpu.render_view(view)).thermal.isfinite().all()

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from mrgs.commands import Command, Compare, Demo, Eval, Export, Prepare, Render, Report, Synth, Train, View
-from mrgs.errors import ConfigError, MrgsError, TrainingError
+from mrgs.errors import ConfigError, DeviceError, MrgsError, TrainingError
 from mrgs.terminal import (
     PrepareProgress,
     TrainingProgress,
     counter,
+    note_gpu,
     note_unfinished,
     plain_warnings,
     print_baking_loss,
@@ -126,6 +127,7 @@ def _train(command: Train) -> None:
     if _is_thermonerf(command):
         _train_thermonerf(command)
         return
+    from mrgs.gpu import choose_device
     from mrgs.training import from_yaml, make_config, train
 
     config = make_config(
@@ -135,9 +137,10 @@ def _train(command: Train) -> None:
         config = from_yaml(_read_text(command.config), str(command.config), config)
     _check_seed(config.seed, MAX_TRAIN_SEED)
     output = _output(command)
+    note_gpu(choose_device(command.device))
     progress = TrainingProgress()
     with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
-        train(command.scene, output, config, resume=command.resume, **_hooks(progress, live))
+        train(command.scene, output, config, resume=command.resume, device=command.device, **_hooks(progress, live))
     _say_what_next(command, output, progress)
 
 
@@ -157,6 +160,8 @@ def _train_thermonerf(command: Train) -> None:
     for option, value in (("--view", command.view), ("--max-gaussians", command.max_gaussians)):
         if value:
             raise ConfigError(f"{option} needs a method with Gaussians, and thermonerf has none: leave it out")
+    if command.device == "cuda":
+        raise DeviceError("thermonerf works on the CPU alone: leave --device out")
     config = make_config(command.preset, command.max_steps, command.resolution, command.seed)
     if command.config is not None:
         config = from_yaml(_read_text(command.config), str(command.config), config)
@@ -219,7 +224,7 @@ def _eval(command: Eval) -> None:
     from mrgs.evaluation import evaluate_run
     from mrgs.run import open_run
 
-    run = open_run(command.run, command.scene)
+    run = open_run(command.run, command.scene, command.device)
     metrics = evaluate_run(run, command.lpips_weights, counter("scoring"))
     print_metrics(run, metrics)
     print(f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: {command.run / 'eval' / 'contact_sheet.png'}")
@@ -260,6 +265,7 @@ def _compare(command: Compare) -> None:
             options,
             renders=_named_paths("--renders", command.renders, "ThermoNeRF=renders/thermonerf"),
             jobs=command.jobs,
+            device=command.device,
             lpips_weights=command.lpips_weights,
             say=lambda line: print(line, flush=True),
         )
@@ -294,7 +300,7 @@ def _render(command: Render) -> None:
     from mrgs.evaluation import render_run
     from mrgs.run import open_run
 
-    run = open_run(command.run, command.scene)
+    run = open_run(command.run, command.scene, command.device)
     folder = render_run(run, command.split, command.palette, command.frames, counter("rendering"))
     print(f"images: {folder}")
 
@@ -303,7 +309,7 @@ def _view(command: View) -> None:
     from mrgs.run import load_run
     from mrgs.viewer import view
 
-    run = load_run(command.run, command.scene)
+    run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     view(run, scene_if_there(run), command.host, command.port, on_ready=say_where_to_look)
 
@@ -312,7 +318,7 @@ def _export(command: Export) -> None:
     from mrgs.export import export
     from mrgs.run import load_run
 
-    run = load_run(command.run, command.scene)
+    run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     folder = command.output or command.run / "export"
     paths = export(
@@ -325,16 +331,17 @@ def _report(command: Report) -> None:
     from mrgs.report import write_report
     from mrgs.run import load_run
 
-    run = load_run(command.run, command.scene)
+    run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     print(f"report: {write_report(run, run.load_scene(), command.output or command.run / 'report.html')}")
 
 
 def _demo(command: Demo) -> None:
     started = any((command.output / "checkpoints").glob("*.safetensors"))
-    _train(Train(scene=_bundled_scene(), output=command.output, preset="fast", resume=started))
-    _eval(Eval(run=command.output))
-    _render(Render(run=command.output))
+    device = command.device
+    _train(Train(scene=_bundled_scene(), output=command.output, preset="fast", resume=started, device=device))
+    _eval(Eval(run=command.output, device=device))
+    _render(Render(run=command.output, device=device))
     print(f"\nLook at {command.output / 'eval' / 'contact_sheet.png'} first.")
 
 

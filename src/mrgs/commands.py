@@ -11,6 +11,9 @@ import tyro
 if TYPE_CHECKING:
     from mrgs.prepare import PrepareOptions
 
+DeviceName = Literal["auto", "cpu", "cuda"]
+"""As in ``mrgs.gpu``, which loads torch."""
+
 
 @dataclass(frozen=True)
 class Train:
@@ -39,7 +42,9 @@ class Train:
     config: Path | None = None
     """YAML file with other values for any field of a run's config.yaml, for instance field: {neighbours_n: 5}."""
     resume: bool = False
-    """Continue the run in the output folder; all other options are the run's own."""
+    """Continue the run in the output folder; all options but --device and --view are the run's own."""
+    device: DeviceName = "auto"
+    """auto takes the GPU where one can be used, else the CPU. A run may go on on another."""
     view: bool = False
     """Show the model in the browser while it trains. Needs mrgs[view]."""
     port: int = 8080
@@ -63,6 +68,8 @@ class Eval:
     """The scene's folder, where it is no longer at the place it was trained from."""
     lpips_weights: Path | None = None
     """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
+    device: DeviceName = "auto"
+    """Where to render; auto takes the GPU where one can be used."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,8 @@ class Render:
     """Colours of the thermal images."""
     frames: int = 120
     """Frames of the camera path."""
+    device: DeviceName = "auto"
+    """Where to render; auto takes the GPU where one can be used."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +132,8 @@ class Report:
     """The file; by default RUN/report.html."""
     scene: Path | None = None
     """The scene's folder, where it is no longer at the place it was trained from."""
+    device: DeviceName = "auto"
+    """Where to render; auto takes the GPU where one can be used."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +142,8 @@ class Demo:
 
     output: Path = Path("runs/demo")
     """The run's folder."""
+    device: DeviceName = "auto"
+    """Where to train and render; auto takes the GPU where one can be used."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +175,8 @@ class Compare:
     """Images wider than this many pixels are reduced to it."""
     jobs: int = 1
     """Runs at a time; the cores are divided among them."""
+    device: DeviceName = "auto"
+    """Where to train and render; auto takes the GPU where one can be used. thermonerf takes the CPU in any case."""
     output: Path = Path("runs/compare")
     """The folder of the runs, tables and figures."""
     lpips_weights: Path | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -11,6 +12,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from mrgs import gpu
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Blend, Layer, Raster, contract, rasterize
 from mrgs.scene import Camera, Gaussians, View
@@ -43,6 +45,18 @@ class Model:
     antialiased: bool = False
     temperatures: Float[Tensor, "n 1"] | None = None
 
+    def to(self, device: torch.device) -> Model:
+        """The same model on a device, to render with; itself if it is there."""
+        if self.gaussians.means.device == device:
+            return self
+        return replace(
+            self,
+            gaussians=self.gaussians.to(device),
+            field=deepcopy(self.field).to(device),
+            neighbours=None if self.neighbours is None else self.neighbours.to(device),
+            temperatures=None if self.temperatures is None else self.temperatures.to(device),
+        )
+
 
 class Rendering(NamedTuple):
     """What a model shows from one view; None for a modality without a camera.
@@ -62,6 +76,10 @@ class Rendering(NamedTuple):
     depth_thermal: Float[Tensor, "h2 w2"] | None = None
     alpha_rgb: Float[Tensor, "h w"] | None = None
     alpha_thermal: Float[Tensor, "h2 w2"] | None = None
+
+    def cpu(self) -> Rendering:
+        """The images in the host's memory."""
+        return Rendering(*(None if image is None else image.cpu() for image in self))
 
     def surface_depth(
         self, modality: Literal["rgb", "thermal"], min_alpha: float = 0.5, max_step: float | None = None
@@ -191,7 +209,7 @@ def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
 def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
     """o_c and c + ĉ."""
     gaussians = model.gaussians
-    colors = model.field.colors(gaussians, camera.position.to(gaussians.means), model.sh_degree, rows)
+    colors = model.field.colors(gaussians, _position(camera, gaussians.means), model.sh_degree, rows)
     return Layer(
         gaussians.opacity_rgb, _scatter(colors, rows, len(gaussians)), colors.new_full((3,), model.background_rgb)
     )
@@ -202,20 +220,28 @@ def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | Non
     gaussians = model.gaussians
     values = model.temperatures
     if values is None:
-        position = camera.position.to(gaussians.means)
+        position = _position(camera, gaussians.means)
         values = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree, rows)
         values = _scatter(values, rows, len(gaussians))
     return Layer(gaussians.opacity_thermal, values, values.new_full((1,), model.background_thermal))
+
+
+def _position(camera: Camera, means: Float[Tensor, "n 3"]) -> Float[Tensor, "3"]:
+    """The centre of projection, where the Gaussians are."""
+    return camera.tensors(means.device, means.dtype).position
 
 
 @torch.no_grad()
 def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | None:
     """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for others; None for all.
 
-    Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out.
+    Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out. On a GPU it is all:
+    the host would have to wait for their number, which costs more than the heads of those that are not seen.
     """
     means = gaussians.means
-    viewmat, K = camera.viewmat.to(means), camera.K.to(means)
+    if gpu.serves(means):
+        return None
+    K, viewmat, _ = camera.tensors(means.device, means.dtype)
     x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)
     largest = gaussians.log_scales.max(dim=1).values.exp()
     in_view = z >= contract.NEAR_PLANE
@@ -244,17 +270,18 @@ def _pass(
     gaussians = model.gaussians
     means, quats = gaussians.means, gaussians.quats
     if motion is not None:
-        means, quats = _moved(means, quats, camera.viewmat.to(means), motion)
+        means, quats = _moved(means, quats, camera.tensors(means.device, means.dtype).viewmat, motion)
     offset = torch.zeros(
         len(gaussians), 2, dtype=means.dtype, device=means.device, requires_grad=torch.is_grad_enabled()
     )
+    K, viewmat, _ = camera.tensors(means.device)
     raster = rasterize(
         means,
         quats,
         gaussians.scales,
         layers,
-        camera.viewmat.to(means.device),
-        camera.K.to(means.device),
+        viewmat,
+        K,
         camera.width,
         camera.height,
         offset,

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from mrgs import gpu
 from mrgs.data import load_scene
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import DeviceError, RunError, SceneError
+from mrgs.gpu import HOST, DeviceName
 from mrgs.render import Model, Rendering, bake_temperatures, render
 from mrgs.scene import Camera, Scene, TemperatureRange, View
 from mrgs.thermonerf import ThermoNerfConfig
@@ -101,20 +104,32 @@ class TrainedRun(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Run(TrainedRun):
-    """A run with Gaussians.
+    """A run with Gaussians. It may render on a GPU; its model and its images are in the host's memory all the same.
 
     Attributes:
         model: what it learned, its temperatures computed once for all views.
         image_model: what the cameras do to the images, as far as it was learned.
+        device: where it renders.
     """
 
     config: TrainConfig
     model: Model
     image_model: ImageModel
+    device: torch.device = HOST
+
+    @cached_property
+    def _rendered(self) -> Model:
+        """The model where it is rendered."""
+        return self.model.to(self.device)
 
     def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:  # noqa: D102
-        with torch.no_grad():
-            return render(self.model, rgb_camera, thermal_camera)[0]
+        try:
+            with torch.no_grad():
+                return render(self._rendered, rgb_camera, thermal_camera)[0].cpu()
+        except torch.cuda.OutOfMemoryError:
+            raise DeviceError(
+                f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: use --device cpu"
+            ) from None
 
     def photograph(self, rendering: Rendering) -> Rendering:  # noqa: D102
         with torch.no_grad():
@@ -144,34 +159,41 @@ class ThermoNerfRun(TrainedRun):
         return None
 
 
-def open_run(path: str | Path, scene: str | Path | None = None) -> Run | ThermoNerfRun:
+def open_run(path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto") -> Run | ThermoNerfRun:
     """Open the newest checkpoint of a run of any method, to render and to score it.
 
     Args:
         path: the run's folder.
         scene: the scene's folder, where it is no longer at the place it was trained from.
+        device: where it renders, whatever it was trained on; "auto" takes the GPU where there is one that can be used.
+            A ThermoNeRF renders on the CPU.
 
     Raises:
         RunError: the folder is not a run, or its checkpoint cannot be used.
+        DeviceError: the GPU was asked for and cannot be used.
     """
     folder = RunFolder(path)
     if not holds_thermonerf(folder):
-        return load_run(path, scene)
+        return load_run(path, scene, device)
+    if device == "cuda":
+        raise DeviceError(f"{path} is a ThermoNeRF run, which works on the CPU alone: leave --device out")
     newest = folder.newest_checkpoint()
     config = read_config(folder)
     model, facts = load_thermonerf(newest, config)
     return ThermoNerfRun(folder, config, _moved(facts, scene), model)
 
 
-def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
+def load_run(path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto") -> Run:
     """Open the newest checkpoint of a run with Gaussians.
 
     Args:
         path: the run's folder.
         scene: the scene's folder, where it is no longer at the place it was trained from.
+        device: where it renders, see ``open_run``.
 
     Raises:
         RunError: the folder is not a run, its method has no Gaussians, or its checkpoint cannot be used.
+        DeviceError: the GPU was asked for and cannot be used.
     """
     folder = RunFolder(path)
     newest = folder.newest_checkpoint()
@@ -182,7 +204,8 @@ def load_run(path: str | Path, scene: str | Path | None = None) -> Run:
         )
     config = folder.read_config()
     model, facts, image_model = load_model(newest, config)
-    return Run(folder, config, _moved(facts, scene), bake_temperatures(model), image_model)
+    chosen = gpu.choose_device(device)
+    return Run(folder, config, _moved(facts, scene), bake_temperatures(model), image_model, chosen)
 
 
 def _moved(facts: CheckpointFacts, scene: str | Path | None) -> CheckpointFacts:

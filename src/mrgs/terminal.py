@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 from mrgs.errors import MrgsWarning, SceneError
 
 if TYPE_CHECKING:
+    import torch
+
     from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
@@ -25,6 +28,9 @@ if TYPE_CHECKING:
 
 PLAIN_LINE_EVERY_S = 10.0
 """Between progress lines where the output is not a terminal."""
+
+STEPS_REMEMBERED = 250
+"""Between two lines; earlier ones weigh less than 1 % in the means that are shown."""
 
 LEFT_OUT_SHOWN = 20
 """Files that are named at the end of a preparation."""
@@ -62,6 +68,14 @@ def counter(verb: str) -> Callable[[int, int], None]:
 def say_where_to_look(url: str) -> None:
     """The viewer is ready."""
     print(f"open {url} in a browser; Ctrl-C here ends it", flush=True)
+
+
+def note_gpu(device: torch.device) -> None:
+    """Say so if a GPU is used."""
+    from mrgs.gpu import device_title
+
+    if device.type == "cuda":
+        print(f"training on the {device_title(device)}")
 
 
 def note_unfinished(run: Run) -> None:
@@ -104,6 +118,7 @@ class TrainingProgress:
         self._first_step: int | None = None
         self._started = self._last_line = time.perf_counter()
         self._smoothed: dict[str, float] = {}
+        self._unread: deque[StepStatistics | ThermoNerfStatistics] = deque(maxlen=STEPS_REMEMBERED)
         self._terminal = sys.stdout.isatty()
         self._previous_handler: Any = None
 
@@ -140,18 +155,25 @@ class TrainingProgress:
         if self._first_step is None:
             # The first step compiles and reads; it would spoil the speed.
             self._first_step, self._started = statistics.step, now
-        self._smooth("loss", statistics.loss)
-        if statistics.thermal_error is not None:
-            self._smooth("thermal", statistics.thermal_error)
+        self._unread.append(statistics)
         interval = 0.2 if self._terminal else PLAIN_LINE_EVERY_S
         self.unfinished = self._interrupted and statistics.step < self._max_steps
         if now - self._last_line >= interval or statistics.step == self._max_steps or self.unfinished:
             self._last_line = now
+            self._read()
             line = self._line(statistics, now)
             if self._terminal:  # a line that wraps would stay
                 line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\033[K"
             print(line, end="" if self._terminal else "\n", flush=True)
         return self.unfinished
+
+    def _read(self) -> None:
+        """Take up what the steps since the last line measured; only now, because on a GPU to read is to wait."""
+        for statistics in self._unread:
+            self._smooth("loss", statistics.loss)
+            if statistics.thermal_error is not None:
+                self._smooth("thermal", statistics.thermal_error)
+        self._unread.clear()
 
     def _line(self, statistics: StepStatistics | ThermoNerfStatistics, now: float) -> str:
         thermal = self._smoothed.get("thermal")

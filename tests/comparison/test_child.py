@@ -23,7 +23,8 @@ def request_for(tmp_path: Path, make_options):
     def make(scene: Path) -> dict[str, str | None]:
         config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
         return {
-            "scene": str(scene), "folder": str(tmp_path / "run"), "config": to_text(config), "lpips_weights": None,
+            "scene": str(scene), "folder": str(tmp_path / "run"), "config": to_text(config),
+            "device": "cpu", "lpips_weights": None,
         }  # fmt: skip
 
     return make

@@ -8,7 +8,7 @@ import torch
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Gaussians
-from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig, set_rates
+from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig, are_finite, set_rates
 
 EXTENT = 2.0
 
@@ -133,15 +133,58 @@ def test_the_state_goes_on_exactly(make_gaussians):
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_gradients_that_are_not_finite_are_found(value, make_gaussians):
+def test_values_that_are_not_finite_are_found(value, make_gaussians):
     optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
-    assert optimizer.gradients_are_finite()  # none yet
+    loss = torch.tensor(1.0)
+    assert are_finite(loss, optimizer.gradients())  # none yet
+    assert not are_finite(value * loss, optimizer.gradients())
     give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
-    assert optimizer.gradients_are_finite()
+    assert are_finite(loss, optimizer.gradients())
     optimizer.gaussians.sh_rest.grad[3, 7, 1] = value
-    assert not optimizer.gradients_are_finite()
+    assert not are_finite(loss, optimizer.gradients())
     optimizer.zero_grad()
-    assert optimizer.gradients_are_finite()
+    assert are_finite(loss, optimizer.gradients())
+
+
+def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_bits(make_gaussians):
+    """Before the first step too, when there are no moments."""
+    optimizer, plain = (GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT) for _ in range(2))
+    good = torch.tensor(True)
+    for seed in range(3):
+        before = {name: tensor.clone() for name, tensor in optimizer.gaussians.tensors().items()}
+        give_gradients(optimizer.gaussians, torch.arange(4), seed)
+        optimizer.gaussians.means.grad[0, 0] = float("nan")
+        optimizer.step(0.5, ~good)
+        after = optimizer.gaussians.tensors()
+        assert all(torch.equal(after[name].detach(), before[name].detach()) for name in before)
+        assert all(gradient.numel() == 0 for gradient in optimizer.gradients())
+        for each, known in ((optimizer, good), (plain, None)):
+            give_gradients(each.gaussians, torch.arange(4), seed)
+            each.step(0.5, known)
+    expected, found = plain.state(), optimizer.state()
+    assert set(found) == set(expected)
+    assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
+
+
+def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(make_gaussians, monkeypatch):
+    optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
+    give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
+    optimizer.step(0.5)
+    before = {name: tensor.clone() for name, tensor in optimizer.state().items()}
+    calls = iter(range(100))
+
+    def cat(tensors, original=torch.cat):
+        if next(calls) == 5:
+            raise torch.cuda.OutOfMemoryError("full")
+        return original(tensors)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(torch, "cat", cat)
+        with pytest.raises(torch.cuda.OutOfMemoryError):
+            optimizer.replace_rows(torch.tensor([0, 2]), make_gaussians(3))
+    after = optimizer.state()
+    assert set(after) == set(before)
+    assert all(torch.equal(after[name], before[name]) for name in before)
 
 
 def test_learning_rate_of_the_means_decays_between_its_ends():

@@ -8,10 +8,10 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.data import load_scene
-from mrgs.errors import RunError, SceneError, TrainingError
+from mrgs.errors import DeviceError, RunError, SceneError, TrainingError
 from mrgs.render import render_view
 from mrgs.run import load_run
-from mrgs.training import METHODS, step, train
+from mrgs.training import METHODS, driver, step, train
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.run_folder import RunFolder
 
@@ -253,6 +253,98 @@ def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, make_shor
         train(small_scene, tmp_path / "run", make_short_config())
     with pytest.raises(RunError, match="run has no checkpoint yet: train it first, without --resume"):
         train(small_scene, tmp_path / "run", make_short_config(), resume=True)
+
+
+def fill_memory(monkeypatch: pytest.MonkeyPatch, name: str, calls: set[int]) -> None:
+    """Let the GPU's memory be full in these calls of a function of the step, counted from 0."""
+    count = iter(range(1_000_000))
+    original = getattr(step, name)
+
+    def full(*args, **kwargs):
+        if next(count) in calls:
+            raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(step, name, full)
+
+
+@pytest.mark.parametrize(("name", "calls"), [("total_loss", {0, 7, 60}), ("densify", {0, 2})])
+def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
+    name, calls, small_scene, tmp_path, make_short_config, monkeypatch
+):
+    config = replace(eventful(make_short_config, "mrgs"), max_steps=80)
+    whole = train(small_scene, tmp_path / "whole", config)
+    fill_memory(monkeypatch, name, calls)
+    folder = train(small_scene, tmp_path / "run", config)
+    expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
+    assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
+
+
+def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_path, make_short_config, monkeypatch):
+    config = make_short_config(max_steps=20)
+    whole = train(small_scene, tmp_path / "whole", config)
+    with monkeypatch.context() as patch:
+        fill_memory(patch, "total_loss", {5, 6})
+        with pytest.raises(TrainingError) as caught:
+            train(small_scene, tmp_path / "run", config)
+    kept = tmp_path / "run/checkpoints/step_000005.safetensors"
+    assert str(caught.value) == (
+        f"the GPU's memory does not suffice for step 6 with 25 Gaussians; the last good step is kept in {kept}: "
+        "go on with --resume --device cpu, or train anew with a smaller --max-gaussians or --resolution"
+    )
+    folder = train(small_scene, tmp_path / "run", config, resume=True, device="cpu")
+    expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
+    assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
+
+
+def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
+    fill_memory(monkeypatch, "total_loss", {0, 1})
+    with pytest.raises(TrainingError) as caught:
+        train(small_scene, tmp_path / "run", make_short_config())
+    assert str(caught.value) == (
+        "the GPU's memory does not suffice for step 1 with 25 Gaussians; there is no checkpoint yet: "
+        "train anew with a smaller --max-gaussians or --resolution"
+    )
+
+
+def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(small_scene, tmp_path, make_short_config):
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(DeviceError, match="use --device cpu"):
+        train(small_scene, tmp_path / "run", make_short_config(), device="cuda")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_checkpoint_says_which_device_it_was(small_scene, tmp_path, make_short_config):
+    folder = train(small_scene, tmp_path / "run", make_short_config(max_steps=1))
+    assert load_facts(folder.newest_checkpoint()).device == "cpu"
+
+
+def test_steps_that_are_looked_at_later_are_counted_all_the_same(small_scene, tmp_path, make_short_config, monkeypatch):
+    """As on a GPU, where the driver looks every tenth step."""
+    monkeypatch.setattr(driver, "LOOK_EVERY", {"cpu": 10})
+    spoil(monkeypatch, {2, 3, 12, 13, 14})
+    config = make_short_config(max_steps=60, checkpoint_every=5)
+    with pytest.raises(TrainingError, match="3 steps in a row gave values that are not finite, at step 14"):
+        train(small_scene, tmp_path / "run", config)
+    folder = RunFolder(tmp_path / "run")
+    assert [entry["step"] for entry in read_log(folder)] == [2, 3, 10, 12, 13, 14]
+    assert load_facts(folder.newest_checkpoint()).step == 10
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize(("first", "second"), [("cpu", "cuda"), ("cuda", "cpu")])
+def test_a_run_goes_on_on_another_device(first, second, small_scene, tmp_path, make_short_config):
+    config = eventful(make_short_config, "mrgs-plus")
+    folder = train(small_scene, tmp_path / "run", config, stop_at=110, device=first)
+    train(small_scene, folder.path, config, resume=True, device=second)
+    facts = load_facts(folder.newest_checkpoint())
+    assert (facts.step, facts.device == "cpu", facts.skipped_steps) == (200, second == "cpu", 0)
+    assert facts.peak_memory_bytes > 2**20
+    assert read_log(folder)[-1]["loss"] < read_log(folder)[0]["loss"]
+    assert all(tensor.isfinite().all() for tensor in load_file(folder.newest_checkpoint()).values())
 
 
 def test_a_run_is_never_overwritten(small_scene, tmp_path, make_short_config):

@@ -1,9 +1,9 @@
 """One run in a process of its own: ``python -m mrgs.comparison.child REQUEST``, started by ``processes``.
 
-REQUEST is JSON: ``scene``, ``folder``, ``config`` (YAML) and ``lpips_weights`` (a path or null). The process writes one
-JSON object per line to its standard output: ``{"step", "gaussians"}``, ``{"scored", "of"}``, and last ``{"end"}``
-("scored", "stopped" or "error", then with "message"). When its standard input is closed, it stops with a checkpoint: so
-it does when the process that started it dies.
+REQUEST is JSON: ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path or null). The
+process writes one JSON object per line to its standard output: ``{"step", "gaussians"}``, ``{"scored", "of"}``, and
+last ``{"end"}`` ("scored", "stopped" or "error", then with "message"). When its standard input is closed, it stops with
+a checkpoint: so it does when the process that started it dies.
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ def main(request: dict[str, Any]) -> int:
             Path(request["scene"]),
             Path(request["folder"]),
             from_text(request["config"]),
+            device=request["device"],
             lpips_weights=None if weights is None else Path(weights),
             on_step=reporter.on_step,
             on_score=reporter.on_score,

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from mrgs import gpu
 from mrgs.atomic import replacing
 from mrgs.comparison.figures import WITH_BOLTZ, WITHOUT_BOLTZ, Exhibit, Renderer, depth_figure, qualitative_figure
 from mrgs.comparison.methods import Options
@@ -27,6 +28,7 @@ from mrgs.evaluation.figures import to_json
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.pictures import write_png
 from mrgs.evaluation.renders import evaluate_renders, find_renders
+from mrgs.gpu import DeviceName
 from mrgs.run import TrainedRun, open_run
 
 Say = Callable[[str], None]
@@ -54,6 +56,7 @@ def compare(
     *,
     renders: Mapping[str, Path] | None = None,
     jobs: int = 1,
+    device: DeviceName = "auto",
     lpips_weights: Path | None = None,
     say: Say = lambda line: None,
 ) -> Comparison:
@@ -68,6 +71,7 @@ def compare(
         renders: other programs' renderings by the name that the tables give them: folders that hold one folder per
             scene, see :mod:`mrgs.evaluation.renders`.
         jobs: how many runs at a time; the machine's cores are divided among them.
+        device: where they train and render; ThermoNeRF on the CPU in any case.
         lpips_weights: weights for LPIPS; without them it is left out.
         say: called with lines that say how far all is.
 
@@ -77,12 +81,13 @@ def compare(
     """
     if jobs < 1:
         raise ConfigError(f"--jobs must be at least 1, not {jobs}")
+    gpu.choose_device(device)  # better now than in every run
     renders = dict(renders or {})
     _check_names(options, renders)
     if lpips_weights is not None:
         Lpips.from_file(lpips_weights)  # better now than after the first training
     planned = plan(scenes, output, options)
-    failures = _do(planned, jobs, lpips_weights, say)
+    failures = _do(planned, jobs, device, lpips_weights, say)
     found = [_run_outcome(job, failures) for job in planned]
     paths = {job.scene_name: job.scene for job in planned}
     for name, folder in renders.items():
@@ -109,14 +114,14 @@ def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
         taken.add(name)
 
 
-def _do(planned: Sequence[Job], jobs: int, lpips_weights: Path | None, say: Say) -> dict[Job, str]:
+def _do(planned: Sequence[Job], jobs: int, device: DeviceName, lpips_weights: Path | None, say: Say) -> dict[Job, str]:
     """Run what is not scored yet; returns why runs failed."""
     due = [job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)]
     say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
     if not due:
         return {}
     progress = Progress(due, jobs, say)
-    return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick)
+    return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
 
 
 def _run_outcome(job: Job, failures: Mapping[Job, str]) -> Outcome:
@@ -215,7 +220,7 @@ def _exhibit(
                 renderers[each.method] = partial(files.rendering, temperature=loaded.temperature)
             else:
                 job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
-                renderers[each.method] = _photographer(open_run(job.folder, job.scene))
+                renderers[each.method] = _photographer(open_run(job.folder, job.scene, "cpu"))
         except MrgsError:  # scored, but its checkpoints were removed since
             continue
         figures[each.method] = next(

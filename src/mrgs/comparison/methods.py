@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 from mrgs import thermonerf
 from mrgs.errors import ConfigError
+from mrgs.gpu import DeviceName
 from mrgs.thermonerf import ThermoNerfConfig, run_files, train_thermonerf
 from mrgs.thermonerf.config import is_thermonerf
 from mrgs.thermonerf.config import to_yaml as thermonerf_yaml
@@ -100,7 +101,14 @@ def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
     return replace(from_yaml(variant.changes, variant.source, config), seed=seed) if variant.changes else config
 
 
-def train_run(scene: Path, folder: Path, config: AnyConfig, on_step: OnStep | None = None) -> None:
+def device_of(config: AnyConfig, device: DeviceName) -> DeviceName:
+    """Where a run of this configuration works: ThermoNeRF on the CPU, all others where they are asked to."""
+    return "cpu" if isinstance(config, ThermoNerfConfig) else device
+
+
+def train_run(
+    scene: Path, folder: Path, config: AnyConfig, on_step: OnStep | None = None, device: DeviceName = "auto"
+) -> None:
     """Train a run, or continue it if its folder has a checkpoint.
 
     Raises:
@@ -110,7 +118,7 @@ def train_run(scene: Path, folder: Path, config: AnyConfig, on_step: OnStep | No
     if isinstance(config, ThermoNerfConfig):
         train_thermonerf(scene, folder, config, resume=resume, on_step=on_step)
     else:
-        train(scene, folder, config, resume=resume, on_step=on_step)
+        train(scene, folder, config, resume=resume, device=device, on_step=on_step)
 
 
 def to_text(config: AnyConfig) -> str:

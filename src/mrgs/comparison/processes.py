@@ -19,6 +19,7 @@ from typing import Any
 
 from mrgs.comparison.methods import to_text
 from mrgs.comparison.plan import Job
+from mrgs.gpu import DeviceName
 from mrgs.isolation import CHILD_FOLDER, child_environment
 
 CHILD = ("-m", "mrgs.comparison.child")
@@ -42,6 +43,7 @@ def run_jobs(
     lpips_weights: Path | None,
     on_message: Callable[[Job, Message], None],
     on_tick: Callable[[], None],
+    device: DeviceName = "auto",
 ) -> dict[Job, str]:
     """Do all jobs, ``count`` at a time.
 
@@ -51,6 +53,7 @@ def run_jobs(
         lpips_weights: weights for LPIPS.
         on_message: called with what a child says, and with ``{"start": True}`` when it is started.
         on_tick: called about once a second.
+        device: where they train and render.
 
     Returns:
         of each job that failed, why: one line.
@@ -64,7 +67,7 @@ def run_jobs(
         while waiting or running:
             while waiting and len(running) < count:
                 job = waiting.pop(0)
-                running.append(_start(job, threads_each(count), lpips_weights, inbox))
+                running.append(_start(job, threads_each(count), device, lpips_weights, inbox))
                 on_message(job, {"start": True})
             _receive(inbox, running, failures, on_message)
             on_tick()
@@ -88,12 +91,17 @@ def threads_each(count: int) -> int:
 
 
 def _start(
-    job: Job, threads: int, lpips_weights: Path | None, inbox: queue.Queue[tuple[_Child, Message | None]]
+    job: Job,
+    threads: int,
+    device: DeviceName,
+    lpips_weights: Path | None,
+    inbox: queue.Queue[tuple[_Child, Message | None]],
 ) -> _Child:
     request = {
         "scene": str(job.scene.absolute()),  # the child runs in another folder
         "folder": str(job.folder.absolute()),
         "config": to_text(job.config),
+        "device": device,
         "lpips_weights": None if lpips_weights is None else str(lpips_weights.absolute()),
     }
     # Threads that spin while they wait would starve those of the other processes.

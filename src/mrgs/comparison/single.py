@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mrgs.comparison.methods import AnyConfig, OnStep, read_config, train_run
+from mrgs.comparison.methods import AnyConfig, OnStep, device_of, read_config, train_run
 from mrgs.errors import ConfigError
 from mrgs.evaluation import evaluate_run
+from mrgs.gpu import DeviceName
 from mrgs.run import open_run
 from mrgs.training.run_folder import RunFolder
 
@@ -20,6 +21,7 @@ def run_one(
     folder: Path,
     config: AnyConfig,
     *,
+    device: DeviceName = "auto",
     lpips_weights: Path | None = None,
     on_step: OnStep | None = None,
     on_score: Callable[[int, int], None] | None = None,
@@ -30,6 +32,7 @@ def run_one(
         scene: the scene's folder.
         folder: the run's folder.
         config: what the run is trained with.
+        device: where it is trained and rendered; ThermoNeRF on the CPU in any case.
         lpips_weights: weights for LPIPS, see ``evaluate_run``.
         on_step: called after every training step; returning True stops with a checkpoint.
         on_score: called after each scored view with their number and that of all.
@@ -41,8 +44,8 @@ def run_one(
         MrgsError: the scene or the folder cannot be used, or the training had to stop.
     """
     if not _is_trained(folder, config):
-        train_run(scene, folder, config, on_step)
-    run = open_run(folder, scene)
+        train_run(scene, folder, config, on_step, device)
+    run = open_run(folder, scene, device_of(config, device))
     if run.facts.step < config.max_steps:
         return False
     evaluate_run(run, lpips_weights, on_score)

@@ -113,7 +113,7 @@ def facts_of(run: TrainedRun) -> RunFacts:
         gaussians=run.gaussian_count,
         train_seconds=run.facts.train_seconds,
         peak_memory_bytes=run.facts.peak_memory_bytes or None,
-        device="cpu",
+        device=run.facts.device,
     )
 
 

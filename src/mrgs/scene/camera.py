@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -10,6 +11,14 @@ from torch import Tensor
 
 MIN_DEPTH = 1e-6
 """Scene units; a point nearer to the plane through the camera's centre may lie on either side of it, by rounding."""
+
+
+class CameraTensors(NamedTuple):
+    """A camera's numbers where they are computed with: K [3, 3], viewmat [4, 4] and position [3], see ``Camera``."""
+
+    K: Float[Tensor, "3 3"]
+    viewmat: Float[Tensor, "4 4"]
+    position: Float[Tensor, "3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +39,18 @@ class Camera:
     viewmat: Float64[Tensor, "4 4"]
     width: int
     height: int
+    _tensors: dict[tuple[torch.device, torch.dtype], CameraTensors] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
+        """The camera on a device; kept, because to copy it for every image would make the host wait for a GPU."""
+        if (device, dtype) not in self._tensors:
+            position = self.position
+            self._tensors[device, dtype] = CameraTensors(
+                *(tensor.to(device, dtype) for tensor in (self.K, self.viewmat, position))
+            )
+        return self._tensors[device, dtype]
 
     @property
     def position(self) -> Float64[Tensor, "3"]:

@@ -62,6 +62,10 @@ class Gaussians:
         """All colour coefficients."""
         return torch.cat([self.sh_dc, self.sh_rest], dim=1)
 
+    def to(self, device: torch.device) -> Gaussians:
+        """Copies on a device, without gradients."""
+        return Gaussians(**{name: tensor.detach().to(device) for name, tensor in self.tensors().items()})
+
     def tensors(self) -> dict[str, Tensor]:
         """The parameters by name, in the order of declaration (not copied)."""
         return {field.name: getattr(self, field.name) for field in fields(self)}

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from mrgs.atomic import replacing
 from mrgs.errors import RunError
 from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.gpu import HOST
 from mrgs.render import Model
 from mrgs.scene import Gaussians, Scene, TemperatureRange
 from mrgs.training.config import TrainConfig
@@ -38,8 +39,9 @@ class CheckpointFacts(NamedTuple):
         capture: what the image model must know of the scene's photos.
         temperature: the scene's scale; None without known °C.
         train_seconds: time spent in training so far.
-        peak_memory_bytes: largest memory of the process so far.
+        peak_memory_bytes: largest memory of the process so far; on a GPU that of its tensors.
         skipped_steps: steps skipped so far because of values that were not finite.
+        device: that of the last step: a GPU's name, or "cpu".
     """
 
     step: int
@@ -49,6 +51,7 @@ class CheckpointFacts(NamedTuple):
     train_seconds: float
     peak_memory_bytes: int
     skipped_steps: int
+    device: str = "cpu"
 
 
 def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
@@ -68,7 +71,7 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     tensors["generator"] = state.generator.get_state()
     if state.model.neighbours is not None:
         tensors["neighbours"] = state.model.neighbours
-    write(path, tensors, facts, state.skipped_in_a_row)
+    write(path, tensors, facts, int(state.skipped_in_a_row))
 
 
 def write(path: Path, tensors: dict[str, Tensor], facts: CheckpointFacts, skipped_in_a_row: int) -> None:
@@ -85,7 +88,7 @@ def write(path: Path, tensors: dict[str, Tensor], facts: CheckpointFacts, skippe
         "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
         "skipped_in_a_row": skipped_in_a_row,
     }
-    contiguous = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
+    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
         safetensors.torch.save_file(contiguous, temporary, {"mrgs": json.dumps(header)})
 
@@ -134,12 +137,13 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
     return model, facts, image_model
 
 
-def load_state(path: Path, config: TrainConfig) -> TrainingState:
+def load_state(path: Path, config: TrainConfig, device: torch.device = HOST) -> TrainingState:
     """The whole state of a checkpoint, to train on.
 
     Args:
-        path: the checkpoint.
+        path: the checkpoint, written on whatever device.
         config: the run's configuration.
+        device: where to train on.
 
     Raises:
         RunError: not a whole checkpoint of this format, or not of this configuration.
@@ -147,7 +151,7 @@ def load_state(path: Path, config: TrainConfig) -> TrainingState:
     tensors, header = _read(path)
     facts = _facts(path, header)
     try:
-        model = _model(tensors, config, facts.step)
+        model = _model(tensors, config, facts.step).to(device)
         uncertainty = DepthUncertainty()
         uncertainty.load_state_dict(_below(tensors, "uncertainty."))
         generator = torch.Generator()
@@ -156,9 +160,11 @@ def load_state(path: Path, config: TrainConfig) -> TrainingState:
         state.image_model.load_state_dict(_below(tensors, "image_model."))
         state.gaussian_optimizer.load_moments(_below(tensors, "gaussians."))
         _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
-        state.statistics = ScreenStatistics(tensors["statistics.gradient_sum"], tensors["statistics.views"])
+        state.statistics = ScreenStatistics(
+            *(tensors[f"statistics.{name}"].to(device) for name in ("gradient_sum", "views"))
+        )
         state.sampler.load(tensors["sampler.waiting"])
-        state.skipped_in_a_row = int(header["skipped_in_a_row"])
+        state.skipped_in_a_row += int(header["skipped_in_a_row"])
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
     state.step = facts.step
@@ -172,8 +178,10 @@ def make_state(
     capture: Capture,
     generator: torch.Generator,
 ) -> TrainingState:
-    """A state at step 0: fresh optimizers around a model."""
-    image_model = ImageModel(config.image_model, capture)
+    """A state at step 0: fresh optimizers around a model, on its device."""
+    device = model.gaussians.means.device
+    uncertainty = uncertainty.to(device)
+    image_model = ImageModel(config.image_model, capture).to(device)
     gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, capture.extent)
     model.gaussians = gaussian_optimizer.gaussians
     groups = [{"params": list(uncertainty.parameters()), "lr": config.optimizer.uncertainty}]
@@ -189,9 +197,10 @@ def make_state(
         image_model=image_model,
         gaussian_optimizer=gaussian_optimizer,
         layer_optimizer=torch.optim.Adam(groups, fused=True),
-        statistics=ScreenStatistics.empty(len(model.gaussians)),
+        statistics=ScreenStatistics.empty(len(model.gaussians), device),
         sampler=ViewSampler(capture.views, generator),
         generator=generator,
+        skipped_in_a_row=torch.zeros((), dtype=torch.int64, device=device),
     )
 
 
@@ -210,10 +219,11 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dic
 
 def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
     try:
-        values = {name: header[name] for name in CheckpointFacts._fields}
+        known = {"device": "cpu", **header}  # older checkpoints do not say it
+        values = {name: known[name] for name in CheckpointFacts._fields}
         bounds = values["temperature"]
-        if not isinstance(values["scene"], str):
-            raise TypeError("the scene is a path")
+        if not isinstance(values["scene"], str) or not isinstance(values["device"], str):
+            raise TypeError("the scene is a path, the device a name")
         values["temperature"] = None if bounds is None else TemperatureRange(*bounds)
         values["capture"] = Capture.from_json(values["capture"])
         return CheckpointFacts(**values)
@@ -275,7 +285,7 @@ def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor])
     for place, parameter in enumerate(_layer_parameters(optimizer)):
         state = _below(tensors, f"{place}.")
         if state:
-            optimizer.state[parameter] = state
+            optimizer.state[parameter] = {key: value.to(parameter.device) for key, value in state.items()}
 
 
 def _damaged(path: Path) -> RunError:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -15,6 +16,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.errors import ConfigError
+from mrgs.gpu import HOST
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
 from mrgs.training.optimizer import GaussianOptimizer
@@ -80,23 +82,34 @@ class ScreenStatistics:
         self.views = views
 
     @classmethod
-    def empty(cls, count: int) -> ScreenStatistics:
+    def empty(cls, count: int, device: torch.device = HOST) -> ScreenStatistics:
         """Nothing seen yet, of ``count`` Gaussians."""
-        return cls(torch.zeros(count), torch.zeros(count))
+        return cls(torch.zeros(count, device=device), torch.zeros(count, device=device))
 
-    def add(self, passes: Sequence[ScreenPoints]) -> None:
-        """Take the gradients of one view's passes, in units of half the image's size as 3DGS counts them."""
+    def add(self, passes: Sequence[ScreenPoints], good: Bool[Tensor, ""] | None = None) -> None:
+        """Take the gradients of one view's passes, in units of half the image's size as 3DGS counts them.
+
+        Args:
+            passes: of the view.
+            good: whether the view counts; where not, nothing is taken. None if it does.
+        """
         drawn = torch.zeros_like(self.views, dtype=torch.bool)
         for points in passes:
             if points.offset.grad is not None:
-                half_size = torch.tensor(points.size, dtype=torch.float32) / 2
-                self.gradient_sum += (points.offset.grad * half_size).norm(dim=1)
+                norms = (points.offset.grad * _half(points.size, points.offset.device)).norm(dim=1)
+                self.gradient_sum += norms if good is None else torch.where(good, norms, 0)
             drawn |= points.radii > 0
-        self.views += drawn
+        self.views += drawn if good is None else drawn & good
 
     def mean(self) -> Float[Tensor, " n"]:
         """Mean norm of the gradient over the views that drew the Gaussian."""
         return self.gradient_sum / self.views.clamp_min(1)
+
+
+@lru_cache(maxsize=16)
+def _half(size: tuple[int, int], device: torch.device) -> Float[Tensor, "2"]:
+    """Half a width and height; kept, because to copy them anew would make the host wait for a GPU's queue."""
+    return (torch.tensor(size, dtype=torch.float32) / 2).to(device)
 
 
 class DensificationCounts(NamedTuple):
@@ -166,10 +179,19 @@ def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
     halves = Gaussians(
         **{name: tensor.repeat_interleave(SPLIT_INTO, 0) for name, tensor in gaussians.tensors().items()}
     )
-    noise = torch.randn(halves.means.shape, generator=generator) * halves.scales
+    noise = draw_normal(halves.means, generator) * halves.scales
     halves.means = halves.means + rotate(halves.quats, noise)
     halves.log_scales = halves.log_scales - torch.tensor(SPLIT_SHRINK).log()
     return halves
+
+
+def draw_normal(like: Float[Tensor, "*k"], generator: torch.Generator) -> Float[Tensor, "*k"]:
+    """Standard normal numbers of a tensor's shape, on its device.
+
+    They are drawn on the host, so that they do not depend on the device, and copied without waiting for it.
+    """
+    numbers = torch.randn(like.shape, generator=generator, pin_memory=like.is_cuda)
+    return numbers.to(like.device, non_blocking=True)
 
 
 def rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

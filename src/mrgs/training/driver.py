@@ -8,13 +8,20 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
+import torch
+
+from mrgs import gpu
 from mrgs.errors import TrainingError
+from mrgs.gpu import HOST
 from mrgs.scene import TemperatureRange
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.run_folder import RunFolder
 
 LOG_EVERY = 10
+LOOK_EVERY = {"cpu": 1, "cuda": LOG_EVERY}
+"""Steps after which the driver looks whether some were skipped; to look at a GPU is to wait for it."""
+
 MAX_SKIPPED_IN_A_ROW = 3
 
 
@@ -58,13 +65,25 @@ class Driver(ABC, Generic[S]):
         facts: of the checkpoint that is continued, or of step 0.
         max_steps: of the schedule.
         checkpoint_every: steps between checkpoints.
+        device: where the steps are done.
     """
 
-    def __init__(self, folder: RunFolder, facts: CheckpointFacts, max_steps: int, checkpoint_every: int) -> None:
+    def __init__(
+        self,
+        folder: RunFolder,
+        facts: CheckpointFacts,
+        max_steps: int,
+        checkpoint_every: int,
+        device: torch.device = HOST,
+    ) -> None:
         self._folder = folder
         self._facts = facts
         self._max_steps = max_steps
         self._checkpoint_every = checkpoint_every
+        self._device = device
+        self._look_every = LOOK_EVERY[device.type]
+        self._unseen: list[S] = []
+        self._bad_in_a_row = self._skipped_in_a_row
         self._step_done = facts.step
         self._skipped_steps = facts.skipped_steps
         self._started = time.perf_counter()
@@ -76,7 +95,7 @@ class Driver(ABC, Generic[S]):
     @property
     @abstractmethod
     def _skipped_in_a_row(self) -> int:
-        """Steps skipped since the last good one."""
+        """Steps that the state says were skipped since the last good one."""
 
     @abstractmethod
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
@@ -88,8 +107,9 @@ class Driver(ABC, Generic[S]):
         while self._step_done < last:
             statistics = self._take_step()
             self._step_done = statistics.step
-            if statistics.skipped:
-                self._note_skipped(statistics)
+            self._unseen.append(statistics)
+            if self._step_done % self._look_every == 0:
+                self._look()
             if self._step_done % LOG_EVERY == 0 or self._step_done == self._max_steps:
                 self._log(statistics)
             if on_step is not None and on_step(statistics) is True:
@@ -97,10 +117,18 @@ class Driver(ABC, Generic[S]):
             if self._step_done % self._checkpoint_every == 0 or self._step_done == last:
                 self._save()
 
+    def _look(self) -> None:
+        """Note the steps that were skipped since this was last done."""
+        unseen, self._unseen = self._unseen, []
+        for statistics in unseen:
+            self._bad_in_a_row = self._bad_in_a_row + 1 if statistics.skipped else 0
+            if statistics.skipped:
+                self._note_skipped(statistics)
+
     def _note_skipped(self, statistics: S) -> None:
         self._skipped_steps += 1
         self._folder.append_log({"step": statistics.step, "skipped": "the loss or a gradient was not finite"})
-        if self._skipped_in_a_row >= MAX_SKIPPED_IN_A_ROW:
+        if self._bad_in_a_row >= MAX_SKIPPED_IN_A_ROW:
             found = self._folder.checkpoints()
             kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
             again = "Resume" if found else "Train anew"
@@ -123,11 +151,13 @@ class Driver(ABC, Generic[S]):
         return self._facts.train_seconds + time.perf_counter() - self._started
 
     def _save(self) -> None:
+        self._look()
         facts = self._facts._replace(
             step=self._step_done,
             train_seconds=self._seconds(),
-            peak_memory_bytes=max(self._facts.peak_memory_bytes, peak_memory_bytes()),
+            peak_memory_bytes=max(self._facts.peak_memory_bytes, peak_memory_bytes(self._device)),
             skipped_steps=self._skipped_steps,
+            device=gpu.device_title(self._device),
         )
         self._write_checkpoint(self._folder.checkpoint_file(self._step_done), facts)
         self._folder.drop_old_checkpoints()

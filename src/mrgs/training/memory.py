@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 
+import torch
+
 from mrgs.scene import Scene
 from mrgs.training.config import TrainConfig
 from mrgs.training.views import CACHE_BYTES
@@ -36,8 +38,10 @@ def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     return _BASE_BYTES + gaussians * per_gaussian + pixels * _PIXEL_FLOATS * _FLOAT + min(photos, CACHE_BYTES)
 
 
-def peak_memory_bytes() -> int:
-    """Largest resident memory of this process so far; 0 where the system does not tell."""
+def peak_memory_bytes(device: torch.device | None = None) -> int:
+    """Largest memory of this process so far: on a GPU that of its tensors there, else resident; 0 if not known."""
+    if device is not None and device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device)
     try:
         import resource
     except ImportError:  # Windows

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.errors import ConfigError
@@ -76,6 +77,22 @@ class OptimizerConfig:
         return rate
 
 
+def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Tensor, ""]:
+    """Whether neither the loss nor a gradient holds a NaN or an infinity; the answer stays on their device."""
+    sums = [gradient.sum() for gradient in gradients]
+    return torch.stack([loss.detach(), *sums]).isfinite().all()
+
+
+def step_if(good: Bool[Tensor, ""] | None, adam: torch.optim.Adam) -> None:
+    """Adam's step where ``good``, or if that is None; else nothing. The device is not asked which of both it was.
+
+    A fused Adam leaves parameters, moments and step counts as they are where its ``found_inf`` is 1: so it is that
+    torch's GradScaler skips steps.
+    """
+    adam.found_inf = None if good is None else (~good).float()  # type: ignore[attr-defined]
+    adam.step()
+
+
 def set_rates(adam: torch.optim.Adam, factor: float) -> None:
     """Learning rates of all groups as this factor of their ``initial_lr``."""
     for group in adam.param_groups:
@@ -106,37 +123,50 @@ class GaussianOptimizer:
             fused=True,
         )
 
-    def step(self, progress: float) -> None:
-        """One Adam step from the gradients, which are then cleared; ``progress`` is the share of the training done."""
+    def step(self, progress: float, good: Bool[Tensor, ""] | None = None) -> None:
+        """One Adam step from the gradients, which are then cleared.
+
+        Args:
+            progress: the share of the training done.
+            good: whether the step counts; where not, nothing is moved. None if it does.
+        """
         set_rates(self._adam, self._config.slowdown_at(progress))
         self._group("means")["lr"] = self._config.means_at(progress) * self._extent
-        self._adam.step()
+        step_if(good, self._adam)
         self.zero_grad()
 
     def zero_grad(self) -> None:
         """Forget the gradients."""
         self._adam.zero_grad(set_to_none=True)
 
-    def gradients_are_finite(self) -> bool:
-        """Whether no gradient holds a NaN or an infinity."""
-        gradients = [tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None]
-        return all(bool(gradient.sum().isfinite()) for gradient in gradients)
+    def gradients(self) -> list[Tensor]:
+        """Those that there are."""
+        return [tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None]
 
     def replace_rows(self, keep: Int64[Tensor, " k"], added: Gaussians) -> None:
-        """Keep these rows, in this order, and append new ones; the new rows' moments start at 0."""
-        for name, addition in added.tensors().items():
+        """Keep these rows, in this order, and append new ones; the new rows' moments start at 0.
+
+        All is built before anything is replaced: where the memory does not suffice, the optimizer is as it was.
+        """
+        built = {name: self._with_rows(name, keep, addition.detach()) for name, addition in added.tensors().items()}
+        for name, (new, moments) in built.items():
             old = getattr(self.gaussians, name)
-            new = torch.cat([old.detach()[keep], addition.detach()]).requires_grad_()
             setattr(self.gaussians, name, new)
             if old.numel() == 0:
                 continue
             self._group(name)["params"] = [new]
             state = self._adam.state.pop(old, None)
-            if state is None:
-                continue
-            for moment in _MOMENTS:
-                state[moment] = torch.cat([state[moment][keep], torch.zeros_like(addition)])
-            self._adam.state[new] = state
+            if state is not None:
+                self._adam.state[new] = {**state, **moments}
+
+    def _with_rows(
+        self, name: str, keep: Int64[Tensor, " k"], addition: Float[Tensor, "a ..."]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """A parameter and its moments with the rows to keep and the new ones."""
+        old = getattr(self.gaussians, name)
+        state = self._adam.state.get(old, {})
+        moments = {moment: torch.cat([state[moment][keep], torch.zeros_like(addition)]) for moment in _MOMENTS if state}
+        return torch.cat([old.detach()[keep], addition]).requires_grad_(), moments
 
     @torch.no_grad()
     def limit_opacities(self, maximum: float) -> None:
@@ -163,7 +193,8 @@ class GaussianOptimizer:
             prefix = f"adam.{group['name']}."
             state = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
             if state:
-                self._adam.state[group["params"][0]] = state
+                parameter = group["params"][0]
+                self._adam.state[parameter] = {key: value.to(parameter.device) for key, value in state.items()}
 
     def _group(self, name: str) -> dict:
         return next(group for group in self._adam.param_groups if group["name"] == name)

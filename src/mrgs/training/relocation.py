@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Gaussians
-from mrgs.training.densification import rotate
+from mrgs.training.densification import draw_normal, rotate
 from mrgs.training.optimizer import GaussianOptimizer
 
 MOST_COPIES = 32
@@ -90,7 +90,8 @@ def relocate(
     added = max(min(wanted, budget) - len(gaussians), 0)
     if len(alive) == 0 or dead + added == 0:
         return RelocationCounts(0, 0)
-    drawn = torch.multinomial(opacity[alive], dead + added, replacement=True, generator=generator)
+    # On the host, so that the draws do not depend on the device.
+    drawn = torch.multinomial(opacity[alive].cpu(), dead + added, replacement=True, generator=generator).to(alive)
     copies = 1 + torch.bincount(drawn, minlength=len(alive))
     copied = copies > 1
     optimizer.replace_rows(alive[~copied], _copies(gaussians, alive[copied], copies[copied]))
@@ -124,7 +125,7 @@ def shrinkage(opacity: Float[Tensor, " k"], counts: Int64[Tensor, " k"]) -> Floa
     """
     counts = counts.clamp_max(MOST_COPIES)
     n = counts.double()[:, None]
-    j = torch.arange(1, MOST_COPIES + 1, dtype=torch.float64)
+    j = torch.arange(1, MOST_COPIES + 1, dtype=torch.float64, device=counts.device)
     binomial = (torch.lgamma(n + 1) - torch.lgamma(j + 1) - torch.lgamma((n - j).clamp_min(0) + 1)).exp()
     signed = torch.where(j % 2 == 1, 1.0, -1.0) * binomial * (j <= n) / j.sqrt()
     x = shared_opacity(opacity.double(), counts)
@@ -132,20 +133,28 @@ def shrinkage(opacity: Float[Tensor, " k"], counts: Int64[Tensor, " k"]) -> Floa
 
 
 @torch.no_grad()
-def explore(gaussians: Gaussians, rate: float, config: RelocationConfig, generator: torch.Generator) -> None:
+def explore(
+    gaussians: Gaussians,
+    rate: float,
+    config: RelocationConfig,
+    generator: torch.Generator,
+    good: Bool[Tensor, ""] | None = None,
+) -> None:
     """Add noise in the shape of each Gaussian to its mean, the less the more opaque it is.
 
     Args:
         gaussians: whose means are moved in place.
         rate: learning rate of the means, in scene units.
         config: strength of the noise.
-        generator: of the noise.
+        generator: of the noise, which is drawn in any case.
+        good: whether the means are moved; None if they are.
     """
     opacity = torch.maximum(gaussians.opacity_rgb, gaussians.opacity_thermal)
     gate = torch.sigmoid(NOISE_GATE_SLOPE * (NOISE_GATE_OPACITY - opacity))
-    noise = torch.randn(gaussians.means.shape, generator=generator) * (config.noise * rate * gate)[:, None]
-    turned = rotate(gaussians.quats * noise.new_tensor([1.0, -1.0, -1.0, -1.0]), noise)
-    gaussians.means += rotate(gaussians.quats, turned * gaussians.scales.square())
+    noise = draw_normal(gaussians.means, generator) * (config.noise * rate * gate)[:, None]
+    inverse = torch.cat([gaussians.quats[:, :1], -gaussians.quats[:, 1:]], dim=1)
+    motion = rotate(gaussians.quats, rotate(inverse, noise) * gaussians.scales.square())
+    gaussians.means += motion if good is None else torch.where(good, motion, 0)
 
 
 def sparsity_loss(gaussians: Gaussians, extent: float, config: RelocationConfig) -> Float[Tensor, ""]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
 
 from mrgs.field import nearest_neighbours
 from mrgs.render import Model, Rendering, render
@@ -14,7 +17,7 @@ from mrgs.training.config import TrainConfig
 from mrgs.training.densification import DensificationConfig, DensificationCounts, ScreenStatistics, densify
 from mrgs.training.image_model import ImageModel
 from mrgs.training.losses import total_loss
-from mrgs.training.optimizer import GaussianOptimizer, set_rates
+from mrgs.training.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.relocation import RelocationConfig, RelocationCounts, explore, relocate, sparsity_loss
 from mrgs.training.terms import Photos, SceneScale, loss_terms, loss_weights
@@ -35,7 +38,8 @@ class TrainingState:
         statistics: of the screen-space gradients since the last densification.
         sampler: the order of the views.
         generator: of every random choice after the start.
-        skipped_in_a_row: steps skipped since the last good one, because of a value that was not finite.
+        skipped_in_a_row: steps skipped since the last good one, because of a value that was not finite; on the
+            model's device.
     """
 
     step: int
@@ -47,27 +51,85 @@ class TrainingState:
     statistics: ScreenStatistics
     sampler: ViewSampler
     generator: torch.Generator
-    skipped_in_a_row: int = 0
+    skipped_in_a_row: Int64[Tensor, ""] = field(default_factory=lambda: torch.zeros((), dtype=torch.int64))
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is, but for the order of the views and the generator, which stay with the host."""
+        return self.model.gaussians.means.device
+
+    def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
+        """Undo a step that was broken off before it moved anything.
+
+        Args:
+            step: what ``step`` was before it.
+            generator: state of the generator.
+            waiting: state of the sampler.
+        """
+        self.step = step
+        self.generator.set_state(generator)
+        self.sampler.load(waiting)
+        self.gaussian_optimizer.zero_grad()
+        self.layer_optimizer.zero_grad(set_to_none=True)
 
 
-class StepStatistics(NamedTuple):
-    """What a step measured.
+class StepStatistics:
+    """What a step measured. On a GPU the numbers are fetched when the first of them is asked for, which waits for it.
 
     Attributes:
         step: its number, from 1.
-        loss: L_total; not finite if the step was skipped.
-        terms: L_c ("rgb"), L_t ("thermal"), L_smooth, L_boltz, unweighted.
-        thermal_error: mean absolute error of the normalised temperature on the training view; None without one.
         gaussians: N.
-        skipped: the loss or a gradient was not finite, so nothing was changed.
     """
 
-    step: int
-    loss: float
-    terms: dict[str, float]
-    thermal_error: float | None
-    gaussians: int
-    skipped: bool
+    def __init__(
+        self,
+        step: int,
+        loss: float | Float[Tensor, ""],
+        terms: Mapping[str, float | Float[Tensor, ""]],
+        thermal_error: float | Float[Tensor, ""] | None,
+        gaussians: int,
+        skipped: bool | Tensor,
+    ) -> None:
+        self.step = step
+        self.gaussians = gaussians
+        self._names = tuple(terms)
+        error = math.nan if thermal_error is None else thermal_error
+        self._measured = _together([loss, skipped, error, *terms.values()])
+
+    @property
+    def loss(self) -> float:
+        """L_total; not finite if the step was skipped for it."""
+        return self._read()[0]
+
+    @property
+    def skipped(self) -> bool:
+        """The loss or a gradient was not finite, so nothing was changed."""
+        return bool(self._read()[1])
+
+    @property
+    def thermal_error(self) -> float | None:
+        """Mean absolute error of the normalised temperature on the training view; None without one."""
+        error = self._read()[2]
+        return None if math.isnan(error) else error
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """L_c ("rgb"), L_t ("thermal"), L_smooth, L_boltz, unweighted."""
+        return dict(zip(self._names, self._read()[3:], strict=True))
+
+    def _read(self) -> list[float]:
+        if isinstance(self._measured, Tensor):
+            self._measured = self._measured.tolist()
+        return self._measured
+
+
+def _together(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
+    """Numbers as one tensor, so that they are fetched at once, where any of them is a tensor."""
+    tensors = [number for number in numbers if isinstance(number, Tensor)]
+    if not tensors:
+        return [float(number) for number in numbers]
+    like = tensors[0].detach()
+    return torch.stack([n.detach().to(like) if isinstance(n, Tensor) else torch.full_like(like, n) for n in numbers])
 
 
 def training_step(
@@ -79,6 +141,8 @@ def training_step(
     scale: SceneScale,
 ) -> StepStatistics:
     """Render a view, compare it with its photos, move the parameters.
+
+    On a GPU the host waits for nothing: whether a step counts is decided there, and the statistics tell it when asked.
 
     Args:
         state: changed in place.
@@ -106,34 +170,37 @@ def training_step(
         loss = loss + sparsity_loss(model.gaussians, scale.extent, config.relocation)
     loss.backward()
 
-    skipped = not (bool(loss.isfinite()) and _gradients_are_finite(state))
-    if skipped:
-        state.skipped_in_a_row += 1
-        state.gaussian_optimizer.zero_grad()
-    else:
-        state.skipped_in_a_row = 0
-        state.statistics.add(passes)
-        _move(state, config, scale.extent)
-    state.layer_optimizer.zero_grad(set_to_none=True)
+    good = are_finite(loss, state.gaussian_optimizer.gradients() + _layer_gradients(state))
+    state.skipped_in_a_row = (state.skipped_in_a_row + 1) * ~good
+    state.statistics.add(passes, good)
+    _move(state, config, scale.extent, good)
     return StepStatistics(
         step=state.step,
-        loss=loss.item(),
-        terms={name: term.item() for name, term in terms.items()},
+        loss=loss,
+        terms=terms,
         thermal_error=_thermal_error(photographed, photos),
         gaussians=len(model.gaussians),
-        skipped=skipped,
+        skipped=~good,
     )
 
 
-def _move(state: TrainingState, config: TrainConfig, extent: float) -> None:
-    """Adam's step of all parameters, and the noise of relocation."""
+def _move(state: TrainingState, config: TrainConfig, extent: float, good: Bool[Tensor, ""]) -> None:
+    """Adam's step of all parameters, and the noise of relocation; nothing where the step is not good."""
     progress = state.step / config.max_steps
-    state.gaussian_optimizer.step(progress)
+    state.gaussian_optimizer.step(progress, good)
     set_rates(state.layer_optimizer, config.optimizer.slowdown_at(progress))
-    state.layer_optimizer.step()
+    step_if(good, state.layer_optimizer)
+    state.layer_optimizer.zero_grad(set_to_none=True)
     if config.relocation is not None:
         rate = config.optimizer.means_at(progress) * extent
-        explore(state.model.gaussians, rate, config.relocation, state.generator)
+        explore(state.model.gaussians, rate, config.relocation, state.generator, good)
+
+
+def changes_density(config: TrainConfig, step: int) -> bool:
+    """Whether ``control_density`` has something to do after this step."""
+    if config.relocation is not None:
+        return config.relocation.relocates_at(step)
+    return config.densification.densifies_at(step) or config.densification.resets_at(step)
 
 
 def control_density(
@@ -146,7 +213,7 @@ def control_density(
     else:
         counts = _densify(state, config.densification, extent)
     if counts is not None:
-        state.statistics = ScreenStatistics.empty(len(state.model.gaussians))
+        state.statistics = ScreenStatistics.empty(len(state.model.gaussians), state.device)
         state.model.neighbours = None
     return counts
 
@@ -174,17 +241,16 @@ def _refresh_neighbours(state: TrainingState, config: TrainConfig) -> None:
         state.model.neighbours = nearest_neighbours(state.model.gaussians.means, k)
 
 
-def _gradients_are_finite(state: TrainingState) -> bool:
+def _layer_gradients(state: TrainingState) -> list[Tensor]:
+    """Of the field's layers, ψ and the image model, as far as the view had any."""
     layers = [parameter for group in state.layer_optimizer.param_groups for parameter in group["params"]]
-    return state.gaussian_optimizer.gradients_are_finite() and all(
-        bool(parameter.grad.isfinite().all()) for parameter in layers if parameter.grad is not None
-    )
+    return [parameter.grad for parameter in layers if parameter.grad is not None]
 
 
-def _thermal_error(rendering: Rendering, photos: Photos) -> float | None:
-    """Mean absolute error of the normalised temperature over the valid pixels."""
+def _thermal_error(rendering: Rendering, photos: Photos) -> Float[Tensor, ""] | None:
+    """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are none."""
     if rendering.thermal is None or photos.thermal is None:
         return None
     error = (rendering.thermal.detach() - photos.thermal.values).abs()
-    counted = error if photos.thermal.valid is None else error[photos.thermal.valid]
-    return counted.mean().item() if counted.numel() > 0 else None
+    valid = photos.thermal.valid
+    return error.mean() if valid is None else torch.where(valid[:, :, None], error, 0).sum() / valid.sum()

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 
+from mrgs import gpu
 from mrgs.data import load_scene
 from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
+from mrgs.gpu import HOST, DeviceName
 from mrgs.render import Model
-from mrgs.scene import Scene
+from mrgs.scene import PosedImage, Scene, View
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
@@ -21,9 +24,11 @@ from mrgs.training.initialisation import initial_gaussians
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.start_points import start_points
-from mrgs.training.step import StepStatistics, TrainingState, control_density, training_step
+from mrgs.training.step import StepStatistics, TrainingState, changes_density, control_density, training_step
 from mrgs.training.terms import Photos, SceneScale
-from mrgs.training.views import PhotoCache
+from mrgs.training.views import DevicePhotos, PhotoCache, Photographs
+
+Result = TypeVar("Result")
 
 OnStep = Callable[[StepStatistics], bool | None]
 """Called after every step; returning True stops the training with a checkpoint."""
@@ -35,6 +40,7 @@ def train(
     config: TrainConfig,
     *,
     resume: bool = False,
+    device: DeviceName = "auto",
     stop_at: int | None = None,
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
@@ -46,7 +52,8 @@ def train(
         scene: the scene's folder.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
-        resume: continue the run from its newest checkpoint, exactly.
+        resume: continue the run from its newest checkpoint, exactly; on another device up to rounding.
+        device: "auto" takes the GPU where there is one that can be used.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
@@ -55,8 +62,11 @@ def train(
     Raises:
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used.
-        TrainingError: three steps in a row gave values that are not finite; the last good checkpoint is kept.
+        DeviceError: the GPU was asked for and cannot be used.
+        TrainingError: three steps in a row gave values that are not finite (on a GPU this is found up to ten steps
+            later), or the GPU's memory does not suffice; the last good checkpoint is kept.
     """
+    chosen = gpu.choose_device(device)
     folder = RunFolder(output)
     if resume:
         folder.newest_checkpoint()
@@ -68,7 +78,7 @@ def train(
         if not resume:
             folder.start(config)
         try:
-            trainer = _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume)
+            trainer = _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume, chosen)
             if on_start is not None:
                 on_start(loaded, config)
             if on_model is not None:
@@ -81,13 +91,16 @@ def train(
     return folder
 
 
-def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
-    """The state at step 0; every random choice follows from the seed, and torch's own generator is left alone."""
+def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST) -> TrainingState:
+    """The state at step 0; every random choice follows from the seed, and torch's own generators are left alone.
+
+    It is made on the CPU, and so the same whatever the device.
+    """
     # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian from being pruned.
     shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
+        torch.default_generator.manual_seed(config.seed)
         field = RadianceField(config.field)
         uncertainty = DepthUncertainty()
         field.set_frame(scene.points.positions)
@@ -108,28 +121,40 @@ def initial_state(scene: Scene, config: TrainConfig) -> TrainingState:
         background_thermal=config.background_thermal,
         antialiased=config.antialiased,
     )
-    return checkpoint.make_state(model, uncertainty, config, Capture.of(scene), generator)
+    return checkpoint.make_state(model.to(device), uncertainty, config, Capture.of(scene), generator)
+
+
+def _images(view: View) -> list[PosedImage]:
+    return [image for image in (view.rgb, view.thermal) if image is not None]
 
 
 class _Trainer(Driver[StepStatistics]):
     """Trains Gaussians."""
 
-    def __init__(self, folder: RunFolder, scene: Scene, scene_path: str, config: TrainConfig, resume: bool) -> None:
+    def __init__(
+        self,
+        folder: RunFolder,
+        scene: Scene,
+        scene_path: str,
+        config: TrainConfig,
+        resume: bool,
+        device: torch.device,
+    ) -> None:
         facts = CheckpointFacts(0, scene_path, Capture.of(scene), scene.temperature, 0.0, 0, 0)
         if resume:
             newest = folder.newest_checkpoint()
             found = checkpoint.load_facts(newest)
             checkpoint.require_same_scene(found, scene)
-            self._state = checkpoint.load_state(newest, config)
+            self._state = checkpoint.load_state(newest, config, device)
             facts = found._replace(scene=scene_path, capture=facts.capture)
             folder.cut_log(found.step)
         else:
-            self._state = initial_state(scene, config)
+            self._state = initial_state(scene, config, device)
         self._scene = scene
         self._config = config
         self._scale = SceneScale(scene.extent, scene.temperature)
-        self._photos = PhotoCache()
-        super().__init__(folder, facts, config.max_steps, config.checkpoint_every)
+        self._photos: Photographs = PhotoCache() if device.type == "cpu" else DevicePhotos(device)
+        super().__init__(folder, facts, config.max_steps, config.checkpoint_every, device)
 
     @property
     def model(self) -> Model:
@@ -137,14 +162,54 @@ class _Trainer(Driver[StepStatistics]):
         return self._state.model
 
     def _take_step(self) -> StepStatistics:
+        statistics = self._with_enough_memory(self._move)
+        if changes_density(self._config, statistics.step) and not statistics.skipped:
+            self._with_enough_memory(self._control_density)
+        return statistics
+
+    def _move(self) -> StepStatistics:
         state = self._state
         number = state.sampler.next()
         view = self._scene.train[number]
-        photos = Photos(self._photos.load(view.rgb), self._photos.load(view.thermal), view.shares_camera)
+        rgb, thermal = (None if image is None else self._photos.load(image) for image in (view.rgb, view.thermal))
+        photos = Photos(rgb, thermal, view.shares_camera)
         statistics = training_step(state, view, number, photos, self._config, self._scale)
-        if not statistics.skipped:
-            self._control_density()
+        following = state.sampler.peek()
+        if following is not None:
+            self._photos.fetch(_images(self._scene.train[following]))
         return statistics
+
+    def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
+        """Do something; once more, should a GPU's memory be full, with all given back that torch holds in reserve.
+
+        Raises:
+            TrainingError: it is full again; the state before the action is left as a checkpoint.
+        """
+        state = self._state
+        before = (state.step, state.generator.get_state(), state.sampler.state())
+        for _ in range(2):
+            try:
+                return action()
+            except torch.cuda.OutOfMemoryError:
+                pass  # what the action has made is freed when this block is left
+            state.go_back(*before)
+            self._photos.release()
+            torch.cuda.empty_cache()
+        raise self._out_of_memory()
+
+    def _out_of_memory(self) -> TrainingError:
+        """Leaves a checkpoint of the last good step."""
+        state = self._state
+        self._step_done = state.step
+        if state.step > 0:
+            self._save()
+        found = self._folder.checkpoints()
+        kept = f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
+        go_on = "go on with --resume --device cpu, or train anew" if found else "train anew"
+        return TrainingError(
+            f"the GPU's memory does not suffice for step {state.step + 1:,} with {len(state.model.gaussians):,} "
+            f"Gaussians; {kept}: {go_on} with a smaller --max-gaussians or --resolution"
+        )
 
     def _control_density(self) -> None:
         state = self._state
@@ -158,7 +223,7 @@ class _Trainer(Driver[StepStatistics]):
 
     @property
     def _skipped_in_a_row(self) -> int:
-        return self._state.skipped_in_a_row
+        return int(self._state.skipped_in_a_row)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         checkpoint.save(path, self._state, facts)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeAlias, TypeVar
 
+from mrgs.gpu import HOST
 from mrgs.render import Model
 
 Result = TypeVar("Result")
@@ -102,7 +103,10 @@ class LiveSource:
         self._charged.until_s = now
 
     def serve(self, model: Model) -> None:
-        """Run the oldest job if the credit allows; called by the training between two steps. Raises nothing."""
+        """Run the oldest job if the credit allows; called by the training between two steps. Raises nothing.
+
+        What the jobs draw with is on the host, so a model that trains on a GPU is copied there first.
+        """
         now = self._clock()
         with self._lock:
             self._credit_s = min(self._credit_s + self._share * (now - self._last), MAX_CREDIT_S)
@@ -114,7 +118,7 @@ class LiveSource:
             future, job = self._jobs.popleft()
         if future.set_running_or_notify_cancel():
             try:
-                future.set_result(job(model))
+                future.set_result(job(model.to(HOST)))
             except Exception as error:  # the training goes on, whatever the viewer does
                 future.set_exception(error)
         spent = self._clock() - now

@@ -143,4 +143,4 @@ def start_pose(scene: Scene | None, model: Model) -> Pose:
     """Where to look from at first: from the first captured camera, or at the model's middle."""
     if scene is not None:
         return pose_at(scene.train[0], scene.train)
-    return pose_around(model.gaussians.means.detach().numpy())
+    return pose_around(model.gaussians.means.detach().cpu().numpy())

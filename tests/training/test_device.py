@@ -1,0 +1,298 @@
+"""The step on a GPU: the same numbers as on the CPU, and no waiting for the device.
+
+Without one, kernels are interpreted on CPU tensors, and what the host of a real GPU would wait for is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from mrgs import gpu
+from mrgs import render as render_module
+from mrgs.data import load_scene
+from mrgs.field import cpu as field_cpu
+from mrgs.field import field as field_module
+from mrgs.field import nearest_neighbours
+from mrgs.rasterizer import Blend, Raster
+from mrgs.scene import Pixels
+from mrgs.training import densification, dissimilarity, radiation
+from mrgs.training import step as step_module
+from mrgs.training.image_model import ImageModelConfig
+from mrgs.training.relocation import RelocationConfig
+from mrgs.training.step import training_step
+from mrgs.training.terms import Photos, SceneScale
+from mrgs.training.trainer import initial_state
+
+aten = torch.ops.aten
+
+WAITED_FOR = {
+    aten._local_scalar_dense, aten.nonzero, aten.masked_select, aten.repeat_interleave, aten.bincount, aten.unique_dim,
+    aten._unique, aten._unique2, aten.unique_consecutive,
+}  # fmt: skip
+"""What reads numbers or sizes from the device: ``item``, ``bool``, ``float`` and the like all end in the first."""
+
+
+INDEXING = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
+MASKS = {torch.bool, torch.uint8}
+
+
+class RoundTripError(Exception):
+    """The host would wait for the device."""
+
+
+class NoRoundTrips(TorchDispatchMode):
+    """Every tensor counts as one on a device, but for constants and cameras, which are of float64."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        packet = func.overloadpacket
+        if packet in WAITED_FOR and func is not aten.repeat_interleave.self_int:
+            raise RoundTripError(f"{func} reads from the device")
+        if packet in INDEXING and any(place is not None and place.dtype in MASKS for place in args[1]):
+            raise RoundTripError(f"{func} counts the places of a mask")
+        if packet is aten.lift_fresh or (packet is aten._to_copy and _is_a_camera(args[0])):
+            raise RoundTripError(f"{func} copies from the host")
+        if packet is aten.equal and args[0].dtype != torch.float64:
+            raise RoundTripError(f"{func} compares on the device, and asks")
+        return func(*args, **(kwargs or {}))
+
+
+def _is_a_camera(tensor: torch.Tensor) -> bool:
+    """A matrix or a vector in double precision; the sums of the losses are single numbers."""
+    return tensor.dtype == torch.float64 and tensor.ndim > 0
+
+
+@contextmanager
+def no_round_trips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Within this block. Kernels are not run, so numbers mean nothing: a GPU's host does not see them either."""
+    from triton.runtime.interpreter import GridExecutor
+
+    def refused(name: str) -> Callable[..., Any]:
+        method = getattr(torch.Tensor, name)
+
+        def call(self: torch.Tensor, *args: Any, **options: Any) -> Any:
+            if self.dtype == torch.float64:
+                return method(self, *args, **options)
+            raise RoundTripError(f"Tensor.{name} reads from the device")
+
+        return call
+
+    with monkeypatch.context() as patch:
+        patch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
+        for name in ("numpy", "tolist", "cpu", "__array__"):
+            patch.setattr(torch.Tensor, name, refused(name))
+        with NoRoundTrips():
+            yield
+
+
+def flat_raster(means, quats, scales, layers, viewmat, K, width, height, offset, antialiased) -> Raster:
+    """Stands in for the rasterizer, which may read one number: images that depend on every parameter."""
+    ramp = torch.linspace(0.5, 1, height * width, device=means.device).view(height, width)
+    turn = sum(0.01 * tensor.square().mean() for tensor in (means, quats, scales, offset + 1))
+    blends = []
+    for layer in layers:
+        value = (layer.opacities[:, None] * layer.features).mean(dim=0)
+        shade = ramp * (1 + turn)
+        blends.append(Blend(shade[..., None] * value, shade * 3, shade * layer.opacities.mean()))
+    return Raster(tuple(blends), torch.ones(len(means), device=means.device))
+
+
+@pytest.fixture(autouse=True)
+def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There plain torch does what has a kernel for the CPU alone, and indices are not looked at.
+
+    CPU tensors that stand for those of a GPU must not tell themselves.
+    """
+    check, convolve = field_module._check_places, radiation.convolve
+
+    def plain_convolve(plane: torch.Tensor, weights: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+        if not gpu.serves(plane):
+            return convolve(plane, weights, bias)
+        return torch.nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[0, 0]
+
+    monkeypatch.setattr(radiation, "convolve", plain_convolve)
+    monkeypatch.setattr(field_cpu, "serves", lambda tensor: not gpu.serves(tensor))
+    monkeypatch.setattr(
+        field_module, "_check_places", lambda *args: None if gpu.serves(torch.empty(0)) else check(*args)
+    )
+
+
+@pytest.fixture
+def start(small_scene, make_short_config):
+    """Ten Gaussians, images of 8×6, and a step on them; the neighbours are known, and the first camera is copied."""
+
+    def make(method: str, **changes: Any):
+        config = make_short_config(method, sh_every=1, **changes)
+        config = replace(config, densification=replace(config.densification, max_gaussians=10))
+        scene = load_scene(small_scene, resolution=8)
+        state = initial_state(scene, config)
+        with torch.no_grad():  # balls have no gradient by their rotation but noise, and Adam would follow it
+            state.model.gaussians.log_scales += torch.tensor([0.0, 0.4, -0.4])
+        scale = SceneScale(scene.extent, scene.temperature)
+        if config.field.neighbours_k > 0:
+            state.model.neighbours = nearest_neighbours(state.model.gaussians.means.double(), config.field.neighbours_k)
+        for dtype in (torch.float32, torch.float64):
+            scene.train[0].rgb.camera.tensors(gpu.HOST, dtype)
+        densification._half((8, 6), gpu.HOST)
+
+        def take(number: int = 0, masked: bool = False):
+            view = scene.train[number]
+            rgb, thermal = (image.load() for image in (view.rgb, view.thermal))
+            if masked:
+                valid = torch.ones(6, 8, dtype=torch.bool)
+                valid[2:4, 1:5] = False
+                rgb, thermal = (replace(pixels, valid=valid) for pixels in (rgb, thermal))
+            return lambda: training_step(state, view, number, Photos(rgb, thermal, True), config, scale)
+
+        return state, take
+
+    return make
+
+
+EVERY_PART = ImageModelConfig(
+    point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
+)
+METHODS = ["mrgs", "mrgs-plus", "3dgs-rgbt"]
+
+
+@pytest.mark.parametrize(
+    ("method", "masked"), [("mrgs", False), ("mrgs-plus", False), ("3dgs-rgbt", False), ("3dgs-rgbt", True)]
+)
+def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch):
+    if gpu_device != "cpu":
+        pytest.skip("where there is a GPU, the next test asks it")
+    monkeypatch.setattr(render_module, "rasterize", flat_raster)
+    _, take = start(method, relocation=RelocationConfig() if masked else None, image_model=EVERY_PART)
+    steps = [take(0, masked), take(0, masked)]
+    with no_round_trips(monkeypatch):
+        statistics = [step() for step in steps]
+    assert [each.step for each in statistics] == [1, 2]
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("method", METHODS)
+def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, make_short_config):
+    """The length of the rasterizer's list, and nothing else."""
+    device = torch.device("cuda")
+    config = make_short_config(method, sh_every=1)
+    scene = load_scene(small_scene)
+    state = initial_state(scene, config, device)
+    view = scene.train[0]
+    pixels = (replace(image.load(), values=image.load().values.to(device)) for image in (view.rgb, view.thermal))
+    photos, scale = Photos(*pixels, True), SceneScale(scene.extent, scene.temperature)
+    for _ in range(2):
+        training_step(state, view, 0, photos, config, scale)
+    torch.cuda.set_sync_debug_mode("warn")
+    try:
+        with pytest.warns(UserWarning, match="synchronizing") as caught:
+            training_step(state, view, 0, photos, config, scale)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert len([each for each in caught if "synchronizing" in str(each.message)]) == 1
+
+
+READERS: list[Callable[[torch.Tensor], Any]] = [
+    lambda loss: loss.item(),
+    lambda loss: bool(loss > 0),
+    lambda loss: float(loss),
+    lambda loss: loss.detach().numpy(),
+    lambda loss: loss.tolist(),
+    lambda loss: loss[loss > 0],
+    lambda loss: torch.tensor(1.0),
+    lambda loss: loss.new_tensor([1.0]),
+    lambda loss: loss.nonzero(),
+]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_the_check_can_fail(reader, start, gpu_device, monkeypatch):
+    if gpu_device != "cpu":
+        pytest.skip("where there is a GPU, it is asked")
+    monkeypatch.setattr(render_module, "rasterize", flat_raster)
+    _, take = start("3dgs-rgbt")
+    step = take()
+    original = step_module.total_loss
+
+    def total_loss(*args: Any) -> torch.Tensor:
+        loss = original(*args)
+        reader(loss)
+        return loss
+
+    monkeypatch.setattr(step_module, "total_loss", total_loss)
+    with pytest.raises(RoundTripError), no_round_trips(monkeypatch):
+        step()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_of_a_step_is_on_one_device(method, small_scene, make_short_config, snapshot, gpu_device, monkeypatch):
+    """Tensors without contents tell which device they are on, and refuse those of another."""
+    if gpu_device != "cpu":
+        pytest.skip("where there is a GPU, a step on it tells the same")
+    from triton.runtime.interpreter import GridExecutor
+
+    class PlainAdam(torch.optim.Adam):
+        """torch has no fused one for this device."""
+
+        def __init__(self, parameters: Any, fused: bool, **options: Any) -> None:
+            assert fused
+            super().__init__(parameters, foreach=False, **options)
+
+        def step(self) -> None:
+            assert self.found_inf.is_meta
+            self.found_inf = None
+            super().step()
+
+    monkeypatch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
+    monkeypatch.setattr(gpu, "serves", lambda tensor: tensor.is_meta)
+    monkeypatch.setattr(dissimilarity, "serves", lambda tensor: tensor.is_meta)
+    monkeypatch.setattr(render_module, "rasterize", flat_raster)
+    monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
+    device = torch.device("meta")
+    config = make_short_config(method, sh_every=1, relocation=RelocationConfig(), image_model=EVERY_PART)
+    scene = load_scene(small_scene, resolution=8)
+    state = initial_state(scene, config, device)
+    if config.field.neighbours_k > 0:
+        state.model.neighbours = torch.zeros(25, config.field.neighbours_k, dtype=torch.int64, device=device)
+    view = scene.train[0]
+    rgb, thermal = (
+        Pixels(image.load().values.to(device), torch.ones(6, 8, dtype=torch.bool, device=device))
+        for image in (view.rgb, view.thermal)
+    )
+    scale = SceneScale(scene.extent, scene.temperature)
+    for number in (1, 2):
+        statistics = training_step(state, view, 0, Photos(rgb, thermal, True), config, scale)
+        assert statistics.step == number
+        assert statistics._measured.device == device
+    for name, tensor in snapshot(state).items():
+        assert tensor.device == device or name.endswith(".step"), name
+
+
+@pytest.mark.parametrize("method", ["mrgs-plus", "3dgs-rgbt"])
+def test_the_kernels_train_as_the_cpu_does(method, start, snapshot):
+    """Two steps with every kernel of a GPU against two with those of the CPU, all on CPU tensors."""
+    pytest.importorskip("triton")
+    if torch.cuda.is_available():
+        pytest.skip("the kernels are not interpreted")
+    found, by_gpu = start(method)
+    found.model.neighbours = None
+    expected, by_cpu = start(method)
+    for tolerance in (1e-4, 1e-2):  # Adam's step is as long as the rate, whatever the gradient: so noise grows
+        with gpu.interpreted():
+            on_gpu = by_gpu()()
+        on_cpu = by_cpu()()
+        if tolerance == 1e-4:
+            moments_on_gpu, moments_on_cpu = snapshot(found), snapshot(expected)
+        assert on_gpu.loss == pytest.approx(on_cpu.loss, rel=tolerance)
+        assert on_gpu.terms == pytest.approx(on_cpu.terms, rel=10 * tolerance)
+        assert on_gpu.thermal_error == pytest.approx(on_cpu.thermal_error, rel=tolerance)
+    assert found.model.neighbours is None or torch.equal(found.model.neighbours, expected.model.neighbours)
+    assert set(moments_on_gpu) == set(moments_on_cpu)
+    for name, here in moments_on_cpu.items():
+        if name.endswith("exp_avg") or name == "statistics.gradient_sum":
+            assert (moments_on_gpu[name] - here).norm() <= 1e-3 * here.norm(), name
