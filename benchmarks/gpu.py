@@ -1,0 +1,199 @@
+"""What the GPU makes of it: ``python -m benchmarks.gpu``, in at most ten minutes.
+
+Needs an NVIDIA GPU, torch with CUDA, Triton and this repository; no network. From the repository's root, the package
+need not be installed (``PYTHONPATH=src python -m benchmarks.gpu``). ``--device cpu`` tries every part at tiny sizes
+without a GPU; its times say nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from benchmarks.gpu_plan import PARTS
+from benchmarks.gpu_report import to_markdown
+from mrgs.isolation import child_environment
+
+ROOT = Path(__file__).parents[1]
+SECONDS = 570.0
+BUILD_SECONDS = 240.0
+LEAST_SECONDS = {
+    "device": 10.0,
+    "correctness": 10.0,
+    "gsplat": 20.0,
+    "rasterizer": 10.0,
+    "step": 10.0,
+    "training": 40.0,
+}
+"""A part that has less left is skipped."""
+
+Results = dict[str, Any]
+
+
+class Budget:
+    """The time that is left."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._started = time.perf_counter()
+
+    @property
+    def left(self) -> float:
+        """Seconds; negative when it is used up."""
+        return self.seconds - self.spent
+
+    @property
+    def spent(self) -> float:
+        """Seconds."""
+        return time.perf_counter() - self._started
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, write gpu.json and gpu.md, print the tables; 1 if a part failed or a result was wrong."""
+    options = _parse(arguments)
+    options.gsplat = _unpacked(options.gsplat)
+    options.output.mkdir(parents=True, exist_ok=True)
+    results = _measure(options, Budget(options.seconds))
+    text = to_markdown(results)
+    (options.output / "gpu.md").write_text(text)
+    print(text)
+    return 1 if is_bad(results) else 0
+
+
+def _measure(options: argparse.Namespace, budget: Budget) -> Results:
+    """All parts, one after the other; gpu.json is written after each. Without a device there are no parts."""
+    plan = "trial" if options.device == "cpu" else "quick" if options.quick else "full"
+    parts: dict[str, Any] = {}
+    results: Results = {"plan": plan, "parts": parts}
+    with ExitStack() as stack:
+        build: GsplatBuild | None = None
+        for part in ("device", *(options.only or PARTS)):
+            print(f"{budget.spent:4.0f} s  {part}", flush=True)
+            reason = None
+            if part == "gsplat":
+                limit = min(BUILD_SECONDS - budget.spent, budget.left)
+                reason = "needs a GPU" if build is None else build.wait(limit)
+            parts[part] = {"skipped": reason} if reason else _run(part, plan, options, budget)
+            results["seconds"] = budget.spent
+            (options.output / "gpu.json").write_text(json.dumps(results, indent=1) + "\n")
+            if part == "device" and "failed" in parts[part]:
+                break
+            if part == "device" and _wants_gsplat(options):
+                build = stack.enter_context(GsplatBuild(options.gsplat))
+    return results
+
+
+def is_bad(results: Results) -> bool:
+    """Whether a part failed, or a result differs from its oracle."""
+    parts = results["parts"]
+    wrong = [row for row in parts.get("correctness", {}).get("rows", []) if not row["ok"]]
+    return bool(wrong) or any("failed" in part for part in parts.values())
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.gpu", description="Check and time the GPU kernels.")
+    parser.add_argument("--quick", action="store_true", help="fewer sizes, a short training: about three minutes")
+    parser.add_argument("--only", action="append", choices=PARTS, metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--gsplat", type=Path, metavar="PATH", help="gsplat's wheel, or the folder that holds gsplat/")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="what has not begun by then is skipped")
+    parser.add_argument("--device", choices=("cuda", "cpu"), default="cuda", help="cpu: a trial at tiny sizes")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results")
+    return parser.parse_args(arguments)
+
+
+def _wants_gsplat(options: argparse.Namespace) -> bool:
+    return options.device == "cuda" and (not options.only or "gsplat" in options.only)
+
+
+def _unpacked(gsplat: Path | None) -> Path | None:
+    """The folder that holds gsplat; a wheel is unpacked where the next run finds it, with what was built of it."""
+    if gsplat is None or gsplat.is_dir():
+        return gsplat
+    folder = Path(tempfile.gettempdir()) / f"mrgs-{gsplat.stem}"
+    if not folder.exists():
+        with zipfile.ZipFile(gsplat) as wheel:
+            wheel.extractall(folder)
+    return folder
+
+
+def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> dict[str, Any]:
+    """The part's rows and seconds; with why there are none, or no more, if it was "skipped" or "failed"."""
+    if budget.left < LEAST_SECONDS[part]:
+        return {"skipped": f"{max(budget.left, 0):.0f} s of {budget.seconds:.0f} s were left"}
+    started, seconds = budget.spent, budget.left
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rows.json"
+        until = time.time() + seconds
+        request = {"part": part, "plan": plan, "device": options.device, "until": until, "file": str(file)}
+        command = [sys.executable, "-m", "benchmarks.gpu_part", json.dumps(request)]
+        result: dict[str, Any] = {}
+        try:
+            child = subprocess.run(
+                command, env=environment(options.gsplat), stderr=subprocess.PIPE, text=True, timeout=seconds
+            )
+        except subprocess.TimeoutExpired:
+            result["skipped"] = f"not done after {seconds:.0f} s"
+        else:
+            if child.returncode != 0:
+                lines = child.stderr.strip().splitlines() or [f"exit status {child.returncode}"]
+                result["failed"] = lines[-1]
+                print(child.stderr, file=sys.stderr)
+        rows = json.loads(file.read_text()) if file.exists() else []
+    return {"rows": rows, "seconds": budget.spent - started, **result}
+
+
+def environment(gsplat: Path | None) -> dict[str, str]:
+    """Of the child processes: they find the benchmarks, the package and gsplat, whatever folder this runs in."""
+    paths = [os.environ.get("PYTHONPATH", ""), str(ROOT), str(ROOT / "src"), *([str(gsplat)] if gsplat else [])]
+    found = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
+    found.pop("TRITON_INTERPRET", None)  # interpreted on the CPU, the kernels would be measured in minutes
+    return found
+
+
+class GsplatBuild:
+    """gsplat's kernels, built beside the first parts; ended when this is left.
+
+    Args:
+        source: a folder that holds gsplat, or its wheel; None for the installed one.
+    """
+
+    def __init__(self, source: Path | None) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.gpu_gsplat"],
+            env=environment(source) | {"MAX_JOBS": str(max(1, (os.cpu_count() or 2) // 2))},
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+
+    def __enter__(self) -> GsplatBuild:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)  # the compilers that it started too
+        self._process.communicate()
+
+    def wait(self, seconds: float) -> str | None:
+        """Until the build is done; why there is none, otherwise."""
+        try:
+            _, errors = self._process.communicate(timeout=max(seconds, 1.0))
+        except subprocess.TimeoutExpired:
+            return "gsplat's kernels were not built in time: try again, with what was built so far; or --seconds"
+        if self._process.returncode != 0:
+            lines = errors.strip().splitlines() or [f"exit status {self._process.returncode}"]
+            return f"gsplat cannot be used ({lines[-1]})"
+        return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,164 @@
+"""The GPU benchmark's results as markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from benchmarks.gpu_plan import PARTS
+from benchmarks.report import table
+
+FORWARD, FORWARD_BACKWARD = "forward", "forward + backward"
+
+TARGET_STEPS_PER_S = 150
+TARGET_TRAINING_S = 240
+TARGET_BESIDE_GSPLAT = 1.3
+"""What is aimed at on an H200: a step of mrgs at 50,000 Gaussians, the paper's training, and the fused pass."""
+
+Rows = Sequence[dict[str, Any]]
+
+
+def to_markdown(results: dict[str, Any]) -> str:
+    """All parts, in their order; a part that did not run says why."""
+    parts = results["parts"]
+    text = ["# GPU benchmark", _head(parts["device"], results)]
+    for name, title in PARTS.items():
+        if name in parts:
+            text.append(f"## {title[0].upper()}{title[1:]}")
+            text += _part(name, parts[name], parts["device"].get("rows", []))
+    return "\n\n".join(text) + "\n"
+
+
+def _part(name: str, part: dict[str, Any], device: Rows) -> list[str]:
+    rows = part.get("rows", [])
+    lines = [_TABLES[name](rows, device)] if rows else []
+    return lines + [f"{kind.capitalize()}: {part[kind]}." for kind in ("skipped", "failed") if kind in part]
+
+
+def _head(device: dict[str, Any], results: dict[str, Any]) -> str:
+    if not device.get("rows"):
+        return f"The device could not be examined: {device.get('failed', device.get('skipped'))}."
+    d = device["rows"][0]
+    names = [d["device"]]
+    if "triton" in d:
+        names += [
+            f"compute capability {d['capability']}", f"{d['multiprocessors']} multiprocessors",
+            f"{d['memory_bytes'] / 2**30:.0f} GiB", f"CUDA {d['cuda']}", f"Triton {d['triton']}",
+        ]  # fmt: skip
+    names += [f"torch {d['torch']}", f"Python {d['python']}"]
+    trial = " A trial without a GPU: its times say nothing." if results["plan"] == "trial" else ""
+    return (
+        f"{', '.join(names)}. {results['plan'].capitalize()} run, {results['seconds']:.0f} s.{trial}\n\n"
+        f"At most, as measured here: {d['copy_bytes_per_s'] / 1e9:,.0f} GB/s copying (bytes read and written), "
+        f"{d['float32_operations_per_s'] / 1e12:.1f} TFLOP/s in a float32 matrix product, one small operation of torch "
+        f"in {1e6 * d['launch_s']:.1f} µs. Times are medians in milliseconds; in brackets a quarter and three quarters."
+    )
+
+
+def _size(row: dict[str, Any]) -> str:
+    return f"{row['gaussians']:,}, {row['width']}×{row['height']}"
+
+
+def spread(times: dict[str, Any]) -> str:
+    """A median with its quartiles."""
+    digits = 3 if times["median_ms"] < 1 else 2 if times["median_ms"] < 100 else 0
+    return f"{times['median_ms']:,.{digits}f} ({times['q1_ms']:,.{digits}f}–{times['q3_ms']:,.{digits}f})"
+
+
+def _memory(nbytes: int | None) -> str:
+    return "–" if nbytes is None else f"{nbytes / 1e6:,.0f}"
+
+
+def _waits(rows: Rows) -> str:
+    """Where the host waits, under the table."""
+    lines = [
+        f"- {row.get('method', _size(row))}: the host waits {count}× at {line}"
+        for row in rows
+        for line, count in row.get("host_waits", {}).items()
+    ]
+    return "\n\n" + "\n".join(lines) if lines else ""
+
+
+def _correctness(rows: Rows, _: Rows) -> str:
+    worst: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if row["of"] not in worst or (worst[row["of"]]["ok"], -worst[row["of"]]["error"]) > (row["ok"], -row["error"]):
+            worst[row["of"]] = row
+    counts = {name: sum(row["of"] == name for row in rows) for name in worst}
+    lines = [
+        [name, str(counts[name]), f"{row['error']:.1e}", f"{row['limit']:.0e}", "" if row["ok"] else "**wrong**"]
+        for name, row in worst.items()
+    ]
+    return table(["", "cases", "largest error", "limit", ""], lines)
+
+
+def _rasterizer(rows: Rows, device: Rows) -> str:
+    lines = []
+    for row in rows:
+        if "skipped" in row:
+            lines.append([_size(row), row["skipped"], "", "", "", ""])
+            continue
+        floor = 1e3 * row["least_bytes"] / device[0]["copy_bytes_per_s"] if device else None
+        waits = sum(row["host_waits"].values())
+        lines.append(
+            [_size(row), spread(row["times"][FORWARD]), spread(row["times"][FORWARD_BACKWARD]),
+             "–" if floor is None else f"{floor:.3f}", _memory(row["peak_bytes"]), str(waits)]
+        )  # fmt: skip
+    header = ["Gaussians, image", FORWARD, FORWARD_BACKWARD, "least, by its bytes", "memory, MB", "host waits"]
+    return table(header, lines) + _waits(rows[:1])
+
+
+def _gsplat(rows: Rows, _: Rows) -> str:
+    versions = [row["gsplat"] for row in rows if "gsplat" in row]
+    lines = []
+    for row in (row for row in rows if "gaussians" in row):
+        if "skipped" in row:
+            lines.append([_size(row), row["skipped"], "", "", "", "", ""])
+            continue
+        for direction, times in row["times"].items():
+            ours = times["mrgs"]["median_ms"]
+            theirs = [times[name] for name in ("two passes", "shared projection")]
+            ratios = [f"{way['median_ms'] / ours:.2f}" for way in theirs]
+            lines.append([_size(row), direction, spread(times["mrgs"]), *map(spread, theirs), *ratios])
+    header = ["Gaussians, image", "", "mrgs, fused", "gsplat twice", "gsplat, projected once", "ratio", "ratio"]
+    text = f"gsplat {', '.join(versions)}, in turns in one process. A ratio above 1: mrgs takes less time"
+    differences = [d for row in rows for d in row.get("mean_difference", {}).values()]
+    agreement = f"\n\nMean absolute difference of an image: at most {max(differences):.1e}." if differences else ""
+    return f"{text}; {TARGET_BESIDE_GSPLAT} is aimed at.\n\n" + table(header, lines) + agreement
+
+
+def _step(rows: Rows, _: Rows) -> str:
+    lines = [
+        [row["method"], _size(row), row["skipped"], "", "", ""]
+        if "skipped" in row
+        else [row["method"], _size(row), spread(row["times"]["step"]), f"{row['steps_per_s']:.0f}",
+              _memory(row["peak_bytes"]), str(sum(row["host_waits"].values()))]
+        for row in rows
+    ]  # fmt: skip
+    aim = f"Aimed at on an H200: {TARGET_STEPS_PER_S} steps per second at 50,000 Gaussians and 640×480.\n\n"
+    return (
+        aim + table(["method", "Gaussians, image", "step", "steps/s", "memory, MB", "host waits"], lines) + _waits(rows)
+    )
+
+
+def _training(rows: Rows, _: Rows) -> str:
+    row = rows[0]
+    whole = row["steps"] == row["of_steps"]
+    done = f"{row['steps']:,} of {row['of_steps']:,} steps" + ("" if whole else ", stopped when the time was up")
+    text = (
+        f"mrgs, preset paper: {done}, in {row['seconds']:.0f} s with loading the scene, "
+        f"{row['steps_per_s']:.3g} steps/s; {row['gaussians']:,} Gaussians at the end; "
+        f"at most {_memory(row['peak_bytes'])} MB. "
+        f"Aimed at on an H200: 30,000 steps in {TARGET_TRAINING_S} s."
+    )
+    figures = [[name, f"{value:.4g}"] for scored in rows[1:] for name, value in scored["metrics"].items()]
+    return text + ("\n\n" + table(["", ""], figures) if figures else "")
+
+
+_TABLES: dict[str, Callable[[Rows, Rows], str]] = {
+    "correctness": _correctness,
+    "gsplat": _gsplat,
+    "rasterizer": _rasterizer,
+    "step": _step,
+    "training": _training,
+}

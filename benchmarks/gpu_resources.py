@@ -1,0 +1,190 @@
+"""Registers, spills and shared memory of every Triton kernel, compiled for sm_80 and sm_90 on any machine.
+
+    python -m benchmarks.gpu_resources            compare with the table, exit with 1 if anything got worse
+    python -m benchmarks.gpu_resources --update   write the table anew for the installed Triton
+
+Each Triton version has its own compiler, and so its own part of the table; docs/gpu.md shows that of the newest.
+Another version is measured by putting it first: ``PYTHONPATH=FOLDER_WITH_TRITON python -m benchmarks.gpu_resources``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from benchmarks.report import table
+from mrgs.isolation import child_environment
+
+ROOT = Path(__file__).parents[1]
+TABLE = Path(__file__).parent / "results" / "gpu_resources.json"
+DOCUMENT = ROOT / "docs" / "gpu.md"
+MARKS = ("<!-- kernels: begin -->", "<!-- kernels: end -->")
+UPDATE = "python -m benchmarks.gpu_resources --update"
+TIMEOUT_S = 900
+
+TARGETS = {"sm_80": 80, "sm_90": 90}
+"""Compute capability of the A100, and of H100 and H200; most RTX cards lie between."""
+
+LIMITED = {
+    "registers": "registers per thread",
+    "spill_stores": "bytes of spill stores",
+    "spill_loads": "bytes of spill loads",
+    "stack": "bytes of stack",
+    "shared": "bytes of shared memory",
+}
+"""What a change must not raise unseen."""
+
+REGISTERS_PER_SM = 65_536
+WARPS_PER_SM = 64
+PROGRAMS_PER_SM = 32
+SHARED_PER_SM = {"sm_80": 164 * 1024, "sm_90": 228 * 1024}
+SHARED_RESERVED = 1024
+"""What the driver takes of each program's shared memory."""
+
+Resources = Mapping[str, int]
+Kernels = Mapping[str, Mapping[str, Resources]]
+"""Resources by the kernel's name and the target."""
+
+
+class CompilationError(Exception):
+    """The kernels cannot be compiled; the message is the compiler's."""
+
+
+def compile_in_children() -> dict[str, Any]:
+    """Triton's version, the resources of every specialisation by its name and target, and the unlisted kernels.
+
+    Each target in a process of its own, which compiles, while this one may have Triton interpret.
+
+    Raises:
+        CompilationError: a kernel cannot be compiled, or its list does not fit it.
+    """
+    with ThreadPoolExecutor() as pool:
+        found = dict(zip(TARGETS, pool.map(_compile, TARGETS.values()), strict=True))
+    first = next(iter(found.values()))
+    kernels = {name: {target: found[target]["kernels"][name] for target in found} for name in first["kernels"]}
+    return {"triton": first["triton"], "unlisted": first["unlisted"], "kernels": kernels}
+
+
+def _compile(capability: int) -> dict[str, Any]:
+    """What ``gpu_compile.compile_all`` finds, without any of Triton's variables that are set here."""
+    paths = [os.environ.get("PYTHONPATH", ""), str(ROOT / "src"), str(ROOT)]
+    environment = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
+    environment = {key: value for key, value in environment.items() if not key.startswith("TRITON_")}
+    with tempfile.TemporaryDirectory() as cache:  # what Triton finds in its cache it does not compile
+        variables = {"TRITON_CACHE_DIR": cache, "TRITON_DUMP_PTXAS_LOG": "1", "TRITON_DEFAULT_FP_FUSION": "1"}
+        child = subprocess.run(
+            [sys.executable, "-m", "benchmarks.gpu_compile", str(capability)],
+            env=environment | variables, capture_output=True, text=True, timeout=TIMEOUT_S,
+        )  # fmt: skip
+    if child.returncode != 0:
+        raise CompilationError(child.stderr.strip() or f"exit status {child.returncode}")
+    found: dict[str, Any] = json.loads(child.stdout)
+    return found
+
+
+def worsened(found: Mapping[str, Any], tables: Mapping[str, Kernels]) -> list[str]:
+    """One line for everything in which the kernels are worse than the table, or than they may be without one.
+
+    Args:
+        found: what ``compile_in_children`` returned.
+        tables: the committed table, by Triton's version; of a version without one, nothing may spill.
+    """
+    lines = [f"{name} is in no KERNELS: list every specialisation that is launched" for name in found["unlisted"]]
+    known = tables.get(found["triton"])
+    if known is None:
+        return lines + _spilling(found["kernels"])
+    for name, targets in found["kernels"].items():
+        if name not in known:
+            lines.append(f"{name} is not in the table: {UPDATE}")
+            continue
+        for target, new in targets.items():
+            lines += _raised(f"{name} for {target}", known[name][target], new)
+    gone = sorted(known.keys() - found["kernels"].keys())
+    return lines + [f"{name} is in the table, but no longer listed: {UPDATE}" for name in gone]
+
+
+def _spilling(kernels: Kernels) -> list[str]:
+    return [
+        f"{name} for {target} spills {new['spill_stores']} bytes"
+        for name, targets in kernels.items()
+        for target, new in targets.items()
+        if new["spill_stores"] > 0
+    ]
+
+
+def _raised(what: str, old: Resources, new: Resources) -> list[str]:
+    return [
+        f"{what} takes {new[key]} {title}, and took {old[key]}; if that is meant: {UPDATE}"
+        for key, title in LIMITED.items()
+        if new[key] > old[key]
+    ]
+
+
+def resident_warps(target: str, taken: Resources) -> int:
+    """Warps that a multiprocessor can hold of a kernel, of at most 64: what hides the time of its loads."""
+    warps = taken["warps"]
+    registers = -(-taken["registers"] // 8) * 8  # handed out to a warp by 8 per thread
+    by_registers = REGISTERS_PER_SM // (registers * 32) // warps
+    by_shared = SHARED_PER_SM[target] // (taken["shared"] + SHARED_RESERVED)
+    return min(by_registers, by_shared, WARPS_PER_SM // warps, PROGRAMS_PER_SM) * warps
+
+
+def to_markdown(version: str, kernels: Kernels) -> str:
+    """A row per specialisation, and in each cell sm_80 / sm_90 where they differ."""
+    header = ["kernel", "warps", "registers", "spilled bytes", "shared memory, bytes", "warps per SM"]
+    rows = [[f"`{name}`", *_cells(targets)] for name, targets in sorted(kernels.items())]
+    return f"Triton {version}, sm_80 / sm_90:\n\n{table(header, rows)}"
+
+
+def _cells(targets: Mapping[str, Resources]) -> list[str]:
+    columns = [
+        [taken["warps"] for taken in targets.values()],
+        [taken["registers"] for taken in targets.values()],
+        [taken["spill_stores"] for taken in targets.values()],
+        [taken["shared"] for taken in targets.values()],
+        [resident_warps(target, taken) for target, taken in targets.items()],
+    ]
+    return [" / ".join(f"{value:,}" for value in dict.fromkeys(column)) for column in columns]
+
+
+def with_newest(document: str, kernels: Mapping[str, Kernels]) -> str:
+    """The document with the newest version's part of the table between the two marks."""
+    before, rest = document.split(MARKS[0])
+    after = rest.split(MARKS[1])[1]
+    newest = max(kernels, key=lambda version: [int(part) for part in version.split(".")])
+    return f"{before}{MARKS[0]}\n\n{to_markdown(newest, kernels[newest])}\n\n{MARKS[1]}{after}"
+
+
+def read_table() -> dict[str, Kernels]:
+    """The committed table, by Triton's version."""
+    tables: dict[str, Kernels] = json.loads(TABLE.read_text()) if TABLE.exists() else {}
+    return tables
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compile, compare or update, print the table; 1 if anything got worse."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.gpu_resources", description=__doc__.splitlines()[0])
+    parser.add_argument("--update", action="store_true", help="write the table anew for the installed Triton")
+    options = parser.parse_args(arguments)
+    found, known = compile_in_children(), read_table()
+    if options.update:
+        known[found["triton"]] = found["kernels"]
+        TABLE.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
+        DOCUMENT.write_text(with_newest(DOCUMENT.read_text(encoding="utf-8"), known), encoding="utf-8")
+    print(to_markdown(found["triton"], found["kernels"]))
+    lines = worsened(found, known)
+    for line in lines:
+        print(line, file=sys.stderr)
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,214 @@
+"""The parts of the GPU benchmark: each yields its results one by one, so that what was measured is kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks import gpu_correctness, workload
+from benchmarks.gpu_plan import Plan, Size
+from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
+from benchmarks.gpu_workload import FusedPass, photos_on, state_on
+from benchmarks.timing import Summary
+from mrgs.evaluation.evaluate import evaluate
+from mrgs.run import load_run
+from mrgs.training import StepStatistics, train
+from mrgs.training.config import make_config
+from mrgs.training.step import training_step
+
+SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
+EVALUATION_S = 20.0
+"""Kept back of the training's time for the scoring of what was trained."""
+
+FORWARD = "forward"
+FORWARD_BACKWARD = "forward + backward"
+
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Order:
+    """What a part is asked to do: the plan, the device, and until when, as ``time.time`` counts."""
+
+    plan: Plan
+    device: torch.device
+    until: float
+
+
+def device_facts(order: Order) -> Iterator[Row]:
+    """Name and versions, and what the device does at most."""
+    row: Row = {"device": "cpu", "python": platform.python_version(), "torch": torch.__version__}
+    if order.device.type == "cuda":
+        import triton
+
+        properties = torch.cuda.get_device_properties(order.device)
+        row |= {
+            "device": properties.name,
+            "capability": f"{properties.major}.{properties.minor}",
+            "multiprocessors": properties.multi_processor_count,
+            "memory_bytes": properties.total_memory,
+            "cuda": torch.version.cuda,
+            "triton": triton.__version__,
+        }
+    yield row | ceilings(Clock(order.device), order.plan.matrix)
+
+
+def correctness(order: Order) -> Iterator[Row]:
+    """Every comparison with an oracle."""
+    for finding in gpu_correctness.findings(order.device, order.plan):
+        yield {**finding, "ok": gpu_correctness.ok(finding)}
+
+
+def rasterizer(order: Order) -> Iterator[Row]:
+    """The fused pass at every size."""
+    clock = Clock(order.device)
+    for size in order.plan.sizes:
+        yield _sized(size, lambda size=size: _fused_pass(clock, size, order.plan))
+
+
+def _fused_pass(clock: Clock, size: Size, plan: Plan) -> Row:
+    fused = FusedPass(*size, clock.device)
+    memory = PeakMemory(clock.device)
+    fused.forward_backward()
+    peak_bytes = memory.nbytes()
+    times = clock.measure({FORWARD: fused.render, FORWARD_BACKWARD: fused.forward_backward}, plan.effort)
+    return {
+        "times": _times(times),
+        "peak_bytes": peak_bytes,
+        "least_bytes": fused.least_bytes,
+        "host_waits": host_waits(fused.forward_backward),
+    }
+
+
+def beside_gsplat(order: Order) -> Iterator[Row]:
+    """The fused pass and gsplat's two, in turns in one process, at every size."""
+    from benchmarks.gpu_gsplat import GsplatPasses, build
+
+    yield {"gsplat": build()}
+    clock = Clock(order.device)
+    for size in order.plan.sizes:
+        yield _sized(size, lambda size=size: _compare(clock, size, order.plan, GsplatPasses))
+
+
+def _compare(clock: Clock, size: Size, plan: Plan, make_passes: Callable[[FusedPass], Any]) -> Row:
+    fused = FusedPass(*size, clock.device)
+    theirs = make_passes(fused)
+    ways = {"two passes": theirs.two_passes, "shared projection": theirs.shared_projection}
+    forward, both = {"mrgs": fused.render}, {"mrgs": fused.forward_backward}
+    for name, way in ways.items():
+        forward[name] = torch.no_grad()(way)
+        both[name] = lambda way=way: theirs.gradients(way)
+    images = {name: way() for name, way in forward.items()}
+    return {
+        "times": {
+            FORWARD: _times(clock.measure(forward, plan.effort)),
+            FORWARD_BACKWARD: _times(clock.measure(both, plan.effort)),
+        },
+        "mean_difference": {
+            name: max((a - b).abs().mean().item() for a, b in zip(images["mrgs"], images[name], strict=True))
+            for name in ways
+        },
+    }
+
+
+def step(order: Order) -> Iterator[Row]:
+    """Whole training steps of each method: render, losses, backward, Adam."""
+    clock = Clock(order.device)
+    for method in order.plan.methods:
+        yield {"method": method, **_sized(order.plan.step_size, lambda m=method: _steps(clock, m, order.plan))}
+
+
+def _steps(clock: Clock, method: str, plan: Plan) -> Row:
+    count, width, height = plan.step_size
+    config = make_config(method, "paper")
+    memory = PeakMemory(clock.device)
+    state, view, photos = (
+        state_on(clock.device, count, config),
+        workload.view(width, height),
+        photos_on(clock.device, width, height),
+    )
+
+    def run() -> StepStatistics:
+        return training_step(state, view, 0, photos, config, workload.SCALE)
+
+    times = clock.measure({"step": run}, plan.steps, flush=False)
+    started = time.perf_counter()
+    for _ in range(plan.steps.fewest):
+        run()
+    clock.wait()
+    per_second = plan.steps.fewest / (time.perf_counter() - started)
+    return {
+        "times": _times(times),
+        "steps_per_s": per_second,
+        "peak_bytes": memory.nbytes(),
+        "host_waits": host_waits(run),
+    }
+
+
+def training(order: Order) -> Iterator[Row]:
+    """The bundled scene with the paper's schedule, until its end or until the time is up; then scored."""
+    plan, device = order.plan, order.device
+    config = make_config("mrgs", "paper", max_steps=plan.training_steps, resolution=plan.resolution)
+    memory = PeakMemory(device)
+    with tempfile.TemporaryDirectory() as folder:
+        started = time.perf_counter()
+        last: list[StepStatistics] = []
+
+        def on_step(statistics: StepStatistics) -> bool:
+            last[:] = [statistics]
+            return time.time() > order.until - EVALUATION_S
+
+        train(SCENE, Path(folder) / "run", config, device=device.type, on_step=on_step)
+        Clock(device).wait()
+        seconds = time.perf_counter() - started
+        yield {
+            "steps": last[0].step,
+            "of_steps": config.max_steps,
+            "seconds": seconds,
+            "steps_per_s": last[0].step / seconds,
+            "gaussians": last[0].gaussians,
+            "peak_bytes": memory.nbytes(),
+        }
+        run = load_run(Path(folder) / "run", device=device.type)
+        scene = run.load_scene()
+        metrics = evaluate(scene.eval, run.render_view, scene.temperature, photograph=run.photograph)
+        figures = {"rgb": metrics.rgb, "thermal": metrics.thermal}
+        yield {
+            "metrics": {
+                f"{modality} {name}": value
+                for modality, values in figures.items()
+                for name, value in values.items()
+                if isinstance(value, float)
+            }
+        }
+
+
+def _sized(size: Size, measure: Callable[[], Row]) -> Row:
+    """A row of a size; with the reason where the device's memory does not suffice."""
+    row: Row = dict(zip(("gaussians", "width", "height"), size, strict=True))
+    try:
+        return row | measure()
+    except torch.cuda.OutOfMemoryError:
+        torch.cuda.empty_cache()
+        return row | {"skipped": "out of memory"}
+
+
+def _times(summaries: dict[str, Summary]) -> Row:
+    return {name: dataclasses.asdict(summary) for name, summary in summaries.items()}
+
+
+PARTS: dict[str, Callable[[Order], Iterator[Row]]] = {
+    "device": device_facts,
+    "correctness": correctness,
+    "gsplat": beside_gsplat,
+    "rasterizer": rasterizer,
+    "step": step,
+    "training": training,
+}

@@ -1,0 +1,335 @@
+"""The GPU benchmark where there is no GPU: its logic, and every part at tiny sizes through the CPU kernels."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+import warnings
+import zipfile
+from types import SimpleNamespace
+
+import pytest
+import torch
+from benchmarks.gpu_plan import FULL, PARTS, TRIAL
+from benchmarks.gpu_report import spread, to_markdown
+from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
+from benchmarks.plan import ONE_RUN, Effort
+
+from benchmarks import gpu, gpu_correctness, gpu_stages, gpu_timing, gpu_workload
+from mrgs.training.config import make_config
+
+CPU = torch.device("cpu")
+
+
+def rows_of(part: str) -> list[dict]:
+    return list(gpu_stages.PARTS[part](gpu_stages.Order(TRIAL, CPU, time.time() + 60)))
+
+
+def test_runs_take_turns_and_every_other_round_goes_backwards():
+    order = []
+    runs = {"a": lambda: order.append("a"), "b": lambda: order.append("b")}
+    times = Clock(CPU).measure(runs, Effort(runs=3, seconds=9, fewest=1, warm_up=1))
+    assert "".join(order) == "ab" + "ab" + "ba" + "ab"
+    assert times["a"].runs == times["b"].runs == 3
+
+
+def test_time_ends_the_rounds_but_not_before_the_fewest():
+    effort = Effort(runs=100, seconds=0, fewest=4, warm_up=0)
+    assert Clock(CPU).measure({"a": lambda: None}, effort)["a"].runs == 4
+
+
+def test_ceilings_are_rates():
+    found = ceilings(Clock(CPU), 32)
+    assert all(value > 0 for value in found.values())
+    assert found["launch_s"] < 1e-2
+
+
+def test_waits_of_the_host_are_counted_by_their_lines(monkeypatch):
+    modes = []
+    monkeypatch.setattr(gpu_timing.torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(gpu_timing.torch.cuda, "get_sync_debug_mode", lambda: 0)
+    monkeypatch.setattr(gpu_timing.torch.cuda, "set_sync_debug_mode", modes.append)
+
+    def run() -> None:
+        warnings.warn("Synchronization debug mode does not yet detect all synchronizing operations", stacklevel=1)
+        for _ in range(3):
+            warnings.warn("called a synchronizing CUDA operation", stacklevel=1)
+
+    ((line, count),) = host_waits(run).items()
+    assert line.startswith("tests/benchmarks/test_gpu.py:")
+    assert count == 3
+    assert modes == ["warn", 0]
+
+
+def test_nothing_waits_and_no_memory_is_taken_without_a_gpu():
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    assert host_waits(lambda: 1) == {}
+    assert PeakMemory(CPU).nbytes() is None
+
+
+def test_the_cpu_kernels_pass_every_comparison():
+    rows = rows_of("correctness")
+    assert [row for row in rows if not row["ok"]] == []
+    kinds = {row["of"].split(":")[0].split(",")[0] for row in rows}
+    assert {"rasterizer", "L1 + D-SSIM", "total variation", "L_boltz", "losses of three steps"} <= kinds
+
+
+def test_scenes_grow_and_have_all_kinds_of_layers():
+    scenes = list(gpu_correctness.scenes(FULL))
+    assert {(scene.modalities, scene.antialiased) for scene in scenes} >= {
+        (("rgb",), True),
+        (("rgb", "thermal"), False),
+    }
+    counts = [len(scene.tensors["means"]) for scene in scenes]
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (0, FULL.largest_scene[0])
+
+
+def test_a_wrong_image_and_a_wrong_gradient_are_found(monkeypatch):
+    right = gpu_workload.rasterize
+
+    def wrong(means, *arguments):
+        raster = right(2 * means - means.detach(), *arguments)
+        blends = tuple(blend._replace(alpha=blend.alpha + 1e-3) for blend in raster.blends)
+        return raster._replace(blends=blends)
+
+    monkeypatch.setattr(gpu_workload, "rasterize", wrong)
+    scene = gpu_workload.random_scene(3, 40, 37, 29, False, ("thermal",))
+    found = {f["of"]: gpu_correctness.ok(f) for f in gpu_correctness.compare_rasterizer(scene, CPU)}
+    assert [name for name, fine in found.items() if not fine] == [
+        "rasterizer: thermal alpha",
+        "rasterizer: gradient of means",
+    ]
+
+
+def test_nan_is_wrong_and_a_wrong_neighbour_is_found(monkeypatch):
+    assert not gpu_correctness.ok({"error": math.nan, "limit": 1})
+    assert gpu_correctness.ok({"error": 0.0, "limit": 0})
+    monkeypatch.setattr(gpu_correctness, "nearest_neighbours", lambda means, k: torch.zeros(len(means), k).long())
+    assert not gpu_correctness.ok(gpu_correctness.compare_neighbours(CPU, 50))
+
+
+def test_sizes_are_measured_with_the_least_bytes_they_move():
+    (row,) = rows_of("rasterizer")
+    assert (row["gaussians"], row["width"], row["height"]) == TRIAL.sizes[0]
+    assert row["times"].keys() == {"forward", "forward + backward"}
+    assert row["least_bytes"] == 2 * 4 * (300 * 16 + 64 * 48 * 8)  # 16 numbers per Gaussian, 8 per pixel
+
+
+def test_a_size_that_does_not_fit_is_skipped():
+    def measure() -> dict:
+        raise torch.cuda.OutOfMemoryError("no")
+
+    expected = {"gaussians": 1, "width": 2, "height": 3, "skipped": "out of memory"}
+    assert gpu_stages._sized((1, 2, 3), measure) == expected
+
+
+def test_whole_steps_of_both_methods():
+    assert [(row["method"], row["steps_per_s"] > 0) for row in rows_of("step")] == [("mrgs", True), ("mrgs-plus", True)]
+
+
+def test_the_full_run_trains_with_the_schedule_of_the_paper():
+    assert make_config("mrgs", "paper", max_steps=FULL.training_steps) == make_config("mrgs", "paper")
+
+
+def test_the_bundled_scene_is_trained_and_scored():
+    trained, scored = rows_of("training")
+    assert (trained["steps"], trained["of_steps"]) == (TRIAL.training_steps,) * 2
+    assert scored["metrics"]["thermal mae_c"] > 0
+
+
+def test_training_ends_when_the_time_is_up(monkeypatch):
+    monkeypatch.setattr(gpu_stages, "EVALUATION_S", 1e9)
+    trained, scored = rows_of("training")
+    assert (trained["steps"], trained["of_steps"]) == (1, TRIAL.training_steps)
+    assert "rgb psnr" in scored["metrics"]
+
+
+def answer(monkeypatch, rows: list[dict], returncode: int = 0, stderr: str = "", late: bool = False) -> list[str]:
+    """Replaces the children, but for the device's, by one that writes these rows; returns the parts asked for."""
+    asked = []
+
+    def run(command, timeout, **_):
+        request = json.loads(command[-1])
+        asked.append(request["part"])
+        with open(request["file"], "w") as file:
+            json.dump(rows if request["part"] != "device" else [], file)
+        if request["part"] == "device":
+            return SimpleNamespace(returncode=0, stderr="")
+        if late:
+            raise subprocess.TimeoutExpired(command, timeout)
+        return SimpleNamespace(returncode=returncode, stderr=stderr)
+
+    monkeypatch.setattr(gpu.subprocess, "run", run)
+    return asked
+
+
+def run_gpu(tmp_path, *arguments: str) -> tuple[int, dict]:
+    status = gpu.main(["--device", "cpu", "--output", str(tmp_path), *arguments])
+    return status, json.loads((tmp_path / "gpu.json").read_text())["parts"]
+
+
+def test_a_wrong_result_ends_with_status_1(monkeypatch, tmp_path):
+    asked = answer(monkeypatch, [{"of": "image", "error": 0.5, "limit": 0.1, "ok": False}])
+    assert run_gpu(tmp_path, "--only", "correctness")[0] == 1
+    assert asked == ["device", "correctness"]
+    assert "| image | 1 | 5.0e-01 | 1e-01 | **wrong** |" in (tmp_path / "gpu.md").read_text()
+
+
+def test_a_part_that_fails_says_why_and_keeps_what_it_measured(monkeypatch, tmp_path, capsys):
+    rows = [{"of": "image", "error": 0.0, "limit": 0.1, "ok": True}]
+    answer(monkeypatch, rows, returncode=1, stderr="Traceback\nRuntimeError: an illegal memory access\n")
+    status, parts = run_gpu(tmp_path, "--only", "correctness")
+    assert status == 1
+    assert parts["correctness"]["rows"] == rows
+    assert parts["correctness"]["failed"] == "RuntimeError: an illegal memory access"
+    assert "Failed: RuntimeError: an illegal memory access." in (tmp_path / "gpu.md").read_text()
+
+
+def test_a_part_that_takes_too_long_is_ended_and_keeps_what_it_measured(monkeypatch, tmp_path):
+    rows = [{"of": "image", "error": 0.0, "limit": 0.1, "ok": True}]
+    answer(monkeypatch, rows, late=True)
+    status, parts = run_gpu(tmp_path, "--only", "correctness", "--seconds", "50")
+    assert status == 0
+    assert parts["correctness"]["rows"] == rows
+    assert parts["correctness"]["skipped"].startswith("not done after ")
+
+
+def test_parts_for_which_no_time_is_left_are_skipped(monkeypatch, tmp_path):
+    asked = answer(monkeypatch, [])
+    status, parts = run_gpu(tmp_path, "--only", "training", "--seconds", "20")
+    assert (status, asked) == (0, ["device"])
+    assert parts["training"] == {"skipped": "20 s of 20 s were left"}
+
+
+def test_gsplat_needs_a_gpu(monkeypatch, tmp_path):
+    answer(monkeypatch, [])
+    assert run_gpu(tmp_path, "--only", "gsplat")[1]["gsplat"] == {"skipped": "needs a GPU"}
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_nothing_is_measured_and_the_remedy_is_told(tmp_path):
+    assert gpu.main(["--output", str(tmp_path), "--seconds", "60"]) == 1
+    assert list(json.loads((tmp_path / "gpu.json").read_text())["parts"]) == ["device"]
+    assert "DeviceError: " in (tmp_path / "gpu.md").read_text()
+
+
+def build_with(monkeypatch, command: str) -> gpu.GsplatBuild:
+    """The build, replaced by a command of its own."""
+    start = subprocess.Popen
+    monkeypatch.setattr(gpu.subprocess, "Popen", lambda _, **options: start([sys.executable, "-c", command], **options))
+    return gpu.GsplatBuild(None)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        ("raise ImportError('no CUDA compiler')", "gsplat cannot be used (ImportError: no CUDA compiler)"),
+        ("pass", None),
+    ],
+)
+def test_gsplat_that_cannot_be_built_is_left_out_with_the_reason(monkeypatch, command, reason):
+    with build_with(monkeypatch, command) as build:
+        assert build.wait(60) == reason
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="POSIX alone")
+def test_a_build_that_takes_too_long_is_ended(monkeypatch):
+    with build_with(monkeypatch, "import time; time.sleep(600)") as build:
+        assert build.wait(0).startswith("gsplat's kernels were not built in time")
+    assert build._process.returncode != 0
+
+
+def test_a_wheel_is_unpacked_once_and_found_by_the_children(monkeypatch, tmp_path):
+    monkeypatch.setattr(gpu.tempfile, "gettempdir", lambda: str(tmp_path))
+    wheel = tmp_path / "gsplat-1.5.3-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("gsplat/__init__.py", "")
+    folder = gpu._unpacked(wheel)
+    assert (folder / "gsplat" / "__init__.py").exists()
+    assert gpu._unpacked(wheel) == gpu._unpacked(folder) == folder
+    assert str(folder) in gpu.environment(folder)["PYTHONPATH"].split(os.pathsep)
+    assert gpu._unpacked(None) is None
+
+
+def test_the_children_never_interpret_the_kernels(monkeypatch):
+    monkeypatch.setenv("TRITON_INTERPRET", "1")
+    assert "TRITON_INTERPRET" not in gpu.environment(None)
+
+
+def test_parts_run_without_what_a_bare_machine_lacks(tmp_path):
+    """One part for real, from another folder, where the command line's and the viewer's packages are missing."""
+    for name in ("tyro", "rich", "viser", "pytest", "hypothesis", "beartype", "matplotlib"):
+        (tmp_path / f"{name}.py").write_text(f"raise ImportError('{name} is missing')")
+    environment = gpu.environment(None)
+    environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), environment["PYTHONPATH"]])
+    command = [sys.executable, "-m", "benchmarks.gpu", "--device", "cpu", "--only", "rasterizer"]
+    run = subprocess.run(
+        [*command, "--output", str(tmp_path / "out")], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    parts = json.loads((tmp_path / "out" / "gpu.json").read_text())["parts"]
+    assert "skipped" not in parts["rasterizer"]
+    assert parts["device"]["rows"][0]["device"] == "cpu"
+
+
+def test_a_median_comes_with_its_quartiles():
+    assert spread({"median_ms": 0.5, "q1_ms": 0.4, "q3_ms": 0.625}) == "0.500 (0.400–0.625)"
+    assert spread({"median_ms": 1234.5, "q1_ms": 1000, "q3_ms": 2000}) == "1,234 (1,000–2,000)"
+
+
+def sample(times: tuple[str, ...]) -> dict:
+    return {name: {"median_ms": 2.0, "q1_ms": 1.5, "q3_ms": 3.0} for name in times}
+
+
+def test_the_report_of_a_gpu():
+    size = {"gaussians": 50_000, "width": 640, "height": 480}
+    both = ("forward", "forward + backward")
+    ways = {"mrgs": 2.0, "two passes": 3.0, "shared projection": 2.5}
+    compared = {n: {"median_ms": ms, "q1_ms": ms, "q3_ms": ms} for n, ms in ways.items()}
+    waits = {"mrgs/rasterizer/gpu.py:7": 1}
+    device = {
+        "device": "A GPU", "capability": "9.0", "multiprocessors": 132, "memory_bytes": 2**37, "cuda": "13.0",
+        "triton": "3.6.0", "torch": "2.11", "python": "3.12", "copy_bytes_per_s": 4e12,
+        "float32_operations_per_s": 5e13, "launch_s": 4e-6,
+    }  # fmt: skip
+    timed = {"times": sample(both), "peak_bytes": 10**8, "least_bytes": 4 * 10**8, "host_waits": waits}
+    step = {"times": sample(("step",)), "peak_bytes": 10**9, "host_waits": waits, "steps_per_s": 161.4}
+    trained = {"steps": 9_000, "of_steps": 30_000, "seconds": 90, "steps_per_s": 100, "gaussians": 47_000}
+    rows = {
+        "device": [device],
+        "correctness": [{"of": "image", "error": e, "limit": 1e-4, "ok": e < 1e-4} for e in (1e-6, 2e-6)],
+        "gsplat": [
+            {"gsplat": "1.5.3"},
+            {**size, "times": dict.fromkeys(both, compared), "mean_difference": {"two passes": 1e-6}},
+        ],
+        "rasterizer": [{**size, **timed}, {**size, "skipped": "out of memory"}],
+        "step": [{"method": "mrgs", **size, **step}],
+        "training": [{**trained, "peak_bytes": 10**9}, {"metrics": {"rgb psnr": 31.25}}],
+    }
+    text = to_markdown({"plan": "full", "seconds": 400, "parts": {name: {"rows": part} for name, part in rows.items()}})
+    assert "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, CUDA 13.0, Triton 3.6.0" in text
+    assert "4,000 GB/s" in text
+    assert "| image | 2 | 2.0e-06 | 1e-04 |  |" in text
+    assert "| 3.00 (3.00–3.00) | 2.50 (2.50–2.50) | 1.50 | 1.25 |" in text
+    assert "| 2.00 (1.50–3.00) | 0.100 | 100 | 1 |" in text
+    assert "out of memory" in text
+    assert "- mrgs: the host waits 1× at mrgs/rasterizer/gpu.py:7" in text
+    assert "9,000 of 30,000 steps, stopped when the time was up, in 90 s with" in text
+    assert "| rgb psnr | 31.25 |" in text
+
+
+def test_the_report_names_what_is_missing():
+    parts = {name: {"skipped": "no time"} for name in ("device", *PARTS)}
+    text = to_markdown({"plan": "quick", "seconds": 1, "parts": parts})
+    assert text.count("Skipped: no time.") == len(PARTS)
+    assert "The device could not be examined: no time." in text
+
+
+def test_one_run_is_enough_for_a_summary():
+    assert Clock(CPU).measure({"a": lambda: None}, ONE_RUN)["a"].runs == 1
