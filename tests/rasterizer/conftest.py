@@ -16,6 +16,12 @@ from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, La
 MODALITIES = ("rgb", "thermal")
 LAYER_TENSORS = Layer._fields
 
+IMAGE_ERROR_MAX = 1e-5
+"""Largest absolute error of a value in [0, 1], and of a depth relative to the largest depth."""
+GRADIENT_ERROR_MAX = 1e-4
+"""Largest relative L2 error of a gradient."""
+RADIUS_ERROR_MAX = 1e-5
+
 
 @dataclass(frozen=True)
 class RasterizerScene:
@@ -172,6 +178,39 @@ def errors_against_oracle(
     return errors
 
 
+def assert_small(errors: dict[str, float], gradient_error_max: float = GRADIENT_ERROR_MAX) -> None:
+    for name, error in errors.items():
+        limit = gradient_error_max if name.startswith("grad ") else IMAGE_ERROR_MAX
+        limit = RADIUS_ERROR_MAX if name == "radii" else limit
+        assert error < limit, (name, errors)
+
+
+def images_of(raster: Raster) -> list[Tensor]:
+    return [image for blend in raster.blends for image in blend]
+
+
+def sum_of_squares(images: list[Tensor]) -> Tensor:
+    return torch.stack([image.square().sum() for image in images]).sum()
+
+
+def render_and_differentiate(
+    rasterize: Rasterizer, scene: RasterizerScene, loss: Callable[[list[Tensor]], Tensor] = sum_of_squares
+) -> tuple[list[Tensor], dict[str, Tensor | None]]:
+    """All outputs, and the gradient of a loss for every tensor of the scene."""
+    scene = scene.with_leaves()
+    raster = scene.render(rasterize)
+    loss(images_of(raster)).backward()
+    grads = {name: tensor.grad for name, tensor in scene.tensors.items()}
+    return [*(image.detach() for image in images_of(raster)), raster.radii], grads
+
+
+def assert_same_bits(result: tuple[list, dict], other: tuple[list, dict]) -> None:
+    for values, other_values in zip(result[0], other[0], strict=True):
+        assert torch.equal(values, other_values)
+    for name, gradient in result[1].items():
+        assert torch.equal(gradient, other[1][name]), name
+
+
 @pytest.fixture(autouse=True, scope="module")
 def one_torch_thread() -> Iterator[None]:
     """On tensors as small as these, starting threads costs more than it saves."""
@@ -194,3 +233,23 @@ def random_cotangents() -> Callable[..., list[Tensor]]:
 @pytest.fixture(scope="session")
 def compare_with_oracle() -> Callable[..., dict[str, float]]:
     return errors_against_oracle
+
+
+@pytest.fixture(scope="session", name="assert_small")
+def _assert_small() -> Callable:
+    return assert_small
+
+
+@pytest.fixture(scope="session", name="images_of")
+def _images_of() -> Callable:
+    return images_of
+
+
+@pytest.fixture(scope="session", name="render_and_differentiate")
+def _render_and_differentiate() -> Callable:
+    return render_and_differentiate
+
+
+@pytest.fixture(scope="session", name="assert_same_bits")
+def _assert_same_bits() -> Callable:
+    return assert_same_bits

@@ -17,11 +17,6 @@ import torch
 from mrgs.rasterizer import Layer, reference
 
 SCENES = range(100)
-IMAGE_ERROR_MAX = 1e-5
-"""Largest absolute error of a value in [0, 1], and of a depth relative to the largest depth."""
-GRADIENT_ERROR_MAX = 1e-4
-"""Largest relative L2 error of a gradient."""
-RADIUS_ERROR_MAX = 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -45,43 +40,16 @@ def worst_errors(rasterize: Callable, random_scene: Callable, compare: Callable,
     return worst
 
 
-def assert_small(errors: dict[str, float], gradient_error_max: float = GRADIENT_ERROR_MAX) -> None:
-    for name, error in errors.items():
-        limit = gradient_error_max if name.startswith("grad ") else IMAGE_ERROR_MAX
-        limit = RADIUS_ERROR_MAX if name == "radii" else limit
-        assert error < limit, (name, errors)
-
-
-def images_of(raster):
-    return [image for blend in raster.blends for image in blend]
-
-
-def render_and_differentiate(rasterize, scene, loss=lambda images: sum(image.square().sum() for image in images)):
-    """All outputs, and the gradient of a loss for every tensor of the scene."""
-    scene = scene.with_leaves()
-    raster = scene.render(rasterize)
-    loss(images_of(raster)).backward()
-    grads = {name: tensor.grad for name, tensor in scene.tensors.items()}
-    return [*(image.detach() for image in images_of(raster)), raster.radii], grads
-
-
-def assert_same_bits(result, other):
-    for values, other_values in zip(result[0], other[0], strict=True):
-        assert torch.equal(values, other_values)
-    for name, gradient in result[1].items():
-        assert torch.equal(gradient, other[1][name]), name
-
-
 # --- against the oracle
 
 
 @pytest.mark.parametrize("seed", SCENES)
-def test_images_and_gradients_of_random_scenes(rasterize, random_scene, compare_with_oracle, seed):
+def test_images_and_gradients_of_random_scenes(rasterize, random_scene, compare_with_oracle, seed, assert_small):
     assert_small(worst_errors(rasterize, random_scene, compare_with_oracle, [seed]))
 
 
 @pytest.mark.parametrize("seed", SCENES[:30])
-def test_anti_aliased_images_and_gradients(rasterize, random_scene, compare_with_oracle, seed):
+def test_anti_aliased_images_and_gradients(rasterize, random_scene, compare_with_oracle, seed, assert_small):
     assert_small(compare_with_oracle(rasterize, replace(scene_of(random_scene, seed), antialiased=True), seed=seed))
 
 
@@ -91,12 +59,16 @@ def test_few_pixels_are_left_out_of_the_comparison(random_scene):
 
 
 @pytest.mark.parametrize(("width", "height", "n"), [(1, 1, 4), (3, 50, 30), (64, 48, 60), (101, 75, 700)])
-def test_other_image_sizes_and_a_crowded_scene(rasterize, random_scene, compare_with_oracle, width, height, n):
+def test_other_image_sizes_and_a_crowded_scene(
+    rasterize, random_scene, compare_with_oracle, width, height, n, assert_small
+):
     assert_small(compare_with_oracle(rasterize, random_scene(1, n, width, height, torch.float32)))
 
 
 @pytest.mark.parametrize("modalities", [("rgb",), ("thermal",), ("thermal", "rgb")])
-def test_one_layer_and_layers_in_the_other_order(rasterize, random_scene, compare_with_oracle, modalities):
+def test_one_layer_and_layers_in_the_other_order(
+    rasterize, random_scene, compare_with_oracle, modalities, assert_small
+):
     scene = random_scene(11, dtype=torch.float32)
     assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
     both = dict(zip(("rgb", "thermal"), scene.render(rasterize).blends, strict=True))
@@ -116,7 +88,9 @@ def test_what_the_kernel_leaves_out_is_what_the_oracle_leaves_out(rasterize, ran
         assert not radii.requires_grad
 
 
-def test_equal_depths_are_blended_in_the_order_of_their_index(rasterize, random_scene, compare_with_oracle):
+def test_equal_depths_are_blended_in_the_order_of_their_index(
+    rasterize, random_scene, compare_with_oracle, assert_small
+):
     scene = random_scene(4, dtype=torch.float32)
     camera_z = torch.tensor([[0.0, 0.0, 2.0]])
     wall = torch.cat([torch.rand(60, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(60, 1)], dim=1)
@@ -125,7 +99,9 @@ def test_equal_depths_are_blended_in_the_order_of_their_index(rasterize, random_
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, compare_with_oracle, seed):
+def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
+    rasterize, random_scene, compare_with_oracle, seed, assert_small
+):
     """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this is rare.
 
     The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that ignores the clamp
@@ -137,7 +113,7 @@ def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, 
     assert_small(errors, gradient_error_max=1e-3)
 
 
-def test_no_offset_is_an_offset_of_zero(rasterize, random_scene):
+def test_no_offset_is_an_offset_of_zero(rasterize, random_scene, images_of):
     scene = random_scene(6, dtype=torch.float32)
     zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(60, 2)})
     none = replace(scene, tensors=scene.tensors | {"means2d_offset": None})
@@ -149,7 +125,7 @@ def test_no_offset_is_an_offset_of_zero(rasterize, random_scene):
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(rasterize, random_scene, n):
+def test_an_empty_view_shows_the_background(rasterize, random_scene, n, render_and_differentiate):
     scene = random_scene(0, n=n, dtype=torch.float32)
     behind = scene.tensors["means"] - 100 * scene.viewmat[2, :3]
     scene = replace(scene, tensors=scene.tensors | {"means": behind})
@@ -168,13 +144,15 @@ def test_an_empty_view_shows_the_background(rasterize, random_scene, n):
 # --- the same bits on every run
 
 
-def test_repeated_calls_give_the_same_bits(rasterize, random_scene):
+def test_repeated_calls_give_the_same_bits(rasterize, random_scene, render_and_differentiate, assert_same_bits):
     scene = random_scene(8, 300, 101, 75, torch.float32)
     assert_same_bits(render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene))
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_the_number_of_threads_does_not_change_a_bit(rasterize, random_scene):
+def test_the_number_of_threads_does_not_change_a_bit(
+    rasterize, random_scene, render_and_differentiate, assert_same_bits
+):
     scene = random_scene(9, 300, 101, 75, torch.float32)
     before = numba.get_num_threads()
     results = []
@@ -187,7 +165,7 @@ def test_the_number_of_threads_does_not_change_a_bit(rasterize, random_scene):
     assert_same_bits(*results)
 
 
-def test_two_views_can_be_in_flight(rasterize, random_scene):
+def test_two_views_can_be_in_flight(rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits):
     """Buffers may be kept between calls, but not those that an earlier result or its backward still needs."""
     first, second = (random_scene(seed, dtype=torch.float32).with_leaves() for seed in (12, 13))
     expected = render_and_differentiate(rasterize, first), render_and_differentiate(rasterize, second)
@@ -202,7 +180,7 @@ def test_two_views_can_be_in_flight(rasterize, random_scene):
 # --- the tensors that callers hand over
 
 
-def test_non_contiguous_inputs(rasterize, random_scene):
+def test_non_contiguous_inputs(rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits):
     scene = random_scene(14, dtype=torch.float32)
     strided = replace(
         scene,
@@ -220,7 +198,7 @@ def test_non_contiguous_inputs(rasterize, random_scene):
     assert_same_bits(([*images_of(raster), raster.radii], grads), render_and_differentiate(rasterize, scene))
 
 
-def test_non_contiguous_cotangents(rasterize, random_scene):
+def test_non_contiguous_cotangents(rasterize, random_scene, render_and_differentiate, assert_same_bits):
     scene = random_scene(15, dtype=torch.float32)
     dense = render_and_differentiate(
         rasterize, scene, lambda images: sum((i * torch.ones_like(i)).sum() for i in images)
@@ -232,7 +210,7 @@ def test_non_contiguous_cotangents(rasterize, random_scene):
 
 
 @pytest.mark.parametrize("used", range(6))
-def test_a_loss_on_one_image_only(rasterize, random_scene, used):
+def test_a_loss_on_one_image_only(rasterize, random_scene, used, render_and_differentiate):
     scene = random_scene(16, dtype=torch.float32)
     _, grads = render_and_differentiate(rasterize, scene, lambda images: images[used].square().sum())
     _, padded = render_and_differentiate(
@@ -244,7 +222,7 @@ def test_a_loss_on_one_image_only(rasterize, random_scene, used):
         assert not (name.startswith(other) and gradient.any()), name
 
 
-def test_gradients_flow_only_into_what_requires_them(rasterize, random_scene):
+def test_gradients_flow_only_into_what_requires_them(rasterize, random_scene, images_of, render_and_differentiate):
     scene = random_scene(17, dtype=torch.float32)
     _, all_grads = render_and_differentiate(rasterize, scene)
     for name in scene.tensors:
@@ -256,7 +234,7 @@ def test_gradients_flow_only_into_what_requires_them(rasterize, random_scene):
     assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
 
 
-def test_inputs_are_left_as_they_were(rasterize, random_scene):
+def test_inputs_are_left_as_they_were(rasterize, random_scene, render_and_differentiate):
     scene = random_scene(18, dtype=torch.float32)
     before = {name: tensor.clone() for name, tensor in scene.tensors.items()}
     render_and_differentiate(rasterize, scene)
@@ -288,7 +266,7 @@ def test_needles_keep_their_alpha(rasterize) -> None:
         raster = function(*needles(dtype), [layer], torch.eye(4, dtype=dtype), K, 100, 80)
         alphas.append(raster.blends[0].alpha.double())
     assert alphas[1].max() > 0.8
-    assert (alphas[0] - alphas[1]).abs().max() < IMAGE_ERROR_MAX
+    assert (alphas[0] - alphas[1]).abs().max() < 1e-5
 
 
 @pytest.mark.parametrize("size", [3e38, float("inf"), float("nan")])

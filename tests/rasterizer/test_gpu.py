@@ -19,12 +19,6 @@ import mrgs.rasterizer
 from mrgs.errors import MrgsError
 from mrgs.rasterizer import Layer, reference
 
-IMAGE_ERROR_MAX = 1e-5
-"""Largest absolute error of a value in [0, 1], and of a depth relative to the largest depth."""
-GRADIENT_ERROR_MAX = 1e-4
-"""Largest relative L2 error of a gradient."""
-RADIUS_ERROR_MAX = 1e-5
-
 
 @pytest.fixture
 def rasterize(gpu_device: str) -> Callable:
@@ -42,54 +36,31 @@ def rasterize(gpu_device: str) -> Callable:
     return on_device
 
 
-def assert_small(errors: dict[str, float], gradient_error_max: float = GRADIENT_ERROR_MAX) -> None:
-    for name, error in errors.items():
-        limit = gradient_error_max if name.startswith("grad ") else IMAGE_ERROR_MAX
-        limit = RADIUS_ERROR_MAX if name == "radii" else limit
-        assert error < limit, (name, errors)
-
-
-def images_of(raster):
-    return [image for blend in raster.blends for image in blend]
-
-
-def render_and_differentiate(rasterize, scene, loss=lambda images: sum(image.square().sum() for image in images)):
-    """All outputs, and the gradient of a loss for every tensor of the scene."""
-    scene = scene.with_leaves()
-    raster = scene.render(rasterize)
-    loss(images_of(raster)).backward()
-    grads = {name: tensor.grad for name, tensor in scene.tensors.items()}
-    return [*(image.detach() for image in images_of(raster)), raster.radii], grads
-
-
-def assert_same_bits(result, other):
-    for values, other_values in zip(result[0], other[0], strict=True):
-        assert torch.equal(values, other_values)
-    for name, gradient in result[1].items():
-        assert torch.equal(gradient, other[1][name]), name
-
-
 # --- against the oracle
 
 
 @pytest.mark.parametrize(("seed", "n", "antialiased"), [(0, 3, False), (1, 12, True), (2, 25, False), (3, 18, True)])
-def test_images_and_gradients_of_random_scenes(rasterize, random_scene, compare_with_oracle, seed, n, antialiased):
+def test_images_and_gradients_of_random_scenes(
+    rasterize, random_scene, compare_with_oracle, seed, n, antialiased, assert_small
+):
     scene = random_scene(seed, n, dtype=torch.float32)
     assert_small(compare_with_oracle(rasterize, replace(scene, antialiased=antialiased), seed=seed))
 
 
 @pytest.mark.parametrize("modalities", [("rgb",), ("thermal",), ("thermal", "rgb")])
-def test_one_layer_and_layers_in_the_other_order(rasterize, random_scene, compare_with_oracle, modalities):
+def test_one_layer_and_layers_in_the_other_order(
+    rasterize, random_scene, compare_with_oracle, modalities, assert_small
+):
     scene = replace(random_scene(11, 15, 20, 12, dtype=torch.float32), antialiased=True)
     assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
 
 
 @pytest.mark.parametrize(("width", "height", "n"), [(1, 1, 4), (1, 20, 10), (33, 3, 10), (32, 16, 10)])
-def test_other_image_sizes(rasterize, random_scene, compare_with_oracle, width, height, n):
+def test_other_image_sizes(rasterize, random_scene, compare_with_oracle, width, height, n, assert_small):
     assert_small(compare_with_oracle(rasterize, random_scene(1, n, width, height, torch.float32)))
 
 
-def test_pixels_that_are_finished_early(rasterize, random_scene, compare_with_oracle):
+def test_pixels_that_are_finished_early(rasterize, random_scene, compare_with_oracle, assert_small):
     """A wall of opaque Gaussians before all others: the walks stop long before the lists do."""
     scene = random_scene(4, 30, 20, 12, dtype=torch.float32)
     tensors = dict(scene.tensors)
@@ -104,7 +75,7 @@ def test_pixels_that_are_finished_early(rasterize, random_scene, compare_with_or
     assert_small(compare_with_oracle(rasterize, scene))
 
 
-def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, compare_with_oracle):
+def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, compare_with_oracle, assert_small):
     """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this is rare.
 
     The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that ignores the clamp
@@ -116,7 +87,9 @@ def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, 
     assert_small(errors, gradient_error_max=1e-3)
 
 
-def test_equal_depths_are_blended_in_the_order_of_their_index(rasterize, random_scene, compare_with_oracle):
+def test_equal_depths_are_blended_in_the_order_of_their_index(
+    rasterize, random_scene, compare_with_oracle, assert_small
+):
     scene = random_scene(4, 20, 20, 12, dtype=torch.float32)
     camera_z = torch.tensor([[0.0, 0.0, 2.0]])
     wall = torch.cat([torch.rand(20, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(20, 1)], dim=1)
@@ -143,7 +116,7 @@ def test_needles_keep_their_alpha(rasterize) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(rasterize, random_scene, n):
+def test_an_empty_view_shows_the_background(rasterize, random_scene, n, render_and_differentiate):
     scene = random_scene(0, n, 20, 12, dtype=torch.float32)
     behind = scene.tensors["means"] - 100 * scene.viewmat[2, :3]
     scene = replace(scene, tensors=scene.tensors | {"means": behind})
@@ -174,7 +147,9 @@ def test_a_gaussian_without_a_usable_size_is_left_out(rasterize, size: float) ->
 # --- the same bits, and what callers hand over
 
 
-def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(rasterize, random_scene):
+def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(
+    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
+):
     first, second = (random_scene(seed, 6, 20, 12, torch.float32).with_leaves() for seed in (12, 13))
     expected = render_and_differentiate(rasterize, first), render_and_differentiate(rasterize, second)
     rasters = [scene.render(rasterize) for scene in (first, second)]
@@ -185,7 +160,9 @@ def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(rasterize,
         assert_same_bits((outputs, {name: tensor.grad for name, tensor in scene.tensors.items()}), result)
 
 
-def test_non_contiguous_inputs_and_cotangents(rasterize, random_scene):
+def test_non_contiguous_inputs_and_cotangents(
+    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
+):
     scene = random_scene(14, 10, 20, 12, torch.float32)
     strided = replace(
         scene,
@@ -203,14 +180,14 @@ def test_non_contiguous_inputs_and_cotangents(rasterize, random_scene):
     assert_same_bits(([*images_of(raster), raster.radii], grads), dense)
 
 
-def test_a_loss_on_one_image_only(rasterize, random_scene):
+def test_a_loss_on_one_image_only(rasterize, random_scene, render_and_differentiate):
     scene = random_scene(16, 10, 20, 12, torch.float32)
     _, grads = render_and_differentiate(rasterize, scene, lambda images: images[4].square().sum())
     assert grads["means"].any()
     assert not any(gradient.any() for name, gradient in grads.items() if name.startswith("rgb"))
 
 
-def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(rasterize, random_scene):
+def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(rasterize, random_scene, images_of):
     scene = random_scene(6, 10, 20, 12, torch.float32)
     zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(10, 2)})
     none = replace(scene, tensors=scene.tensors | {"means2d_offset": None}, viewmat=scene.viewmat.double())
@@ -218,7 +195,9 @@ def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(rasteri
         assert torch.equal(image, image_of_none)
 
 
-def test_many_tiles_are_numbered_by_wider_integers(rasterize, random_scene, monkeypatch):
+def test_many_tiles_are_numbered_by_wider_integers(
+    rasterize, random_scene, monkeypatch, render_and_differentiate, assert_same_bits
+):
     from mrgs.rasterizer.gpu import rasterize as function
 
     scene = random_scene(7, 10, 20, 12, torch.float32)
@@ -288,12 +267,14 @@ def test_crowded_scenes(rasterize, random_scene, compare_with_oracle, modalities
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("seed", range(20))
-def test_more_random_scenes(rasterize, random_scene, compare_with_oracle, seed):
+def test_more_random_scenes(rasterize, random_scene, compare_with_oracle, seed, assert_small):
     assert_small(compare_with_oracle(rasterize, random_scene(seed, 60, dtype=torch.float32), seed=seed))
 
 
 @pytest.mark.gpu
-def test_many_gaussians_give_the_same_bits_on_every_run(rasterize, random_scene):
+def test_many_gaussians_give_the_same_bits_on_every_run(
+    rasterize, random_scene, render_and_differentiate, assert_same_bits
+):
     scene = random_scene(8, 50_000, 1280, 720, torch.float32)
     scene = replace(scene, tensors=scene.tensors | {"scales": 0.05 * scene.tensors["scales"]})
     assert_same_bits(render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene))
