@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from benchmarks import workload
+from benchmarks.gpu_failure import failure
 from benchmarks.gpu_plan import Plan
 from benchmarks.gpu_workload import RandomScene, photos_on, random_scene, state_on
 from mrgs.field import nearest_neighbours
@@ -31,25 +33,41 @@ DSSIM = 0.2
 EXTENT = 5.0
 
 Finding = dict[str, Any]
-"""What was compared ("of"), the error and its limit."""
+"""What was compared ("of"), the error and its limit; or why there is none ("skipped" or "failed")."""
+
+Comparison = Callable[[], Iterator[Finding]]
 
 
 def findings(device: torch.device, plan: Plan) -> Iterator[Finding]:
-    """One comparison after the other."""
+    """One comparison after the other; one that fails says so and leaves the others alone."""
+    for name, compare in comparisons(device, plan):
+        yield from _attempt(name, compare)
+
+
+def _attempt(name: str, compare: Comparison) -> Iterator[Finding]:
+    try:
+        yield from compare()
+    except Exception as error:
+        yield {"of": name, **failure(error)}
+
+
+def comparisons(device: torch.device, plan: Plan) -> Iterator[tuple[str, Comparison]]:
+    """All of them by name."""
     for scene in scenes(plan):
-        yield from compare_rasterizer(scene, device)
+        yield f"rasterizer: {scene}", partial(compare_rasterizer, scene, device)
     _, width, height = plan.largest_scene
     for masked in (False, True):
-        yield from compare_losses(device, width, height, masked)
+        for case in loss_cases(width, height, masked):
+            yield case.title, partial(compare_loss, case, device)
     for count in plan.neighbours:
-        yield compare_neighbours(device, count)
+        yield f"neighbours among {count:,}", partial(compare_neighbours, device, count)
     for method in plan.methods:
-        yield compare_step(device, method, plan)
+        yield f"losses of three steps, {method}", partial(compare_step, device, method, plan)
 
 
 def ok(finding: Finding) -> bool:
-    """Whether the error is within its limit; NaN is not."""
-    return bool(finding["error"] <= finding["limit"])
+    """Whether the error is within its limit, which NaN is not; a comparison that found no room is not wrong."""
+    return "skipped" in finding or ("failed" not in finding and bool(finding["error"] <= finding["limit"]))
 
 
 def scenes(plan: Plan) -> Iterator[RandomScene]:
@@ -107,8 +125,18 @@ def relative(value: Tensor, truth: Tensor) -> float:
 Loss = Callable[..., Tensor]
 
 
-def compare_losses(device: torch.device, width: int, height: int, masked: bool) -> Iterator[Finding]:
-    """Photometric, smoothness and radiation loss with their gradients, beside their equations in plain torch."""
+class LossCase(NamedTuple):
+    """A loss, its equation in plain torch, and what both are given."""
+
+    title: str
+    loss: Loss
+    truth: Loss
+    tensors: list[Tensor]
+    valid: Tensor | None
+
+
+def loss_cases(width: int, height: int, masked: bool) -> Iterator[LossCase]:
+    """Photometric, smoothness and radiation loss of random images."""
     generator = torch.Generator().manual_seed(11)
 
     def noise(*shape: int) -> Tensor:
@@ -129,12 +157,16 @@ def compare_losses(device: torch.device, width: int, height: int, masked: bool) 
         ("L_boltz", boltzmann_loss, boltzmann_truth, [thermal, radiation, uncertainty]),
     )
     for name, loss, truth, tensors in cases:
-        title = f"{name}, masked" if masked else name
-        values = _value_and_gradients(loss, tensors, valid, device, torch.float32)
-        true_values = _value_and_gradients(truth, tensors, valid, device, torch.float64)
-        errors = [relative(value, true) for value, true in zip(values, true_values, strict=True)]
-        yield {"of": f"{title}: value", "error": errors[0], "limit": GRADIENT_ERROR_MAX}
-        yield {"of": f"{title}: gradients", "error": _largest(errors[1:]), "limit": GRADIENT_ERROR_MAX}
+        yield LossCase(f"{name}, masked" if masked else name, loss, truth, tensors, valid)
+
+
+def compare_loss(case: LossCase, device: torch.device) -> Iterator[Finding]:
+    """The loss and its gradients beside those of its equation."""
+    values = _value_and_gradients(case.loss, case.tensors, case.valid, device, torch.float32)
+    true_values = _value_and_gradients(case.truth, case.tensors, case.valid, device, torch.float64)
+    errors = [relative(value, true) for value, true in zip(values, true_values, strict=True)]
+    yield {"of": f"{case.title}: value", "error": errors[0], "limit": GRADIENT_ERROR_MAX}
+    yield {"of": f"{case.title}: gradients", "error": _largest(errors[1:]), "limit": GRADIENT_ERROR_MAX}
 
 
 def _largest(errors: list[float]) -> float:
@@ -176,7 +208,7 @@ def boltzmann_truth(thermal: Tensor, radiation: Tensor, uncertainty: Tensor, val
     return masked_mean(dissimilarity / uncertainty.exp() + uncertainty, valid)
 
 
-def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Finding:
+def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Iterator[Finding]:
     """The distances to the found neighbours beside those of all pairs; which of two equally far ones may differ."""
     means = torch.randn(count, 3, generator=torch.Generator().manual_seed(count)).to(device)
     found = nearest_neighbours(means, k)
@@ -189,10 +221,10 @@ def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Finding:
         missing = k - nearest.shape[1]  # where fewer others exist, the Gaussian itself
         nearest = torch.cat([nearest, nearest.new_zeros(len(rows), missing)], dim=1)
         largest = max(largest, (distances - nearest).abs().max().item())
-    return {"of": f"distances to {k} neighbours among {count:,}", "error": largest, "limit": 1e-6}
+    yield {"of": f"distances to {k} neighbours among {count:,}", "error": largest, "limit": 1e-6}
 
 
-def compare_step(device: torch.device, method: str, plan: Plan) -> Finding:
+def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Finding]:
     """The losses of three steps beside those on the CPU, whose kernels have their own tests."""
     count, width, height = (min(value, most) for value, most in zip(plan.step_size, (2_000, 96, 64), strict=True))
     config = make_config(method, "paper")
@@ -205,4 +237,4 @@ def compare_step(device: torch.device, method: str, plan: Plan) -> Finding:
         )
         steps = [training_step(state, view, 0, photos, config, workload.SCALE) for _ in range(3)]
         losses.append(torch.tensor([float(step.loss) for step in steps], dtype=torch.float64))
-    return {"of": f"losses of three steps, {method}", "error": relative(losses[1], losses[0]), "limit": 1e-3}
+    yield {"of": f"losses of three steps, {method}", "error": relative(losses[1], losses[0]), "limit": 1e-3}

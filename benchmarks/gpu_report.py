@@ -59,6 +59,11 @@ def _size(row: dict[str, Any]) -> str:
     return f"{row['gaussians']:,}, {row['width']}×{row['height']}"
 
 
+def _missing(row: dict[str, Any]) -> str:
+    """Why a row has no result, for a table's cell."""
+    return row["skipped"] if "skipped" in row else f"**failed**: {row['failed']}".replace("|", "\\|")
+
+
 def spread(times: dict[str, Any]) -> str:
     """A median with its quartiles."""
     digits = 3 if times["median_ms"] < 1 else 2 if times["median_ms"] < 100 else 0
@@ -81,7 +86,7 @@ def _waits(rows: Rows) -> str:
 
 def _correctness(rows: Rows, _: Rows) -> str:
     worst: dict[str, dict[str, Any]] = {}
-    for row in rows:
+    for row in (row for row in rows if "error" in row):
         if row["of"] not in worst or (worst[row["of"]]["ok"], -worst[row["of"]]["error"]) > (row["ok"], -row["error"]):
             worst[row["of"]] = row
     counts = {name: sum(row["of"] == name for row in rows) for name in worst}
@@ -89,14 +94,15 @@ def _correctness(rows: Rows, _: Rows) -> str:
         [name, str(counts[name]), f"{row['error']:.1e}", f"{row['limit']:.0e}", "" if row["ok"] else "**wrong**"]
         for name, row in worst.items()
     ]
+    lines += [[row["of"], "1", "", "", _missing(row)] for row in rows if "error" not in row]
     return table(["", "cases", "largest error", "limit", ""], lines)
 
 
 def _rasterizer(rows: Rows, device: Rows) -> str:
     lines = []
     for row in rows:
-        if "skipped" in row:
-            lines.append([_size(row), row["skipped"], "", "", "", ""])
+        if "times" not in row:
+            lines.append([_size(row), _missing(row), "", "", "", ""])
             continue
         floor = 1e3 * row["least_bytes"] / device[0]["copy_bytes_per_s"] if device else None
         waits = sum(row["host_waits"].values())
@@ -112,8 +118,8 @@ def _gsplat(rows: Rows, _: Rows) -> str:
     versions = [row["gsplat"] for row in rows if "gsplat" in row]
     lines = []
     for row in (row for row in rows if "gaussians" in row):
-        if "skipped" in row:
-            lines.append([_size(row), row["skipped"], "", "", "", "", ""])
+        if "times" not in row:
+            lines.append([_size(row), _missing(row), "", "", "", "", ""])
             continue
         for direction, times in row["times"].items():
             ours = times["mrgs"]["median_ms"]
@@ -129,8 +135,8 @@ def _gsplat(rows: Rows, _: Rows) -> str:
 
 def _step(rows: Rows, _: Rows) -> str:
     lines = [
-        [row["method"], _size(row), row["skipped"], "", "", ""]
-        if "skipped" in row
+        [row["method"], _size(row), _missing(row), "", "", ""]
+        if "times" not in row
         else [row["method"], _size(row), spread(row["times"]["step"]), f"{row['steps_per_s']:.0f}",
               _memory(row["peak_bytes"]), str(sum(row["host_waits"].values()))]
         for row in rows

@@ -97,6 +97,11 @@ class RandomScene:
     antialiased: bool
     modalities: tuple[str, ...]
 
+    def __str__(self) -> str:
+        smoothed = ", antialiased" if self.antialiased else ""
+        size = f"{len(self.tensors['means']):,} Gaussians, {self.width}×{self.height}"
+        return f"{size}, {' and '.join(self.modalities)}{smoothed}"
+
     def to(self, device: torch.device, dtype: torch.dtype) -> RandomScene:
         """The same numbers as leaves that ask for a gradient."""
         tensors = {name: t.detach().to(device, dtype).requires_grad_() for name, t in self.tensors.items()}

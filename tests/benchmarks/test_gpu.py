@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -14,19 +15,18 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from benchmarks.gpu_plan import FULL, PARTS, TRIAL
-from benchmarks.gpu_report import spread, to_markdown
+from benchmarks.gpu_plan import FULL, TRIAL
 from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
 from benchmarks.plan import ONE_RUN, Effort
 
-from benchmarks import gpu, gpu_correctness, gpu_stages, gpu_timing, gpu_workload
+from benchmarks import gpu, gpu_correctness, gpu_gsplat, gpu_stages, gpu_timing, gpu_workload
 from mrgs.training.config import make_config
 
 CPU = torch.device("cpu")
 
 
 def rows_of(part: str) -> list[dict]:
-    return list(gpu_stages.PARTS[part](gpu_stages.Order(TRIAL, CPU, time.time() + 60)))
+    return list(gpu_stages.PARTS[part](gpu_stages.Order(TRIAL, CPU, time.time() + 600)))
 
 
 def test_runs_take_turns_and_every_other_round_goes_backwards():
@@ -111,7 +111,8 @@ def test_nan_is_wrong_and_a_wrong_neighbour_is_found(monkeypatch):
     assert not gpu_correctness.ok({"error": math.nan, "limit": 1})
     assert gpu_correctness.ok({"error": 0.0, "limit": 0})
     monkeypatch.setattr(gpu_correctness, "nearest_neighbours", lambda means, k: torch.zeros(len(means), k).long())
-    assert not gpu_correctness.ok(gpu_correctness.compare_neighbours(CPU, 50))
+    (found,) = gpu_correctness.compare_neighbours(CPU, 50)
+    assert not gpu_correctness.ok(found)
 
 
 def test_sizes_are_measured_with_the_least_bytes_they_move():
@@ -121,16 +122,76 @@ def test_sizes_are_measured_with_the_least_bytes_they_move():
     assert row["least_bytes"] == 2 * 4 * (300 * 16 + 64 * 48 * 8)  # 16 numbers per Gaussian, 8 per pixel
 
 
-def test_a_size_that_does_not_fit_is_skipped():
-    def measure() -> dict:
-        raise torch.cuda.OutOfMemoryError("no")
+def raising(error: Exception):
+    def run(*_, **__):
+        raise error
 
+    return run
+
+
+def test_a_size_that_does_not_fit_is_skipped():
     expected = {"gaussians": 1, "width": 2, "height": 3, "skipped": "out of memory"}
-    assert gpu_stages._sized((1, 2, 3), measure) == expected
+    assert gpu_stages._sized((1, 2, 3), raising(torch.cuda.OutOfMemoryError("no"))) == expected
+
+
+def test_a_size_that_fails_leaves_the_others_alone(monkeypatch):
+    def compare(clock, size, *_):
+        if size[0] == 1:
+            raise RuntimeError("CUDA error: invalid argument\nCompile with X to enable assertions.")
+        return {"times": {}}
+
+    monkeypatch.setattr(gpu_gsplat, "build", lambda: "1.5.3")
+    monkeypatch.setattr(gpu_stages, "_compare", compare)
+    plan = dataclasses.replace(TRIAL, sizes=((1, 8, 8), (2, 8, 8)))
+    version, failed, measured = gpu_stages.beside_gsplat(gpu_stages.Order(plan, CPU, 0))
+    assert version == {"gsplat": "1.5.3"}
+    assert failed["failed"] == "RuntimeError: CUDA error: invalid argument … Compile with X to enable assertions."
+    assert "in compare" in failed["traceback"]
+    assert measured == {"gaussians": 2, "width": 8, "height": 8, "times": {}}
+
+
+def test_a_comparison_that_fails_is_wrong_and_one_without_room_is_not(monkeypatch):
+    monkeypatch.setattr(gpu_correctness, "compare_rasterizer", raising(torch.cuda.OutOfMemoryError("no")))
+    monkeypatch.setattr(gpu_correctness, "compare_neighbours", raising(ValueError()))
+    rows = rows_of("correctness")
+    skipped, failed = ([row for row in rows if kind in row] for kind in ("skipped", "failed"))
+    assert {row["skipped"] for row in skipped} == {"out of memory"}
+    assert skipped[0]["of"] == "rasterizer: 0 Gaussians, 7×6, rgb and thermal"
+    assert [(row["of"], row["failed"]) for row in failed] == [
+        ("neighbours among 3", "ValueError"),
+        ("neighbours among 100", "ValueError"),
+    ]
+    assert len(skipped) == TRIAL.scenes
+    assert [row for row in rows if not row["ok"]] == failed
+    assert rows[-1]["of"] == "losses of three steps, mrgs-plus"
+    assert gpu.is_bad({"parts": {"correctness": {"rows": failed}}})
+    assert not gpu.is_bad({"parts": {"correctness": {"rows": skipped}}})
+
+
+def test_a_size_that_fails_ends_with_status_1():
+    assert gpu.is_bad({"parts": {"gsplat": {"rows": [{"gaussians": 1, "failed": "ValueError"}]}}})
 
 
 def test_whole_steps_of_both_methods():
     assert [(row["method"], row["steps_per_s"] > 0) for row in rows_of("step")] == [("mrgs", True), ("mrgs-plus", True)]
+
+
+@pytest.mark.parametrize(
+    ("effort", "expected"),
+    [
+        (Effort(runs=300, seconds=60, fewest=1, warm_up=0), 200),
+        (Effort(runs=30, seconds=60, fewest=1, warm_up=0), 30),
+        (Effort(runs=30, seconds=0, fewest=5, warm_up=0), 5),
+    ],
+)
+def test_steps_per_second_come_from_many_steps(effort, expected):
+    runs = []
+    assert gpu_stages._per_second(Clock(CPU), lambda: runs.append(1), effort) > 0
+    assert len(runs) == expected
+
+
+def test_the_training_begins_only_if_time_for_the_scoring_is_left():
+    assert gpu.LEAST_SECONDS["training"] > gpu_stages.EVALUATION_S
 
 
 def test_the_full_run_trains_with_the_schedule_of_the_paper():
@@ -219,32 +280,6 @@ def test_without_a_gpu_nothing_is_measured_and_the_remedy_is_told(tmp_path):
     assert "DeviceError: " in (tmp_path / "gpu.md").read_text()
 
 
-def build_with(monkeypatch, command: str) -> gpu.GsplatBuild:
-    """The build, replaced by a command of its own."""
-    start = subprocess.Popen
-    monkeypatch.setattr(gpu.subprocess, "Popen", lambda _, **options: start([sys.executable, "-c", command], **options))
-    return gpu.GsplatBuild(None)
-
-
-@pytest.mark.parametrize(
-    ("command", "reason"),
-    [
-        ("raise ImportError('no CUDA compiler')", "gsplat cannot be used (ImportError: no CUDA compiler)"),
-        ("pass", None),
-    ],
-)
-def test_gsplat_that_cannot_be_built_is_left_out_with_the_reason(monkeypatch, command, reason):
-    with build_with(monkeypatch, command) as build:
-        assert build.wait(60) == reason
-
-
-@pytest.mark.skipif(not hasattr(os, "killpg"), reason="POSIX alone")
-def test_a_build_that_takes_too_long_is_ended(monkeypatch):
-    with build_with(monkeypatch, "import time; time.sleep(600)") as build:
-        assert build.wait(0).startswith("gsplat's kernels were not built in time")
-    assert build._process.returncode != 0
-
-
 def test_a_wheel_is_unpacked_once_and_found_by_the_children(monkeypatch, tmp_path):
     monkeypatch.setattr(gpu.tempfile, "gettempdir", lambda: str(tmp_path))
     wheel = tmp_path / "gsplat-1.5.3-py3-none-any.whl"
@@ -276,59 +311,6 @@ def test_parts_run_without_what_a_bare_machine_lacks(tmp_path):
     parts = json.loads((tmp_path / "out" / "gpu.json").read_text())["parts"]
     assert "skipped" not in parts["rasterizer"]
     assert parts["device"]["rows"][0]["device"] == "cpu"
-
-
-def test_a_median_comes_with_its_quartiles():
-    assert spread({"median_ms": 0.5, "q1_ms": 0.4, "q3_ms": 0.625}) == "0.500 (0.400–0.625)"
-    assert spread({"median_ms": 1234.5, "q1_ms": 1000, "q3_ms": 2000}) == "1,234 (1,000–2,000)"
-
-
-def sample(times: tuple[str, ...]) -> dict:
-    return {name: {"median_ms": 2.0, "q1_ms": 1.5, "q3_ms": 3.0} for name in times}
-
-
-def test_the_report_of_a_gpu():
-    size = {"gaussians": 50_000, "width": 640, "height": 480}
-    both = ("forward", "forward + backward")
-    ways = {"mrgs": 2.0, "two passes": 3.0, "shared projection": 2.5}
-    compared = {n: {"median_ms": ms, "q1_ms": ms, "q3_ms": ms} for n, ms in ways.items()}
-    waits = {"mrgs/rasterizer/gpu.py:7": 1}
-    device = {
-        "device": "A GPU", "capability": "9.0", "multiprocessors": 132, "memory_bytes": 2**37, "cuda": "13.0",
-        "triton": "3.6.0", "torch": "2.11", "python": "3.12", "copy_bytes_per_s": 4e12,
-        "float32_operations_per_s": 5e13, "launch_s": 4e-6,
-    }  # fmt: skip
-    timed = {"times": sample(both), "peak_bytes": 10**8, "least_bytes": 4 * 10**8, "host_waits": waits}
-    step = {"times": sample(("step",)), "peak_bytes": 10**9, "host_waits": waits, "steps_per_s": 161.4}
-    trained = {"steps": 9_000, "of_steps": 30_000, "seconds": 90, "steps_per_s": 100, "gaussians": 47_000}
-    rows = {
-        "device": [device],
-        "correctness": [{"of": "image", "error": e, "limit": 1e-4, "ok": e < 1e-4} for e in (1e-6, 2e-6)],
-        "gsplat": [
-            {"gsplat": "1.5.3"},
-            {**size, "times": dict.fromkeys(both, compared), "mean_difference": {"two passes": 1e-6}},
-        ],
-        "rasterizer": [{**size, **timed}, {**size, "skipped": "out of memory"}],
-        "step": [{"method": "mrgs", **size, **step}],
-        "training": [{**trained, "peak_bytes": 10**9}, {"metrics": {"rgb psnr": 31.25}}],
-    }
-    text = to_markdown({"plan": "full", "seconds": 400, "parts": {name: {"rows": part} for name, part in rows.items()}})
-    assert "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, CUDA 13.0, Triton 3.6.0" in text
-    assert "4,000 GB/s" in text
-    assert "| image | 2 | 2.0e-06 | 1e-04 |  |" in text
-    assert "| 3.00 (3.00–3.00) | 2.50 (2.50–2.50) | 1.50 | 1.25 |" in text
-    assert "| 2.00 (1.50–3.00) | 0.100 | 100 | 1 |" in text
-    assert "out of memory" in text
-    assert "- mrgs: the host waits 1× at mrgs/rasterizer/gpu.py:7" in text
-    assert "9,000 of 30,000 steps, stopped when the time was up, in 90 s with" in text
-    assert "| rgb psnr | 31.25 |" in text
-
-
-def test_the_report_names_what_is_missing():
-    parts = {name: {"skipped": "no time"} for name in ("device", *PARTS)}
-    text = to_markdown({"plan": "quick", "seconds": 1, "parts": parts})
-    assert text.count("Skipped: no time.") == len(PARTS)
-    assert "The device could not be examined: no time." in text
 
 
 def test_one_run_is_enough_for_a_summary():
