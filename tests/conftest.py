@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 import os
+import warnings
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded: spinning threads starve each other
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nor do small matrices gain by threads
@@ -17,6 +21,9 @@ import torch
 from hypothesis import settings
 from jaxtyping import install_import_hook
 from PIL import Image
+
+if TYPE_CHECKING:
+    from mrgs.scene import Pixels
 
 if not torch.cuda.is_available():
     os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is loaded: its kernels then run on CPU tensors
@@ -45,8 +52,10 @@ def _checked_modules() -> list[str]:
     return [name for name in sorted(names) if not name.startswith(UNCHECKED)]
 
 
-# Shapes and types stand in the signatures and are checked in the tests alone. An int counts as a float (PEP 484).
-install_import_hook(_checked_modules(), "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+# Shapes and types stand in the signatures and are checked in the tests alone, if beartype is there: a machine lent for
+# its GPU may lack it. An int counts as a float (PEP 484).
+if importlib.util.find_spec("beartype") is not None:
+    install_import_hook(_checked_modules(), "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 # The same examples on every machine, and no verdict from how busy it is.
 settings.register_profile("mrgs", deadline=None, derandomize=True)
@@ -84,6 +93,48 @@ def gpu_device() -> Iterator[str]:
 
     with gpu.interpreted():
         yield "cpu"
+
+
+@contextmanager
+def sync_debug_mode(mode: str) -> Iterator[None]:
+    """torch tells of what makes the host wait for the GPU: "warn" or "error". Its notice that it may miss some is not
+    an error."""
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype feature", UserWarning)
+            torch.cuda.set_sync_debug_mode(mode)
+        yield
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.fixture
+def telling_of_waits() -> Callable[[str], AbstractContextManager[None]]:
+    """``with telling_of_waits("error"):``, for a real GPU."""
+    return sync_debug_mode
+
+
+class CountingImage:
+    """A float image of 4×5×1 (80 bytes), with a mask of 20 bytes if asked for, which counts how often it is read."""
+
+    def __init__(self, masked: bool = False) -> None:
+        from mrgs.scene import Camera, PosedImage
+
+        self.reads = 0
+        self._valid = torch.ones(4, 5, dtype=torch.bool) if masked else None
+        camera = Camera(torch.eye(3, dtype=torch.float64), torch.eye(4, dtype=torch.float64), 5, 4)
+        self.posed = PosedImage(camera, self._read)
+
+    def _read(self) -> Pixels:
+        from mrgs.scene import Pixels
+
+        self.reads += 1
+        return Pixels(torch.full((4, 5, 1), 0.5), self._valid)
+
+
+@pytest.fixture(scope="session")
+def counting_image() -> type[CountingImage]:
+    return CountingImage
 
 
 WIDTH, HEIGHT = 40, 30

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -14,8 +15,13 @@ choose_device = gpu.choose_device  # before the tests' own, which takes the CPU 
 
 
 @pytest.fixture
-def machine(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
     """A machine with a GPU on which everything is right."""
+    (tmp_path / "Python.h").touch()
+    monkeypatch.setattr(gpu.sysconfig, "get_default_scheme", lambda: "venv")
+    monkeypatch.setattr(gpu.sysconfig, "get_paths", lambda scheme: {"include": str(tmp_path)})
+    monkeypatch.delenv("CPATH", raising=False)
+    monkeypatch.delenv("C_INCLUDE_PATH", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(torch.version, "cuda", "12.8")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
@@ -80,6 +86,22 @@ def without_compiler(machine: pytest.MonkeyPatch) -> str:
     return "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or name one in CC"
 
 
+def without_headers(machine: pytest.MonkeyPatch) -> str:
+    machine.setattr(gpu.sysconfig, "get_paths", lambda scheme: {"include": "/nowhere"})
+    return (
+        f"Triton needs Python's C headers, once, to start its kernels, but there is no {Path('/nowhere/Python.h')}: "
+        "install python3-dev (python3-devel on Fedora)"
+    )
+
+
+def with_gpu_that_does_not_start(machine: pytest.MonkeyPatch) -> str:
+    def capability() -> tuple[int, int]:
+        raise RuntimeError("CUDA error: initialization error\nCUDA kernel errors might be reported later\n")
+
+    machine.setattr(torch.cuda, "get_device_capability", capability)
+    return "the GPU cannot be started: CUDA error: initialization error"
+
+
 def fail(machine: pytest.MonkeyPatch, reason: str) -> None:
     """CUDA does not start."""
 
@@ -92,7 +114,7 @@ def fail(machine: pytest.MonkeyPatch, reason: str) -> None:
 
 OBSTACLES = [
     without_driver, with_old_driver, with_hidden_gpu, with_cpu_torch, with_cpu_torch_on_windows, with_old_gpu,
-    without_triton, without_triton_on_windows, without_compiler,
+    without_triton, without_triton_on_windows, without_compiler, without_headers, with_gpu_that_does_not_start,
 ]  # fmt: skip
 
 
@@ -119,6 +141,26 @@ def test_auto_is_quiet_where_there_is_no_gpu(obstacle, machine):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert choose_device("auto") == torch.device("cpu")
+
+
+def test_headers_are_looked_for_where_triton_does_on_debian(machine, tmp_path):
+    folders = {"posix_local": "/usr/local/include", "posix_prefix": str(tmp_path)}
+    machine.setattr(gpu.sysconfig, "get_default_scheme", lambda: "posix_local")
+    machine.setattr(gpu.sysconfig, "get_paths", lambda scheme: {"include": folders[scheme]})
+    assert choose_device("cuda").type == "cuda"
+
+
+@pytest.mark.parametrize("name", ["CPATH", "C_INCLUDE_PATH"])
+def test_headers_may_be_where_the_compiler_is_told(name, machine, tmp_path):
+    without_headers(machine)
+    machine.setenv(name, f"/elsewhere{os.pathsep}{tmp_path}")
+    assert choose_device("cuda").type == "cuda"
+
+
+def test_on_windows_triton_brings_its_own_headers(machine):
+    without_headers(machine)
+    machine.setattr(sys, "platform", "win32")
+    assert choose_device("cuda").type == "cuda"
 
 
 def test_there_is_no_cuda_on_a_mac(machine):

@@ -10,6 +10,7 @@ import importlib.util
 import os
 import shutil
 import sys
+import sysconfig
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -117,7 +118,11 @@ def _driver_obstacle() -> str | None:
 
 
 def _capability_obstacle() -> str | None:
-    found = torch.cuda.get_device_capability()
+    try:
+        found = torch.cuda.get_device_capability()  # starts CUDA; that a GPU is visible does not say that it starts
+    except (RuntimeError, AssertionError, torch.cuda.DeferredCudaCallError) as error:
+        reason = str(error).partition("\n")[0]
+        return f"the GPU cannot be started: {reason}"
     if found >= OLDEST_CAPABILITY:
         return None
     oldest = ".".join(map(str, OLDEST_CAPABILITY))
@@ -134,7 +139,21 @@ def _triton_obstacle() -> str | None:
         return "Triton is missing: pip install triton"
     if not (os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang") or sys.platform == "win32"):
         return "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or name one in CC"
+    if not (sys.platform == "win32" or any((folder / "Python.h").exists() for folder in _header_folders())):
+        return (
+            "Triton needs Python's C headers, once, to start its kernels, but there is no "
+            f"{_header_folders()[0] / 'Python.h'}: install python3-dev (python3-devel on Fedora)"
+        )
     return None
+
+
+def _header_folders() -> list[Path]:
+    """Where Python.h is looked for when Triton compiles: its own choice first, then what a C compiler is told."""
+    scheme = sysconfig.get_default_scheme()
+    if scheme == "posix_local":  # Debian's, which names a folder below /usr/local that holds no headers
+        scheme = "posix_prefix"
+    told = [os.environ.get(name, "").split(os.pathsep) for name in ("CPATH", "C_INCLUDE_PATH")]
+    return [Path(sysconfig.get_paths(scheme)["include"]), *(Path(folder) for each in told for folder in each if folder)]
 
 
 @lru_cache(maxsize=1)

@@ -119,14 +119,11 @@ def test_the_field_does_not_make_the_host_wait(config, picks):
 
 
 @pytest.mark.gpu
-def test_many_points_and_no_round_trip():
+def test_many_points_and_no_round_trip(telling_of_waits):
     means = torch.randn(200_000, 3, generator=torch.Generator().manual_seed(0))
     on_device = means.to("cuda")
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with telling_of_waits("error"):
         found = nearest_neighbours(on_device, 8)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
     expected = torch.from_numpy(cKDTree(means.double().numpy()).query(means.double().numpy(), k=9)[0][:, 1:])
     distances = (means.double()[found.cpu()] - means.double()[:, None]).norm(dim=2)
     torch.testing.assert_close(distances, expected, rtol=1e-6, atol=0)

@@ -26,7 +26,7 @@ from mrgs.training import densification, dissimilarity, radiation
 from mrgs.training import step as step_module
 from mrgs.training.image_model import ImageModelConfig
 from mrgs.training.relocation import RelocationConfig
-from mrgs.training.step import training_step
+from mrgs.training.step import explore_means, training_step
 from mrgs.training.terms import Photos, SceneScale
 from mrgs.training.trainer import initial_state
 
@@ -148,7 +148,13 @@ def start(small_scene, make_short_config):
                 valid = torch.ones(6, 8, dtype=torch.bool)
                 valid[2:4, 1:5] = False
                 rgb, thermal = (replace(pixels, valid=valid) for pixels in (rgb, thermal))
-            return lambda: training_step(state, view, number, Photos(rgb, thermal, True), config, scale)
+
+            def step() -> step_module.StepStatistics:
+                statistics = training_step(state, view, number, Photos(rgb, thermal, True), config, scale)
+                explore_means(state, config, scale.extent)
+                return statistics
+
+            return step
 
         return state, take
 
@@ -177,7 +183,7 @@ def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("method", METHODS)
-def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, make_short_config):
+def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, make_short_config, telling_of_waits):
     """The length of the rasterizer's list, and nothing else."""
     device = torch.device("cuda")
     config = make_short_config(method, sh_every=1)
@@ -188,13 +194,9 @@ def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, 
     photos, scale = Photos(*pixels, True), SceneScale(scene.extent, scene.temperature)
     for _ in range(2):
         training_step(state, view, 0, photos, config, scale)
-    torch.cuda.set_sync_debug_mode("warn")
-    try:
-        with pytest.warns(UserWarning, match="synchronizing") as caught:
-            training_step(state, view, 0, photos, config, scale)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
-    assert len([each for each in caught if "synchronizing" in str(each.message)]) == 1
+    with telling_of_waits("warn"), pytest.warns(UserWarning, match="called a synchronizing") as caught:
+        training_step(state, view, 0, photos, config, scale)
+    assert len([each for each in caught if "called a synchronizing" in str(each.message)]) == 1
 
 
 READERS: list[Callable[[torch.Tensor], Any]] = [
@@ -267,6 +269,7 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, make_short_config, 
     scale = SceneScale(scene.extent, scene.temperature)
     for number in (1, 2):
         statistics = training_step(state, view, 0, Photos(rgb, thermal, True), config, scale)
+        explore_means(state, config, scale.extent)
         assert statistics.step == number
         assert statistics._measured.device == device
     for name, tensor in snapshot(state).items():

@@ -206,7 +206,7 @@ def test_rodrigues_formula_is_the_matrix_exponential(angle):
 
 
 @pytest.mark.gpu
-def test_large_images_and_the_same_bits_again():
+def test_large_images_and_the_same_bits_again(telling_of_waits):
     render, target = image(480, 641, 3), image(480, 641, 3, seed=1)
     valid = image(480, 641, seed=2) > 0.1
     on_device = (target.to("cuda", torch.float32), valid.to("cuda"))
@@ -216,9 +216,6 @@ def test_large_images_and_the_same_bits_again():
 
     assert_same(loss, lambda render: losses._photometric_loss(render, target, valid, 0.2), [render], "cuda")
     found = render.to("cuda", torch.float32).requires_grad_()
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+    with telling_of_waits("error"):
         gradients = [torch.autograd.grad(loss(found), found)[0] for _ in range(2)]
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
     assert torch.equal(*gradients)

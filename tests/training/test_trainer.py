@@ -12,8 +12,13 @@ from mrgs.errors import DeviceError, RunError, SceneError, TrainingError
 from mrgs.render import render_view
 from mrgs.run import load_run
 from mrgs.training import METHODS, driver, step, train
+from mrgs.training import relocation as relocation_module
 from mrgs.training.checkpoint import load_facts, load_model
+from mrgs.training.densification import ScreenStatistics
+from mrgs.training.optimizer import GaussianOptimizer
+from mrgs.training.relocation import RelocationConfig
 from mrgs.training.run_folder import RunFolder
+from mrgs.training.views import PhotoCache
 
 
 def read_log(folder: RunFolder) -> list[dict]:
@@ -36,7 +41,14 @@ def eventful(make_short_config, method: str):
     """200 steps in which everything happens on both sides of step 100."""
     config = make_short_config(method, max_steps=200, sh_every=45, neighbours_every=35)
     schedule = replace(
-        config.densification, start=5, stop=190, every=25, reset_every=60, gradient_threshold=2e-5, clone_below=0.04
+        config.densification,
+        start=5,
+        stop=190,
+        every=25,
+        reset_every=60,
+        gradient_threshold=2e-5,
+        clone_below=0.04,
+        max_gaussians=2_000,
     )
     return replace(config, densification=schedule)
 
@@ -255,36 +267,63 @@ def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, make_shor
         train(small_scene, tmp_path / "run", make_short_config(), resume=True)
 
 
-def fill_memory(monkeypatch: pytest.MonkeyPatch, name: str, calls: set[int]) -> None:
-    """Let the GPU's memory be full in these calls of a function of the step, counted from 0."""
+def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls: set[int]) -> None:
+    """Let the GPU's memory be full in these calls of a module's or class's function, counted from 0."""
     count = iter(range(1_000_000))
-    original = getattr(step, name)
+    original = getattr(owner, name)
 
     def full(*args, **kwargs):
         if next(count) in calls:
             raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
         return original(*args, **kwargs)
 
-    monkeypatch.setattr(step, name, full)
+    monkeypatch.setattr(owner, name, full)
 
 
-@pytest.mark.parametrize(("name", "calls"), [("total_loss", {0, 7, 60}), ("densify", {0, 2})])
+RELOCATION = RelocationConfig(start=5, stop=70, every=20, noise=100.0)
+
+
+@pytest.mark.parametrize(
+    ("relocation", "owner", "name", "calls"),
+    [
+        (None, step, "total_loss", {0, 7, 60}),
+        (None, step, "_thermal_error", {0, 7, 60}),
+        (None, ScreenStatistics, "add", {0, 7, 60}),
+        (None, GaussianOptimizer, "step", {0, 7, 60}),
+        (None, PhotoCache, "fetch", {0, 7, 20}),
+        (None, step, "densify", {0, 2}),
+        (None, ScreenStatistics, "empty", {1, 3}),  # the first is that of the start
+        (RELOCATION, ScreenStatistics, "empty", {1, 3}),
+        (RELOCATION, relocation_module, "draw_normal", {0, 7, 60}),
+        (RELOCATION, step, "explore", {0, 7, 60}),
+    ],
+)
 def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
-    name, calls, small_scene, tmp_path, make_short_config, monkeypatch
+    relocation, owner, name, calls, small_scene, tmp_path, make_short_config, monkeypatch
 ):
-    config = replace(eventful(make_short_config, "mrgs"), max_steps=80)
+    config = replace(eventful(make_short_config, "mrgs"), max_steps=80, relocation=relocation)
     whole = train(small_scene, tmp_path / "whole", config)
-    fill_memory(monkeypatch, name, calls)
+    fill_memory(monkeypatch, owner, name, calls)
     folder = train(small_scene, tmp_path / "run", config)
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
+    assert len(expected["gaussians.means"]) != 25
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
+
+
+def test_photos_for_which_there_is_no_memory_are_not_fetched(small_scene, tmp_path, make_short_config, monkeypatch):
+    released = []
+    fill_memory(monkeypatch, PhotoCache, "fetch", {0})
+    monkeypatch.setattr(PhotoCache, "release", lambda self: released.append(self))
+    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: pytest.fail("the step itself had enough memory"))
+    train(small_scene, tmp_path / "run", make_short_config(max_steps=2))
+    assert len(released) == 1
 
 
 def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_path, make_short_config, monkeypatch):
     config = make_short_config(max_steps=20)
     whole = train(small_scene, tmp_path / "whole", config)
     with monkeypatch.context() as patch:
-        fill_memory(patch, "total_loss", {5, 6})
+        fill_memory(patch, step, "total_loss", {5, 6})
         with pytest.raises(TrainingError) as caught:
             train(small_scene, tmp_path / "run", config)
     kept = tmp_path / "run/checkpoints/step_000005.safetensors"
@@ -300,7 +339,7 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_pat
 def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
     small_scene, tmp_path, make_short_config, monkeypatch
 ):
-    fill_memory(monkeypatch, "total_loss", {0, 1})
+    fill_memory(monkeypatch, step, "total_loss", {0, 1})
     with pytest.raises(TrainingError) as caught:
         train(small_scene, tmp_path / "run", make_short_config())
     assert str(caught.value) == (
@@ -320,6 +359,19 @@ def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(small_scene, 
 def test_the_checkpoint_says_which_device_it_was(small_scene, tmp_path, make_short_config):
     folder = train(small_scene, tmp_path / "run", make_short_config(max_steps=1))
     assert load_facts(folder.newest_checkpoint()).device == "cpu"
+
+
+@pytest.mark.parametrize(("second", "expected"), [("cpu", 2**40), ("NVIDIA H200", 2**30)])
+def test_the_peak_of_memory_is_that_of_one_device(
+    second, expected, small_scene, tmp_path, make_short_config, monkeypatch
+):
+    config = make_short_config(max_steps=2)
+    for title, peak, stop_at in (("cpu", 2**40, 1), (second, 2**30, 2)):
+        monkeypatch.setattr(driver.gpu, "device_title", lambda device, title=title: title)
+        monkeypatch.setattr(driver, "peak_memory_bytes", lambda device, peak=peak: peak)
+        folder = train(small_scene, tmp_path / "run", config, resume=stop_at == 2, stop_at=stop_at)
+    facts = load_facts(folder.newest_checkpoint())
+    assert (facts.device, facts.peak_memory_bytes) == (second, expected)
 
 
 def test_steps_that_are_looked_at_later_are_counted_all_the_same(small_scene, tmp_path, make_short_config, monkeypatch):

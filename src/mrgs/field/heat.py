@@ -170,7 +170,8 @@ def refine(
     slope, level = projected[:, :-1], projected[:, -1]
     gradient = (slope.gather(0, near) - anchors[:, :-1]).sum(dim=1)
     flux = constants[0] - opacity * (gradient + constants[1])
-    # index_select and not level[near]: the backward of the latter adds in an order that changes.
+    # index_select and not level[near]: on a CPU the backward of the latter adds in an order that changes. On a GPU both
+    # do, because they add atomically; there the last bits of the gradients differ from run to run.
     surrounding = level.index_select(0, near.flatten()).unflatten(0, near.shape).mean(dim=1)
     return weights[0] * (anchors[:, -1] + flux) + weights[1] * surrounding + constants[2]
 

@@ -39,7 +39,8 @@ class CheckpointFacts(NamedTuple):
         capture: what the image model must know of the scene's photos.
         temperature: the scene's scale; None without known °C.
         train_seconds: time spent in training so far.
-        peak_memory_bytes: largest memory of the process so far; on a GPU that of its tensors.
+        peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU that of its
+            tensors there.
         skipped_steps: steps skipped so far because of values that were not finite.
         device: that of the last step: a GPU's name, or "cpu".
     """

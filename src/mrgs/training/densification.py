@@ -86,6 +86,15 @@ class ScreenStatistics:
         """Nothing seen yet, of ``count`` Gaussians."""
         return cls(torch.zeros(count, device=device), torch.zeros(count, device=device))
 
+    def copy(self) -> ScreenStatistics:
+        """The same numbers in memory of their own."""
+        return ScreenStatistics(self.gradient_sum.clone(), self.views.clone())
+
+    def clear(self) -> None:
+        """Forget what was seen."""
+        self.gradient_sum.zero_()
+        self.views.zero_()
+
     def add(self, passes: Sequence[ScreenPoints], good: Bool[Tensor, ""] | None = None) -> None:
         """Take the gradients of one view's passes, in units of half the image's size as 3DGS counts them.
 
@@ -132,8 +141,8 @@ def densify(
     """Clone small and split large Gaussians whose screen-space gradient is large; remove transparent ones.
 
     Args:
-        optimizer: holds the Gaussians; its rows change, so ``statistics`` must be started anew.
-        statistics: since the last event.
+        optimizer: holds the Gaussians; its rows change.
+        statistics: since the last event; started anew.
         config: thresholds and the cap.
         extent: of the scene.
         prunes_large: whether Gaussians above ``prune_above`` are removed too.
@@ -149,8 +158,18 @@ def densify(
     added_survives = ~_is_superfluous(added, config, extent, prunes_large)
     pruned = int((~survives).sum() + (~added_survives).sum())
     survives[split] = False
-    optimizer.replace_rows(survives.nonzero()[:, 0], _rows(added, added_survives.nonzero()[:, 0]))
+    kept, new = survives.nonzero()[:, 0], _rows(added, added_survives.nonzero()[:, 0])
+    replace_rows(optimizer, statistics, kept, new)
     return DensificationCounts(len(cloned), len(split), pruned)
+
+
+def replace_rows(
+    optimizer: GaussianOptimizer, statistics: ScreenStatistics, keep: Int64[Tensor, " k"], added: Gaussians
+) -> None:
+    """Keep these rows, append new ones, and start the statistics anew; nothing of it where memory does not suffice."""
+    empty = ScreenStatistics.empty(len(keep) + len(added), keep.device)
+    optimizer.replace_rows(keep, added)
+    statistics.gradient_sum, statistics.views = empty.gradient_sum, empty.views
 
 
 def _within_budget(gradients: Float[Tensor, " n"], config: DensificationConfig, count: int) -> Bool[Tensor, " n"]:

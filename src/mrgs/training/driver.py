@@ -150,12 +150,17 @@ class Driver(ABC, Generic[S]):
     def _seconds(self) -> float:
         return self._facts.train_seconds + time.perf_counter() - self._started
 
+    def _peak_memory_bytes(self) -> int:
+        """Of this process, or of one before it if the run was on this device there too."""
+        is_same = self._facts.device == gpu.device_title(self._device)
+        return max(self._facts.peak_memory_bytes if is_same else 0, peak_memory_bytes(self._device))
+
     def _save(self) -> None:
         self._look()
         facts = self._facts._replace(
             step=self._step_done,
             train_seconds=self._seconds(),
-            peak_memory_bytes=max(self._facts.peak_memory_bytes, peak_memory_bytes(self._device)),
+            peak_memory_bytes=self._peak_memory_bytes(),
             skipped_steps=self._skipped_steps,
             device=gpu.device_title(self._device),
         )

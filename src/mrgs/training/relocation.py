@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Gaussians
-from mrgs.training.densification import draw_normal, rotate
+from mrgs.training.densification import ScreenStatistics, draw_normal, replace_rows, rotate
 from mrgs.training.optimizer import GaussianOptimizer
 
 MOST_COPIES = 32
@@ -71,7 +71,12 @@ class RelocationCounts(NamedTuple):
 
 @torch.no_grad()
 def relocate(
-    optimizer: GaussianOptimizer, config: RelocationConfig, step: int, budget: int, generator: torch.Generator
+    optimizer: GaussianOptimizer,
+    config: RelocationConfig,
+    step: int,
+    budget: int,
+    generator: torch.Generator,
+    statistics: ScreenStatistics | None = None,
 ) -> RelocationCounts:
     """Move dead Gaussians to live ones and add new ones, so that the budget is reached geometrically by ``stop``.
 
@@ -81,6 +86,7 @@ def relocate(
         step: of the training.
         budget: largest number of Gaussians.
         generator: of the draws.
+        statistics: of the Gaussians, which are started anew where the rows change; None where there are none.
     """
     gaussians = optimizer.gaussians
     opacity = torch.maximum(gaussians.opacity_rgb, gaussians.opacity_thermal)
@@ -94,7 +100,8 @@ def relocate(
     drawn = torch.multinomial(opacity[alive].cpu(), dead + added, replacement=True, generator=generator).to(alive)
     copies = 1 + torch.bincount(drawn, minlength=len(alive))
     copied = copies > 1
-    optimizer.replace_rows(alive[~copied], _copies(gaussians, alive[copied], copies[copied]))
+    statistics = statistics or ScreenStatistics.empty(len(gaussians), alive.device)
+    replace_rows(optimizer, statistics, alive[~copied], _copies(gaussians, alive[copied], copies[copied]))
     return RelocationCounts(dead, added)
 
 
@@ -141,6 +148,8 @@ def explore(
     good: Bool[Tensor, ""] | None = None,
 ) -> None:
     """Add noise in the shape of each Gaussian to its mean, the less the more opaque it is.
+
+    The means move last: where a GPU's memory does not suffice, they are as they were.
 
     Args:
         gaussians: whose means are moved in place.

@@ -143,6 +143,8 @@ def training_step(
     """Render a view, compare it with its photos, move the parameters.
 
     On a GPU the host waits for nothing: whether a step counts is decided there, and the statistics tell it when asked.
+    Where its memory does not suffice nothing has moved yet, unless it was at the first step for Adam's moments, which
+    torch makes one parameter after another.
 
     Args:
         state: changed in place.
@@ -171,10 +173,10 @@ def training_step(
     loss.backward()
 
     good = are_finite(loss, state.gaussian_optimizer.gradients() + _layer_gradients(state))
-    state.skipped_in_a_row = (state.skipped_in_a_row + 1) * ~good
-    state.statistics.add(passes, good)
-    _move(state, config, scale.extent, good)
-    return StepStatistics(
+    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~good
+    screen_statistics = state.statistics.copy()
+    screen_statistics.add(passes, good)
+    measured = StepStatistics(
         step=state.step,
         loss=loss,
         terms=terms,
@@ -182,18 +184,31 @@ def training_step(
         gaussians=len(model.gaussians),
         skipped=~good,
     )
+    # Above is all that needs memory, so that a step for which it does not suffice can be repeated.
+    _move(state, config, good)
+    state.statistics, state.skipped_in_a_row = screen_statistics, skipped_in_a_row
+    return measured
 
 
-def _move(state: TrainingState, config: TrainConfig, extent: float, good: Bool[Tensor, ""]) -> None:
-    """Adam's step of all parameters, and the noise of relocation; nothing where the step is not good."""
+def _move(state: TrainingState, config: TrainConfig, good: Bool[Tensor, ""]) -> None:
+    """Adam's step of all parameters; nothing where the step is not good."""
     progress = state.step / config.max_steps
     state.gaussian_optimizer.step(progress, good)
     set_rates(state.layer_optimizer, config.optimizer.slowdown_at(progress))
     step_if(good, state.layer_optimizer)
     state.layer_optimizer.zero_grad(set_to_none=True)
-    if config.relocation is not None:
-        rate = config.optimizer.means_at(progress) * extent
-        explore(state.model.gaussians, rate, config.relocation, state.generator, good)
+
+
+def explore_means(state: TrainingState, config: TrainConfig, extent: float) -> None:
+    """The noise of relocation, where a run has it, after a step; nothing where the step was not good.
+
+    It depends on where the step has moved the Gaussians, and is apart from it so that each can be repeated alone where
+    a GPU's memory does not suffice.
+    """
+    if config.relocation is None:
+        return
+    rate = config.optimizer.means_at(state.step / config.max_steps) * extent
+    explore(state.model.gaussians, rate, config.relocation, state.generator, state.skipped_in_a_row == 0)
 
 
 def changes_density(config: TrainConfig, step: int) -> bool:
@@ -206,14 +221,17 @@ def changes_density(config: TrainConfig, step: int) -> bool:
 def control_density(
     state: TrainingState, config: TrainConfig, extent: float
 ) -> DensificationCounts | RelocationCounts | None:
-    """Add, remove or move Gaussians and reset opacities where the schedule says so; None if rows stay as they are."""
+    """Add, remove or move Gaussians and reset opacities where the schedule says so; None if rows stay as they are.
+
+    Where a GPU's memory does not suffice, nothing has changed.
+    """
     counts: DensificationCounts | RelocationCounts | None
     if config.relocation is not None:
         counts = _relocate(state, config.relocation, config.densification.max_gaussians)
     else:
         counts = _densify(state, config.densification, extent)
     if counts is not None:
-        state.statistics = ScreenStatistics.empty(len(state.model.gaussians), state.device)
+        state.statistics.clear()  # a relocation that finds nothing to move has not started them anew
         state.model.neighbours = None
     return counts
 
@@ -221,7 +239,7 @@ def control_density(
 def _relocate(state: TrainingState, schedule: RelocationConfig, budget: int) -> RelocationCounts | None:
     if not schedule.relocates_at(state.step):
         return None
-    return relocate(state.gaussian_optimizer, schedule, state.step, budget, state.generator)
+    return relocate(state.gaussian_optimizer, schedule, state.step, budget, state.generator, state.statistics)
 
 
 def _densify(state: TrainingState, schedule: DensificationConfig, extent: float) -> DensificationCounts | None:

@@ -18,15 +18,23 @@ from mrgs.scene import PosedImage, Scene, View
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
+from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
 from mrgs.training.image_model import Capture
 from mrgs.training.initialisation import initial_gaussians
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.start_points import start_points
-from mrgs.training.step import StepStatistics, TrainingState, changes_density, control_density, training_step
+from mrgs.training.step import (
+    StepStatistics,
+    TrainingState,
+    changes_density,
+    control_density,
+    explore_means,
+    training_step,
+)
 from mrgs.training.terms import Photos, SceneScale
-from mrgs.training.views import DevicePhotos, PhotoCache, Photographs
+from mrgs.training.views import PhotoCache, PhotoSource
 
 Result = TypeVar("Result")
 
@@ -153,7 +161,7 @@ class _Trainer(Driver[StepStatistics]):
         self._scene = scene
         self._config = config
         self._scale = SceneScale(scene.extent, scene.temperature)
-        self._photos: Photographs = PhotoCache() if device.type == "cpu" else DevicePhotos(device)
+        self._photos: PhotoSource = PhotoCache() if device.type == "cpu" else DevicePhotos(device)
         super().__init__(folder, facts, config.max_steps, config.checkpoint_every, device)
 
     @property
@@ -162,25 +170,39 @@ class _Trainer(Driver[StepStatistics]):
         return self._state.model
 
     def _take_step(self) -> StepStatistics:
-        statistics = self._with_enough_memory(self._move)
+        statistics = self._with_enough_memory(self._step_on_next_view)
+        self._with_enough_memory(self._explore)
+        self._fetch_next_view()
         if changes_density(self._config, statistics.step) and not statistics.skipped:
             self._with_enough_memory(self._control_density)
         return statistics
 
-    def _move(self) -> StepStatistics:
+    def _step_on_next_view(self) -> StepStatistics:
         state = self._state
         number = state.sampler.next()
         view = self._scene.train[number]
         rgb, thermal = (None if image is None else self._photos.load(image) for image in (view.rgb, view.thermal))
         photos = Photos(rgb, thermal, view.shares_camera)
-        statistics = training_step(state, view, number, photos, self._config, self._scale)
-        following = state.sampler.peek()
-        if following is not None:
+        return training_step(state, view, number, photos, self._config, self._scale)
+
+    def _explore(self) -> None:
+        explore_means(self._state, self._config, self._scale.extent)
+
+    def _fetch_next_view(self) -> None:
+        """Let its photos come ahead of their turn, if there is memory for them."""
+        following = self._state.sampler.peek()
+        if following is None:
+            return
+        try:
             self._photos.fetch(_images(self._scene.train[following]))
-        return statistics
+        except torch.cuda.OutOfMemoryError:
+            self._photos.release()
 
     def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
         """Do something; once more, should a GPU's memory be full, with all given back that torch holds in reserve.
+
+        An action changes the model when it has all the memory that it needs, so that to repeat it does nothing twice.
+        But for one case: Adam makes its moments at the first step, one parameter after another.
 
         Raises:
             TrainingError: it is full again; the state before the action is left as a checkpoint.
