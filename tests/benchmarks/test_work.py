@@ -24,7 +24,7 @@ PAIRS = 20_978
 FUSED_PASS_BYTES = 2_490_000
 """Largest sum of numpy arrays during the fused pass and its backward: records, lists, pairs' gradients, images."""
 
-STEP_BYTES = 255e6
+STEP_BYTES = 165e6
 """Peak of a process that takes one MrGS step, 20,000 Gaussians, 640×480, above the interpreter with torch loaded."""
 
 
