@@ -6,7 +6,10 @@ is launched. ``python -m benchmarks.gpu_resources`` compiles them all on a machi
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
+
+Arguments: TypeAlias = dict[str, Any]
+"""Tensors and numbers by the names of a kernel's arguments."""
 
 
 class KernelSpec(NamedTuple):
@@ -36,3 +39,8 @@ class KernelSpec(NamedTuple):
         """Name in tables and messages: the function's, and the variant in brackets."""
         function = self.kernel.__name__
         return f"{function}[{self.variant}]" if self.variant else function
+
+    def launch(self, grid: tuple[int, ...], arguments: Arguments) -> None:
+        """Start the programs of a grid; the kernel takes its arguments by name from among those given."""
+        given = {name: arguments[name] for name in self.signature}
+        self.kernel[grid](**given, **self.constexprs, num_warps=self.num_warps, num_stages=self.num_stages)

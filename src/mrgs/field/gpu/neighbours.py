@@ -16,7 +16,7 @@ import triton
 import triton.language as tl
 from torch import Tensor, nn
 
-from mrgs.gpu_kernels import KernelSpec
+from mrgs.gpu_kernels import Arguments, KernelSpec
 
 MAX_K = 16
 """More neighbours would not fit into a thread's registers."""
@@ -165,10 +165,8 @@ def nearest_neighbours(means: Tensor, k: int) -> Tensor:
     boxes = _boxes(points)
     result = torch.empty(count, k, dtype=torch.int64, device=means.device)
     blocks = boxes.shape[1]
-    neighbours_kernel[(blocks,)](
-        points, order.int(), boxes, result, count, blocks,
-        K=k, SLOTS=triton.next_power_of_2(k), BLOCK=BLOCK, CHUNK=CHUNK, num_warps=NUM_WARPS,
-    )  # fmt: skip
+    given: Arguments = {"points": points, "originals": order.int(), "boxes": boxes, "result": result}
+    _spec(k).launch((blocks,), given | {"count": count, "blocks": blocks})
     return result
 
 
@@ -191,13 +189,12 @@ def _boxes(points: Tensor) -> Tensor:
     return torch.cat([blocks.amin(dim=2), blocks.amax(dim=2)])
 
 
-KERNELS = tuple(
-    KernelSpec(
-        neighbours_kernel,
-        {"points": "*fp32", "originals": "*i32", "boxes": "*fp32", "result": "*i64", "count": "i32", "blocks": "i32"},
-        {"K": k, "SLOTS": triton.next_power_of_2(k), "BLOCK": BLOCK, "CHUNK": CHUNK},
-        NUM_WARPS,
-        variant=f"k={k}",
-    )
-    for k in (3, 8, 15)
-)
+def _spec(k: int) -> KernelSpec:
+    """The kernel for so many neighbours."""
+    signature = {"points": "*fp32", "originals": "*i32", "boxes": "*fp32", "result": "*i64"}
+    constants = {"K": k, "SLOTS": triton.next_power_of_2(k), "BLOCK": BLOCK, "CHUNK": CHUNK}
+    numbers = {"count": "i32", "blocks": "i32"}
+    return KernelSpec(neighbours_kernel, signature | numbers, constants, NUM_WARPS, variant=f"k={k}")
+
+
+KERNELS = tuple(_spec(k) for k in (3, 8, 15))

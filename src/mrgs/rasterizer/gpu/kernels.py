@@ -5,11 +5,9 @@ The launches read these entries, so that what is compiled ahead of time is what 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from mrgs.gpu_kernels import KernelSpec
 from mrgs.rasterizer.gpu.blend import blend
@@ -34,12 +32,6 @@ _TYPES = {
     "count": "i32", "pairs": "i32", "tiles": "i32", "width": "i32", "height": "i32",
 }  # fmt: skip
 """Types of the arguments, by name; all others are tensors of float32."""
-
-
-def launch(spec: KernelSpec, programs: int, arguments: Mapping[str, Tensor | int]) -> None:
-    """Start as many programs of a kernel, which takes its arguments by name from among those given."""
-    given = {name: arguments[name] for name in spec.signature}
-    spec.kernel[(programs,)](**given, **spec.constexprs, num_warps=spec.num_warps, num_stages=spec.num_stages)
 
 
 def _spec(kernel: Any, variant: str, num_warps: int, constants: dict[str, Any], **types: str) -> KernelSpec:

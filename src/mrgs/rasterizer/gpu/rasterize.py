@@ -15,10 +15,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.errors import MrgsError
+from mrgs.gpu_kernels import Arguments
 from mrgs.rasterizer.contract import Blend, Layer, Raster
 from mrgs.rasterizer.gpu import kernels
 from mrgs.rasterizer.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
-from mrgs.rasterizer.gpu.kernels import launch
 
 _MODALITIES = {3: "rgb", 1: "thermal"}
 """What the kernels call a layer, by its channels."""
@@ -64,16 +64,12 @@ class _Pass(NamedTuple):
         return [f"{name}_{layer}" for layer in self.channels for name in _IMAGES]
 
 
-Buffers = dict[str, Any]
-"""Tensors and sizes by the names of the kernels' arguments."""
-
-
 class _FusedPass(torch.autograd.Function):
     """(pass, viewmat, K, ``_Pass.inputs``) -> ``_Pass.outputs`` and the radii."""
 
     @staticmethod
     def forward(ctx: Any, what: _Pass, viewmat: Tensor, K: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
-        buffers: Buffers = {"count": len(inputs[0]), "tiles": what.tiles, "width": what.width, "height": what.height}
+        buffers: Arguments = {"count": len(inputs[0]), "tiles": what.tiles, "width": what.width, "height": what.height}
         sizes = dict(buffers)
         buffers |= {"viewmat": viewmat, "K": K}
         buffers |= {name: tensor.contiguous() for name, tensor in zip(what.inputs, inputs, strict=True)}
@@ -90,7 +86,7 @@ class _FusedPass(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         what: _Pass = ctx.what
-        buffers: Buffers = ctx.sizes | dict(zip(ctx.kept, ctx.saved_tensors, strict=True))
+        buffers: Arguments = ctx.sizes | dict(zip(ctx.kept, ctx.saved_tensors, strict=True))
         for name, grad in zip(what.outputs, grads[:-1], strict=True):
             buffers[f"grad_{name}"] = grad.contiguous()
         with torch.cuda.device_of(grads[0]):
@@ -108,21 +104,22 @@ def _variant(what: _Pass) -> tuple[str, bool]:
     return what.layers, what.antialiased
 
 
-def _programs(items: int, per_program: int = kernels.BLOCK) -> int:
-    return -(-items // per_program)
+def _programs(items: int, per_program: int = kernels.BLOCK) -> tuple[int]:
+    """The grid in which each program takes so many items."""
+    return (-(-items // per_program),)
 
 
-def _project(what: _Pass, buffers: Buffers) -> None:
+def _project(what: _Pass, buffers: Arguments) -> None:
     """Add the records, radii, depths and numbers of pairs."""
     count, means = buffers["count"], buffers["means"]
     # One record at least: where there is nothing to draw, the blender still fetches the first ahead.
     buffers["splats"] = means.new_empty(max(count, 1), SPLAT_FLOATS.value)
     buffers["radii"], buffers["depths"] = means.new_empty(count), means.new_empty(count)
     buffers["pair_counts"] = means.new_empty(count, dtype=torch.int32)
-    launch(kernels.PROJECT[_variant(what)], _programs(count), buffers)
+    kernels.PROJECT[_variant(what)].launch(_programs(count), buffers)
 
 
-def _list(buffers: Buffers) -> None:
+def _list(buffers: Arguments) -> None:
     """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by depth, then stably by tile.
 
     Raises:
@@ -142,46 +139,46 @@ def _list(buffers: Buffers) -> None:
     splat_of_pair = depths.new_empty(pairs, dtype=torch.int32)
     buffers |= {"order": order, "pair_ends": pair_ends, "pairs": pairs}
     given = buffers | {"tile_of_pair": tile_of_pair, "splat_of_pair": splat_of_pair}
-    launch(kernels.LIST_PAIRS[dtype], _programs(pairs), given)
+    kernels.LIST_PAIRS[dtype].launch(_programs(pairs), given)
     tile_of_pair, tile_pairs = torch.sort(tile_of_pair, stable=True)
     every_tile = torch.arange(tiles + 1, dtype=dtype, device=depths.device)
     buffers["tile_starts"] = torch.searchsorted(tile_of_pair, every_tile, out_int32=True)
     buffers["tile_splats"], buffers["tile_pairs"] = splat_of_pair[tile_pairs], tile_pairs
 
 
-def _blend(what: _Pass, buffers: Buffers) -> None:
+def _blend(what: _Pass, buffers: Arguments) -> None:
     """Add the images."""
     means, size = buffers["means"], (what.height, what.width)
     for layer, channels in what.channels.items():
         buffers[f"image_{layer}"] = means.new_empty(*size, channels)
         for name in ("depth", "alpha", "transmittance"):
             buffers[f"{name}_{layer}"] = means.new_empty(size)
-    launch(kernels.BLEND[what.layers], what.tiles, buffers)
+    kernels.BLEND[what.layers].launch((what.tiles,), buffers)
 
 
-def _blend_backward(what: _Pass, buffers: Buffers) -> None:
+def _blend_backward(what: _Pass, buffers: Arguments) -> None:
     """Add the gradients of the backgrounds, and the gradient moments of every Gaussian."""
     means, tile_pairs = buffers["means"], buffers["tile_pairs"]
     pair_grads = means.new_zeros(len(tile_pairs), GRAD_FLOATS.value)
     grad_backgrounds = means.new_empty(4, what.tiles)
     given = buffers | {"pair_grads": pair_grads, "grad_backgrounds": grad_backgrounds}
-    launch(kernels.BLEND_BACKWARD[what.layers], what.tiles, given)
+    kernels.BLEND_BACKWARD[what.layers].launch((what.tiles,), given)
     if "rgb" in what.channels:
         buffers["grad_background_rgb"] = grad_backgrounds[:3].sum(dim=1)
     if "thermal" in what.channels:
         buffers["grad_background_thermal"] = grad_backgrounds[3:].sum(dim=1)
     buffers["gaussian_grads"] = means.new_empty(buffers["count"], GRAD_FLOATS.value)
-    launch(kernels.SUM_PAIRS, _programs(buffers["count"], kernels.RANKS), buffers | {"pair_grads": pair_grads})
+    kernels.SUM_PAIRS.launch(_programs(buffers["count"], kernels.RANKS), buffers | {"pair_grads": pair_grads})
 
 
-def _project_backward(what: _Pass, buffers: Buffers) -> None:
+def _project_backward(what: _Pass, buffers: Arguments) -> None:
     """Add the gradients of the Gaussians' parameters."""
     shapes: dict[str, tuple[int, ...]] = {name: (columns,) for name, columns in _GEOMETRY.items()}
     for layer, channels in what.channels.items():
         shapes |= {f"opacities_{layer}": (), f"features_{layer}": (channels,)}
     for name, shape in shapes.items():
         buffers[f"grad_{name}"] = buffers["means"].new_empty(buffers["count"], *shape)
-    launch(kernels.PROJECT_BACKWARD[_variant(what)], _programs(buffers["count"]), buffers)
+    kernels.PROJECT_BACKWARD[_variant(what)].launch(_programs(buffers["count"]), buffers)
 
 
 def rasterize(

@@ -13,14 +13,14 @@ moment touches memory. Sums are taken in a fixed order: the same bits on every r
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor
 
-from mrgs.gpu_kernels import KernelSpec
+from mrgs.gpu_kernels import Arguments, KernelSpec
 from mrgs.training.ssim import RADIUS_PX, WEIGHTS
 
 BLOCK = 128
@@ -37,6 +37,8 @@ WINDOW = tuple(WEIGHTS.tolist())
 
 SIZES = ("height", "width", "channels", "weights_pitch")
 """Numbers that Triton need not compile anew for."""
+
+SCALARS = ("dssim", "l1", "c1", "c2")
 
 
 @triton.jit
@@ -270,50 +272,48 @@ def compare(
     """
     x, y, weights = (tensor.detach().contiguous() for tensor in (x, y, weights))
     height, width, channels = x.shape
-    dssim, l1, c1, c2 = scalars
-    sizes = (height, width, channels, 0 if len(weights) == 1 else width)
     grid = (triton.cdiv(width * channels, BLOCK), triton.cdiv(height, STRIP_ROWS))
     derivatives = x.new_empty(3 + by_y, height, width * channels)
     errors = torch.empty_like(x) if wants_errors else None
     gradient_x, gradient_y = torch.empty_like(x), torch.empty_like(y) if by_y else None
     totals = x.new_empty(grid[1], grid[0])
-    blocks = {"WINDOW": WINDOW, "STRIP_ROWS": STRIP_ROWS, "BLOCK": BLOCK}
-    compare_kernel[grid](
-        x, y, weights, derivatives, errors, totals, *sizes, dssim, l1, c1, c2, **blocks, BY_Y=by_y, num_warps=NUM_WARPS
-    )
-    gradients_kernel[grid](
-        x, y, weights, derivatives, gradient_x, gradient_y, *sizes, l1, **blocks, num_warps=NUM_WARPS
-    )
+    sizes = (height, width, channels, 0 if len(weights) == 1 else width)
+    given: Arguments = {
+        "x": x,
+        "y": y,
+        "weights": weights,
+        "derivatives": derivatives,
+        "errors": errors,
+        "totals": totals,
+    }
+    given |= {"gradient_x": gradient_x, "gradient_y": gradient_y}
+    given |= dict(zip((*SIZES, *SCALARS), (*sizes, *scalars), strict=True))
+    for spec in _specs(by_y, wants_errors):
+        spec.launch(grid, given)
     return Comparison(totals.sum(dtype=torch.float64), gradient_x, gradient_y, errors)
 
 
-def _specs() -> tuple[KernelSpec, ...]:
-    """L1 and SSIM of a render and a photo; and S-SSIM, whose gradient both images ask for."""
-    images = dict.fromkeys(("x", "y", "weights", "derivatives"), "*fp32")
-    sizes = dict.fromkeys(SIZES, "i32")
-    scalars = dict.fromkeys(("dssim", "l1", "c1", "c2"), "fp32")
+def _specs(by_y: bool, wants_errors: bool) -> tuple[KernelSpec, KernelSpec]:
+    """Both kernels, with or without what only S-SSIM asks for."""
+    images = dict.fromkeys(("x", "y", "weights", "derivatives"), "*fp32") | dict.fromkeys(SIZES, "i32")
     blocks = {"WINDOW": WINDOW, "STRIP_ROWS": STRIP_ROWS, "BLOCK": BLOCK}
-    compared, differentiated = images | {"totals": "*fp32"} | sizes | scalars, images | {"gradient_x": "*fp32"} | sizes
+    compared, constants = images | {"totals": "*fp32"} | dict.fromkeys(SCALARS, "fp32"), blocks | {"BY_Y": by_y}
+    differentiated = images | {"gradient_x": "*fp32", "l1": "fp32"}
+    compared, constants = _with_tensor("errors", wants_errors, compared, constants)
+    differentiated, blocks = _with_tensor("gradient_y", by_y, differentiated, blocks)
+    variant = "structure" if by_y else "l1_dssim"
     return (
-        KernelSpec(compare_kernel, compared, blocks | {"errors": None, "BY_Y": False}, NUM_WARPS, variant="l1_dssim"),
-        KernelSpec(
-            compare_kernel, compared | {"errors": "*fp32"}, blocks | {"BY_Y": True}, NUM_WARPS, variant="structure"
-        ),
-        KernelSpec(
-            gradients_kernel,
-            differentiated | {"l1": "fp32"},
-            blocks | {"gradient_y": None},
-            NUM_WARPS,
-            variant="l1_dssim",
-        ),
-        KernelSpec(
-            gradients_kernel,
-            differentiated | {"gradient_y": "*fp32", "l1": "fp32"},
-            blocks,
-            NUM_WARPS,
-            variant="structure",
-        ),
+        KernelSpec(compare_kernel, compared, constants, NUM_WARPS, variant=variant),
+        KernelSpec(gradients_kernel, differentiated, blocks, NUM_WARPS, variant=variant),
     )
 
 
-KERNELS = _specs()
+def _with_tensor(
+    name: str, wanted: bool, signature: dict[str, str], constants: dict[str, Any]
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """Signature and constants with a tensor that is None where it is not wanted."""
+    return (signature | {name: "*fp32"}, constants) if wanted else (signature, constants | {name: None})
+
+
+KERNELS = (*_specs(False, False), *_specs(True, True))
+"""L1 and SSIM of a render and a photo; and S-SSIM, whose gradient both images ask for."""

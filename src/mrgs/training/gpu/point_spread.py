@@ -8,6 +8,7 @@ device. Sums are taken in a fixed order: the same bits on every run.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -16,13 +17,16 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.gpu_kernels import KernelSpec
+from mrgs.gpu_kernels import Arguments, KernelSpec
 
 BLOCK = 256
 """Pixels per program."""
 
 NUM_WARPS = 4
 SIZES = ("height", "width")
+FORWARD = ("plane", "sigma", "result", "weight_sums")
+BACKWARD = ("plane", "sigma", "gradient", "weight_sums", "result", "by_sigma")
+"""Tensors of the two kernels."""
 
 
 @triton.jit(do_not_specialize=SIZES)
@@ -144,9 +148,9 @@ class _Spread(torch.autograd.Function):
 
 def _spread(plane: Tensor, sigma_px: Tensor, reach: float, axis: int) -> tuple[Tensor, Tensor]:
     result, weight_sums = torch.empty_like(plane), plane.new_empty(plane.shape[axis])
-    spread_kernel[(triton.cdiv(plane.numel(), BLOCK),)](
-        plane, sigma_px, result, weight_sums, *plane.shape, reach, AXIS=axis, BLOCK=BLOCK, num_warps=NUM_WARPS
-    )
+    given: Arguments = {"plane": plane, "sigma": sigma_px, "result": result, "weight_sums": weight_sums, "reach": reach}
+    given |= dict(zip(SIZES, plane.shape, strict=True))
+    _spec(spread_kernel, FORWARD, axis).launch((triton.cdiv(plane.numel(), BLOCK),), given)
     return result, weight_sums
 
 
@@ -156,23 +160,26 @@ def _backward(
     """The gradients by the plane and by σ of the blur along one axis."""
     programs = triton.cdiv(plane.numel(), BLOCK)
     result, by_sigma = torch.empty_like(plane), plane.new_empty(programs)
-    spread_backward_kernel[(programs,)](
-        plane, sigma_px, gradient, weight_sums, result, by_sigma, *plane.shape, reach,
-        AXIS=axis, BLOCK=BLOCK, num_warps=NUM_WARPS,
-    )  # fmt: skip
+    given: Arguments = {
+        "plane": plane,
+        "sigma": sigma_px,
+        "gradient": gradient,
+        "weight_sums": weight_sums,
+        "reach": reach,
+    }
+    given |= {"result": result, "by_sigma": by_sigma, **dict(zip(SIZES, plane.shape, strict=True))}
+    _spec(spread_backward_kernel, BACKWARD, axis).launch((programs,), given)
     return result, by_sigma.sum(dtype=torch.float64)
 
 
-def _specs() -> tuple[KernelSpec, ...]:
-    """Both kernels along either axis."""
-    forward = dict.fromkeys(("plane", "sigma", "result", "weight_sums"), "*fp32")
-    backward = dict.fromkeys(("plane", "sigma", "gradient", "weight_sums", "result", "by_sigma"), "*fp32")
-    sizes = dict.fromkeys(SIZES, "i32") | {"reach": "fp32"}
-    return tuple(
-        KernelSpec(kernel, tensors | sizes, {"AXIS": axis, "BLOCK": BLOCK}, NUM_WARPS, variant=f"axis {axis}")
-        for kernel, tensors in ((spread_kernel, forward), (spread_backward_kernel, backward))
-        for axis in (0, 1)
-    )
+def _spec(kernel: Any, tensors: Sequence[str], axis: int) -> KernelSpec:
+    """One of the kernels along an axis."""
+    signature = dict.fromkeys(tensors, "*fp32") | dict.fromkeys(SIZES, "i32") | {"reach": "fp32"}
+    return KernelSpec(kernel, signature, {"AXIS": axis, "BLOCK": BLOCK}, NUM_WARPS, variant=f"axis {axis}")
 
 
-KERNELS = _specs()
+KERNELS = tuple(
+    _spec(kernel, tensors, axis)
+    for kernel, tensors in ((spread_kernel, FORWARD), (spread_backward_kernel, BACKWARD))
+    for axis in (0, 1)
+)

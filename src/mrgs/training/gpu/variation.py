@@ -6,18 +6,22 @@ where a step is the weight of a difference with the difference's sign. Sums are 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import triton
 import triton.language as tl
 from torch import Tensor
 
-from mrgs.gpu_kernels import KernelSpec
+from mrgs.gpu_kernels import Arguments, KernelSpec
 
 BLOCK = 512
 """Values per program."""
 
 NUM_WARPS = 4
 SIZES = ("height", "width", "channels")
+SCALES = ("row_scale", "column_scale")
+WEIGHTS = ("row_weights", "column_weights")
 
 
 @triton.jit(do_not_specialize=SIZES)
@@ -97,20 +101,23 @@ def total_variation(
     gradient = torch.empty_like(image)
     programs = triton.cdiv(image.numel(), BLOCK)
     totals = image.new_empty(programs)
-    variation_kernel[(programs,)](
-        image, row_weights, column_weights, gradient, totals, *image.shape, *scales, BLOCK=BLOCK, num_warps=NUM_WARPS
-    )
+    given: Arguments = {
+        "image": image,
+        "row_weights": row_weights,
+        "column_weights": column_weights,
+        "gradient": gradient,
+    }
+    given |= {"totals": totals, **dict(zip((*SIZES, *SCALES), (*image.shape, *scales), strict=True))}
+    _spec([name for name in WEIGHTS if given[name] is None]).launch((programs,), given)
     return totals.sum(dtype=torch.float64), gradient
 
 
-def _specs() -> tuple[KernelSpec, ...]:
-    """Without and with weights."""
-    always = dict.fromkeys(("image", "gradient", "totals"), "*fp32") | dict.fromkeys(SIZES, "i32")
-    always |= dict.fromkeys(("row_scale", "column_scale"), "fp32")
-    weights = ("row_weights", "column_weights")
-    plain = KernelSpec(variation_kernel, always, {"BLOCK": BLOCK} | dict.fromkeys(weights), NUM_WARPS, variant="plain")
-    signature = always | dict.fromkeys(weights, "*fp32")
-    return plain, KernelSpec(variation_kernel, signature, {"BLOCK": BLOCK}, NUM_WARPS, variant="weighted")
+def _spec(left_out: Sequence[str]) -> KernelSpec:
+    """The kernel without some of the weights."""
+    tensors = ("image", "gradient", "totals", *(name for name in WEIGHTS if name not in left_out))
+    signature = dict.fromkeys(tensors, "*fp32") | dict.fromkeys(SIZES, "i32") | dict.fromkeys(SCALES, "fp32")
+    constants = {"BLOCK": BLOCK} | dict.fromkeys(left_out)
+    return KernelSpec(variation_kernel, signature, constants, NUM_WARPS, variant="plain" if left_out else "weighted")
 
 
-KERNELS = _specs()
+KERNELS = (_spec(WEIGHTS), _spec(()))
