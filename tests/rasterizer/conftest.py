@@ -211,6 +211,23 @@ def assert_same_bits(result: tuple[list, dict], other: tuple[list, dict]) -> Non
         assert torch.equal(gradient, other[1][name]), name
 
 
+def assert_shows_the_background(rasterize: Rasterizer, scene: RasterizerScene) -> None:
+    """What is seen, and what has a gradient, where all of a scene's Gaussians lie behind the camera."""
+    behind = scene.tensors["means"] - 100 * scene.viewmat[2, :3]
+    scene = replace(scene, tensors=scene.tensors | {"means": behind})
+    outputs, grads = render_and_differentiate(rasterize, scene, lambda images: sum(i.sum() for i in images))
+    *images, radii = outputs
+    for modality, blend in (("rgb", images[:3]), ("thermal", images[3:])):
+        assert torch.equal(blend[0], scene.tensors[f"{modality}.background"].expand_as(blend[0]))
+        assert not blend[1].any()
+        assert not blend[2].any()
+        assert grads[f"{modality}.background"].tolist() == [scene.width * scene.height] * blend[0].shape[-1]
+    assert radii.shape == scene.tensors["means"].shape[:1]
+    assert not radii.any()
+    assert not radii.requires_grad
+    assert not any(gradient.any() for name, gradient in grads.items() if "background" not in name)
+
+
 @pytest.fixture(autouse=True, scope="module")
 def one_torch_thread() -> Iterator[None]:
     """On tensors as small as these, starting threads costs more than it saves."""
@@ -253,3 +270,8 @@ def _render_and_differentiate() -> Callable:
 @pytest.fixture(scope="session", name="assert_same_bits")
 def _assert_same_bits() -> Callable:
     return assert_same_bits
+
+
+@pytest.fixture(scope="session", name="assert_shows_the_background")
+def _assert_shows_the_background() -> Callable:
+    return assert_shows_the_background

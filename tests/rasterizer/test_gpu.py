@@ -116,21 +116,9 @@ def test_needles_keep_their_alpha(rasterize) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(rasterize, random_scene, n, render_and_differentiate):
+def test_an_empty_view_shows_the_background(rasterize, random_scene, n, assert_shows_the_background):
     scene = random_scene(0, n, 20, 12, dtype=torch.float32)
-    behind = scene.tensors["means"] - 100 * scene.viewmat[2, :3]
-    scene = replace(scene, tensors=scene.tensors | {"means": behind})
-    outputs, grads = render_and_differentiate(rasterize, scene, loss=lambda images: sum(i.sum() for i in images))
-    *images, radii = outputs
-    for modality, blend in (("rgb", images[:3]), ("thermal", images[3:])):
-        assert torch.equal(blend[0], scene.tensors[f"{modality}.background"].expand_as(blend[0]))
-        assert not blend[1].any()
-        assert not blend[2].any()
-        assert grads[f"{modality}.background"].tolist() == [scene.width * scene.height] * blend[0].shape[-1]
-    assert radii.shape == (n,)
-    assert not radii.any()
-    assert not radii.requires_grad
-    assert not any(gradient.any() for name, gradient in grads.items() if "background" not in name)
+    assert_shows_the_background(rasterize, scene)
 
 
 @pytest.mark.parametrize("size", [3e38, float("inf"), float("nan")])
