@@ -50,14 +50,32 @@ def test_gradients():
     assert torch.autograd.gradcheck(boltzmann_loss, (thermal, scaled, uncertainty))
 
 
-def test_normalised_radiation_spans_zero_to_one_and_its_statistics_carry_no_gradient():
-    radiation = (100 + 50 * plane()).requires_grad_()
-    scaled = normalise_radiation(radiation)
+def test_normalised_radiation_spans_zero_to_one():
+    scaled = normalise_radiation(100 + 50 * plane())
     assert scaled.min() == 0
     assert scaled.max() == 1
-    (gradient,) = torch.autograd.grad(scaled.sum(), radiation)
-    span = (radiation.max() - radiation.min()).detach()
-    torch.testing.assert_close(gradient, torch.ones_like(radiation) / span)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_nothing_is_gained_by_multiplying_all_depths(masked):
+    target, uncertainty = plane(), plane(seed=2)
+    valid = plane(seed=3) > 0.3 if masked else None
+    factor = torch.ones((), dtype=torch.float64, requires_grad=True)
+
+    def loss(factor):
+        radiation = thermal_radiation(target, factor * (1 + plane(seed=1)), 1.0, RANGE)
+        return boltzmann_loss(target, normalise_radiation(radiation, valid), uncertainty, valid)
+
+    torch.testing.assert_close(loss(factor), loss(3 * factor))
+    (gradient,) = torch.autograd.grad(loss(factor), factor)
+    assert gradient.abs() < 1e-12
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_gradient_of_the_normalisation(masked):
+    valid = plane(seed=3) > 0.3 if masked else None
+    radiation = (1 + plane()).requires_grad_()
+    assert torch.autograd.gradcheck(lambda radiation: normalise_radiation(radiation, valid), radiation)
 
 
 def test_normalisation_looks_at_valid_pixels_alone():
@@ -66,7 +84,14 @@ def test_normalisation_looks_at_valid_pixels_alone():
     valid = torch.ones_like(radiation, dtype=torch.bool)
     valid[0, 0] = False
     assert normalise_radiation(radiation, valid)[valid].max() == 1
-    assert (normalise_radiation(radiation, torch.zeros_like(valid)) == 0).all()
+
+
+def test_without_a_valid_pixel_the_normalised_radiation_and_its_gradient_are_zero():
+    radiation = (1 + plane()).requires_grad_()
+    scaled = normalise_radiation(radiation, torch.zeros_like(radiation, dtype=torch.bool))
+    assert (scaled == 0).all()
+    (gradient,) = torch.autograd.grad(scaled.sum(), radiation)
+    assert (gradient == 0).all()
 
 
 @pytest.mark.parametrize("temperature", [RANGE, None])

@@ -85,11 +85,12 @@ def normalise_radiation(
 ) -> Float[Tensor, "h w"]:
     """E_r brought to [0, 1] by its least and largest value, as S-SSIM needs it to have the scale of I_t.
 
-    The two statistics carry no gradient, and come from the valid pixels alone. A flat map becomes 0.
+    The two come from the valid pixels alone. They carry gradient, so that L_boltz gains nothing by multiplying all
+    depths: with a scale held fixed it would, because E_r becomes the flatter the farther everything is, and what is
+    flat contradicts no image. A flat map becomes 0.
     """
-    values = radiation.detach()
-    low = (values if valid is None else torch.where(valid, values, math.inf)).amin()
-    high = (values if valid is None else torch.where(valid, values, -math.inf)).amax()
+    low = (radiation if valid is None else torch.where(valid, radiation, math.inf)).amin()
+    high = (radiation if valid is None else torch.where(valid, radiation, -math.inf)).amax()
     if valid is not None:  # without a valid pixel nothing was found
         found = valid.any()
         low, high = torch.where(found, low, 0), torch.where(found, high, 0)
