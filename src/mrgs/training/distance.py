@@ -16,16 +16,16 @@ from torch import Tensor
 from mrgs.scene import Camera
 
 CELLS_ACROSS = 24
-"""A photo is divided into so many cells across, which are about square. A direction counts if its cell and those around
-it are empty: smaller gaps lie on surfaces, and what is put behind these makes them transparent."""
+"""A photo is divided into so many cells across, which are about square. A direction counts if its cell lies in three by
+three empty ones: smaller gaps lie on surfaces, and what is put behind these makes them transparent."""
 
 FEWEST_PER_CELL = 0.5
 """A photo with fewer start points than this share of its cells does not tell which directions are empty."""
 
 FARTHEST_SHARE = 0.99
-TIMES_AS_FAR = 2.0
+TIMES_AS_FAR = 8.0
 """The points lie on a sphere about the cameras, so many times as far away as that share of the start points, and as the
-farthest camera."""
+farthest camera: the sky must not shift against the scene as the camera moves from photo to photo."""
 
 SPACING_RAD = 0.05
 """Directions closer than about this become one point."""
@@ -51,7 +51,7 @@ def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> F
 
 
 def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
-    """Which cells of a photo show no start point, and neither do the cells around them; none if it shows too few."""
+    """Which cells of a photo lie in three by three cells without a start point; none if it shows too few of these."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]
@@ -60,7 +60,13 @@ def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tens
     cells = (seen / seen.new_tensor([camera.width, camera.height]) * seen.new_tensor([CELLS_ACROSS, rows])).long()
     occupied = torch.zeros(1, rows, CELLS_ACROSS)
     occupied[0, cells[:, 1].clamp_max(rows - 1), cells[:, 0].clamp_max(CELLS_ACROSS - 1)] = 1
-    return torch.nn.functional.max_pool2d(occupied, 3, stride=1, padding=1)[0] == 0
+    middles = _grown(occupied) == 0
+    return _grown(middles.float())[0] > 0
+
+
+def _grown(cells: Float[Tensor, "1 rows columns"]) -> Float[Tensor, "1 rows columns"]:
+    """1 where a cell or one of those around it is 1."""
+    return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
 
 
 def _on_sphere(
