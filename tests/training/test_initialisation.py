@@ -15,7 +15,8 @@ def points_at(positions: Tensor) -> StartPoints:
     generator = torch.Generator().manual_seed(1)
     colors = torch.rand(len(positions), 3, generator=generator)
     temperatures = torch.rand(len(positions), generator=generator)
-    return StartPoints(positions, colors, temperatures, 0.1 + 0.8 * torch.rand(len(positions), generator=generator))
+    opacities = 0.1 + 0.8 * torch.rand(2, len(positions), generator=generator)
+    return StartPoints(positions, colors, temperatures, *opacities)
 
 
 def cloud(count: int) -> StartPoints:
@@ -36,8 +37,8 @@ def test_one_gaussian_per_point_with_its_colour_temperature_and_opacity(degree):
     anywhere = torch.zeros(3).double()
     torch.testing.assert_close(field.colors(gaussians, anywhere, 3), points.colors)
     torch.testing.assert_close(field.temperatures(gaussians, None, anywhere, degree)[:, 0], points.temperatures)
-    torch.testing.assert_close(gaussians.opacity_rgb, points.opacities)
-    torch.testing.assert_close(gaussians.opacity_thermal, points.opacities)
+    torch.testing.assert_close(gaussians.opacity_rgb, points.opacities_rgb)
+    torch.testing.assert_close(gaussians.opacity_thermal, points.opacities_thermal)
     torch.testing.assert_close(gaussians.quats, torch.tensor([1.0, 0, 0, 0]).expand(30, 4))
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage, Scene, View
 from mrgs.training.config import make_config
 from mrgs.training.photo_values import UNSEEN
-from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, start_points
+from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, THERMAL_OPACITY, start_points
 
 WIDTH, HEIGHT = 48, 36
 WALL_C, SKY_C = 0.8, 0.1
@@ -42,15 +42,17 @@ def test_the_scenes_own_points_keep_their_colours_and_get_temperatures():
     assert torch.equal(found.positions[own], scene.points.positions)
     assert torch.equal(found.colors[own], scene.points.colors)
     torch.testing.assert_close(found.temperatures[own], torch.full_like(found.temperatures[own], WALL_C))
-    assert (found.opacities[own] == OPACITY).all()
+    assert (found.opacities_rgb[own] == OPACITY).all()
+    assert (found.opacities_thermal[own] == THERMAL_OPACITY).all()
 
 
 def test_the_sky_is_opaque_and_as_the_photos_show_it():
     scene = wall_under_sky()
     count = len(scene.points.positions)
     found = start_points(scene, make_config("mrgs", "fast"))
-    assert len(found.positions) > count + 50
-    assert (found.opacities[count:] == DISTANT_OPACITY).all()
+    assert len(found.positions) > count + 30
+    assert (found.opacities_rgb[count:] == DISTANT_OPACITY).all()
+    assert (found.opacities_thermal[count:] == DISTANT_OPACITY).all()
     torch.testing.assert_close(found.temperatures[count:], torch.full_like(found.temperatures[count:], SKY_C))
     torch.testing.assert_close(found.colors[count:], SKY.expand(len(found.positions) - count, 3))
 
@@ -70,7 +72,8 @@ def test_as_published_only_the_scenes_points_are_there():
     found = start_points(scene, make_config("mrgs", "paper"))
     assert torch.equal(found.positions, scene.points.positions)
     assert (found.temperatures == UNSEEN).all()
-    assert (found.opacities == OPACITY).all()
+    assert (found.opacities_rgb == OPACITY).all()
+    assert (found.opacities_thermal == OPACITY).all()
 
 
 def test_each_switch_acts_alone():
@@ -82,3 +85,4 @@ def test_each_switch_acts_alone():
     torch.testing.assert_close(warm.temperatures, torch.full_like(warm.temperatures, WALL_C))
     assert len(far.positions) > len(scene.points.positions)
     assert (far.temperatures == UNSEEN).all()
+    assert torch.equal(far.opacities_thermal, far.opacities_rgb)

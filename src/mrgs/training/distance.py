@@ -27,7 +27,7 @@ TIMES_AS_FAR = 8.0
 """The points lie on a sphere about the cameras, so many times as far away as that share of the start points, and as the
 farthest camera: the sky must not shift against the scene as the camera moves from photo to photo."""
 
-SPACING_RAD = 0.05
+SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
 
 

@@ -39,13 +39,13 @@ def initial_gaussians(
         points = points.rows(torch.randperm(count, generator=generator)[:max_gaussians].sort().values)
         count = max_gaussians
     means = points.positions.clone()
-    opacity = points.opacities.logit()[:, None]
+    opacity_rgb, opacity_thermal = (o.logit()[:, None] for o in (points.opacities_rgb, points.opacities_thermal))
     return Gaussians(
         means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         log_scales=_spacing(means).log()[:, None].repeat(1, 3),
-        opacity_rgb_logit=opacity,
-        opacity_thermal_logit=opacity[:, :0].clone() if shares_opacity else opacity.clone(),
+        opacity_rgb_logit=opacity_rgb,
+        opacity_thermal_logit=opacity_thermal[:, :0] if shares_opacity else opacity_thermal,
         sh_dc=((points.colors - 0.5) / C0)[:, None],
         sh_rest=torch.zeros(count, 15, 3),
         temperature_dc=((points.temperatures - 0.5) / C0)[:, None, None],

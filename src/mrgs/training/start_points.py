@@ -21,6 +21,10 @@ from mrgs.training.photo_values import UNSEEN, photo_values
 OPACITY = 0.1
 """3DGS's."""
 
+THERMAL_OPACITY = 0.5
+"""o_t of a point whose temperature the photos tell. Started with 3DGS's, a surface that is as cold everywhere as what
+lies behind it would stay half transparent: nothing in a thermal photo asks it to become opaque."""
+
 DISTANT_OPACITY = 0.9
 """Nothing lies behind a distant point; and were it not opaque, the nearer surfaces would grow to fill the sky."""
 
@@ -32,13 +36,15 @@ class StartPoints(NamedTuple):
         positions: in world coordinates, [N, 3].
         colors: RGB in [0, 1], [N, 3].
         temperatures: normalised, [N].
-        opacities: of both modalities, [N].
+        opacities_rgb: o_c, [N].
+        opacities_thermal: o_t, [N].
     """
 
     positions: Float[Tensor, "n 3"]
     colors: Float[Tensor, "n 3"]
     temperatures: Float[Tensor, " n"]
-    opacities: Float[Tensor, " n"]
+    opacities_rgb: Float[Tensor, " n"]
+    opacities_thermal: Float[Tensor, " n"]
 
     def rows(self, chosen: Tensor) -> StartPoints:
         """Some of the points."""
@@ -56,9 +62,11 @@ def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
         colors = torch.cat([colors, photo_values(positions, photos, 3)[len(colors) :]])
         opacities = torch.cat([opacities, opacities.new_full((len(distant),), DISTANT_OPACITY)])
     temperatures = positions.new_full((len(positions),), UNSEEN)
+    opacities_thermal = opacities
     if config.photo_temperatures:
         temperatures = photo_values(positions, _photos(scene, "thermal"), 1)[:, 0]
-    return StartPoints(positions, colors, temperatures, opacities)
+        opacities_thermal = opacities.clamp_min(THERMAL_OPACITY)
+    return StartPoints(positions, colors, temperatures, opacities, opacities_thermal)
 
 
 def _photos(scene: Scene, modality: str) -> list[PosedImage]:
