@@ -26,6 +26,12 @@ def test_points_have_what_the_cameras_see_there(points):
     assert (points.colors[warm, 0] > points.colors[warm, 2]).mean() > 0.98
 
 
+def test_the_sky_is_no_points(globe_under_sky, wide_scene, points):
+    found = temperature_points(globe_under_sky, wide_scene)
+    assert len(found.positions) > 0.95 * len(points.positions)
+    assert np.linalg.norm(found.positions, axis=1).max() < 0.51
+
+
 def test_faint_and_hidden_splats_are_no_points(globe, wide_scene, points):
     faint = globe.means[:, 0] > 0
     opacity = torch.where(faint, 0.9 * MIN_OPACITY, globe.opacity_rgb)

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from mrgs.scene import Camera
-from mrgs.training.distance import SPACING_RAD, TIMES_AS_FAR, distant_points
+from mrgs.scene.reach import TIMES_AS_FAR
+from mrgs.training.distance import SPACING_RAD, distant_points
 
 
 def camera_towards(angle: float, distance: float = 0.0) -> Camera:

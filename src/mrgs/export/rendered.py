@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32
+import torch
+from jaxtyping import Bool, Float, Float32
+from torch import Tensor
 
 from mrgs.baked import BakedModel
 from mrgs.errors import RunError
 from mrgs.export.fusion import DepthMap, visible
 from mrgs.export.splats import to_float32
-from mrgs.scene import Camera, Scene, spread
+from mrgs.scene import Camera, Reach, Scene, reach, spread
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -31,12 +33,13 @@ MAX_STEP = 0.05
 def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     """The renderings of the training cameras; the channels are red, green, blue, and °C (normalised without °C).
 
-    The depth is that of the RGB blend (of the thermal one where the scene has no RGB).
+    The depth is that of the RGB blend (of the thermal one where the scene has no RGB). The sky has none.
 
     Raises:
         RunError: no pixel is opaque enough to have a depth.
     """
-    maps = [_depth_map(baked, camera, scene.has_rgb) for camera in _cameras(scene)]
+    ball = reach(scene.points.positions, [view.cameras[0] for view in scene.train])
+    maps = [_depth_map(baked, camera, scene.has_rgb, ball) for camera in _cameras(scene)]
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError("no view of the model is opaque enough to show a surface: train the model longer")
     return maps
@@ -70,12 +73,19 @@ def _cameras(scene: Scene) -> list[Camera]:
     return [camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX) for camera in cameras]
 
 
-def _depth_map(baked: BakedModel, camera: Camera, by_color: bool) -> DepthMap:
+def _depth_map(baked: BakedModel, camera: Camera, by_color: bool, ball: Reach) -> DepthMap:
     """The mean depth of what a pixel shows, and its colour and temperature."""
     rendering = baked.render(camera)
     depth = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
+    depth = torch.where(ball.is_background(_places(camera, depth)), torch.nan, depth)
     assert rendering.rgb is not None
     assert rendering.thermal is not None
     thermal = rendering.thermal if baked.temperature is None else baked.temperature.to_celsius(rendering.thermal)
     image = np.concatenate([to_float32(rendering.rgb), to_float32(thermal)], axis=2)
     return DepthMap(camera, to_float32(depth), image)
+
+
+def _places(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
+    """World coordinates of what the pixels show."""
+    row, column = torch.meshgrid(*(torch.arange(size) + 0.5 for size in depth.shape), indexing="ij")
+    return camera.unproject(torch.stack([column, row], dim=2), depth)

@@ -6,14 +6,13 @@ cameras and are seen hanging in the air from everywhere else.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from mrgs.scene import Camera
+from mrgs.scene import Camera, Reach, reach
 
 CELLS_ACROSS = 24
 """A photo is divided into so many cells across, which are about square. A direction counts if its cell lies in three by
@@ -21,11 +20,6 @@ three empty ones: smaller gaps lie on surfaces, and what is put behind these mak
 
 FEWEST_PER_CELL = 0.5
 """A photo with fewer start points than this share of its cells does not tell which directions are empty."""
-
-FARTHEST_SHARE = 0.99
-TIMES_AS_FAR = 8.0
-"""The points lie on a sphere about the cameras, so many times as far away as that share of the start points, and as the
-farthest camera: the sky must not shift against the scene as the camera moves from photo to photo."""
 
 SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
@@ -40,14 +34,9 @@ def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> F
     """
     if not cameras or len(points) == 0:
         return points[:0]
-    positions = points.double()
-    places = torch.stack([camera.position for camera in cameras])
-    centre = places.mean(dim=0)
-    distances = (positions - centre).norm(dim=1)
-    farthest = distances.kthvalue(math.ceil(FARTHEST_SHARE * len(distances))).values
-    radius = TIMES_AS_FAR * torch.maximum(farthest, (places - centre).norm(dim=1).max())
-    reached = [_on_sphere(camera, _empty_cells(camera, positions), centre, radius) for camera in cameras]
-    return (centre + radius * _merged(torch.cat(reached))).to(points)
+    ball = reach(points, cameras)
+    directions = [_on_sphere(camera, _empty_cells(camera, points.double()), ball) for camera in cameras]
+    return (ball.centre + ball.background * _merged(torch.cat(directions))).to(points)
 
 
 def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
@@ -69,18 +58,16 @@ def _grown(cells: Float[Tensor, "1 rows columns"]) -> Float[Tensor, "1 rows colu
     return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
 
 
-def _on_sphere(
-    camera: Camera, empty: Bool[Tensor, "rows columns"], centre: Float64[Tensor, "3"], radius: Float64[Tensor, ""]
-) -> Float64[Tensor, "k 3"]:
-    """Where the rays through the middle of the cells meet the sphere, as directions from its centre."""
+def _on_sphere(camera: Camera, empty: Bool[Tensor, "rows columns"], ball: Reach) -> Float64[Tensor, "k 3"]:
+    """Where the rays through the middle of the cells meet the background, as directions from its centre."""
     rows, columns = empty.shape
     row, column = empty.nonzero().T
     pixels = torch.stack([(column + 0.5) / columns * camera.width, (row + 0.5) / rows * camera.height], dim=1)
     rays = camera.unproject(pixels.double(), torch.ones(len(pixels), dtype=torch.float64)) - camera.position
     rays = torch.nn.functional.normalize(rays, dim=1)
-    start = camera.position - centre
+    start = camera.position - ball.centre
     along = rays @ start
-    reach = (along.square() - start.square().sum() + radius.square()).clamp_min(0).sqrt() - along
+    reach = (along.square() - start.square().sum() + ball.background**2).clamp_min(0).sqrt() - along
     return torch.nn.functional.normalize(start + reach[:, None] * rays, dim=1)
 
 
