@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, contact_sheet, sheet_row
-from mrgs.evaluation.evaluate import Metrics, evaluate
+from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, SheetRows, contact_sheet, sheet_row
+from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
+from mrgs.evaluation.figures import Figures, Missing
 from mrgs.evaluation.report import RunFacts
 from mrgs.render import Rendering
 from mrgs.scene import TemperatureRange, View, spread
@@ -51,6 +52,26 @@ def test_a_model_without_depth_has_no_depth_column(
         [make_view()], lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None), celsius
     )
     assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
+
+
+@pytest.mark.parametrize("worst", [0, 3, 12])
+def test_the_worst_view_is_shown_besides_those_spread_evenly(worst: int) -> None:
+    psnrs = [40.0 - 0.1 * number for number in range(13)]
+    psnrs[worst] = 20.0
+    shown = SheetRows(len(psnrs))
+    for number, psnr in enumerate(psnrs):
+        figures: Figures = {"psnr": psnr}
+        shown.add(SheetRow(ViewMetrics(str(number), figures, figures, None), None, None, None, None, None))
+    assert [int(row.metrics.name) for row in shown.rows] == sorted({*spread(len(psnrs)), worst})
+
+
+def test_views_without_thermal_photos_are_compared_by_their_colours() -> None:
+    shown = SheetRows(20)
+    for number in range(20):
+        figures: Figures = {"psnr": 20.0 if number == 7 else 30.0}
+        metrics = ViewMetrics(str(number), {"psnr": Missing("no thermal photo")}, figures, None)
+        shown.add(SheetRow(metrics, None, None, None, None, None))
+    assert "7" in [row.metrics.name for row in shown.rows]
 
 
 def test_the_error_changes_the_picture(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from mrgs.evaluation.palette import PaletteName, colorize, display_range, round_
 from mrgs.evaluation.pictures import to_array, to_rgb8
 from mrgs.evaluation.report import RunFacts, format_figure
 from mrgs.render import Rendering
-from mrgs.scene import Pixels, TemperatureRange, View
+from mrgs.scene import Pixels, TemperatureRange, View, spread
 
 CELL_PX = 288
 LABEL_PX = 148
@@ -61,6 +62,42 @@ class SheetRow:
     def error(self) -> Float[np.ndarray, "h2 w2"] | None:
         """Rendered minus measured temperature."""
         return None if self.measured is None or self.thermal is None else self.thermal - self.measured
+
+
+class SheetRows:
+    """The views that a sheet shows: a few spread evenly, and the one that scores worst, which a mean hides.
+
+    Args:
+        count: of the views, which are added one after another.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._spread = set(spread(count))
+        self._added = 0
+        self._rows: dict[int, SheetRow] = {}
+        self._worst: tuple[float, int] = (math.inf, -1)
+
+    def add(self, row: SheetRow) -> None:
+        """Take the next view."""
+        number, score = self._added, _psnr(row.metrics)
+        self._added += 1
+        if score < self._worst[0]:
+            if self._worst[1] not in self._spread:
+                self._rows.pop(self._worst[1], None)
+            self._worst = score, number
+        if number in (*self._spread, self._worst[1]):
+            self._rows[number] = row
+
+    @property
+    def rows(self) -> list[SheetRow]:
+        """What is shown of the views so far, in their order."""
+        return [self._rows[number] for number in sorted(self._rows)]
+
+
+def _psnr(metrics: ViewMetrics) -> float:
+    """Of the thermal image, or of the colours where there is none; infinite without either."""
+    known = [value for value in (metrics.thermal["psnr"], metrics.rgb["psnr"]) if isinstance(value, float)]
+    return known[0] if known else math.inf
 
 
 class _Scales(NamedTuple):

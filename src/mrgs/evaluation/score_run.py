@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.evaluation.contact_sheet import SheetRow, contact_sheet, sheet_row
+from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.palette import PaletteName, colorize
@@ -19,7 +19,7 @@ from mrgs.evaluation.truth import Truth
 from mrgs.evaluation.video import frame_writer
 from mrgs.render import Photograph, Rendering, as_it_is
 from mrgs.run import TrainedRun
-from mrgs.scene import Camera, Scene, View, spread
+from mrgs.scene import Camera, Scene, View
 
 PATH_FRAMES = 120
 
@@ -86,21 +86,19 @@ def score_views(
             "of some, or list them in val_filenames, and train anew"
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
-    shown = spread(len(scene.eval))
-    rows: list[SheetRow] = []
+    shown = SheetRows(len(scene.eval))
     done = 0
 
     def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
         nonlocal done
-        if done in shown:
-            rows.append(sheet_row(view, rendering, metrics, scene.temperature))
+        shown.add(sheet_row(view, rendering, metrics, scene.temperature))
         done += 1
         if progress is not None:
             progress(done, len(scene.eval))
 
     metrics = evaluate(scene.eval, render, scene.temperature, lpips, Truth.find(scene_folder), visit, photograph)
     write_report(output, facts, metrics)
-    write_png(output / "contact_sheet.png", contact_sheet(rows, facts, metrics, scene.temperature))
+    write_png(output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature))
     return metrics
 
 
