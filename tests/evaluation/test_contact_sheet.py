@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import torch
 
 from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, SheetRows, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
-from mrgs.evaluation.figures import Figures, Missing
+from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
 from mrgs.render import Rendering
 from mrgs.scene import TemperatureRange, View, spread
@@ -54,24 +55,36 @@ def test_a_model_without_depth_has_no_depth_column(
     assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
 
 
-@pytest.mark.parametrize("worst", [0, 3, 12])
-def test_the_worst_view_is_shown_besides_those_spread_evenly(worst: int) -> None:
-    psnrs = [40.0 - 0.1 * number for number in range(13)]
-    psnrs[worst] = 20.0
-    shown = SheetRows(len(psnrs))
-    for number, psnr in enumerate(psnrs):
-        figures: Figures = {"psnr": psnr}
-        shown.add(SheetRow(ViewMetrics(str(number), figures, figures, None), None, None, None, None, None))
-    assert [int(row.metrics.name) for row in shown.rows] == sorted({*spread(len(psnrs)), worst})
+def shown_of(thermal: list[float | Missing], rgb: list[float | Missing]) -> list[int]:
+    """The numbers of the views that a sheet shows, by their PSNR."""
+    shown, made = SheetRows(len(thermal)), []
+    for number, psnrs in enumerate(zip(thermal, rgb, strict=True)):
+        metrics = ViewMetrics(str(number), *({"psnr": psnr} for psnr in psnrs), None)
+
+        def make(metrics: ViewMetrics = metrics) -> SheetRow:
+            made.append(metrics.name)
+            return SheetRow(metrics, None, None, None, None, None)
+
+        shown.add(metrics, make)
+    assert {row.metrics.name for row in shown.rows} <= set(made)
+    return [int(row.metrics.name) for row in shown.rows]
 
 
-def test_views_without_thermal_photos_are_compared_by_their_colours() -> None:
-    shown = SheetRows(20)
-    for number in range(20):
-        figures: Figures = {"psnr": 20.0 if number == 7 else 30.0}
-        metrics = ViewMetrics(str(number), {"psnr": Missing("no thermal photo")}, figures, None)
-        shown.add(SheetRow(metrics, None, None, None, None, None))
-    assert "7" in [row.metrics.name for row in shown.rows]
+@pytest.mark.parametrize("bad", [20.0, math.nan])
+@pytest.mark.parametrize("worst", [0, 5, 12])
+def test_the_worst_view_is_shown_besides_those_spread_evenly(worst: int, bad: float) -> None:
+    psnrs: list[float | Missing] = [30.0 + 0.1 * number for number in range(13)]
+    psnrs[worst] = bad
+    assert shown_of(psnrs, [30.0] * 13) == sorted({*spread(13), worst})
+
+
+def test_each_modality_has_its_worst_view() -> None:
+    none = Missing("the view has none")
+    thermal: list[float | Missing] = [40.0] * 13
+    rgb: list[float | Missing] = [30.0] * 13
+    thermal[4], rgb[4] = 25.0, none
+    thermal[7], rgb[7] = none, 24.0
+    assert shown_of(thermal, rgb) == sorted({*spread(13), 4, 7})
 
 
 def test_the_error_changes_the_picture(

@@ -19,7 +19,7 @@ from mrgs.export.glb import EXTENSION
 from mrgs.export.splats import Splats
 from mrgs.field.spherical_harmonics import C0
 from mrgs.run import Run, load_run
-from mrgs.scene import Camera, Scene, TemperatureRange, reach
+from mrgs.scene import Camera, Scene, TemperatureRange
 from mrgs.training import make_config, train
 
 HERE = Path(__file__).parent
@@ -184,12 +184,12 @@ def wide_scene(scene: Scene) -> Scene:
 @pytest.fixture
 def globe_under_sky(globe: BakedModel, wide_scene: Scene) -> BakedModel:
     """The same sphere, and cold splats all around it where training puts what lies far behind a scene."""
-    ball = reach(wide_scene.points.positions, [view.cameras[0] for view in wide_scene.train])
+    ball = wide_scene.reach
     sky = {name: torch.cat([getattr(globe, name)] * 2) for name in ("quats", "opacity_rgb", "opacity_thermal", "sh")}
     return replace(
         globe,
-        means=torch.cat([globe.means, ball.centre.float() + 2 * ball.background * globe.means]),
-        scales=torch.cat([globe.scales, torch.full_like(globe.scales, 0.05 * ball.background)]),
+        means=torch.cat([globe.means, ball.centre.float() + 2 * ball.background_distance * globe.means]),
+        scales=torch.cat([globe.scales, torch.full_like(globe.scales, 0.05 * ball.background_distance)]),
         temperatures=torch.cat([globe.temperatures, torch.zeros_like(globe.temperatures)]),
         **sky,
     )

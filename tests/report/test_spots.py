@@ -8,7 +8,7 @@ import torch
 
 from mrgs.baked import BakedModel
 from mrgs.report.spots import find_spots
-from mrgs.scene import Camera, Pixels, PosedImage, TemperatureRange, View
+from mrgs.scene import Camera, Pixels, PosedImage, Reach, TemperatureRange, View
 
 HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
 """Places on the plane z = 0."""
@@ -65,6 +65,15 @@ def test_the_known_extremes_are_found():
         assert spot.low <= spot.value <= spot.high
         assert spot.high - spot.low < 0.02
         assert spot.views >= 6
+
+
+def test_what_lies_far_behind_the_scene_is_no_spot():
+    ball = Reach(torch.tensor([*HOT, 0.0]).double(), 0.11)
+    hottest, coldest = find_spots(views(), plane().render, ball=ball)
+    assert hottest[0].value == pytest.approx(0.9, abs=0.01)
+    assert coldest[0].value > 0.4
+    for spot in (*hottest, *coldest):
+        assert not ball.is_background(torch.from_numpy(spot.position))
 
 
 def test_spots_of_a_list_keep_their_distance():

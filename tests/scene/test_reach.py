@@ -33,7 +33,9 @@ def test_the_cameras_are_inside():
 
 def test_what_is_nearer_to_the_background_than_to_the_scene_belongs_to_it():
     ball = reach(shell(100, 2.0), [camera_at(0.0, 0, 0)])
-    assert ball.background == pytest.approx(2 * TIMES_AS_FAR)
-    distances = torch.tensor([0.0, 2.0, 0.9 * (1 + TIMES_AS_FAR), 1.1 * (1 + TIMES_AS_FAR), ball.background, torch.nan])
+    assert ball.background_distance == pytest.approx(2 * TIMES_AS_FAR)
+    distances = torch.tensor(
+        [0.0, 2.0, 0.9 * (1 + TIMES_AS_FAR), 1.1 * (1 + TIMES_AS_FAR), ball.background_distance, torch.nan]
+    )
     points = distances[:, None] * torch.tensor([0.0, 0.6, 0.8])
     assert ball.is_background(points).tolist() == [False, False, False, True, True, False]

@@ -31,13 +31,13 @@ def wall_of(camera: Camera, rows: range, depth: float = 3.0) -> Tensor:
 
 def test_a_photo_full_of_points_gets_none_behind_them():
     camera = camera_towards(0.3)
-    assert len(distant_points(wall_of(camera, range(18)), [camera])) == 0
+    assert len(distant_points(wall_of(camera, range(18)), [camera]).positions) == 0
 
 
 def test_the_sky_above_a_wall_gets_points_far_away():
     camera = camera_towards(0.3)
     points = wall_of(camera, range(9, 18))
-    sky = distant_points(points, [camera]).double()
+    sky = distant_points(points, [camera]).positions.double()
     pixels, _ = camera.project(sky)
     assert camera.contains(pixels).all()
     assert (pixels[:, 1] < 37).all()
@@ -56,13 +56,13 @@ def test_a_small_gap_in_a_wall_stays_as_it_is():
     pixels, _ = camera.project(points.double())
     gap = (pixels - pixels.new_tensor([44.0, 40.0])).abs().amax(dim=1) < 3
     assert gap.sum() == 4
-    assert len(distant_points(points[~gap], [camera])) == 0
+    assert len(distant_points(points[~gap], [camera]).positions) == 0
 
 
 def test_what_several_photos_see_becomes_one_point():
     cameras = [camera_towards(0.3), camera_towards(0.3, distance=0.01)]
     points = wall_of(cameras[0], range(9, 18))
-    one, two = (distant_points(points, cameras[:count]) for count in (1, 2))
+    one, two = (distant_points(points, cameras[:count]).positions for count in (1, 2))
     nearest = torch.cdist(two / two.norm(dim=1, keepdim=True), one / one.norm(dim=1, keepdim=True)).min(dim=1).values
     assert (nearest < 2 * SPACING_RAD).all()
     assert len(two) < 1.5 * len(one)
@@ -72,7 +72,7 @@ def test_cameras_outside_the_points_are_inside_the_sphere():
     """As around a thing on a table: the points lie within the ring of cameras, which look inwards."""
     cameras = [camera_towards(angle, distance=5.0) for angle in (0.0, 2.0, 4.0)]
     points = 0.1 * torch.randn(300, 3, generator=torch.Generator().manual_seed(0))
-    found = distant_points(points, cameras).double()
+    found = distant_points(points, cameras).positions.double()
     centre = torch.stack([camera.position for camera in cameras]).mean(dim=0)
     assert (found - centre).norm(dim=1).min() > 0.9 * TIMES_AS_FAR * 5.0
     assert all((camera.project(found)[1] > 5.0).any() for camera in cameras)
@@ -82,10 +82,11 @@ def test_a_photo_of_few_points_does_not_tell_what_is_empty():
     camera = camera_towards(0.3)
     points = wall_of(camera, range(10, 18))
     assert len(points) == 8 * 24
-    assert len(distant_points(points, [camera])) == 0
+    assert len(distant_points(points, [camera]).positions) == 0
 
 
 @pytest.mark.parametrize("missing", ["cameras", "points"])
 def test_nothing_to_go_by(missing):
     points = torch.zeros(0 if missing == "points" else 4, 3)
-    assert distant_points(points, [] if missing == "cameras" else [camera_towards(0.0)]).shape == (0, 3)
+    found = distant_points(points, [] if missing == "cameras" else [camera_towards(0.0)])
+    assert found.positions.shape == (0, 3)

@@ -16,7 +16,7 @@ def points_at(positions: Tensor) -> StartPoints:
     colors = torch.rand(len(positions), 3, generator=generator)
     temperatures = torch.rand(len(positions), generator=generator)
     opacities = 0.1 + 0.8 * torch.rand(2, len(positions), generator=generator)
-    return StartPoints(positions, colors, temperatures, *opacities)
+    return StartPoints(positions, colors, temperatures, *opacities, torch.full_like(temperatures, torch.inf))
 
 
 def cloud(count: int) -> StartPoints:
@@ -48,6 +48,15 @@ def test_sizes_are_the_spacing_of_the_points():
     scales = start(points_at(line)).scales
     torch.testing.assert_close(scales[4], torch.full((3,), ((1 + 1 + 4) / 3) ** 0.5))
     torch.testing.assert_close(scales[0], torch.full((3,), ((1 + 4 + 9) / 3) ** 0.5))
+
+
+def test_a_lonely_distant_point_is_no_larger_than_its_limit():
+    points = cloud(30)
+    points.positions[-1] = 1e3
+    points.max_scales[-1] = 20.0
+    scales = start(points).scales
+    torch.testing.assert_close(scales[-1], torch.full((3,), 20.0))
+    assert (scales[:-1] < 20).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

@@ -8,8 +8,7 @@ from torch import Tensor
 
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage, Scene, View
 from mrgs.training.config import make_config
-from mrgs.training.photo_values import UNSEEN
-from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, THERMAL_OPACITY, start_points
+from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, THERMAL_OPACITY, UNSEEN, start_points
 
 WIDTH, HEIGHT = 48, 36
 WALL_C, SKY_C = 0.8, 0.1
@@ -65,6 +64,7 @@ def test_a_modality_without_photos_says_nothing(has_rgb, has_thermal):
         assert (found.colors[len(scene.points.positions) :] == UNSEEN).all()
     if not has_thermal:
         assert (found.temperatures == UNSEEN).all()
+        assert (found.opacities_thermal == found.opacities_rgb).all()
 
 
 def test_as_published_only_the_scenes_points_are_there():

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -138,6 +139,20 @@ def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_star
     assert seen[2] is not seen[1]
     assert seen[3] is seen[2]
     assert [len(neighbours) for neighbours in seen] == [25, 25, 25, 25, 50]
+
+
+@pytest.mark.parametrize("distant_points", [False, True])
+def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(distant_points, make_start, make_short_config):
+    config = make_short_config(distant_points=distant_points)
+    scene, state = make_start(config)
+    schedule = replace(config.densification, start=0, stop=9, every=4, reset_every=2, gradient_threshold=1e9)
+    config = replace(config, densification=schedule)
+    with torch.no_grad():
+        state.model.gaussians.log_scales[:] = math.log(0.5 * schedule.prune_above * scene.extent)
+        state.model.gaussians.log_scales[:3] = math.log(2 * schedule.prune_above * scene.extent)
+    count, state.step = len(state.model.gaussians), 4
+    control_density(state, config, scene.extent)
+    assert count - len(state.model.gaussians) == (0 if distant_points else 3)
 
 
 def test_density_control_starts_the_statistics_anew_and_resets_opacities(make_start, make_short_config):

@@ -1,9 +1,9 @@
-"""One picture per run: photos, renderings, the temperature error and the depth of a few held-out views."""
+"""One picture per run: photos, renderings, the temperature error and the depth of some held-out views."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,39 +65,36 @@ class SheetRow:
 
 
 class SheetRows:
-    """The views that a sheet shows: a few spread evenly, and the one that scores worst, which a mean hides.
+    """The views that a sheet shows: a few spread evenly, and those that score worst, which a mean hides.
 
     Args:
         count: of the views, which are added one after another.
     """
 
     def __init__(self, count: int) -> None:
-        self._spread = set(spread(count))
+        self._spread = spread(count)
         self._added = 0
         self._rows: dict[int, SheetRow] = {}
-        self._worst: tuple[float, int] = (math.inf, -1)
+        self._worst: dict[str, tuple[float, int]] = {}
 
-    def add(self, row: SheetRow) -> None:
-        """Take the next view."""
-        number, score = self._added, _psnr(row.metrics)
+    def add(self, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
+        """Take the next view; its row is made only if it is shown as far as is known by now."""
+        number = self._added
         self._added += 1
-        if score < self._worst[0]:
-            if self._worst[1] not in self._spread:
-                self._rows.pop(self._worst[1], None)
-            self._worst = score, number
-        if number in (*self._spread, self._worst[1]):
-            self._rows[number] = row
+        for modality, figures in (("thermal", metrics.thermal), ("rgb", metrics.rgb)):
+            psnr = figures["psnr"]
+            if isinstance(psnr, float):
+                score = (-math.inf if math.isnan(psnr) else psnr, number)
+                self._worst[modality] = min(score, self._worst.get(modality, score))
+        shown = {*self._spread, *(place for _, place in self._worst.values())}
+        self._rows = {place: row for place, row in self._rows.items() if place in shown}
+        if number in shown:
+            self._rows[number] = make_row()
 
     @property
     def rows(self) -> list[SheetRow]:
         """What is shown of the views so far, in their order."""
         return [self._rows[number] for number in sorted(self._rows)]
-
-
-def _psnr(metrics: ViewMetrics) -> float:
-    """Of the thermal image, or of the colours where there is none; infinite without either."""
-    known = [value for value in (metrics.thermal["psnr"], metrics.rgb["psnr"]) if isinstance(value, float)]
-    return known[0] if known else math.inf
 
 
 class _Scales(NamedTuple):

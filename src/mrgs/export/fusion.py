@@ -31,7 +31,7 @@ class DepthMap:
 
     Attributes:
         camera: of the images.
-        depth: z-depth in scene units, NaN where there is none, [H, W].
+        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is not known, [H, W].
         image: any C channels to be carried over to the surface, [H, W, C].
     """
 
@@ -93,7 +93,8 @@ def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:
     """A box about the seen points, its step no finer than the median width of a pixel on the surfaces."""
     points = np.concatenate([unprojected for item in maps for unprojected in _unproject(item, (0.0,))])
     low, high = np.percentile(points, [BOUNDS_PERCENTILE, 100 - BOUNDS_PERCENTILE], axis=0)
-    pixel = np.median([np.nanmedian(item.depth) / float(item.camera.K[0, 0]) for item in maps])
+    surfaces = [(item.depth[np.isfinite(item.depth)], float(item.camera.K[0, 0])) for item in maps]
+    pixel = np.median([np.median(depth) / focal for depth, focal in surfaces if len(depth)])
     step = max(float((high - low).max()) / resolution, float(pixel), 1e-6)
     margin = (TRUNCATION_VOXELS + 1) * step
     shape = np.ceil((high - low + 2 * margin) / step).astype(int) + 1

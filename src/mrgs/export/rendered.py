@@ -17,7 +17,7 @@ from mrgs.baked import BakedModel
 from mrgs.errors import RunError
 from mrgs.export.fusion import DepthMap, visible
 from mrgs.export.splats import to_float32
-from mrgs.scene import Camera, Reach, Scene, reach, spread
+from mrgs.scene import Camera, Reach, Scene, spread
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -33,13 +33,12 @@ MAX_STEP = 0.05
 def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     """The renderings of the training cameras; the channels are red, green, blue, and °C (normalised without °C).
 
-    The depth is that of the RGB blend (of the thermal one where the scene has no RGB). The sky has none.
+    The depth is that of the RGB blend (of the thermal one where the scene has no RGB); infinite where the sky is seen.
 
     Raises:
         RunError: no pixel is opaque enough to have a depth.
     """
-    ball = reach(scene.points.positions, [view.cameras[0] for view in scene.train])
-    maps = [_depth_map(baked, camera, scene.has_rgb, ball) for camera in _cameras(scene)]
+    maps = [_depth_map(baked, camera, scene.has_rgb, scene.reach) for camera in _cameras(scene)]
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError("no view of the model is opaque enough to show a surface: train the model longer")
     return maps
@@ -77,7 +76,7 @@ def _depth_map(baked: BakedModel, camera: Camera, by_color: bool, ball: Reach) -
     """The mean depth of what a pixel shows, and its colour and temperature."""
     rendering = baked.render(camera)
     depth = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
-    depth = torch.where(ball.is_background(_places(camera, depth)), torch.nan, depth)
+    depth = torch.where(ball.is_background(_places(camera, depth)), torch.inf, depth)
     assert rendering.rgb is not None
     assert rendering.thermal is not None
     thermal = rendering.thermal if baked.temperature is None else baked.temperature.to_celsius(rendering.thermal)

@@ -42,7 +42,7 @@ def spots(run: Run, scene: Scene) -> str:
     def render(camera: Camera) -> Any:
         return run.render(None, camera)
 
-    hottest, coldest = find_spots(views, render)
+    hottest, coldest = find_spots(views, render, ball=scene.reach)
     if not hottest:
         return title + "<p>No surface is seen by enough views. More steps, or more photos, may help.</p>"
     named = {f"H{i}": spot for i, spot in enumerate(hottest, 1)} | {f"C{i}": spot for i, spot in enumerate(coldest, 1)}

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 
 from mrgs.render import Rendering
-from mrgs.scene import Camera, View, spread
+from mrgs.scene import Camera, Reach, View, spread
 
 VIEWS = 60
 """Views that are surveyed, evenly spread over those given."""
@@ -113,17 +113,20 @@ class _Cube(NamedTuple):
     rows: Int64[np.ndarray, " v"]
 
 
-def find_spots(views: Sequence[View], render: Renderer, count: int = 3) -> tuple[list[Spot], list[Spot]]:
+def find_spots(
+    views: Sequence[View], render: Renderer, count: int = 3, ball: Reach | None = None
+) -> tuple[list[Spot], list[Spot]]:
     """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
 
     Args:
         views: of the capture; those without a thermal image are not asked.
         render: of the model.
         count: how many.
+        ball: how far the scene reaches; the sky is no spot. None if there is none.
     """
     thermal = [index for index, view in enumerate(views) if view.thermal is not None]
     chosen = [thermal[place] for place in spread(len(thermal), VIEWS)]
-    points = _survey(views, chosen, render)
+    points = _survey(views, chosen, render, ball)
     if points is None:
         return [], []
     sightings, edge = _sightings(points)
@@ -132,7 +135,7 @@ def find_spots(views: Sequence[View], render: Renderer, count: int = 3) -> tuple
     return hottest, coldest
 
 
-def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer) -> _Points | None:
+def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: Reach | None) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts = []
     for index in chosen:
@@ -150,8 +153,10 @@ def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer) -> _
         )
         footprint = depth / camera.K[0, 0].item()
         pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
-        positions = camera.unproject(pixels, torch.from_numpy(depth)).numpy()
-        parts.append((positions, values, np.full(len(rows), index), central, footprint))
+        places = camera.unproject(pixels, torch.from_numpy(depth))
+        near = np.ones(len(rows), bool) if ball is None else ~ball.is_background(places).numpy()
+        part = (places.numpy(), values, np.full(len(rows), index), central, footprint)
+        parts.append([column[near] for column in part])
     if not sum(len(part[0]) for part in parts):
         return None
     positions, values, owners, central, footprints = (np.concatenate(column) for column in zip(*parts, strict=True))

@@ -32,13 +32,13 @@ class Reach(NamedTuple):
     radius: float
 
     @property
-    def background(self) -> float:
+    def background_distance(self) -> float:
         """Distance of the background from the centre, scene units."""
         return TIMES_AS_FAR * self.radius
 
     def is_background(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
         """Whether points of the world, [..., 3], lie nearer to the background than to the scene; NaN does not."""
-        return (points - self.centre.to(points)).norm(dim=-1) > (self.background + self.radius) / 2
+        return (points - self.centre.to(points)).norm(dim=-1) > (self.background_distance + self.radius) / 2
 
 
 def reach(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> Reach:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import View
 
@@ -55,6 +56,11 @@ class Scene:
         extent = 1.1 * (positions - centre).norm(dim=1).max().item()
         distance = (self.points.positions.double() - centre).norm(dim=1).median().item()
         return extent if extent > STILL_CAMERAS * distance else distance
+
+    @property
+    def reach(self) -> Reach:
+        """How far it reaches; there must be start points."""
+        return reach(self.points.positions, [view.cameras[0] for view in self.train])
 
     @property
     def has_rgb(self) -> bool:

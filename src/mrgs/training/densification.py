@@ -37,7 +37,8 @@ class DensificationConfig:
         gradient_threshold: mean norm of the screen-space gradient, in 1 / half the image, that densifies.
         clone_below: Gaussians smaller than this share of the scene's extent are cloned, larger ones split.
         prune_opacity: Gaussians are removed if no modality's opacity reaches this.
-        prune_above: Gaussians larger than this share of the extent are removed, after the first opacity reset.
+        prune_above: Gaussians larger than this share of the extent are removed, after the first opacity reset, unless
+            training starts with distant points.
         reset_every: steps between opacity resets, up to ``stop``.
         reset_opacity: what opacities are brought down to.
         max_gaussians: the cap; those with the largest gradients come first.

@@ -7,6 +7,7 @@ cameras and are seen hanging in the air from everywhere else.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Float64
@@ -25,7 +26,19 @@ SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
 
 
-def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> Float[Tensor, "m 3"]:
+class DistantPoints(NamedTuple):
+    """M points that are about equally far from each other.
+
+    Attributes:
+        positions: in world coordinates, [M, 3].
+        spacing: scene units.
+    """
+
+    positions: Float[Tensor, "m 3"]
+    spacing: float
+
+
+def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> DistantPoints:
     """Points behind the start points; none where every cell of every photo shows one of those.
 
     Args:
@@ -33,14 +46,15 @@ def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> F
         cameras: of the training photos.
     """
     if not cameras or len(points) == 0:
-        return points[:0]
+        return DistantPoints(points[:0], 0.0)
     ball = reach(points, cameras)
     directions = [_on_sphere(camera, _empty_cells(camera, points.double()), ball) for camera in cameras]
-    return (ball.centre + ball.background * _merged(torch.cat(directions))).to(points)
+    positions = ball.centre + ball.background_distance * _merged(torch.cat(directions))
+    return DistantPoints(positions.to(points), SPACING_RAD * ball.background_distance)
 
 
 def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
-    """Which cells of a photo lie in three by three cells without a start point; none if it shows too few of these."""
+    """Which cells of a photo lie in three by three cells without a start point; none if it shows too few points."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]
@@ -67,8 +81,8 @@ def _on_sphere(camera: Camera, empty: Bool[Tensor, "rows columns"], ball: Reach)
     rays = torch.nn.functional.normalize(rays, dim=1)
     start = camera.position - ball.centre
     along = rays @ start
-    reach = (along.square() - start.square().sum() + ball.background**2).clamp_min(0).sqrt() - along
-    return torch.nn.functional.normalize(start + reach[:, None] * rays, dim=1)
+    length = (along.square() - start.square().sum() + ball.background_distance**2).clamp_min(0).sqrt() - along
+    return torch.nn.functional.normalize(start + length[:, None] * rays, dim=1)
 
 
 def _merged(directions: Float64[Tensor, "k 3"]) -> Float64[Tensor, "m 3"]:

@@ -26,6 +26,8 @@ def initial_gaussians(
 ) -> Gaussians:
     """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest points (3DGS).
 
+    A distant point is no larger than its own kind stands apart, whatever its neighbours are.
+
     Args:
         points: start points; a random subset if there are more than ``max_gaussians``.
         field: gives e_m its start; its frame must be set.
@@ -43,7 +45,7 @@ def initial_gaussians(
     return Gaussians(
         means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        log_scales=_spacing(means).log()[:, None].repeat(1, 3),
+        log_scales=torch.minimum(_spacing(means), points.max_scales).log()[:, None].repeat(1, 3),
         opacity_rgb_logit=opacity_rgb,
         opacity_thermal_logit=opacity_thermal[:, :0] if shares_opacity else opacity_thermal,
         sh_dc=((points.colors - 0.5) / C0)[:, None],

@@ -21,9 +21,6 @@ in one of those around it, is much nearer."""
 MUCH_NEARER = 1.5
 """A hidden point is more than so many times as far away."""
 
-UNSEEN = 0.5
-"""Value of a point that no photo shows."""
-
 
 class _Shown(NamedTuple):
     """What a photo has where the points are; NaN for a point that it does not show.
@@ -42,7 +39,8 @@ def photo_values(
 ) -> Float[Tensor, "n {channels}"]:
     """The median over the photos that show a point of the value they have there, channel by channel.
 
-    A point that is hidden in every photo takes the median over all that have it in their frame.
+    A point that is hidden in every photo takes the median over all that have it in their frame; one that no photo has
+    there is NaN.
 
     Args:
         positions: points in world coordinates, which also hide each other.
@@ -50,11 +48,11 @@ def photo_values(
         channels: 3 for RGB, 1 for normalised temperatures.
     """
     if not photos:
-        return positions.new_full((len(positions), channels), UNSEEN)
+        return positions.new_full((len(positions), channels), torch.nan)
     chosen = [photos[index] for index in spread(len(photos), PHOTOS)]
     shown = [_shown(positions.double(), photo) for photo in chosen]
     in_frame, unhidden = (torch.stack(values).nanmedian(dim=0).values for values in zip(*shown, strict=True))
-    return torch.where(unhidden.isnan(), in_frame, unhidden).nan_to_num(nan=UNSEEN).to(positions)
+    return torch.where(unhidden.isnan(), in_frame, unhidden).to(positions)
 
 
 def _shown(positions: Float64[Tensor, "n 3"], photo: PosedImage) -> _Shown:

@@ -86,8 +86,8 @@ def normalise_radiation(
     """E_r brought to [0, 1] by its least and largest value, as S-SSIM needs it to have the scale of I_t.
 
     The two come from the valid pixels alone. They carry gradient, so that L_boltz gains nothing by multiplying all
-    depths: with a scale held fixed it would, because E_r becomes the flatter the farther everything is, and what is
-    flat contradicts no image. A flat map becomes 0.
+    depths above their floor: with a scale held fixed it would, because E_r becomes the flatter the farther everything
+    is, and what is flat contradicts no image. A flat map becomes 0.
     """
     low = (radiation if valid is None else torch.where(valid, radiation, math.inf)).amin()
     high = (radiation if valid is None else torch.where(valid, radiation, -math.inf)).amax()

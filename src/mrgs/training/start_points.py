@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.scene import PosedImage, Scene
+from mrgs.scene import PointCloud, PosedImage, Scene
 from mrgs.training.config import TrainConfig
 from mrgs.training.distance import distant_points
-from mrgs.training.photo_values import UNSEEN, photo_values
+from mrgs.training.photo_values import photo_values
 
 OPACITY = 0.1
 """3DGS's."""
@@ -24,6 +24,9 @@ OPACITY = 0.1
 THERMAL_OPACITY = 0.5
 """o_t of a point whose temperature the photos tell. Started with 3DGS's, a surface that is as cold everywhere as what
 lies behind it would stay half transparent: nothing in a thermal photo asks it to become opaque."""
+
+UNSEEN = 0.5
+"""Colour and temperature of a point that no photo shows."""
 
 DISTANT_OPACITY = 0.9
 """Nothing lies behind a distant point; and were it not opaque, the nearer surfaces would grow to fill the sky."""
@@ -38,6 +41,7 @@ class StartPoints(NamedTuple):
         temperatures: normalised, [N].
         opacities_rgb: o_c, [N].
         opacities_thermal: o_t, [N].
+        max_scales: no Gaussian starts larger than this, scene units, [N]; infinite where the spacing alone decides.
     """
 
     positions: Float[Tensor, "n 3"]
@@ -45,6 +49,7 @@ class StartPoints(NamedTuple):
     temperatures: Float[Tensor, " n"]
     opacities_rgb: Float[Tensor, " n"]
     opacities_thermal: Float[Tensor, " n"]
+    max_scales: Float[Tensor, " n"]
 
     def rows(self, chosen: Tensor) -> StartPoints:
         """Some of the points."""
@@ -53,20 +58,42 @@ class StartPoints(NamedTuple):
 
 def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
     """The scene's points first, then those far away, as far as the configuration asks for them and for temperatures."""
-    positions, colors = scene.points.positions, scene.points.colors
-    opacities = positions.new_full((len(positions),), OPACITY)
+    points = _as_published(scene.points)
     if config.distant_points:
-        distant = distant_points(positions, [view.cameras[0] for view in scene.train])
-        positions = torch.cat([positions, distant])
-        photos = _photos(scene, "rgb") if len(distant) > 0 else []
-        colors = torch.cat([colors, photo_values(positions, photos, 3)[len(colors) :]])
-        opacities = torch.cat([opacities, opacities.new_full((len(distant),), DISTANT_OPACITY)])
-    temperatures = positions.new_full((len(positions),), UNSEEN)
-    opacities_thermal = opacities
-    if config.photo_temperatures:
-        temperatures = photo_values(positions, _photos(scene, "thermal"), 1)[:, 0]
-        opacities_thermal = opacities.clamp_min(THERMAL_OPACITY)
-    return StartPoints(positions, colors, temperatures, opacities, opacities_thermal)
+        points = _with_distant(points, scene)
+    return _with_temperatures(points, scene) if config.photo_temperatures else points
+
+
+def _as_published(cloud: PointCloud) -> StartPoints:
+    """The scene's points as 3DGS starts from them."""
+    like = cloud.positions[:, 0]
+    opacities = torch.full_like(like, OPACITY)
+    unknown, unlimited = torch.full_like(like, UNSEEN), torch.full_like(like, torch.inf)
+    return StartPoints(cloud.positions, cloud.colors, unknown, opacities, opacities, unlimited)
+
+
+def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
+    """Those far away behind them, in the photos' colours."""
+    distant = distant_points(points.positions, [view.cameras[0] for view in scene.train])
+    if len(distant.positions) == 0:
+        return points
+    positions = torch.cat([points.positions, distant.positions])
+    colors = photo_values(positions, _photos(scene, "rgb"), 3)[len(points.positions) :].nan_to_num(nan=UNSEEN)
+    like = distant.positions[:, 0]
+    opacities, unknown = torch.full_like(like, DISTANT_OPACITY), torch.full_like(like, UNSEEN)
+    sizes = torch.full_like(like, distant.spacing)
+    added = StartPoints(distant.positions, colors, unknown, opacities, opacities, sizes)
+    return StartPoints(*(torch.cat(columns) for columns in zip(points, added, strict=True)))
+
+
+def _with_temperatures(points: StartPoints, scene: Scene) -> StartPoints:
+    """The same where no thermal photo shows a point; where one does, its temperature, and more opaque to heat."""
+    temperatures = photo_values(points.positions, _photos(scene, "thermal"), 1)[:, 0]
+    opaque = points.opacities_thermal.clamp_min(THERMAL_OPACITY)
+    return points._replace(
+        temperatures=temperatures.nan_to_num(nan=UNSEEN),
+        opacities_thermal=torch.where(temperatures.isnan(), points.opacities_thermal, opaque),
+    )
 
 
 def _photos(scene: Scene, modality: str) -> list[PosedImage]:

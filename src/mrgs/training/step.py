@@ -14,7 +14,7 @@ from mrgs.field import nearest_neighbours
 from mrgs.render import Model, Rendering, render
 from mrgs.scene import View
 from mrgs.training.config import TrainConfig
-from mrgs.training.densification import DensificationConfig, DensificationCounts, ScreenStatistics, densify
+from mrgs.training.densification import DensificationCounts, ScreenStatistics, densify
 from mrgs.training.image_model import ImageModel
 from mrgs.training.losses import total_loss
 from mrgs.training.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
@@ -229,7 +229,7 @@ def control_density(
     if config.relocation is not None:
         counts = _relocate(state, config.relocation, config.densification.max_gaussians)
     else:
-        counts = _densify(state, config.densification, extent)
+        counts = _densify(state, config, extent)
     if counts is not None:
         state.statistics.clear()  # a relocation that finds nothing to move has not started them anew
         state.model.neighbours = None
@@ -242,10 +242,10 @@ def _relocate(state: TrainingState, schedule: RelocationConfig, budget: int) -> 
     return relocate(state.gaussian_optimizer, schedule, state.step, budget, state.generator, state.statistics)
 
 
-def _densify(state: TrainingState, schedule: DensificationConfig, extent: float) -> DensificationCounts | None:
-    counts = None
+def _densify(state: TrainingState, config: TrainConfig, extent: float) -> DensificationCounts | None:
+    counts, schedule = None, config.densification
     if schedule.densifies_at(state.step):
-        prunes_large = state.step > schedule.reset_every
+        prunes_large = state.step > schedule.reset_every and not config.distant_points  # the sky is large
         counts = densify(state.gaussian_optimizer, state.statistics, schedule, extent, prunes_large, state.generator)
     if schedule.resets_at(state.step):
         state.gaussian_optimizer.limit_opacities(schedule.reset_opacity)
