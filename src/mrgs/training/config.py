@@ -53,7 +53,8 @@ class TrainConfig:
         sh_every: steps between the degrees of the spherical harmonics.
         shares_opacity: blend both modalities with o_c.
         distant_points: start with points far away too, in the directions where no start point lies; not in the paper.
-        photo_temperatures: start with temperatures read off the thermal photos, not with one for all; not in the paper.
+        photo_temperatures: start with temperatures read off the thermal photos, not with one for all, and with a larger
+            o_t there; not in the paper.
         neighbours_every: steps after which the neighbours are searched anew, besides whenever N changes.
         background_rgb: colour behind the scene.
         background_thermal: normalised temperature behind the scene.
