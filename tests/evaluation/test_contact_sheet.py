@@ -65,7 +65,7 @@ def shown_of(thermal: list[float | Missing], rgb: list[float | Missing]) -> list
             made.append(metrics.name)
             return SheetRow(metrics, None, None, None, None, None)
 
-        shown.add(metrics, make)
+        shown.add(number, metrics, make)
     assert {row.metrics.name for row in shown.rows} <= set(made)
     return [int(row.metrics.name) for row in shown.rows]
 

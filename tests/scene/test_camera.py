@@ -53,6 +53,14 @@ def test_unprojecting_and_projecting_undo_each_other(places, fx, fy):
     torch.testing.assert_close(again, points, rtol=1e-9, atol=1e-6)
 
 
+def test_an_image_is_unprojected_at_the_centres_of_its_pixels():
+    original = camera(40, 30, 36.0, 27.0)
+    depth = 1 + torch.rand(30, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    pixels, seen_depth = original.project(original.unproject_image(depth))
+    torch.testing.assert_close(seen_depth, depth)
+    torch.testing.assert_close(pixels[12, 7], torch.tensor([7.5, 12.5], dtype=torch.float64))
+
+
 @given(st.tuples(*[st.floats(-50, 50)] * 3))
 def test_projecting_is_the_pinhole_equation(place):
     """K · (R X + t), divided by its third coordinate."""

@@ -39,3 +39,14 @@ def test_what_is_nearer_to_the_background_than_to_the_scene_belongs_to_it():
     )
     points = distances[:, None] * torch.tensor([0.0, 0.6, 0.8])
     assert ball.is_background(points).tolist() == [False, False, False, True, True, False]
+
+
+def test_depths_of_the_background_become_infinite_and_unknown_ones_stay_so():
+    camera = camera_at(0.0, 0, 0)
+    ball = reach(shell(100, 2.0), [camera])
+    depth = torch.full((camera.height, camera.width), 2.0)
+    depth[0, 0], depth[1, 1] = ball.background_distance, torch.nan
+    found = ball.without_background(camera, depth)
+    expected = depth.clone()
+    expected[0, 0] = torch.inf
+    torch.testing.assert_close(found, expected, equal_nan=True)

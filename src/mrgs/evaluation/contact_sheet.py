@@ -68,19 +68,16 @@ class SheetRows:
     """The views that a sheet shows: a few spread evenly, and those that score worst, which a mean hides.
 
     Args:
-        count: of the views, which are added one after another.
+        count: of the views.
     """
 
     def __init__(self, count: int) -> None:
         self._spread = spread(count)
-        self._added = 0
         self._rows: dict[int, SheetRow] = {}
         self._worst: dict[str, tuple[float, int]] = {}
 
-    def add(self, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
-        """Take the next view; its row is made only if it is shown as far as is known by now."""
-        number = self._added
-        self._added += 1
+    def add(self, number: int, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
+        """Take a view by its number, from 0; its row is made only if it is shown as far as is known by now."""
         for modality, figures in (("thermal", metrics.thermal), ("rgb", metrics.rgb)):
             psnr = figures["psnr"]
             if isinstance(psnr, float):

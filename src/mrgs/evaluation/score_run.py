@@ -91,7 +91,7 @@ def score_views(
 
     def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
         nonlocal done
-        shown.add(metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature))
+        shown.add(done, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature))
         done += 1
         if progress is not None:
             progress(done, len(scene.eval))

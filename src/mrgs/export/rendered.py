@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float, Float32
-from torch import Tensor
+from jaxtyping import Bool, Float32
 
 from mrgs.baked import BakedModel
 from mrgs.errors import RunError
@@ -38,7 +36,8 @@ def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     Raises:
         RunError: no pixel is opaque enough to have a depth.
     """
-    maps = [_depth_map(baked, camera, scene.has_rgb, scene.reach) for camera in _cameras(scene)]
+    ball = scene.reach
+    maps = [_depth_map(baked, camera, scene.has_rgb, ball) for camera in _cameras(scene)]
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError("no view of the model is opaque enough to show a surface: train the model longer")
     return maps
@@ -75,16 +74,9 @@ def _cameras(scene: Scene) -> list[Camera]:
 def _depth_map(baked: BakedModel, camera: Camera, by_color: bool, ball: Reach) -> DepthMap:
     """The mean depth of what a pixel shows, and its colour and temperature."""
     rendering = baked.render(camera)
-    depth = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
-    depth = torch.where(ball.is_background(_places(camera, depth)), torch.inf, depth)
+    surface = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
     assert rendering.rgb is not None
     assert rendering.thermal is not None
     thermal = rendering.thermal if baked.temperature is None else baked.temperature.to_celsius(rendering.thermal)
     image = np.concatenate([to_float32(rendering.rgb), to_float32(thermal)], axis=2)
-    return DepthMap(camera, to_float32(depth), image)
-
-
-def _places(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
-    """World coordinates of what the pixels show."""
-    row, column = torch.meshgrid(*(torch.arange(size) + 0.5 for size in depth.shape), indexing="ij")
-    return camera.unproject(torch.stack([column, row], dim=2), depth)
+    return DepthMap(camera, to_float32(ball.without_background(camera, surface)), image)

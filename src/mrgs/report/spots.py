@@ -144,7 +144,8 @@ def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer, ball
         camera = image.camera.with_width(min(WIDTH_PX, image.camera.width))
         rendering = render(camera)
         assert rendering.thermal is not None
-        depth_map = rendering.surface_depth("thermal", SURFACE_ALPHA, DEPTH_JUMP).double().numpy()
+        surface = rendering.surface_depth("thermal", SURFACE_ALPHA, DEPTH_JUMP).double()
+        depth_map = (surface if ball is None else ball.without_background(camera, surface)).numpy()
         rows, columns = np.nonzero(np.isfinite(depth_map))
         values, depth = rendering.thermal[..., 0].numpy()[rows, columns], depth_map[rows, columns]
         border = 0.1 * min(camera.width, camera.height)
@@ -153,10 +154,8 @@ def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer, ball
         )
         footprint = depth / camera.K[0, 0].item()
         pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
-        places = camera.unproject(pixels, torch.from_numpy(depth))
-        near = np.ones(len(rows), bool) if ball is None else ~ball.is_background(places).numpy()
-        part = (places.numpy(), values, np.full(len(rows), index), central, footprint)
-        parts.append([column[near] for column in part])
+        positions = camera.unproject(pixels, torch.from_numpy(depth)).numpy()
+        parts.append((positions, values, np.full(len(rows), index), central, footprint))
     if not sum(len(part[0]) for part in parts):
         return None
     positions, values, owners, central, footprints = (np.concatenate(column) for column in zip(*parts, strict=True))

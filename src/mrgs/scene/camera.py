@@ -93,6 +93,11 @@ class Camera:
         rays = torch.nn.functional.pad((pixels - K[:2, 2]) / K.diagonal()[:2], (0, 1), value=1.0)
         return (rays * depth[..., None] - viewmat[:3, 3]) @ viewmat[:3, :3]
 
+    def unproject_image(self, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
+        """The points of the world that appear at the centres of the pixels, for z-depths in scene units."""
+        row, column = torch.meshgrid(*(torch.arange(size).to(depth) + 0.5 for size in depth.shape), indexing="ij")
+        return self.unproject(torch.stack([column, row], dim=2), depth)
+
     def contains(self, pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
         """Whether pixel coordinates x and y, [..., 2], lie in the image; NaN does not."""
         size = pixels.new_tensor([self.width, self.height])

@@ -40,6 +40,10 @@ class Reach(NamedTuple):
         """Whether points of the world, [..., 3], lie nearer to the background than to the scene; NaN does not."""
         return (points - self.centre.to(points)).norm(dim=-1) > (self.background_distance + self.radius) / 2
 
+    def without_background(self, camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+        """A camera's z-depths in scene units, infinite where they are those of the background."""
+        return torch.where(self.is_background(camera.unproject_image(depth)), torch.inf, depth)
+
 
 def reach(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> Reach:
     """How far a scene reaches from the middle of its cameras.
