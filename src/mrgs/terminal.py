@@ -287,13 +287,13 @@ def print_metrics(run: TrainedRun, metrics: Metrics) -> None:
 
 
 def print_figures(metrics: Metrics) -> None:
-    """The means, a line for each modality; SSIM's second convention is in the report only."""
+    """The means, a line for each modality; the second conventions of PSNR and SSIM are in the report only."""
     from mrgs.evaluation.report import COLUMNS, format_figure
 
     for title, figures in (("thermal", metrics.thermal), ("RGB", metrics.rgb), ("truth", metrics.truth or {})):
         shown = []
         for name, value in figures.items():
-            if isinstance(value, float) and name != "ssim_pair_range":
+            if isinstance(value, float) and name not in ("psnr_matched", "ssim_pair_range"):
                 heading, _, unit = COLUMNS[name][0].partition(", ")
                 shown.append(f"{heading} {format_figure(name, value)} {unit}".rstrip())
         if shown:

@@ -12,7 +12,15 @@ from torch import Tensor
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from mrgs.evaluation.figures import Missing
-from mrgs.evaluation.metrics import fill_invalid, mean_absolute_error, otsu_threshold, psnr, ssim, ssim_pair_range
+from mrgs.evaluation.metrics import (
+    fill_invalid,
+    mean_absolute_error,
+    otsu_threshold,
+    psnr,
+    psnr_matched,
+    ssim,
+    ssim_pair_range,
+)
 
 Metric = Callable[..., float]
 
@@ -42,6 +50,30 @@ def test_psnr_agrees_with_torchmetrics() -> None:
     image, target = pair()
     expected = peak_signal_noise_ratio(as_batch(image), as_batch(target), data_range=1.0)
     assert psnr(image, target) == pytest.approx(expected.item(), rel=1e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_matched_psnr_is_that_of_the_least_squares_fit(channels: int) -> None:
+    image, target = pair(channels)
+    planes = []
+    for channel in range(channels):
+        inside, goal = image[..., channel].double().flatten(), target[..., channel].double().flatten()
+        design = torch.stack([inside, torch.ones_like(inside)], dim=1)
+        planes.append((design @ torch.linalg.lstsq(design, goal[:, None]).solution).reshape(image.shape[:2]))
+    assert psnr_matched(image, target) == pytest.approx(psnr(torch.stack(planes, dim=2), target), rel=1e-9)
+    assert psnr_matched(image, target) > psnr(image, target)
+
+
+@given(gain=st.floats(0.5, 1.4), offset=st.floats(-0.1, 0.1))
+def test_matched_psnr_does_not_see_how_a_photo_is_scaled(gain: float, offset: float) -> None:
+    _, target = pair()
+    assert psnr_matched((target - offset) / gain * 0.5 + 0.1, target) > 100
+
+
+def test_matched_psnr_of_a_uniform_rendering_is_that_of_the_mean() -> None:
+    _, target = pair(1)
+    mean = torch.full_like(target, target.double().mean().item())
+    assert psnr_matched(torch.full_like(target, 0.9), target) == pytest.approx(psnr(mean, target), rel=1e-6)
 
 
 def test_mean_absolute_error_by_hand() -> None:
@@ -78,7 +110,7 @@ def test_ssim_of_identical_images_is_one(metric: Metric) -> None:
     assert metric(target, target) == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("metric", [psnr, ssim, ssim_pair_range, mean_absolute_error])
+@pytest.mark.parametrize("metric", [psnr, psnr_matched, ssim, ssim_pair_range, mean_absolute_error])
 def test_nothing_outside_the_mask_counts(metric: Metric) -> None:
     image, target = pair()
     valid = torch.zeros(30, 40, dtype=torch.bool)
@@ -92,7 +124,7 @@ def test_nothing_outside_the_mask_counts(metric: Metric) -> None:
 def test_a_full_mask_is_no_mask() -> None:
     image, target = pair()
     valid = torch.ones(30, 40, dtype=torch.bool)
-    for metric in (psnr, ssim, ssim_pair_range, mean_absolute_error):
+    for metric in (psnr, psnr_matched, ssim, ssim_pair_range, mean_absolute_error):
         assert metric(image, target, valid) == pytest.approx(metric(image, target), rel=1e-12)
 
 

@@ -24,6 +24,7 @@ from mrgs.evaluation.metrics import (
     mean_absolute_error,
     otsu_threshold,
     psnr,
+    psnr_matched,
     ssim,
     ssim_pair_range,
 )
@@ -169,12 +170,13 @@ def _loaded(pixels: Pixels, rendered: Tensor | None) -> Pixels:
 
 
 def _image_figures(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figures:
-    """PSNR, SSIM in both conventions, and LPIPS."""
+    """PSNR and SSIM in both conventions, and LPIPS."""
     target, valid = photo.values, photo.valid
     if valid is not None and not valid.any():
         return all_missing(RGB_FIGURES, "no pixel of the photo is valid")
     figures: Figures = {
         "psnr": psnr(image, target, valid),
+        "psnr_matched": psnr_matched(image, target, valid),
         "ssim": ssim(image, target, valid),
         "ssim_pair_range": ssim_pair_range(image, target, valid),
         "lpips": Missing(NO_LPIPS),

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeAlias
 
-THERMAL_FIGURES = ("psnr", "ssim", "ssim_pair_range", "mae_c", "mae_foreground_c", "lpips")
-RGB_FIGURES = ("psnr", "ssim", "ssim_pair_range", "lpips")
+THERMAL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "mae_c", "mae_foreground_c", "lpips")
+RGB_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "lpips")
 
 
 class Missing(NamedTuple):

@@ -26,6 +26,21 @@ def psnr(
     return math.inf if mse == 0 else -10 * math.log10(mse)
 
 
+def psnr_matched(
+    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+) -> float:
+    """PSNR after each channel of the rendering has taken the gain and the offset that bring it closest to the target.
+
+    For cameras that expose or scale every photo anew: what they chose for a held-out photo no model can know. Least
+    squares over the valid pixels; a uniform rendering takes the target's mean.
+    """
+    channels = [
+        _matched(rendered.double(), photographed.double(), valid)
+        for rendered, photographed in zip(image.clamp(0, 1).unbind(2), target.unbind(2), strict=True)
+    ]
+    return psnr(torch.stack(channels, dim=2), target, valid)
+
+
 def mean_absolute_error(
     image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Bool[Tensor, "h w"] | None = None
 ) -> float:
@@ -88,6 +103,15 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
     mean_below = moment_below / below
     mean_above = ((counts * centres).sum() - moment_below) / (total - below)
     return float(edges[1 + np.argmax(below * (total - below) * (mean_below - mean_above) ** 2)])
+
+
+def _matched(image: Float[Tensor, "h w"], target: Float[Tensor, "h w"], valid: Tensor | None) -> Float[Tensor, "h w"]:
+    """The image with the gain and the offset of least squares."""
+    inside, goal = _select(image, valid), _select(target, valid)
+    variance = inside.var(correction=0)
+    covariance = ((inside - inside.mean()) * (goal - goal.mean())).mean()
+    gain = torch.where(variance > 0, covariance / variance, 0.0)
+    return gain * (image - inside.mean()) + goal.mean()
 
 
 def _select(image: Tensor, valid: Tensor | None) -> Tensor:

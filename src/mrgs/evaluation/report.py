@@ -15,6 +15,7 @@ from mrgs.evaluation.truth import TRUTH_FIGURES
 
 COLUMNS = {
     "psnr": ("PSNR, dB", 2),
+    "psnr_matched": ("PSNR matched, dB", 2),
     "ssim": ("SSIM", 4),
     "ssim_pair_range": ("SSIM, pair range", 4),
     "mae_c": ("MAE, °C", 3),
@@ -26,7 +27,9 @@ COLUMNS = {
 """Heading and decimals of each figure."""
 
 CONVENTIONS = (
-    "Full frame, undistorted images, mean over the views. PSNR has the range 1. SSIM uses an 11×11 Gaussian window "
+    "Full frame, undistorted images, mean over the views. PSNR has the range 1; 'matched' "
+    "gives each channel of the rendering the gain and the offset that suit the photo best, for cameras that expose or "
+    "scale every photo anew. SSIM uses an 11×11 Gaussian window "
     "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the image pair and whole "
     "windows only, as torchmetrics does by default up to 1.4.1. The foreground is what is warmer than Otsu's "
     "threshold averaged over the views. LPIPS is VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers "
