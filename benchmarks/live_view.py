@@ -162,7 +162,7 @@ def look_on(orders: Connection) -> None:
 
 def camera_messages() -> list[bytes]:
     """Cameras around the scene, as a browser sends them."""
-    cameras = [view.cameras[0] for view in load_scene(SCENE).train]
+    cameras = load_scene(SCENE).train_cameras
     width, height = WINDOW_PX
     shared = {
         "type": "ViewerCameraMessage", "near": 0.01, "far": 1000.0, "image_width": width, "image_height": height,

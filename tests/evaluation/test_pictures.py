@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,9 @@ from mrgs.evaluation.pictures import (
 )
 from mrgs.evaluation.truth import read_float_tiff
 from mrgs.render import Rendering
-from mrgs.scene import TemperatureRange
+from mrgs.scene import Reach, TemperatureRange, View
+
+MakeView = Callable[..., View]
 
 
 def rendering() -> Rendering:
@@ -45,9 +49,9 @@ def test_rgb_is_clamped_and_rounded(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.asarray(image), to_rgb8(colors))
 
 
-def test_all_images_of_a_view_in_celsius(tmp_path: Path, celsius: TemperatureRange) -> None:
+def test_all_images_of_a_view_in_celsius(make_view: MakeView, tmp_path: Path, celsius: TemperatureRange) -> None:
     shown = rendering()
-    paths = write_rendering(tmp_path, "v1", shown, celsius)
+    paths = write_rendering(tmp_path, make_view("v1"), shown, celsius)
     names = {str(path.relative_to(tmp_path)) for path in paths}
     assert names == {
         "rgb/v1.png",
@@ -64,9 +68,9 @@ def test_all_images_of_a_view_in_celsius(tmp_path: Path, celsius: TemperatureRan
     assert expected.max() > celsius.max_c  # not clamped
 
 
-def test_without_celsius_the_file_says_so(tmp_path: Path) -> None:
+def test_without_celsius_the_file_says_so(make_view: MakeView, tmp_path: Path) -> None:
     shown = rendering()
-    write_rendering(tmp_path, "v1", shown, None)
+    write_rendering(tmp_path, make_view("v1"), shown, None)
     assert not (tmp_path / "temperature_c").exists()
     path = tmp_path / "thermal_normalised" / "v1.tiff"
     np.testing.assert_array_equal(read_float_tiff(path), shown.thermal[..., 0].numpy())
@@ -74,8 +78,10 @@ def test_without_celsius_the_file_says_so(tmp_path: Path) -> None:
         assert "normalised" in image.tag_v2[270]
 
 
-def test_what_the_model_lacks_is_left_out(tmp_path: Path, celsius: TemperatureRange) -> None:
-    paths = write_rendering(tmp_path, "v1", rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None), celsius)
+def test_what_the_model_lacks_is_left_out(make_view: MakeView, tmp_path: Path, celsius: TemperatureRange) -> None:
+    paths = write_rendering(
+        tmp_path, make_view("v1"), rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None), celsius
+    )
     assert {path.parent.name for path in paths} == {"temperature_c", "thermal"}
 
 
@@ -96,7 +102,21 @@ def test_near_is_light_in_a_depth_picture(tmp_path: Path) -> None:
     assert pixels[0, 0] > pixels[-1, -1] + 300
 
 
-def test_a_place_that_cannot_be_written_is_a_run_error(tmp_path: Path) -> None:
+def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(make_view: MakeView, tmp_path: Path) -> None:
+    shown, view = rendering(), make_view("v1")
+    shown.depth_rgb[:6] = 900.0
+    shown.depth_rgb[6:9] = 2.5
+    assert view.rgb is not None
+    camera = replace(view.rgb.camera, width=16, height=12)
+    view = replace(view, rgb=replace(view.rgb, camera=camera))
+    write_rendering(tmp_path, view, shown, None, ball=Reach(camera.position, 10.0))
+    assert read_float_tiff(tmp_path / "depth_rgb/v1.tiff").max() == 900
+    with Image.open(tmp_path / "depth_rgb/v1.png") as image:
+        pixels = np.asarray(image)
+    np.testing.assert_array_equal(pixels[[0, 7, 11], 5], palette_table("depth")[[0, 0, -1]])
+
+
+def test_a_place_that_cannot_be_written_is_a_run_error(make_view: MakeView, tmp_path: Path) -> None:
     (tmp_path / "rgb").write_text("")
     with pytest.raises(RunError, match=r"v1\.png cannot be written"):
-        write_rendering(tmp_path, "v1", rendering(), None)
+        write_rendering(tmp_path, make_view("v1"), rendering(), None)

@@ -53,7 +53,7 @@ def test_each_modality_has_its_own_frames_along_a_path(run):
     folder = render_run(run, "path", frames=2, progress=lambda done, total: told.append((done, total)))
     assert told == [(1, 2), (2, 2)]  # both modalities are rendered at once
     assert sorted(path.name for path in folder.glob("*.mp4")) == ["rgb.mp4", "thermal.mp4"]
-    cameras = orbit([view.cameras[0] for view in run.load_scene().train], 2)
+    cameras = orbit(run.load_scene().train_cameras, 2)
     for number, camera in enumerate(cameras):
         frame = pixels(folder / "rgb" / f"{number:05d}.png")
         np.testing.assert_array_equal(frame, to_rgb8(run.render(camera).rgb))

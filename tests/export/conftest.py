@@ -128,7 +128,7 @@ def scene(run: Run) -> Scene:
 
 @pytest.fixture(scope="session")
 def baked(run: Run, scene: Scene) -> BakedModel:
-    return bake(run.model, [view.cameras[0] for view in scene.train], run.temperature)
+    return bake(run.model, scene.train_cameras, run.temperature)
 
 
 @pytest.fixture

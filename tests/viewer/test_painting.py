@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mrgs.evaluation.palette import INVALID_COLOR, palette_table
+from mrgs.scene import Reach
 from mrgs.viewer.fields import Fields, difference
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.painting import (
@@ -76,6 +77,17 @@ def test_near_is_light(camera):
     fields.depth[:] = np.linspace(1, 5, 160)
     image = paint(pane, fields, measure_scales([pane], [fields], Settings(mode="depth"), "°C"), Settings(mode="depth"))
     assert image[0, 0].sum() > image[0, -1].sum()
+
+
+def test_the_sky_does_not_count_on_the_scale_of_the_depth(camera):
+    pane, fields = Pane("depth", camera), heat()
+    fields.depth[:, :80] = 900.0
+    ball = Reach(camera.position, 10.0)
+    assert measure_scales([pane], [fields], Settings(mode="depth"), "°C").depth.low == 900
+    scales = measure_scales([pane], [fields], Settings(mode="depth"), "°C", ball)
+    assert scales.depth.low < 4
+    image = paint(pane, fields, scales, Settings(mode="depth"))
+    assert (image[:, :80] == palette_table("depth")[0]).all()
 
 
 def test_the_slider_blends_and_splits():

@@ -14,7 +14,7 @@ from mrgs.viewer.splats import BrowserSplats, covariances, splat_colors
 
 @pytest.fixture(scope="module")
 def baked(small_run, balls):
-    return bake(small_run.model, [view.cameras[0] for view in balls.train], small_run.temperature)
+    return bake(small_run.model, balls.train_cameras, small_run.temperature)
 
 
 def test_covariances_are_those_of_the_gaussians():

@@ -59,7 +59,7 @@ class Exhibit:
         if rendering.depth_thermal is not None:  # what L_boltz acts on
             rendering = rendering._replace(depth_rgb=None)
         nothing = ViewMetrics(self.view.name, {}, {}, None)
-        return sheet_row(self.view, rendering, nothing, self.scene.temperature)
+        return sheet_row(self.view, rendering, nothing, self.scene.temperature, self.scene.reach)
 
 
 def qualitative_figure(exhibits: Sequence[Exhibit], methods: Sequence[str]) -> Image.Image:

@@ -15,10 +15,10 @@ from mrgs.evaluation.drawing import HAIRLINE, INK, MUTED, PAPER, Scale, draw_tex
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics
 from mrgs.evaluation.figures import Figures, Missing
 from mrgs.evaluation.palette import PaletteName, colorize, display_range, round_up
-from mrgs.evaluation.pictures import to_array, to_rgb8
+from mrgs.evaluation.pictures import shown_depth, to_array, to_rgb8
 from mrgs.evaluation.report import RunFacts, format_figure
 from mrgs.render import Rendering
-from mrgs.scene import Pixels, TemperatureRange, View, spread
+from mrgs.scene import Pixels, Reach, TemperatureRange, View, spread
 
 CELL_PX = 288
 LABEL_PX = 148
@@ -102,18 +102,29 @@ class _Scales(NamedTuple):
     depth: Scale
 
 
-def sheet_row(view: View, rendering: Rendering, metrics: ViewMetrics, temperature: TemperatureRange | None) -> SheetRow:
-    """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has them."""
+def sheet_row(
+    view: View,
+    rendering: Rendering,
+    metrics: ViewMetrics,
+    temperature: TemperatureRange | None,
+    ball: Reach | None = None,
+) -> SheetRow:
+    """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has them.
+
+    What lies beyond ``ball`` does not count on the scale of the depth.
+    """
     photo = None if view.rgb is None else to_rgb8(view.rgb.load().values)
     measured = None if view.thermal is None else _thermal(view.thermal.load(), temperature)
-    depth = rendering.depth_rgb if rendering.depth_rgb is not None else rendering.depth_thermal
+    depth, seen = (rendering.depth_rgb, view.rgb)
+    if depth is None:
+        depth, seen = (rendering.depth_thermal, view.thermal)
     return SheetRow(
         metrics=metrics,
         photo=photo,
         rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
         measured=measured,
         thermal=None if rendering.thermal is None else _thermal(Pixels(rendering.thermal.detach().cpu()), temperature),
-        depth=None if depth is None else to_array(depth),
+        depth=None if depth is None else shown_depth(depth, seen, ball),
     )
 
 

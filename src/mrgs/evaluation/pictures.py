@@ -14,7 +14,7 @@ from mrgs.atomic import replacing
 from mrgs.evaluation.drawing import PAPER, Scale, scale_bar
 from mrgs.evaluation.palette import PaletteName, colorize, display_range
 from mrgs.render import Rendering
-from mrgs.scene import TemperatureRange
+from mrgs.scene import PosedImage, Reach, TemperatureRange, View
 
 _IMAGE_DESCRIPTION_TAG = 270
 _MARGIN_PX = 12
@@ -22,21 +22,24 @@ _MARGIN_PX = 12
 
 def write_rendering(
     folder: Path,
-    name: str,
+    view: View,
     rendering: Rendering,
     temperature: TemperatureRange | None,
     palette: PaletteName = "inferno",
+    ball: Reach | None = None,
 ) -> list[Path]:
     """Write all images of one view; returns the paths.
 
     ``rgb/NAME.png``; ``thermal/NAME.png`` with a scale bar over the scene's temperature range;
     ``temperature_c/NAME.tiff`` in °C, or ``thermal_normalised/NAME.tiff`` for a scene without °C; ``depth_rgb`` and
-    ``depth_thermal`` as ``NAME.tiff`` (scene units) and ``NAME.png``. What the rendering lacks is left out.
+    ``depth_thermal`` as ``NAME.tiff`` (scene units) and ``NAME.png``, on whose scale what lies beyond ``ball`` does not
+    count. What the rendering lacks is left out.
 
     Raises:
         RunError: a file cannot be written.
     """
     paths = []
+    name = view.name
     if rendering.rgb is not None:
         paths.append(write_rgb_png(folder / "rgb" / f"{name}.png", rendering.rgb))
     if rendering.thermal is not None:
@@ -46,12 +49,23 @@ def write_rendering(
             kind, text = ("thermal_normalised", "normalised thermal value, no unit")
         paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, text))
         paths.append(write_scaled_png(folder / "thermal" / f"{name}.png", values, scale))
-    for kind, depth in (("depth_rgb", rendering.depth_rgb), ("depth_thermal", rendering.depth_thermal)):
+    depths = (("depth_rgb", rendering.depth_rgb, view.rgb), ("depth_thermal", rendering.depth_thermal, view.thermal))
+    for kind, depth, image in depths:
         if depth is not None:
-            values = to_array(depth)
-            paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, "z-depth, scene units"))
-            paths.append(write_depth_png(folder / kind / f"{name}.png", values))
+            paths.append(write_float_tiff(folder / kind / f"{name}.tiff", to_array(depth), "z-depth, scene units"))
+            paths.append(write_depth_png(folder / kind / f"{name}.png", shown_depth(depth, image, ball)))
     return paths
+
+
+def shown_depth(depth: Float[Tensor, "h w"], image: PosedImage | None, ball: Reach | None) -> Float[np.ndarray, "h w"]:
+    """The depth as pictures show it: infinite where it is the background's, which would take up the whole scale.
+
+    Args:
+        depth: z-depth in scene units.
+        image: whose camera saw it; None, or no ``ball``, leaves the depth as it is.
+        ball: how far the scene reaches.
+    """
+    return to_array(depth if image is None or ball is None else ball.without_background(image.camera, depth.cpu()))
 
 
 def to_array(tensor: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:

@@ -87,11 +87,12 @@ def score_views(
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
     shown = SheetRows(len(scene.eval))
+    ball = scene.reach
     done = 0
 
     def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
         nonlocal done
-        shown.add(done, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature))
+        shown.add(done, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature, ball))
         done += 1
         if progress is not None:
             progress(done, len(scene.eval))
@@ -141,14 +142,15 @@ def render_run(
     scene = run.load_scene()
     folder = run.folder.path / "renders" / split
     if split == "path":
-        cameras = orbit([view.cameras[0] for view in scene.train], frames)
+        cameras = orbit(scene.train_cameras, frames)
         _write_path(run, scene, cameras, folder, palette, progress)
         return folder
     views = scene.eval if split == "eval" else scene.train
     if not views:
         raise ConfigError(f"{run.facts.scene}: no views are held out; choose --split train or --split path")
+    ball = scene.reach
     for number, view in enumerate(views, start=1):
-        write_rendering(folder, view.name, run.render_view(view), run.temperature, palette)
+        write_rendering(folder, view, run.render_view(view), run.temperature, palette, ball)
         if progress is not None:
             progress(number, len(views))
     return folder

@@ -63,7 +63,7 @@ class _Job:
     @cached_property
     def flat(self) -> Splats:
         """The RGB splats without view dependence."""
-        return without_directions(self.baked, [view.cameras[0] for view in self.scene.train])
+        return without_directions(self.baked, self.scene.train_cameras)
 
     @cached_property
     def points(self) -> TemperaturePoints:
@@ -144,11 +144,7 @@ def _job(
     limits_c: tuple[float, float] | None,
 ) -> _Job:
     run = model if isinstance(model, Run) else None
-    baked = (
-        model
-        if isinstance(model, BakedModel)
-        else bake(model.model, [view.cameras[0] for view in scene.train], model.temperature)
-    )
+    baked = model if isinstance(model, BakedModel) else bake(model.model, scene.train_cameras, model.temperature)
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)

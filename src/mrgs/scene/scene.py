@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from mrgs.scene.camera import Camera
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import View
@@ -60,7 +61,12 @@ class Scene:
     @property
     def reach(self) -> Reach:
         """How far it reaches; there must be start points."""
-        return reach(self.points.positions, [view.cameras[0] for view in self.train])
+        return reach(self.points.positions, self.train_cameras)
+
+    @property
+    def train_cameras(self) -> list[Camera]:
+        """One camera of each training view: the RGB camera, where it has one."""
+        return [view.cameras[0] for view in self.train]
 
     @property
     def has_rgb(self) -> bool:

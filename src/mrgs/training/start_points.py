@@ -31,6 +31,10 @@ UNSEEN = 0.5
 DISTANT_OPACITY = 0.9
 """Nothing lies behind a distant point; and were it not opaque, the nearer surfaces would grow to fill the sky."""
 
+DISTANT_SIZE = 2.0
+"""Largest standard deviation of a distant point at the start, in spacings: one or two of them behind a small hole have
+the scene's points as neighbours, and would start as a blob that reaches up to the scene."""
+
 
 class StartPoints(NamedTuple):
     """N points.
@@ -74,14 +78,14 @@ def _as_published(cloud: PointCloud) -> StartPoints:
 
 def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
     """Those far away behind them, in the photos' colours."""
-    distant = distant_points(points.positions, [view.cameras[0] for view in scene.train])
+    distant = distant_points(points.positions, scene.train_cameras)
     if len(distant.positions) == 0:
         return points
     positions = torch.cat([points.positions, distant.positions])
     colors = photo_values(positions, _photos(scene, "rgb"), 3)[len(points.positions) :].nan_to_num(nan=UNSEEN)
     like = distant.positions[:, 0]
     opacities, unknown = torch.full_like(like, DISTANT_OPACITY), torch.full_like(like, UNSEEN)
-    sizes = torch.full_like(like, distant.spacing)
+    sizes = torch.full_like(like, DISTANT_SIZE * distant.spacing)
     added = StartPoints(distant.positions, colors, unknown, opacities, opacities, sizes)
     return StartPoints(*(torch.cat(columns) for columns in zip(points, added, strict=True)))
 

@@ -74,6 +74,7 @@ class Inspection:
         self._scales = Scales()
         self._photos: dict[int, Fields] = {}
         self._photo_lock = threading.Lock()
+        self._ball = None if subject.scene is None else subject.scene.reach
 
     @property
     def view(self) -> View | None:
@@ -102,7 +103,7 @@ class Inspection:
             self.view_index = nearest_view(self.subject.views, camera, self.subject.scene.extent, self.view_index)
         settings = self.settings
         frame = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
-        scales = measure_scales(frame.panes, frame.fields, settings, self.subject.unit)
+        scales = measure_scales(frame.panes, frame.fields, settings, self.subject.unit, self._ball)
         if coarse:
             scales = _known(self._scales, scales, settings)
         boxes = [(box, [_box_reading(field, box) for field in frame.fields]) for box in self.boxes]
@@ -272,7 +273,7 @@ class Inspection:
         settings, scales, marks = self.settings, self._scales, self.spots
         for number, camera in enumerate(cameras, start=1):
             frame = self._render(settings, camera, None)
-            measured = measure_scales(frame.panes, frame.fields, settings, self.subject.unit)
+            measured = measure_scales(frame.panes, frame.fields, settings, self.subject.unit, self._ball)
             scales = _known(scales, measured, settings)
             yield compose(frame.size, frame.panes, frame.fields, scales, settings, marks)
             self.subject.source.charge()

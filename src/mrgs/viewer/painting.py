@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 
 from mrgs.evaluation.drawing import INK, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
 from mrgs.evaluation.palette import PaletteName, colorize, display_range
+from mrgs.scene import Camera, Reach
 from mrgs.viewer.fields import Fields
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.picking import Box, BoxReading
@@ -55,8 +56,13 @@ class Scales:
         return self.depth if pane.content == "depth" else self.thermal if pane.shows_temperature else None
 
 
-def measure_scales(panes: Sequence[Pane], fields: Sequence[Fields], settings: Settings, unit: str) -> Scales:
-    """The scales that suit a picture: percentiles of what is seen, or the limits that the user has set."""
+def measure_scales(
+    panes: Sequence[Pane], fields: Sequence[Fields], settings: Settings, unit: str, ball: Reach | None = None
+) -> Scales:
+    """The scales that suit a picture: percentiles of what is seen, or the limits that the user has set.
+
+    What lies beyond ``ball``, how far the scene reaches, does not count on the scale of the depth.
+    """
     thermal, depth, error = [], [], []
     for pane, field in zip(panes, fields, strict=True):
         if pane.content == "difference" and field.values is not None:
@@ -64,7 +70,7 @@ def measure_scales(panes: Sequence[Pane], fields: Sequence[Fields], settings: Se
         elif pane.shows_temperature and field.values is not None:
             thermal.append(field.values[field.solid])
         elif pane.content == "depth" and field.depth is not None:
-            depth.append(field.depth[field.solid])
+            depth.append(_scene_depth(pane.camera, field.depth, ball)[field.solid])
     limits = settings.limits or (display_range(np.concatenate(thermal)) if thermal else None)
     near_far = display_range(np.concatenate(depth)) if depth else None
     largest = display_range(np.concatenate(error))[1] if error else None
@@ -73,6 +79,14 @@ def measure_scales(panes: Sequence[Pane], fields: Sequence[Fields], settings: Se
         None if near_far is None else Scale("depth", near_far[1], near_far[0], ""),
         None if largest is None else Scale("error", -largest, largest, unit),
     )
+
+
+def _scene_depth(camera: Camera, depth: Float[np.ndarray, "h w"], ball: Reach | None) -> Float[np.ndarray, "h w"]:
+    """The depth, infinite where it is the background's."""
+    if ball is None:
+        return depth
+    height, width = depth.shape
+    return ball.without_background(camera.resized(width, height), torch.from_numpy(depth)).numpy()
 
 
 def paint(pane: Pane, fields: Fields, scales: Scales, settings: Settings) -> UInt8[np.ndarray, "h w 3"]:

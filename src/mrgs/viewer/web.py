@@ -103,7 +103,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
     )
     splats = None
     if scene is not None:
-        cameras = [view.cameras[0] for view in scene.train]
+        cameras = scene.train_cameras
         splats = BrowserSplats(lambda: source.run(lambda model: bake(model, cameras, run.temperature)))
     return Viewer(subject, start_pose(scene, run.model), host, port, splats)
 
