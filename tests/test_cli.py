@@ -454,6 +454,8 @@ def test_renders_of_another_program_are_scored(small_scene, tmp_path, capsys):
     assert other["mean"]["thermal"]["psnr"] == pytest.approx(own["mean"]["thermal"]["psnr"], abs=1e-3)
     assert other["mean"]["rgb"]["psnr"] == pytest.approx(own["mean"]["rgb"]["psnr"], abs=0.2)
     refused(capsys, "holds no renderings", "eval", small_scene, "--renders", own_run)
+    refused(capsys, "leave --scene out", "eval", small_scene, "--renders", renders, "--scene", small_scene)
+    refused(capsys, "--resolution goes with --renders", "eval", own_run, "--resolution", "30")
 
 
 def test_methods_are_compared(small_scene, tmp_path, capsys):

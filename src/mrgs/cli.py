@@ -219,8 +219,12 @@ def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
 
 def _eval(command: Eval) -> None:
     if command.renders is not None:
+        if command.scene is not None:
+            raise ConfigError("with --renders the scene is given in the run's place: leave --scene out")
         _eval_renders(command, command.renders)
         return
+    if command.resolution is not None:
+        raise ConfigError("--resolution goes with --renders: a run is scored at the size that it was trained at")
     from mrgs.evaluation import evaluate_run
     from mrgs.run import open_run
 

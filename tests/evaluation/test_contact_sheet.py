@@ -13,7 +13,7 @@ from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
 from mrgs.render import Rendering
-from mrgs.scene import TemperatureRange, View, spread
+from mrgs.scene import Reach, TemperatureRange, View, spread
 
 FACTS = RunFacts("mrgs", "board", 1200, 41_000, 63.5, None, "cpu")
 MakeView = Callable[..., View]
@@ -53,6 +53,16 @@ def test_a_model_without_depth_has_no_depth_column(
         [make_view()], lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None), celsius
     )
     assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
+
+
+def test_the_background_is_infinitely_far(make_view: MakeView, render_with_error: Render) -> None:
+    view = make_view()
+    rendering = render_with_error(view)
+    rendering.depth_rgb[:5] = 900.0
+    ball = Reach(view.rgb.camera.position, 10.0)
+    row = sheet_row(view, rendering, ViewMetrics("a", {}, {}, None), None, ball)
+    assert np.isinf(row.depth[:5]).all()
+    assert (row.depth[5:] == 2).all()
 
 
 def shown_of(thermal: list[float | Missing], rgb: list[float | Missing]) -> list[int]:

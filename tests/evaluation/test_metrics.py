@@ -76,6 +76,19 @@ def test_matched_psnr_of_a_uniform_rendering_is_that_of_the_mean() -> None:
     assert psnr_matched(torch.full_like(target, 0.9), target) == pytest.approx(psnr(mean, target), rel=1e-6)
 
 
+def test_no_camera_turns_a_photo_into_its_negative() -> None:
+    _, target = pair(1)
+    mean = torch.full_like(target, target.double().mean().item())
+    assert psnr_matched(1 - target, target) == pytest.approx(psnr(mean, target), rel=1e-6)
+
+
+def test_a_uniform_photo_matches_everything() -> None:
+    image, _ = pair()
+    figure = psnr_matched(image, torch.full_like(image, 0.3))
+    assert isinstance(figure, Missing)
+    assert "uniform" in figure.reason
+
+
 def test_mean_absolute_error_by_hand() -> None:
     image, target = torch.tensor([[[1.0], [2.0]]]), torch.tensor([[[0.0], [5.0]]])
     assert mean_absolute_error(image, target) == 2.0

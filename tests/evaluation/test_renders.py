@@ -101,6 +101,31 @@ def test_depth_is_scored_where_the_truth_is_known(make_scene, renders):
     assert metrics.truth["depth_median_relative_error"] == pytest.approx(0.5)
 
 
+def test_a_sky_without_depth_is_no_reason_to_refuse_the_images(make_scene, renders):
+    scene = make_scene()
+    for name in NAMES:
+        depth = np.full((30, 40), 2.0, np.float32)
+        write_float_tiff(scene / "truth" / "depth" / f"{name}.tiff", np.where(np.eye(30, 40), np.inf, depth), "depth")
+        depth[0], depth[1] = np.inf, np.nan
+        write_float_tiff(renders / "depth_thermal" / f"{name}.tiff", depth, "depth")
+    metrics = evaluate_renders(scene, renders)
+    assert metrics.truth["depth_median_relative_error"] == 0
+    assert metrics.thermal["psnr"] == np.inf
+
+
+def test_a_sky_far_away_is_drawn_as_one_without_depth(make_scene, renders):
+    scene, sheets = make_scene(), []
+    for far in (np.inf, 1e4):
+        for name in NAMES:
+            depth = np.tile(np.linspace(2, 3, 40, dtype=np.float32), (30, 1))
+            depth[:10] = far
+            write_float_tiff(renders / "depth_thermal" / f"{name}.tiff", depth, "depth")
+        evaluate_renders(scene, renders)
+        with Image.open(renders / "eval" / "contact_sheet.png") as image:
+            sheets.append(np.asarray(image))
+    np.testing.assert_array_equal(*sheets)
+
+
 def test_images_of_other_views_are_left_out_with_a_warning(small_scene, renders):
     Image.new("RGB", (4, 4)).save(renders / "rgb" / "frame_train_00000.png")
     with pytest.warns(MrgsWarning, match=r"rgb holds 1 images that belong to no eval view \(frame_train_00000\)"):

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage, Scene, View
 from mrgs.training.config import make_config
+from mrgs.training.distance import distant_points
 from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, THERMAL_OPACITY, UNSEEN, start_points
 
 WIDTH, HEIGHT = 48, 36
@@ -54,6 +55,15 @@ def test_the_sky_is_opaque_and_as_the_photos_show_it():
     assert (found.opacities_thermal[count:] == DISTANT_OPACITY).all()
     torch.testing.assert_close(found.temperatures[count:], torch.full_like(found.temperatures[count:], SKY_C))
     torch.testing.assert_close(found.colors[count:], SKY.expand(len(found.positions) - count, 3))
+
+
+def test_only_the_sky_is_limited_in_size():
+    scene = wall_under_sky()
+    count = len(scene.points.positions)
+    found = start_points(scene, make_config("mrgs", "fast"))
+    assert found.max_scales[:count].isinf().all()
+    spacing = distant_points(scene.points.positions, scene.train_cameras).spacing
+    torch.testing.assert_close(found.max_scales[count:], torch.full_like(found.max_scales[count:], 2 * spacing))
 
 
 @pytest.mark.parametrize(("has_rgb", "has_thermal"), [(True, False), (False, True)])

@@ -11,6 +11,7 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.run import load_run
+from mrgs.scene import Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
@@ -31,6 +32,18 @@ def test_every_mode_fills_the_picture(inspection, camera, mode):
     assert coarse.shape == sharp.shape == (120, 160, 3)
     assert len(np.unique(sharp.reshape(-1, 3), axis=0)) > 30
     assert np.abs(coarse.astype(int) - sharp).mean() < 40
+
+
+def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera, monkeypatch):
+    near_and_far = []
+    for radius in (1e3, 1e-3):  # nothing is background, then everything is
+        monkeypatch.setattr(Scene, "reach", Reach(camera.position, radius))
+        inspection = Inspection(subject)
+        inspection.settings = Settings(mode="depth")
+        inspection.picture(camera, coarse=False)
+        near_and_far.append((inspection.scales.depth.high, inspection.scales.depth.low))
+    assert near_and_far[0][1] > 2
+    assert near_and_far[1] == (0, 1)
 
 
 def test_large_windows_are_drawn_smaller(inspection, camera):

@@ -48,7 +48,7 @@ class SheetRow:
         rgb: RGB rendering.
         measured: thermal photo in the sheet's thermal unit.
         thermal: thermal rendering in the same unit and size.
-        depth: z-depth in scene units.
+        depth: z-depth in scene units, infinite where it is the background's.
     """
 
     metrics: ViewMetrics
@@ -111,7 +111,7 @@ def sheet_row(
 ) -> SheetRow:
     """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has them.
 
-    What lies beyond ``ball`` does not count on the scale of the depth.
+    The background of ``ball`` does not count on the scale of the depth.
     """
     photo = None if view.rgb is None else to_rgb8(view.rgb.load().values)
     measured = None if view.thermal is None else _thermal(view.thermal.load(), temperature)

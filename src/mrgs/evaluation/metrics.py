@@ -28,12 +28,16 @@ def psnr(
 
 def psnr_matched(
     image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
-) -> float:
+) -> Figure:
     """PSNR after each channel of the rendering has taken the gain and the offset that bring it closest to the target.
 
     For cameras that expose or scale every photo anew: what they chose for a held-out photo no model can know. Least
-    squares over the valid pixels; a uniform rendering takes the target's mean.
+    squares over the valid pixels, with gains of 0 or more. Missing where the target is uniform: every rendering can be
+    brought to that.
     """
+    inside = _select(target, valid)
+    if (inside.flatten(0, -2).amax(dim=0) == inside.flatten(0, -2).amin(dim=0)).all():
+        return Missing("the photo is uniform, so gain and offset can turn every rendering into it")
     channels = [
         _matched(rendered.double(), photographed.double(), valid)
         for rendered, photographed in zip(image.clamp(0, 1).unbind(2), target.unbind(2), strict=True)
@@ -106,11 +110,11 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
 
 
 def _matched(image: Float[Tensor, "h w"], target: Float[Tensor, "h w"], valid: Tensor | None) -> Float[Tensor, "h w"]:
-    """The image with the gain and the offset of least squares."""
+    """The image with the gain, at least 0, and the offset of least squares."""
     inside, goal = _select(image, valid), _select(target, valid)
     variance = inside.var(correction=0)
     covariance = ((inside - inside.mean()) * (goal - goal.mean())).mean()
-    gain = torch.where(variance > 0, covariance / variance, 0.0)
+    gain = torch.where(variance > 0, covariance / variance, 0.0).clamp_min(0)
     return gain * (image - inside.mean()) + goal.mean()
 
 

@@ -32,8 +32,8 @@ def write_rendering(
 
     ``rgb/NAME.png``; ``thermal/NAME.png`` with a scale bar over the scene's temperature range;
     ``temperature_c/NAME.tiff`` in °C, or ``thermal_normalised/NAME.tiff`` for a scene without °C; ``depth_rgb`` and
-    ``depth_thermal`` as ``NAME.tiff`` (scene units) and ``NAME.png``, on whose scale what lies beyond ``ball`` does not
-    count. What the rendering lacks is left out.
+    ``depth_thermal`` as ``NAME.tiff`` (scene units) and ``NAME.png``, on whose scale the background of ``ball``
+    does not count. What the rendering lacks is left out.
 
     Raises:
         RunError: a file cannot be written.

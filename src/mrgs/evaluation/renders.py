@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+import torch
 from jaxtyping import Float32
 from torch import Tensor
 
@@ -66,7 +67,7 @@ class Renders:
             convert = {"temperature_c": _celsius, "thermal_normalised": _floats, "thermal": _temperatures}
             thermal = _read(self.thermal[view.name], view.thermal.camera, convert[self.thermal_kind], temperature)
             if view.name in self.depth:
-                depth = _read(self.depth[view.name], view.thermal.camera, _floats, temperature)[..., 0]
+                depth = _read_depth(self.depth[view.name], view.thermal.camera)
         return Rendering(rgb=rgb, thermal=thermal, depth_thermal=depth)
 
 
@@ -188,6 +189,22 @@ def _read(
     path: Path, camera: Camera, convert: Convert, temperature: TemperatureRange | None
 ) -> Float32[Tensor, "h w c"]:
     """The image's values, whole and of the camera's size."""
+    image = _decoded(path, camera)
+    if image.valid is not None:
+        what = "not finite" if image.kind == "float" else "transparent"
+        raise RunError(f"{path} has pixels that are {what}: every pixel is scored, so render all of them")
+    return convert(path, image, temperature)
+
+
+def _read_depth(path: Path, camera: Camera) -> Float32[Tensor, "h w"]:
+    """z-depths of the camera's size; infinite where the program found no surface."""
+    image = _decoded(path, camera)
+    depth = _floats(path, image, None)[..., 0]
+    return depth if image.valid is None else torch.where(image.valid, depth, torch.inf)
+
+
+def _decoded(path: Path, camera: Camera) -> Decoded:
+    """An image of the camera's size."""
     try:
         image = decode(path)
     except SceneError as error:
@@ -198,10 +215,7 @@ def _read(
             f"{path} is {width}×{height} px, but its view is {camera.width}×{camera.height} px: render at the view's "
             "size, or choose the --resolution that was rendered at"
         )
-    if image.valid is not None:
-        what = "not finite" if image.kind == "float" else "transparent"
-        raise RunError(f"{path} has pixels that are {what}: every pixel is scored, so render all of them")
-    return convert(path, image, temperature)
+    return image
 
 
 def _colors(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[Tensor, "h w 3"]:

@@ -26,7 +26,7 @@ def initial_gaussians(
 ) -> Gaussians:
     """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest points (3DGS).
 
-    A distant point is no larger than its own kind stands apart, whatever its neighbours are.
+    No larger than ``max_scales``, though: a distant point may have the scene's own points as neighbours.
 
     Args:
         points: start points; a random subset if there are more than ``max_gaussians``.

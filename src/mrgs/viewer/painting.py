@@ -61,7 +61,7 @@ def measure_scales(
 ) -> Scales:
     """The scales that suit a picture: percentiles of what is seen, or the limits that the user has set.
 
-    What lies beyond ``ball``, how far the scene reaches, does not count on the scale of the depth.
+    The background of ``ball``, how far the scene reaches, does not count on the scale of the depth.
     """
     thermal, depth, error = [], [], []
     for pane, field in zip(panes, fields, strict=True):
