@@ -20,8 +20,8 @@ def metrics_document(psnr: float = 30.0, **changes: Any) -> dict[str, Any]:
         "gaussians": 12_340,
         "train_seconds": 90.0,
         "mean": {
-            "thermal": {"psnr": psnr, "ssim": 0.95, "mae_c": 0.5},
-            "rgb": {"psnr": psnr - 8, "ssim": 0.8, "lpips": None},
+            "thermal": {"psnr": psnr, "psnr_matched": psnr + 1, "ssim": 0.95, "mae_c": 0.5},
+            "rgb": {"psnr": psnr - 8, "psnr_matched": psnr - 7, "ssim": 0.8, "lpips": None},
         },
         "reasons": {"mean.rgb.lpips": "no weights"},
         "views": [],

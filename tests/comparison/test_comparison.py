@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import Job, plan
 from mrgs.comparison.single import run_one
 from mrgs.errors import MrgsError
+from mrgs.run import TrainedRun, open_run
 from mrgs.training import train
 
 
@@ -49,7 +51,28 @@ def read(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def test_two_methods_on_two_scenes_with_two_seeds(here, small_scene, twin, tmp_path, make_options):
+def files_in(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The methods of the runs that are opened for the figures, in order; each must be gone when the next comes."""
+    methods: list[str] = []
+    alive: list[weakref.ref[TrainedRun]] = []
+
+    def open_alone(folder: Path, *arguments: Any) -> TrainedRun:
+        assert all(reference() is None for reference in alive)
+        run = open_run(folder, *arguments)
+        methods.append(Path(folder).parent.name)
+        alive.append(weakref.ref(run))
+        return run
+
+    monkeypatch.setattr(comparison, "open_run", open_alone)
+    return methods
+
+
+def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twin, tmp_path, make_options):
     options = make_options(seeds=2, methods=("mrgs-fourier", "mrgs"))
     said: list[str] = []
     result = compare([small_scene, twin], tmp_path / "out", options, say=said.append)
@@ -57,7 +80,7 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, small_scene, twin, tmp_p
     assert result.failures == {}
     assert said == ["8 runs, 0 of them scored already"]
     out = tmp_path / "out"
-    assert {path.name for path in (out / "tables").iterdir()} == {
+    assert files_in(out / "tables") == {
         f"{name}{suffix}" for name in ("thermal", "rgb", "ablation") for suffix in (".md", ".tex", ".csv")
     }
     assert re.search(r"\| mrgs \|.* ± ", read(out / "tables" / "thermal.md"))
@@ -71,6 +94,7 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, small_scene, twin, tmp_p
     for name in ("qualitative.png", "depth.png"):
         with Image.open(out / "figures" / name) as figure:
             assert figure.width > 900
+    assert opened == ["mrgs-fourier", "mrgs"] * 2
 
 
 def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path, make_options):
@@ -126,14 +150,82 @@ def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path, make
     assert "is not a folder" in result.failures["balls, Other"]
 
 
+def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_path, make_options):
+    options = make_options(methods=("3dgs-rgbt",))
+    compare([twin], tmp_path / "out", options)
+    for kind, source in (("rgb", "images"), ("thermal", "thermal")):
+        shutil.copytree(twin / source, tmp_path / "other" / "twin" / kind, ignore=shutil.ignore_patterns("*train*"))
+    for path in (twin / "images").glob("*eval*"):
+        path.write_bytes(path.read_bytes()[:200])
+    result = compare([twin], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
+    assert list(result.failures) == ["twin, Other"]
+    assert "cannot be decoded" in result.failures["twin, Other"]
+    assert "cannot be decoded" in read(tmp_path / "out" / "tables" / "thermal.md")
+    assert files_in(tmp_path / "out" / "figures") == set()  # no photo to show
+
+
+def test_the_neighbours_alone_have_no_figure(here, opened, small_scene, tmp_path, make_options):
+    result = compare([small_scene], tmp_path / "out", make_options(methods=(), neighbours=(1, 3)))
+    assert [table.name for table in result.tables] == ["neighbours"]
+    assert not (tmp_path / "out" / "figures").exists()
+    assert opened == []
+
+
+def test_a_method_of_the_neighbours_may_stand_in_the_depth_figure(here, opened, small_scene, tmp_path, make_options):
+    compare([small_scene], tmp_path / "out", make_options(methods=("mrgs-fourier",), neighbours=(1, 3)))
+    assert files_in(tmp_path / "out" / "figures") == {"qualitative.png", "depth.png"}
+    assert opened == ["mrgs-fourier", "mrgs"]
+
+
+def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(here, small_scene, tmp_path, make_options, monkeypatch):
+    do_all = comparison.run_jobs
+
+    def run_jobs(jobs: Sequence[Job], *arguments: Any) -> dict[Job, str]:
+        lost = [job for job in jobs if job.method == "3dgs-rgbt"]
+        return do_all([job for job in jobs if job not in lost], *arguments) | dict.fromkeys(lost, "it crashed")
+
+    monkeypatch.setattr(comparison, "run_jobs", run_jobs)
+    options = make_options(methods=("3dgs-rgbt",), neighbours=(1,))
+    result = compare([small_scene], tmp_path / "out", options)
+    assert list(result.failures) == ["balls, 3dgs-rgbt, seed 0"]
+    assert not (tmp_path / "out" / "figures").exists()
+
+
+def test_tables_and_figures_of_an_earlier_call_are_removed(here, small_scene, tmp_path, make_options):
+    out = tmp_path / "out"
+    compare([small_scene], out, make_options(methods=("mrgs-fourier", "mrgs")))
+    for folder in ("tables", "figures"):
+        (out / folder / "notes.txt").write_text("mine")
+    compare([small_scene], out, make_options(methods=("mrgs",)))
+    assert {path.split(".")[0] for path in files_in(out / "tables")} == {"thermal", "rgb", "notes"}
+    assert files_in(out / "figures") == {"qualitative.png", "notes.txt"}
+
+
+def test_a_method_named_twice_has_one_row(here, small_scene, tmp_path, make_options):
+    result = compare([small_scene], tmp_path / "out", make_options(methods=("mrgs", "mrgs")))
+    assert [[row.labels for row in table.rows] for table in result.tables] == [[("mrgs",)]] * 2
+
+
+def test_scores_of_an_older_version_are_renewed(here, small_scene, tmp_path, make_options):
+    options = make_options(methods=("3dgs-rgbt",))
+    compare([small_scene], tmp_path / "out", options)
+    path = tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0" / "eval" / "metrics.json"
+    older = json.loads(read(path))
+    del older["mean"]["thermal"]["psnr_matched"]
+    path.write_text(json.dumps(older))
+    compare([small_scene], tmp_path / "out", options)
+    assert len(here) == 2
+    (run,) = json.loads(read(tmp_path / "out" / "results.json"))["runs"]
+    assert run["figures"]["thermal.psnr_matched"] == run["metrics"]["mean"]["thermal"]["psnr_matched"] > 0
+
+
 def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_scene, tmp_path, make_options):
     options = make_options(methods=("3dgs-rgbt",))
     compare([small_scene], tmp_path / "out", options)
     shutil.rmtree(tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0" / "checkpoints")
-    shutil.rmtree(tmp_path / "out" / "figures")
     result = compare([small_scene], tmp_path / "out", options)
     assert result.tables[0].rows[0].cells[0].mean is not None
-    assert not (tmp_path / "out" / "figures").exists()
+    assert files_in(tmp_path / "out" / "figures") == set()
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
-from mrgs.comparison.figures import NARROW_PX, WIDE_PX, Exhibit, depth_figure, qualitative_figure
+from mrgs.comparison.figures import (
+    NARROW_PX,
+    WIDE_PX,
+    Exhibit,
+    depth_block,
+    depth_figure,
+    drawn,
+    qualitative_block,
+    qualitative_figure,
+)
 from mrgs.data import load_scene
 from mrgs.evaluation.pictures import write_float_tiff
 from mrgs.render import Rendering
@@ -27,35 +37,41 @@ def render_off_by(error: float, depth: float = 2.0) -> Callable[[View], Renderin
 def make_exhibit(small_scene: Path) -> Callable[..., Exhibit]:
     def make(methods: dict[str, Callable[[View], Rendering]], folder: Path = small_scene) -> Exhibit:
         scene = load_scene(small_scene)
+        view = scene.eval[1]
         figures = {name: {"thermal": {"psnr": 31.234, "mae_c": 0.456}, "rgb": {"psnr": None}} for name in methods}
-        return Exhibit(scene, folder, scene.eval[1], methods, figures)
+        shown = {name: drawn(scene, view, render(view)) for name, render in methods.items()}
+        return Exhibit(scene, folder, view, shown, figures)
 
     return make
 
 
+def qualitative(exhibit: Exhibit, methods: list[str]) -> Image.Image:
+    return qualitative_figure([qualitative_block(exhibit, methods)], methods)
+
+
 def test_a_column_for_the_truth_and_for_every_method(make_exhibit):
-    one = qualitative_figure([make_exhibit({"a": render_off_by(0.1)})], ["a"])
-    two = qualitative_figure([make_exhibit({"a": render_off_by(0.1), "b": render_off_by(0.2)})], ["a", "b"])
+    one = qualitative(make_exhibit({"a": render_off_by(0.1)}), ["a"])
+    two = qualitative(make_exhibit({"a": render_off_by(0.1), "b": render_off_by(0.2)}), ["a", "b"])
     assert WIDE_PX <= two.width - one.width <= WIDE_PX + 10
     assert two.height == one.height > 3 * WIDE_PX * 3 // 4
 
 
 def test_many_methods_make_narrow_columns(make_exhibit):
     names = [f"m{index}" for index in range(6)]
-    figure = qualitative_figure([make_exhibit(dict.fromkeys(names, render_off_by(0.1)))], names)
+    figure = qualitative(make_exhibit(dict.fromkeys(names, render_off_by(0.1))), names)
     assert 7 * NARROW_PX < figure.width < 8 * NARROW_PX
 
 
 def test_a_method_without_images_leaves_its_column_empty(make_exhibit):
     exhibit = make_exhibit({"a": render_off_by(0.1)})
-    figure = np.asarray(qualitative_figure([exhibit], ["a", "gone"]))
+    figure = np.asarray(qualitative(exhibit, ["a", "gone"]))
     last = figure[120:-80, -WIDE_PX:]
     assert (last == 255).all(axis=2).mean() > 0.95
 
 
 def test_the_error_is_that_of_the_rendering(make_exhibit):
-    warm = np.asarray(qualitative_figure([make_exhibit({"a": render_off_by(0.2)})], ["a"])).astype(int)
-    cold = np.asarray(qualitative_figure([make_exhibit({"a": render_off_by(-0.2)})], ["a"])).astype(int)
+    warm = np.asarray(qualitative(make_exhibit({"a": render_off_by(0.2)}), ["a"])).astype(int)
+    cold = np.asarray(qualitative(make_exhibit({"a": render_off_by(-0.2)}), ["a"])).astype(int)
     below = warm.shape[0] * 3 // 4
     error = [
         picture[below - 40 : below, -WIDE_PX // 2 - 20 : -WIDE_PX // 2].mean(axis=(0, 1)) for picture in (warm, cold)
@@ -66,15 +82,27 @@ def test_the_error_is_that_of_the_rendering(make_exhibit):
 
 def test_depth_with_and_without(make_exhibit, tmp_path):
     methods = {"mrgs-fourier": render_off_by(0.0, depth=2.0), "mrgs": render_off_by(0.0, depth=4.0)}
-    plain = depth_figure([make_exhibit(methods)])
+    plain = depth_figure([depth_block(make_exhibit(methods))])
     exhibit = make_exhibit(methods, tmp_path)
     write_float_tiff(
         tmp_path / "truth" / "depth" / f"{exhibit.view.name}.tiff",
         np.linspace(1, 5, 1200, dtype=np.float32).reshape(30, 40), "depth",
     )  # fmt: skip
-    exact = depth_figure([exhibit])
+    exact = depth_figure([depth_block(exhibit)])
     assert WIDE_PX <= exact.width - plain.width <= WIDE_PX + 10
+    both = depth_figure([depth_block(make_exhibit(methods)), depth_block(exhibit)])
+    assert both.width == exact.width
     picture = np.asarray(exact).astype(int)
     row = picture[180]
     near, far = (row[24 + 96 + 306 * index + 150] for index in (0, 2))
     assert near.sum() > far.sum()  # near is light; the depth is the thermal camera's
+
+
+def test_a_damaged_exact_depth_is_left_out(make_exhibit, tmp_path):
+    methods = {"mrgs-fourier": render_off_by(0.0), "mrgs": render_off_by(0.0)}
+    plain = depth_figure([depth_block(make_exhibit(methods))])
+    exhibit = make_exhibit(methods, tmp_path)
+    damaged = tmp_path / "truth" / "depth" / f"{exhibit.view.name}.tiff"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_bytes(b"II*")
+    assert depth_figure([depth_block(exhibit)]).tobytes() == plain.tobytes()

@@ -38,6 +38,15 @@ def test_a_misspelt_value_of_a_variant(make_options):
         configure(Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), make_options(), 0)
 
 
+@pytest.mark.parametrize("method", ["mrgs", "thermonerf"])
+def test_a_variant_has_the_resolution_of_all(method, make_options):
+    variant = Variant.from_text("small", f"{{method: {method}, resolution: 20}}", "small.yaml")
+    for resolution in (None, 30):
+        with pytest.raises(ConfigError, match=r"^small.yaml has a resolution of its own, but all runs are compared at"):
+            configure(variant, make_options(resolution=resolution), 0)
+    assert configure(variant, make_options(resolution=20), 0).resolution == 20
+
+
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt", "thermonerf"])
 def test_a_configuration_survives_its_text(method, make_options):
     config = configure(Variant(method, method), make_options(), 1)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.comparison.panels import Block, Panel, draw_figure
+from mrgs.comparison.panels import Block, Panel, as_drawn, draw_figure
 from mrgs.evaluation.drawing import Scale
 
 RED = np.full((30, 40, 3), (200, 10, 10), np.uint8)
@@ -41,6 +41,20 @@ def test_a_missing_image_leaves_a_dash_or_nothing():
     dash = np.asarray(draw_figure(["a", "b"], [block(Panel(RED), Panel(None))], 200))
     nothing = np.asarray(draw_figure(["a", "b"], [block(Panel(RED), Panel(None, missing=""))], 200))
     assert 0 < (dash != nothing).any(axis=2).sum() < 200
+
+
+def test_a_block_at_its_size_holds_no_more_than_what_is_drawn():
+    picture = np.random.default_rng(3).integers(0, 256, (317, 411, 3), dtype=np.uint8)
+    whole = block(Panel(picture, "caption"), Panel(RED), Panel(None))
+    small = as_drawn(whole, 200)
+    ((_, panels),) = small.rows
+    assert [None if panel.image is None else panel.image.shape for panel in panels] == [
+        (154, 200, 3),
+        (150, 200, 3),
+        None,
+    ]
+    columns = ["a", "b", "c"]
+    assert draw_figure(columns, [small], 200).tobytes() == draw_figure(columns, [whole], 200).tobytes()
 
 
 def test_nothing_to_draw():

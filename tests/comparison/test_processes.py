@@ -85,10 +85,17 @@ def test_a_poisoned_current_folder_is_not_imported_from(tmp_path, monkeypatch):
 
 def test_cores_are_divided(make_jobs):
     names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_WAIT_POLICY")
-    jobs = make_jobs(f"say(step=0, threads=[os.environ[name] for name in {names}]); say(end='scored')")
-    threads = do(jobs, 2)[1][1][1]["threads"]
-    assert threads == [str(threads_each(2))] * 2 + ["PASSIVE"]
+    jobs = make_jobs(f"say(step=0, threads=[os.environ[name] for name in {names}]); say(end='scored')", count=2)
+    told = [message["threads"] for _, message in do(jobs, 2)[1] if "threads" in message]
+    assert told == [[str(threads_each(2))] * 2 + ["PASSIVE"]] * 2
     assert threads_each(10_000) == 1
+
+
+def test_fewer_runs_than_processes_have_all_cores(make_jobs, monkeypatch):
+    monkeypatch.setattr(processes, "threads_each", lambda count: 12 // count)
+    jobs = make_jobs("say(step=0, threads=os.environ['NUMBA_NUM_THREADS']); say(end='scored')", count=2)
+    assert do(jobs[:1], 3)[1][1][1]["threads"] == "12"
+    assert {message["threads"] for _, message in do(jobs, 3)[1] if "threads" in message} == {"6"}
 
 
 def test_only_so_many_run_at_a_time(make_jobs):

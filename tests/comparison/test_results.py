@@ -14,6 +14,7 @@ def test_figures_of_a_document(make_document):
     figures = outcome("board", "mrgs", 0, make_document(31.5, truth=TRUTH)).figures
     assert tuple(figures) == tuple(KINDS)
     assert figures["thermal.psnr"] == 31.5
+    assert (figures["thermal.psnr_matched"], figures["rgb.psnr_matched"]) == (32.5, 24.5)
     assert figures["gaussians_k"] == pytest.approx(12.34)
     assert figures["minutes"] == pytest.approx(1.5)
     assert figures["truth.ratio"] == pytest.approx(0.5)
@@ -69,5 +70,12 @@ def test_a_mean_over_scenes_needs_all_of_them():
         "no mean, because the figure is missing for b"
     )
     assert over_scenes([[Missing("no °C")], [Missing("no °C")]], ["a", "b"]).note == "no °C"
-    one_seed = over_scenes([[1.0, 2.0], [3.0, Missing("it crashed")]], ["a", "b"])
-    assert (one_seed.mean, one_seed.std, one_seed.seeds) == (2.0, None, 1)
+
+
+def test_seeds_that_lack_a_scene_are_noted():
+    lost = Missing("it crashed")
+    cell = over_scenes([[1.0, 2.0, 4.0], [3.0, lost, 8.0]], ["a", "b"])
+    assert (cell.mean, cell.seeds, cell.note) == (4.0, 2, "2 of 3 seeds; the others lack a scene")
+    one_seed = over_scenes([[1.0, 2.0], [3.0, lost]], ["a", "b"])
+    assert one_seed == (2.0, None, 1, "1 of 2 seeds; the others lack a scene")
+    assert over_scenes([[1.0, 2.0], [3.0, 4.0]], ["a", "b"]).note is None

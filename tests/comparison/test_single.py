@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,32 @@ def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path, make_opti
     assert not is_scored(tmp_path, config, with_lpips=False)
     path.write_text("{")
     assert not is_scored(tmp_path, config, with_lpips=False)
+
+
+@pytest.mark.parametrize("group", ["thermal", "rgb"])
+def test_scores_that_lack_a_figure_are_renewed_without_training(group, small_scene, tmp_path, make_options):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+    run_one(small_scene, tmp_path, config)
+    path = tmp_path / "eval" / "metrics.json"
+    whole = path.read_text()
+    older = json.loads(whole)
+    del older["mean"][group]["psnr_matched"]
+    path.write_text(json.dumps(older))
+    assert not is_scored(tmp_path, config, with_lpips=False)
+    steps = []
+    assert run_one(small_scene, tmp_path, config, on_step=steps.append)
+    assert (steps, path.read_text()) == ([], whole)
+    assert is_scored(tmp_path, config, with_lpips=False)
+
+
+def test_scores_that_lack_a_figure_count_where_the_checkpoint_is_gone(small_scene, tmp_path, make_options):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+    run_one(small_scene, tmp_path, config)
+    (tmp_path / "eval" / "metrics.json").write_text(json.dumps({"steps": 3, "mean": {"thermal": {"psnr": 30.0}}}))
+    assert not is_scored(tmp_path, config, with_lpips=False)
+    shutil.rmtree(tmp_path / "checkpoints")
+    assert is_scored(tmp_path, config, with_lpips=False)
+    assert not is_scored(tmp_path, config, with_lpips=True)
 
 
 def test_another_configuration_in_the_folder_is_named(small_scene, tmp_path):

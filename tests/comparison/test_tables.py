@@ -6,9 +6,10 @@ import pytest
 
 from mrgs.comparison.results import Outcome, failed
 from mrgs.comparison.table import Table
-from mrgs.comparison.tables import Outcomes, all_tables
+from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
+NO_CELSIUS = {"thermal": {"psnr": 20.0, "psnr_matched": 26.0, "ssim": 0.9, "mae_c": None}, "rgb": {}}
 
 
 def gathered(*all: Outcome, neighbours: dict[int, str] | None = None) -> Outcomes:
@@ -42,11 +43,29 @@ def test_one_scene_has_no_mean(make_outcome):
 
 
 def test_a_mean_leaves_out_scenes_where_no_method_has_the_figure(make_outcome):
-    no_celsius = {"thermal": {"psnr": 20.0, "ssim": 0.9, "mae_c": None}, "rgb": {}}
-    runs = [make_outcome("a", "mrgs"), make_outcome("b", "mrgs", mean=no_celsius)]
+    runs = [make_outcome("a", "mrgs"), make_outcome("b", "mrgs", mean=NO_CELSIUS)]
     thermal = tables_of(gathered(*runs))["thermal"]
     assert thermal.rows[0].cells[-2].mean == 0.5
     assert "The mean MAE leaves out b, which has none." in thermal.remarks
+
+
+def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae(make_outcome):
+    runs = [make_outcome("a", "mrgs"), make_outcome("b", "mrgs", mean=NO_CELSIUS)]
+    thermal = tables_of(gathered(*runs))["thermal"]
+    paper = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
+    without = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
+    assert thermal.groups == (("a", paper), ("b", without), ("mean", paper))
+    assert [cell.mean for cell in thermal.rows[0].cells[4:8]] == pytest.approx([20.0, 26.0, 0.9, 12.34])
+    assert any(remark.startswith("PSNR matched, for scenes without °C: ") for remark in thermal.remarks)
+    alone = [make_outcome(scene, "mrgs", mean=NO_CELSIUS) for scene in "bc"]
+    assert [group.figures for group in tables_of(gathered(*alone))["thermal"].groups] == [without] * 3
+
+
+def test_scenes_with_celsius_and_scenes_without_figures_have_the_papers_columns(make_outcome):
+    runs = [make_outcome("a", "mrgs"), failed("b", "mrgs", 0, "crash")]
+    thermal = tables_of(gathered(*runs))["thermal"]
+    assert [group.figures[2] for group in thermal.groups] == ["thermal.mae_c"] * 3
+    assert not any(remark.startswith("PSNR matched") for remark in thermal.remarks)
 
 
 def test_a_method_whose_run_failed_has_no_mean(make_outcome):
@@ -82,6 +101,26 @@ def test_the_table_of_exact_truth_shows_only_scenes_that_have_it(make_outcome):
     table = tables_of(gathered(*runs))["truth"]
     assert [group.heading for group in table.groups] == ["generated"]
     assert [cell.mean for cell in table.rows[0].cells] == pytest.approx([0.2, 0.4, 0.5, 1.5])
+
+
+def test_a_scene_with_exact_depths_alone_is_in_the_table_of_exact_truth(make_outcome):
+    depth_alone = {"mae_c": None, "camera_mae_c": None, "depth_median_relative_error": 0.025}
+    runs = [make_outcome("real", "mrgs"), make_outcome("generated", "mrgs", truth=TRUTH)]
+    runs.append(make_outcome("lidar", "mrgs", truth=depth_alone, reasons={"truth.mae_c": "no °C"}))
+    table = tables_of(gathered(*runs))["truth"]
+    assert [group.heading for group in table.groups] == ["generated", "lidar", "mean"]
+    cells = table.rows[0].cells
+    assert (cells[4].mean, cells[4].note) == (None, "no °C")
+    assert [cells[index].mean for index in (7, 8, 11)] == pytest.approx([2.5, 0.2, 2.0])
+    assert table.remarks[-3:] == tuple(
+        f"The mean {heading} leaves out lidar, which has none."
+        for heading in ("MAE to exact", "camera's own MAE", "ratio")
+    )
+
+
+def test_the_names_of_all_tables_are_known(make_outcome):
+    runs = [make_outcome("a", method, truth=TRUTH) for method in ("3dgs-rgbt", "mrgs", "mrgs-n1")]
+    assert set(tables_of(gathered(*runs, neighbours={1: "mrgs-n1"}))) == set(NAMES)
 
 
 def test_the_papers_figures_stand_beside_ours_on_its_scenes(make_outcome):

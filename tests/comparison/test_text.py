@@ -17,7 +17,7 @@ def table() -> Table:
     """Two methods on four scenes."""
     groups = tuple(Group(f"scene_{letter}", FIGURES) for letter in "abcd")
     good = tuple(Cell(value) for value in (31.0, 0.2) * 4)
-    poor = (*(Cell(value) for value in (30.0, 0.3) * 3), Cell(29.0, 1.5, 2), Cell(None, note="100% | no °C"))
+    poor = (*(Cell(value) for value in (30.0, 0.3) * 3), Cell(29.0, 1.5, 2), Cell(None, note="100% | no °C, 1 < 2 > 0"))
     rows = (Row(("ours",), good), Row(("their_s",), poor))
     return Table("thermal", "A caption.", ("",), groups, rows, ("A remark.",))
 
@@ -28,7 +28,7 @@ def test_markdown_marks_and_notes(table):
     assert "| ours | **31.00** | **0.200** |" in text
     assert "| their_s | <u>30.00</u> | <u>0.300</u> |" in text
     assert "<u>29.00 ± 1.50</u> | –<sup>a</sup> |" in text
-    assert "<sup>a</sup> 100% \\| no °C." in text
+    assert "<sup>a</sup> 100% \\| no °C, 1 < 2 > 0." in text
     assert "A remark." in text
 
 
@@ -47,7 +47,7 @@ def test_latex_marks_escapes_and_notes(table):
     assert r"ours & \textbf{31.00} & \textbf{0.200}" in text
     assert r"their\_s & \underline{30.00}" in text
     assert r"\underline{29.00 $\pm$ 1.50} & --$^{a}$ \\" in text
-    assert r"$^{a}$ 100\% | no $^{\circ}$C." in text
+    assert r"$^{a}$ 100\% $|$ no $^{\circ}$C, 1 $<$ 2 $>$ 0." in text
     assert text.count(r"\begin{") == text.count(r"\end{")
     rows = [line for line in text.splitlines() if line.startswith(("ours", "their"))]
     assert [row.count("&") for row in rows] == [8, 8]
@@ -68,7 +68,7 @@ def test_csv_has_a_line_per_figure_with_all_decimals(table):
     assert len(rows) == 2 * 4 * 2
     last = rows[-1]
     assert (last["method"], last["group"], last["figure"], last["unit"]) == ("their_s", "scene_d", "MAE", "°C")
-    assert (last["mean"], last["note"]) == ("", "100% | no °C")
+    assert (last["mean"], last["note"]) == ("", "100% | no °C, 1 < 2 > 0")
     assert (rows[-2]["mean"], rows[-2]["std"], rows[-2]["seeds"], rows[-2]["mark"]) == ("29.0", "1.5", "2", "second")
 
 

@@ -5,14 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from mrgs import gpu
-from mrgs.atomic import replacing
-from mrgs.comparison.figures import WITH_BOLTZ, WITHOUT_BOLTZ, Exhibit, Renderer, depth_figure, qualitative_figure
+from mrgs.atomic import remove, replacing
+from mrgs.comparison.figures import (
+    WITH_BOLTZ,
+    WITHOUT_BOLTZ,
+    Exhibit,
+    depth_block,
+    depth_figure,
+    drawn,
+    qualitative_block,
+    qualitative_figure,
+)
 from mrgs.comparison.methods import Options
 from mrgs.comparison.plan import Job, neighbour_methods, plan
 from mrgs.comparison.processes import run_jobs
@@ -20,16 +30,19 @@ from mrgs.comparison.progress import Progress
 from mrgs.comparison.results import Outcome, failed, outcome
 from mrgs.comparison.single import is_scored, read_metrics
 from mrgs.comparison.table import Table
-from mrgs.comparison.tables import Outcomes, all_tables
+from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 from mrgs.comparison.text import to_csv, to_latex, to_markdown
 from mrgs.data import load_scene
-from mrgs.errors import ConfigError, MrgsError, RunError
+from mrgs.errors import ConfigError, MrgsError
+from mrgs.evaluation.contact_sheet import SheetRow
 from mrgs.evaluation.figures import to_json
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.pictures import write_png
 from mrgs.evaluation.renders import evaluate_renders, find_renders
 from mrgs.gpu import DeviceName
-from mrgs.run import TrainedRun, open_run
+from mrgs.render import Rendering
+from mrgs.run import open_run
+from mrgs.scene import Scene, View
 
 Say = Callable[[str], None]
 
@@ -62,7 +75,8 @@ def compare(
 ) -> Comparison:
     """Train and score every method on every scene, then write tables and figures.
 
-    Runs that are scored are kept, runs with a checkpoint are continued; a run that fails is reported at the end.
+    Runs that are scored are kept, runs with a checkpoint are continued; a run that fails is reported at the end. Tables
+    and figures of an earlier call that this one does not write are removed.
 
     Args:
         scenes: the scenes' folders.
@@ -93,7 +107,7 @@ def compare(
     for name, folder in renders.items():
         for scene, path in paths.items():
             found.append(_renders_outcome(name, folder / scene, scene, path, output, options, lpips_weights))
-    rows = (*options.methods, *(variant.name for variant in options.variants), *renders)
+    rows = (*dict.fromkeys(options.methods), *(variant.name for variant in options.variants), *renders)
     outcomes = Outcomes(tuple(found), tuple(paths), rows, neighbour_methods(options))
     tables = tuple(all_tables(outcomes))
     _write_tables(output / "tables", tables)
@@ -141,7 +155,7 @@ def _renders_outcome(
         evaluate_renders(
             path, folder, name=name, output=scores, resolution=options.resolution, lpips_weights=lpips_weights
         )
-    except RunError as error:
+    except MrgsError as error:
         return failed(scene, name, None, str(error))
     document = read_metrics(scores)
     assert document is not None
@@ -149,10 +163,15 @@ def _renders_outcome(
 
 
 def _write_tables(folder: Path, tables: Sequence[Table]) -> None:
+    """Tables of an earlier call that this one has not are removed."""
+    writers = {".md": to_markdown, ".tex": to_latex, ".csv": to_csv}
     for table in tables:
-        for suffix, text in ((".md", to_markdown(table)), (".tex", to_latex(table)), (".csv", to_csv(table))):
+        for suffix, write in writers.items():
             with replacing(folder / f"{table.name}{suffix}") as temporary:
-                temporary.write_text(text, encoding="utf-8")
+                temporary.write_text(write(table), encoding="utf-8")
+    for name in set(NAMES) - {table.name for table in tables}:
+        for suffix in writers:
+            remove(folder / f"{name}{suffix}")
 
 
 def _write_results(path: Path, outcomes: Outcomes, options: Options, scenes: Mapping[str, Path]) -> None:
@@ -185,48 +204,65 @@ def _write_figures(
     folder: Path, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
 ) -> None:
     """``qualitative.png``, and ``depth.png`` where both of its methods are there; the first seed of each run."""
-    exhibits = [
-        exhibit
-        for scene in outcomes.scenes
-        if (exhibit := _exhibit(scene, outcomes, planned, renders, options)).renderers
-    ]
-    if exhibits:
-        write_png(folder / "qualitative.png", qualitative_figure(exhibits, outcomes.methods))
-    with_both = [each for each in exhibits if {WITH_BOLTZ, WITHOUT_BOLTZ} <= each.renderers.keys()]
-    if with_both:
-        write_png(folder / "depth.png", depth_figure(with_both))
+    pictures, depths = [], []
+    for scene in outcomes.scenes:
+        exhibit = _exhibit(scene, outcomes, planned, renders, options)
+        if not exhibit.shown.keys().isdisjoint(outcomes.methods):
+            pictures.append(qualitative_block(exhibit, outcomes.methods))
+        if {WITH_BOLTZ, WITHOUT_BOLTZ} <= exhibit.shown.keys():
+            depths.append(depth_block(exhibit))
+    _write_figure(folder / "qualitative.png", qualitative_figure(pictures, outcomes.methods) if pictures else None)
+    _write_figure(folder / "depth.png", depth_figure(depths) if depths else None)
 
 
-def _photographer(run: TrainedRun) -> Renderer:
-    """A run's views as its cameras would have written them, as they are scored."""
-    return lambda view: run.photograph(run.render_view(view))
+def _write_figure(path: Path, figure: Image.Image | None) -> None:
+    """Where there is none, that of an earlier call is removed."""
+    if figure is None:
+        remove(path)
+    else:
+        write_png(path, figure)
 
 
 def _exhibit(
     scene: str, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
 ) -> Exhibit:
-    """The middle one of a scene's held-out views, and who can render it."""
+    """The middle one of a scene's held-out views as the methods show it; one model is in memory at a time."""
     path = next(job.scene for job in planned if job.scene_name == scene)
     loaded = load_scene(path, resolution=options.resolution)
     view = loaded.eval[len(loaded.eval) // 2]
-    renderers: dict[str, Renderer] = {}
+    wanted = _in_figures(outcomes)
+    shown: dict[str, SheetRow] = {}
     figures: dict[str, Any] = {}
     for each in outcomes.all:
-        if each.scene != scene or each.document is None or each.method in renderers:
+        if each.scene != scene or each.document is None or each.method not in wanted or each.method in shown:
             continue
         try:
-            if each.seed is None:
-                files = find_renders(renders[each.method] / scene, loaded)
-                renderers[each.method] = partial(files.rendering, temperature=loaded.temperature)
-            else:
-                job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
-                renderers[each.method] = _photographer(open_run(job.folder, job.scene, "cpu"))
-        except MrgsError:  # scored, but its checkpoints were removed since
+            shown[each.method] = drawn(loaded, view, _render(each, loaded, view, planned, renders))
+        except MrgsError:  # scored, but its checkpoints or images were removed since
             continue
         figures[each.method] = next(
             (entry for entry in each.document.get("views", []) if entry["name"] == view.name), {}
         )
-    return Exhibit(loaded, path.parent if path.is_file() else path, view, renderers, figures)
+    return Exhibit(loaded, path.parent if path.is_file() else path, view, shown, figures)
+
+
+def _in_figures(outcomes: Outcomes) -> set[str]:
+    """The methods of the tables' rows, and both of the depth figure, of which one may be a run of neighbours alone."""
+    pair = {WITH_BOLTZ, WITHOUT_BOLTZ}
+    return {*outcomes.methods, *(pair if pair <= {each.method for each in outcomes.all} else ())}
+
+
+def _render(each: Outcome, scene: Scene, view: View, planned: Sequence[Job], renders: Mapping[str, Path]) -> Rendering:
+    """The view as the cameras would have written it, as it is scored.
+
+    Raises:
+        MrgsError: the run's checkpoint or the other program's images cannot be used.
+    """
+    if each.seed is None:
+        return find_renders(renders[each.method] / each.scene, scene).rendering(view, scene.temperature)
+    job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
+    run = open_run(job.folder, job.scene, "cpu")
+    return run.photograph(run.render_view(view))
 
 
 def _key(each: Outcome) -> tuple[str, str, int | None]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from mrgs.comparison.panels import Block, Panel, draw_figure
+from mrgs.comparison.panels import Block, Panel, as_drawn, draw_figure
 from mrgs.comparison.paper import scene_title
+from mrgs.errors import SceneError
 from mrgs.evaluation.contact_sheet import SheetRow, sheet_row
 from mrgs.evaluation.drawing import Scale
 from mrgs.evaluation.evaluate import ViewMetrics
@@ -25,8 +26,6 @@ WIDE_PX, NARROW_PX = 300, 220
 
 WITHOUT_BOLTZ, WITH_BOLTZ = "mrgs-fourier", "mrgs"
 
-Renderer = Callable[[View], Rendering]
-
 
 @dataclass(frozen=True, eq=False)
 class Exhibit:
@@ -36,14 +35,14 @@ class Exhibit:
         scene: what ``load_scene`` returns.
         folder: the scene's folder, for its exact depths.
         view: the held-out view that is shown.
-        renderers: of each method, from the view to its images, as they are compared with the photos.
+        shown: of each method that has images of it, what ``drawn`` makes of them.
         figures: of each method, this view's entry in ``metrics.json``.
     """
 
     scene: Scene
     folder: Path
     view: View
-    renderers: Mapping[str, Renderer]
+    shown: Mapping[str, SheetRow]
     figures: Mapping[str, Mapping[str, Any]]
 
     @property
@@ -51,38 +50,58 @@ class Exhibit:
         """The scene and the view."""
         return f"{scene_title(self.scene.name) or self.scene.name} · {self.view.name}"
 
-    def shown(self, method: str) -> SheetRow | None:
-        """The photos and the method's renderings, its depth from the thermal camera; None where it has none."""
-        if method not in self.renderers:
-            return None
-        rendering = self.renderers[method](self.view)
-        if rendering.depth_thermal is not None:  # what L_boltz acts on
-            rendering = rendering._replace(depth_rgb=None)
-        nothing = ViewMetrics(self.view.name, {}, {}, None)
-        return sheet_row(self.view, rendering, nothing, self.scene.temperature, self.scene.reach)
+    @property
+    def unit(self) -> str:
+        """Of temperatures; empty where the scene has no °C."""
+        return "" if self.scene.temperature is None else "°C"
 
 
-def qualitative_figure(exhibits: Sequence[Exhibit], methods: Sequence[str]) -> Image.Image:
-    """Rows RGB, thermal and thermal error of each scene; columns ground truth and methods."""
-    columns = ["ground truth", *methods]
-    blocks = [_qualitative_block(exhibit, methods) for exhibit in exhibits]
-    return draw_figure(columns, blocks, WIDE_PX if len(columns) <= 5 else NARROW_PX)
+def drawn(scene: Scene, view: View, rendering: Rendering) -> SheetRow:
+    """What the figures show of a method: a view's photos, its images, and the depth from the thermal camera.
+
+    Args:
+        scene: what ``load_scene`` returns.
+        view: one of its held-out views.
+        rendering: of the view, as it is compared with the photos.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    if rendering.depth_thermal is not None:  # what L_boltz acts on
+        rendering = rendering._replace(depth_rgb=None)
+    return sheet_row(view, rendering, ViewMetrics(view.name, {}, {}, None), scene.temperature, scene.reach)
 
 
-def depth_figure(exhibits: Sequence[Exhibit]) -> Image.Image:
-    """Depth and thermal rendering without and with L_boltz, a row per scene; the exact depth where a scene has it."""
-    exact = [_exact_depth(exhibit) for exhibit in exhibits]
-    columns = ["depth, without L_boltz", "thermal, without", "depth, with L_boltz", "thermal, with"]
-    columns += ["exact depth"] if any(depth is not None for depth in exact) else []
-    blocks = [_depth_block(exhibit, depth, len(columns)) for exhibit, depth in zip(exhibits, exact, strict=True)]
+def qualitative_figure(blocks: Sequence[Block], methods: Sequence[str]) -> Image.Image:
+    """Columns ground truth and methods; a ``qualitative_block`` per scene."""
+    return draw_figure(["ground truth", *methods], blocks, _cell_px(methods))
+
+
+def depth_figure(blocks: Sequence[Block]) -> Image.Image:
+    """Depth and thermal rendering without and with L_boltz, a ``depth_block`` per scene.
+
+    The exact depth has a column if any scene has it.
+    """
+    columns = ["depth, without L_boltz", "thermal, without", "depth, with L_boltz", "thermal, with", "exact depth"]
+    if all(panels[-1].image is None for block in blocks for _, panels in block.rows):
+        columns.pop()
+        blocks = [replace(block, rows=[(label, panels[:-1]) for label, panels in block.rows]) for block in blocks]
     return draw_figure(columns, blocks, WIDE_PX)
 
 
-def _qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
-    shown = {method: exhibit.shown(method) for method in methods}
+def _cell_px(methods: Sequence[str]) -> int:
+    return WIDE_PX if len(methods) < 5 else NARROW_PX
+
+
+def qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
+    """Rows RGB, thermal and thermal error of one scene, its images as large as they are drawn.
+
+    At least one of the methods must be among those that the exhibit shows.
+    """
+    shown = {method: exhibit.shown.get(method) for method in methods}
     there = [row for row in shown.values() if row is not None]
     photos = there[0]
-    unit = "" if exhibit.scene.temperature is None else "°C"
+    unit = exhibit.unit
     rows: list[tuple[str, list[Panel]]] = []
     bars = []
     if photos.photo is not None:
@@ -104,32 +123,39 @@ def _qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
         rows.append(("error", [Panel(None, missing=""), *error]))
         bars = [(scale, "temperature" if unit else "normalised: the scene has no °C")]
         bars.append((error_scale, "rendering minus photo: blue too cold, red too warm"))
-    return Block(exhibit.title, rows, bars)
+    return as_drawn(Block(exhibit.title, rows, bars), _cell_px(methods))
 
 
-def _depth_block(exhibit: Exhibit, exact: np.ndarray | None, columns: int) -> Block:
-    pair = [exhibit.shown(method) for method in (WITHOUT_BOLTZ, WITH_BOLTZ)]
-    depths = [row.depth.ravel() for row in pair if row is not None and row.depth is not None]
+def depth_block(exhibit: Exhibit) -> Block:
+    """Both methods' depth and thermal image, and the exact depth, as large as they are drawn.
+
+    The exhibit must show both ``WITHOUT_BOLTZ`` and ``WITH_BOLTZ``.
+    """
+    exact = _exact_depth(exhibit)
+    pair = {method: exhibit.shown[method] for method in (WITHOUT_BOLTZ, WITH_BOLTZ)}
+    depths = [row.depth.ravel() for row in pair.values() if row.depth is not None]
     near, far = display_range(exact if exact is not None else np.concatenate(depths or [np.zeros(1)]), tail=1.0)
     scale = Scale("depth", far, near, "")
-    heats = [row.thermal.ravel() for row in pair if row is not None and row.thermal is not None]
-    heat_scale = Scale(
-        "inferno", *display_range(np.concatenate(heats or [np.zeros(1)])), "°C" if exhibit.scene.temperature else ""
-    )
+    heats = [row.thermal.ravel() for row in pair.values() if row.thermal is not None]
+    heat_scale = Scale("inferno", *display_range(np.concatenate(heats or [np.zeros(1)])), exhibit.unit)
     panels = []
-    for method, row in zip((WITHOUT_BOLTZ, WITH_BOLTZ), pair, strict=True):
-        panels.append(Panel(_colored(None if row is None else row.depth, scale), _depth_caption(exhibit, method)))
-        heat = _colored(None if row is None else row.thermal, heat_scale)
-        panels.append(Panel(heat, _caption(exhibit, method, "thermal")))
-    panels += [Panel(_colored(exact, scale))] * (columns - len(panels))
-    return Block(exhibit.title, [("", panels)], [(scale, "z-depth in scene units"), (heat_scale, "thermal")])
+    for method, row in pair.items():
+        panels.append(Panel(_colored(row.depth, scale), _depth_caption(exhibit, method)))
+        panels.append(Panel(_colored(row.thermal, heat_scale), _caption(exhibit, method, "thermal")))
+    panels.append(Panel(_colored(exact, scale)))
+    bars = [(scale, "z-depth in scene units"), (heat_scale, "thermal")]
+    return as_drawn(Block(exhibit.title, [("", panels)], bars), WIDE_PX)
 
 
 def _exact_depth(exhibit: Exhibit) -> np.ndarray | None:
+    """None where there is no file, or a damaged one: scoring says so."""
     path = exhibit.folder / "truth" / "depth" / f"{exhibit.view.name}.tiff"
     if not path.is_file():
         return None
-    depth = read_float_tiff(path)
+    try:
+        depth = read_float_tiff(path)
+    except SceneError:
+        return None
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan))
 
 

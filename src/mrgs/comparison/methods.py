@@ -84,12 +84,22 @@ def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
 
     Args:
         variant: the method, and what differs from it.
-        options: what all runs share; a variant's own values count before these.
+        options: what all runs share; a variant's own values count before these, but for the resolution.
         seed: of every random choice.
 
     Raises:
-        ConfigError: an unknown method or preset, or a value that is not allowed.
+        ConfigError: an unknown method or preset, a value that is not allowed, or a variant with another resolution.
     """
+    config = _configure(variant, options, seed)
+    if config.resolution != options.resolution:
+        raise ConfigError(
+            f"{variant.source} has a resolution of its own, but all runs are compared at one size: take it out, and "
+            "give --resolution"
+        )
+    return config
+
+
+def _configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
     if variant.method == thermonerf.METHOD:
         nerf = thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
         return (

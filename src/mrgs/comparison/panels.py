@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,18 @@ class Block:
     title: str
     rows: Sequence[tuple[str, Sequence[Panel]]]
     bars: Sequence[tuple[Scale, str]]
+
+
+def as_drawn(block: Block, cell_px: int) -> Block:
+    """The block with every image as large as it is drawn when panels are ``cell_px`` wide."""
+    rows = [
+        (
+            label,
+            [panel if panel.image is None else panel._replace(image=_resized(panel.image, cell_px)) for panel in row],
+        )
+        for label, row in block.rows
+    ]
+    return replace(block, rows=rows)
 
 
 def draw_figure(columns: Sequence[str], blocks: Sequence[Block], cell_px: int) -> Image.Image:
@@ -102,8 +114,13 @@ def _draw_panel(figure: Image.Image, panel: Panel, corner: tuple[int, int], widt
     if panel.image is None:
         draw_text(figure, (middle, y + height / 2), panel.missing, 18, MUTED, anchor="mm")
     else:
-        image = Image.fromarray(panel.image)
-        size = (width, max(1, round(image.height * width / image.width)))
-        smooth = Image.Resampling.LANCZOS if image.width > width else Image.Resampling.BICUBIC
-        figure.paste(image.resize(size, smooth), (x, y))
+        figure.paste(Image.fromarray(_resized(panel.image, width)), (x, y))
     draw_text(figure, (middle, y + height + 13), fit_text(panel.caption, 12, width), 12, MUTED, anchor="ms")
+
+
+def _resized(pixels: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """The image at this width; the same pixels where it has it already."""
+    image = Image.fromarray(pixels)
+    size = (width, max(1, round(image.height * width / image.width)))
+    smooth = Image.Resampling.LANCZOS if image.width > width else Image.Resampling.BICUBIC
+    return np.asarray(image.resize(size, smooth))

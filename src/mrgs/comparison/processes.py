@@ -49,7 +49,7 @@ def run_jobs(
 
     Args:
         jobs: in the order in which they are started.
-        count: how many processes at a time; the machine's cores are divided among them.
+        count: how many processes at a time; the machine's cores are divided among as many as there can be.
         lpips_weights: weights for LPIPS.
         on_message: called with what a child says, and with ``{"start": True}`` when it is started.
         on_tick: called about once a second.
@@ -67,7 +67,7 @@ def run_jobs(
         while waiting or running:
             while waiting and len(running) < count:
                 job = waiting.pop(0)
-                running.append(_start(job, threads_each(count), device, lpips_weights, inbox))
+                running.append(_start(job, threads_each(min(count, len(jobs))), device, lpips_weights, inbox))
                 on_message(job, {"start": True})
             _receive(inbox, running, failures, on_message)
             on_tick()

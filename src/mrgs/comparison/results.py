@@ -30,9 +30,11 @@ class Kind(NamedTuple):
 
 KINDS = {
     "thermal.psnr": Kind("PSNR", "dB", 2, 2, "higher"),
+    "thermal.psnr_matched": Kind("PSNR matched", "dB", 2, 2, "higher"),
     "thermal.ssim": Kind("SSIM", "", 4, 3, "higher"),
     "thermal.mae_c": Kind("MAE", "°C", 3, 3, "lower"),
     "rgb.psnr": Kind("PSNR", "dB", 2, 2, "higher"),
+    "rgb.psnr_matched": Kind("PSNR matched", "dB", 2, 2, "higher"),
     "rgb.ssim": Kind("SSIM", "", 4, 3, "higher"),
     "rgb.lpips": Kind("LPIPS", "", 4, 3, "lower"),
     "gaussians_k": Kind("Gaussians", "K", 1, 0, "lower"),
@@ -104,7 +106,7 @@ def over_seeds(figures: Sequence[Figure]) -> Cell:
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
-    """The mean over scenes, and its standard deviation over seeds.
+    """The mean over scenes of the seeds that have all of them, and its standard deviation over seeds.
 
     Args:
         scenes: of each scene the figure of each seed, equally many.
@@ -117,8 +119,10 @@ def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cel
             per_seed.append(math.fsum(values) / len(values))
     if not per_seed:
         return Cell(None, note=_why_no_mean(scenes, names))
+    seeds = len(scenes[0])
+    note = None if len(per_seed) == seeds else f"{len(per_seed)} of {seeds} seeds; the others lack a scene"
     std = statistics.stdev(per_seed) if len(per_seed) > 1 else None
-    return Cell(math.fsum(per_seed) / len(per_seed), std, len(per_seed))
+    return Cell(math.fsum(per_seed) / len(per_seed), std, len(per_seed), note)
 
 
 def _why_no_mean(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 from mrgs.comparison.methods import AnyConfig, OnStep, device_of, read_config, train_run
 from mrgs.errors import ConfigError
 from mrgs.evaluation import evaluate_run
+from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
 from mrgs.gpu import DeviceName
 from mrgs.run import open_run
 from mrgs.training.run_folder import RunFolder
@@ -53,9 +54,14 @@ def run_one(
 
 
 def is_scored(folder: Path, config: AnyConfig, with_lpips: bool) -> bool:
-    """Whether the folder holds the scores of the finished run, with LPIPS if they must have it."""
+    """Whether the folder holds the scores of the finished run, with LPIPS if they must have it.
+
+    Scores of an older version, which lack a figure, do not count if the run can be scored again as it is.
+    """
     document = read_metrics(folder / "eval")
     if document is None or document.get("steps") != config.max_steps:
+        return False
+    if not _has_every_figure(document) and _is_trained(folder, config):
         return False
     return not with_lpips or _has_lpips(document)
 
@@ -105,6 +111,18 @@ def _is_trained(folder: Path, config: AnyConfig) -> bool:
     return config.max_steps in (int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints())
 
 
+def _has_every_figure(document: dict[str, Any]) -> bool:
+    """Whether each figure is there, be it as null."""
+    groups = {"thermal": THERMAL_FIGURES, "rgb": RGB_FIGURES}
+    return all(_means(document, group).keys() >= set(names) for group, names in groups.items())
+
+
 def _has_lpips(document: dict[str, Any]) -> bool:
-    means = document.get("mean", {})
-    return any(means.get(group, {}).get("lpips") is not None for group in ("thermal", "rgb"))
+    return any(_means(document, group).get("lpips") is not None for group in ("thermal", "rgb"))
+
+
+def _means(document: dict[str, Any], group: str) -> dict[str, Any]:
+    """A group's means; empty where the document has another shape."""
+    means = document.get("mean")
+    figures = means.get(group) if isinstance(means, dict) else None
+    return figures if isinstance(figures, dict) else {}

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from mrgs.comparison import paper
 from mrgs.comparison.results import KINDS, Cell, Outcome, over_scenes, over_seeds
 from mrgs.comparison.table import Group, Row, Table
 from mrgs.evaluation.figures import Figure, Missing
 
+NAMES = ("thermal", "rgb", "ablation", "neighbours", "truth")
+"""Of all tables that there can be."""
+
 THERMAL = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
+THERMAL_WITHOUT_CELSIUS = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
 RGB = ("rgb.psnr", "rgb.ssim", "rgb.lpips", "gaussians_k")
 NEIGHBOURS = (*THERMAL, "minutes")
 TRUTH = ("truth.mae_c", "truth.camera_mae_c", "truth.ratio", "truth.depth_percent")
@@ -25,6 +30,9 @@ ABLATION = {
 """What each method has, in the columns of the paper's Table 3."""
 
 MEAN = "mean"
+MATCHED = (
+    "PSNR matched, for scenes without °C: after the rendering took the gain and the offset that suit the photo best."
+)
 PUBLISHED = (
     "Rows marked (paper) are the paper's own figures, on other hardware and a longer schedule; they are not ranked."
 )
@@ -70,37 +78,50 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
     tables = []
     if outcomes.methods:
         caption = "novel views of scenes and methods: held-out views, full frame."
-        tables.append(_methods_by_scenes(outcomes, "thermal", f"Thermal {caption}", THERMAL))
-        tables.append(_methods_by_scenes(outcomes, "rgb", f"RGB {caption}", RGB))
+        thermal = partial(_thermal_figures, outcomes)
+        tables.append(_methods_by_scenes(outcomes, "thermal", f"Thermal {caption}", thermal))
+        tables.append(_methods_by_scenes(outcomes, "rgb", f"RGB {caption}", lambda scenes: RGB))
     if sum(method in ABLATION for method in outcomes.methods) > 1:
         tables.append(_ablation(outcomes))
     if outcomes.neighbours:
         tables.append(_neighbours(outcomes))
-    with_truth = tuple(outcomes.scenes_with("truth.mae_c"))
+    with_truth = {scene for figure in TRUTH for scene in outcomes.scenes_with(figure)}
     if with_truth:
-        tables.append(_truth(outcomes, with_truth))
+        tables.append(_truth(outcomes, tuple(scene for scene in outcomes.scenes if scene in with_truth)))
     return tables
 
 
-def _methods_by_scenes(outcomes: Outcomes, name: str, caption: str, figures: tuple[str, ...]) -> Table:
-    """A row per method and a group of columns per scene, as the paper's Tables 1 and 2."""
-    several = len(outcomes.scenes) > 1
-    groups = [Group(_title(scene), figures) for scene in outcomes.scenes]
+def _thermal_figures(outcomes: Outcomes, scenes: Sequence[str]) -> tuple[str, ...]:
+    """What the thermal images of scenes are judged by: the paper's figures, or what takes the place of the MAE."""
+    celsius, matched = (set(outcomes.scenes_with(key)) for key in ("thermal.mae_c", "thermal.psnr_matched"))
+    return THERMAL if celsius.intersection(scenes) or not matched.intersection(scenes) else THERMAL_WITHOUT_CELSIUS
+
+
+def _methods_by_scenes(
+    outcomes: Outcomes, name: str, caption: str, figures_of: Callable[[Sequence[str]], tuple[str, ...]]
+) -> Table:
+    """A row per method and a group of columns per scene, as the paper's Tables 1 and 2.
+
+    ``figures_of`` says which figures stand under a scene, and, given all scenes, under the mean.
+    """
+    groups = [Group(_title(scene), figures_of((scene,))) for scene in outcomes.scenes]
+    columns = [(scene, key) for scene in outcomes.scenes for key in figures_of((scene,))]
+    means = figures_of(outcomes.scenes) if len(outcomes.scenes) > 1 else ()
     rows = []
     for method in outcomes.methods:
-        cells = [over_seeds(outcomes.figures(scene, method, key)) for scene in outcomes.scenes for key in figures]
-        cells += [outcomes.mean(method, key) for key in figures] if several else []
+        cells = [over_seeds(outcomes.figures(scene, method, key)) for scene, key in columns]
+        cells += [outcomes.mean(method, key) for key in means]
         rows.append(Row((method,), tuple(cells)))
-    remarks = _remarks_on_means(outcomes, figures) if several else []
+    remarks = [MATCHED] if any(key == "thermal.psnr_matched" for _, key in columns) else []
+    remarks += _remarks_on_means(outcomes, outcomes.scenes, means)
     if any(paper.rows_of(name, scene) for scene in outcomes.scenes):
         for row in paper.METHODS:
-            cells = [paper.cell(name, scene, row, key) for scene in outcomes.scenes for key in figures]
-            cells += [paper.mean_cell(name, outcomes.scenes, row, key) for key in figures] if several else []
+            cells = [paper.cell(name, scene, row, key) for scene, key in columns]
+            cells += [paper.mean_cell(name, outcomes.scenes, row, key) for key in means]
             rows.append(Row((f"{row} (paper)",), tuple(cells), published=True))
         remarks.append(PUBLISHED)
-    return Table(
-        name, caption, ("",), (*groups, *([Group(MEAN, figures)] if several else [])), tuple(rows), tuple(remarks)
-    )
+    groups += [Group(MEAN, means)] if means else []
+    return Table(name, caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
 
 
 def _ablation(outcomes: Outcomes) -> Table:
@@ -117,7 +138,7 @@ def _ablation(outcomes: Outcomes) -> Table:
         for method in methods:
             cells = tuple(outcomes.mean(method, key) for key in THERMAL)
             rows.append(Row((MEAN, *ABLATION[method]), cells, block=MEAN))
-        remarks += _remarks_on_means(outcomes, THERMAL)
+        remarks += _remarks_on_means(outcomes, outcomes.scenes, THERMAL)
     return Table(
         "ablation",
         "Ablation of the paper's parts: thermal images of held-out views.",
@@ -159,14 +180,15 @@ def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
         cells += [outcomes.mean(method, key) for key in TRUTH] if several else []
         rows.append(Row((method,), tuple(cells)))
     groups = [Group(_title(scene), TRUTH) for scene in scenes] + ([Group(MEAN, TRUTH)] if several else [])
-    remarks = (
+    remarks = [
         "MAE to exact: of the rendered view, mean over the frame.",
         "Camera's own MAE: of the camera's image of the same view.",
         "Ratio: the first over the second; below 1, the model is a better thermometer than the camera.",
         "Depth error: median of |rendered − exact| / exact over a view, mean over the views.",
-    )
+    ]
+    remarks += _remarks_on_means(outcomes, scenes, TRUTH) if several else []
     caption = "Against exact temperatures and depths, of scenes that have them."
-    return Table("truth", caption, ("",), tuple(groups), tuple(rows), remarks)
+    return Table("truth", caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
 
 
 def _published_rows(table: str, scene: str, figures: Sequence[str], labels: Mapping[str, tuple[str, ...]]) -> list[Row]:
@@ -183,12 +205,12 @@ def _published_rows(table: str, scene: str, figures: Sequence[str], labels: Mapp
     ]
 
 
-def _remarks_on_means(outcomes: Outcomes, figures: Sequence[str]) -> list[str]:
-    """Which means leave scenes out, because no method has the figure there."""
+def _remarks_on_means(outcomes: Outcomes, scenes: Sequence[str], figures: Sequence[str]) -> list[str]:
+    """Which means leave some of a table's scenes out, because no method has the figure there."""
     remarks = []
     for figure in figures:
         there = outcomes.scenes_with(figure)
-        gone = [_title(scene) for scene in outcomes.scenes if scene not in there]
+        gone = [_title(scene) for scene in scenes if scene not in there]
         if there and gone:
             remarks.append(f"The mean {KINDS[figure].heading} leaves out {', '.join(gone)}, which has none.")
     return remarks

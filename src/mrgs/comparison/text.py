@@ -21,7 +21,7 @@ _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"$^{\circ}$", "±": r"$\pm$", "–": "--",
     "↑": r"$\uparrow$", "↓": r"$\downarrow$", "✓": r"\checkmark{}", "²": r"$^{2}$", "λ": r"$\lambda$",
-    "×": r"$\times$", "σ": r"$\sigma$", "−": "$-$",
+    "×": r"$\times$", "σ": r"$\sigma$", "−": "$-$", "|": "$|$", "<": "$<$", ">": "$>$",
 }  # fmt: skip
 
 
