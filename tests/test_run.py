@@ -116,4 +116,4 @@ def test_a_gpu_renders_what_the_cpu_does_into_the_hosts_memory(run):
         assert found.device.type == "cpu"
         assert (found - expected).abs().max() < 1e-3
     assert on_gpu.model.gaussians.means.device.type == "cpu"
-    assert on_gpu.photograph(on_gpu.render_view(view)).thermal.isfinite().all()
+    assert on_gpu.photograph(on_gpu.render_view(view), view.cameras[0]).thermal.isfinite().all()

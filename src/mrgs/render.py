@@ -106,12 +106,12 @@ class Rendering(NamedTuple):
         return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
 
 
-Photograph: TypeAlias = Callable[[Rendering], Rendering]
-"""From what is there to what the cameras would have written."""
+Photograph: TypeAlias = Callable[[Rendering, Camera], Rendering]
+"""From what is there, and the camera that it is seen from, to what the scene's cameras would have written there."""
 
 
-def as_it_is(rendering: Rendering) -> Rendering:
-    """A camera that changes nothing."""
+def as_it_is(rendering: Rendering, camera: Camera) -> Rendering:
+    """Cameras that change nothing."""
     return rendering
 
 

@@ -68,8 +68,8 @@ class TrainedRun(ABC):
         """Render a view from its own cameras, without gradients."""
         return self.render_cameras(view.rgb.camera if view.rgb else None, view.thermal.camera if view.thermal else None)
 
-    def photograph(self, rendering: Rendering) -> Rendering:
-        """The rendering as the scene's cameras would have written it, to be compared with photos.
+    def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:
+        """The rendering of a camera as the scene's cameras would have written it there, to be compared with photos.
 
         The same, unless the method has learned what the cameras do to the images.
         """
@@ -131,9 +131,9 @@ class Run(TrainedRun):
                 f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: use --device cpu"
             ) from None
 
-    def photograph(self, rendering: Rendering) -> Rendering:  # noqa: D102
+    def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:  # noqa: D102
         with torch.no_grad():
-            return self.image_model(rendering, None)
+            return self.image_model.expected(rendering, camera)
 
     @property
     def gaussian_count(self) -> int:  # noqa: D102

@@ -15,7 +15,7 @@ from mrgs.evaluation.metrics import otsu_threshold
 from mrgs.evaluation.pictures import write_float_tiff
 from mrgs.evaluation.truth import Truth
 from mrgs.render import Rendering
-from mrgs.scene import TemperatureRange, View
+from mrgs.scene import Camera, TemperatureRange, View
 
 MakeView = Callable[..., View]
 Render = Callable[[View], Rendering]
@@ -167,12 +167,13 @@ def test_against_the_truth(
 
 
 def test_photos_are_compared_with_what_the_cameras_would_write(make_view: MakeView, celsius: TemperatureRange) -> None:
-    def colder(rendering: Rendering) -> Rendering:
+    def colder(rendering: Rendering, camera: Camera) -> Rendering:
+        assert camera is view.cameras[0]
         return rendering._replace(thermal=rendering.thermal - 0.05)
 
-    seen = []
+    view, seen = make_view(), []
     metrics = evaluate(
-        [make_view()], perfect, celsius, photograph=colder, visit=lambda view, rendering, _: seen.append(rendering)
+        [view], perfect, celsius, photograph=colder, visit=lambda _, rendering, metrics: seen.append(rendering)
     )
     assert metrics.thermal["mae_c"] == pytest.approx(0.05 * celsius.span_c, abs=1e-5)
-    assert torch.equal(seen[0].thermal, colder(perfect(make_view())).thermal)
+    assert torch.equal(seen[0].thermal, colder(perfect(view), view.cameras[0]).thermal)

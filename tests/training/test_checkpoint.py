@@ -14,6 +14,7 @@ from mrgs.errors import RunError
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
+from mrgs.training.exposure import Look
 from mrgs.training.image_model import Capture
 from mrgs.training.step import TrainingState
 from mrgs.training.terms import Photos, SceneScale
@@ -21,7 +22,9 @@ from mrgs.training.terms import Photos, SceneScale
 FACTS = CheckpointFacts(
     step=2,
     scene="/somewhere/balls",
-    capture=Capture(views=6, thermal_size=(40, 30), extent=3.25),
+    capture=Capture(
+        looks=(Look((0.0, 0.5, -1.25), (0.0, 0.0, 1.0)),) * 6, thermal_size=(40, 30), extent=3.25, has_celsius=True
+    ),
     temperature=TemperatureRange(10.0, 30.0),
     train_seconds=1.5,
     peak_memory_bytes=1_000,
@@ -127,7 +130,7 @@ def test_another_format_is_named(path):
     change_header(path, format=99)
     with pytest.raises(RunError) as caught:
         load_facts(path)
-    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 2: train anew"
+    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 3: train anew"
 
 
 def test_another_configuration_is_named(path, config):

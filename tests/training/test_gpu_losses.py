@@ -13,6 +13,7 @@ from mrgs.render import Rendering
 from mrgs.scene import Pixels, TemperatureRange
 from mrgs.training import losses, point_spread, radiation
 from mrgs.training.config import make_config
+from mrgs.training.exposure import Look
 from mrgs.training.image_model import Capture, ImageModel, ImageModelConfig, _exponential, _rotation
 from mrgs.training.losses import DifferenceWeights, difference_weights, total_loss
 from mrgs.training.radiation import DepthUncertainty
@@ -156,7 +157,9 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
         point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
     )
     size = (30, 20)
-    image_model = ImageModel(parts, Capture(4, size, 2.0)).to(without_values)
+    image_model = ImageModel(parts, Capture((Look((0, 0, 0), (0, 0, 1)),) * 4, size, 2.0, has_celsius=False)).to(
+        without_values
+    )
     uncertainty = DepthUncertainty().to(without_values)
 
     def plane(*channels: int) -> torch.Tensor:

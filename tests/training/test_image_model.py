@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
@@ -7,9 +8,10 @@ import torch
 
 from mrgs.errors import ConfigError
 from mrgs.render import Rendering
+from mrgs.scene import Camera
+from mrgs.training.exposure import Look
 from mrgs.training.image_model import (
     Capture,
-    Exposure,
     FixedPattern,
     ImageModel,
     ImageModelConfig,
@@ -17,8 +19,18 @@ from mrgs.training.image_model import (
     ThermalPoses,
 )
 
-CAPTURE = Capture(views=3, thermal_size=(12, 9), extent=2.0)
+LOOKS = tuple(Look((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(3))
+CAPTURE = Capture(LOOKS, thermal_size=(12, 9), extent=2.0, has_celsius=False)
 ALL = ImageModelConfig(point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True)
+
+
+JSON = json.loads(json.dumps(CAPTURE._asdict()))
+
+
+def camera_at(x: float) -> Camera:
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 3] = -x
+    return Camera(torch.eye(3, dtype=torch.float64), viewmat, 12, 9)
 
 
 def rendering(seed: int = 0) -> Rendering:
@@ -52,18 +64,6 @@ def test_a_pattern_adds_offsets_of_mean_zero():
     torch.testing.assert_close(offsets, (torch.arange(12) - 5.5).expand(9, 12))
 
 
-def test_exposures_average_to_none():
-    exposure = Exposure(views=3, channels=2)
-    exposure.log_gains.data = torch.tensor([[0.5, 0.0], [0.1, 0.3], [0.0, 0.6]])
-    exposure.offsets.data = torch.tensor([[0.1, 0.0], [0.2, 0.0], [0.3, 0.3]])
-    ones = [exposure(torch.ones(1, 1, 2), view).detach()[0, 0] for view in range(3)]
-    zeros = [exposure(torch.zeros(1, 1, 2), view).detach()[0, 0] for view in range(3)]
-    torch.testing.assert_close(torch.stack(zeros).mean(dim=0), torch.zeros(2))
-    gains = torch.stack(ones) - torch.stack(zeros)
-    torch.testing.assert_close(gains.log().mean(dim=0), torch.zeros(2))
-    assert (gains[0] / gains[1]).tolist() == pytest.approx([math.exp(0.4), math.exp(-0.3)])
-
-
 def test_a_motion_is_a_rotation_and_a_translation_in_extents():
     poses = ThermalPoses(views=2, extent=2.0)
     assert torch.equal(poses(0), torch.eye(4))
@@ -86,13 +86,23 @@ def test_at_the_start_only_the_spread_changes_anything():
     torch.testing.assert_close(written.thermal, PointSpread()(seen.thermal))
 
 
-def test_a_view_that_was_not_trained_on_has_no_exposure_of_its_own():
-    model, seen = ImageModel(ALL, CAPTURE), rendering()
-    model.exposure.offsets.data[0] = 0.3
-    model.thermal_gain.offsets.data[0] = 0.3
-    assert torch.equal(model(seen, None).rgb, seen.rgb)
-    assert not torch.equal(model(seen, 0).rgb, seen.rgb)
-    torch.testing.assert_close(model(seen, None).thermal, PointSpread()(seen.thermal))
+def test_a_photo_that_was_not_learned_from_is_exposed_like_those_beside_it():
+    looks = tuple(Look((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(20))
+    model, seen = ImageModel(ALL, CAPTURE._replace(looks=looks)), rendering()
+    model.exposure.offsets.data[10:] = 0.2
+    model.thermal_gain.offsets.data[10:] = 0.2
+    model.fixed_pattern.columns.data += torch.arange(12)
+    written = model.expected(seen, camera_at(2 * 15.4))
+    torch.testing.assert_close(written.rgb, seen.rgb + 0.1, atol=0.01, rtol=0)
+    pattern = model.fixed_pattern(torch.zeros_like(seen.thermal))
+    expected = model.point_spread(seen.thermal) + 0.1 + pattern
+    torch.testing.assert_close(written.thermal, expected, atol=0.01, rtol=0)
+    torch.testing.assert_close(model.expected(seen, camera_at(2 * 15.0)).rgb, model(seen, 15).rgb)
+
+
+def test_thermal_photos_in_celsius_have_no_gain():
+    assert ImageModel(ALL, CAPTURE).thermal_gain is not None
+    assert ImageModel(ALL, CAPTURE._replace(has_celsius=True)).thermal_gain is None
 
 
 def test_photos_of_several_sizes_have_no_pattern_in_common():
@@ -118,11 +128,13 @@ def test_a_rate_that_is_no_rate_is_named():
         ImageModelConfig(exposure_rate=-1.0)
 
 
-@pytest.mark.parametrize("values", [{}, {"views": 1, "thermal_size": [1], "extent": 1.0}, {"views": "x"}])
+@pytest.mark.parametrize(
+    "values", [{}, JSON | {"thermal_size": [1]}, JSON | {"looks": [[[0, 0], [0, 0, 1]]]}, JSON | {"looks": [1]}]
+)
 def test_what_is_no_capture_is_refused(values):
     with pytest.raises((KeyError, TypeError, ValueError)):
         Capture.from_json(values)
 
 
 def test_a_capture_comes_back_from_json():
-    assert Capture.from_json({"views": 3, "thermal_size": [12, 9], "extent": 2.0}) == CAPTURE
+    assert Capture.from_json(JSON) == CAPTURE

@@ -262,7 +262,7 @@ def _render(each: Outcome, scene: Scene, view: View, planned: Sequence[Job], ren
         return find_renders(renders[each.method] / each.scene, scene).rendering(view, scene.temperature)
     job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
     run = open_run(job.folder, job.scene, "cpu")
-    return run.photograph(run.render_view(view))
+    return run.photograph(run.render_view(view), view.cameras[0])
 
 
 def _key(each: Outcome) -> tuple[str, str, int | None]:

@@ -98,7 +98,7 @@ def evaluate(
     scored = []
     for view in views:
         rendering = render(view)
-        photographed = photograph(rendering)
+        photographed = photograph(rendering, view.cameras[0])
         metrics = _score(view, rendering, photographed, temperature, threshold, lpips, truth)
         scored.append(metrics)
         if visit is not None:

@@ -31,13 +31,13 @@ def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
     """
     rgb, thermal = [], []
     for view in scene.eval:
-        rendering = run.photograph(run.render_view(view))
+        camera = view.cameras[0]
+        rendering = run.photograph(run.render_view(view), camera)
         if view.rgb is not None and rendering.rgb is not None:
-            rgb.append(_loss(view.rgb, rendering.rgb, run.photograph(baked.render(view.rgb.camera)).rgb))
+            rgb.append(_loss(view.rgb, rendering.rgb, run.photograph(baked.render(view.rgb.camera), camera).rgb))
         if view.thermal is not None and rendering.thermal is not None:
-            thermal.append(
-                _loss(view.thermal, rendering.thermal, run.photograph(baked.render(view.thermal.camera)).thermal)
-            )
+            seen = run.photograph(baked.render(view.thermal.camera), camera)
+            thermal.append(_loss(view.thermal, rendering.thermal, seen.thermal))
     return BakingLoss(_mean(rgb), _mean(thermal))
 
 

@@ -21,7 +21,7 @@ Preset = Literal["fast", "default", "paper"]
 METHODS: tuple[Method, ...] = get_args(Method)
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
-PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True)
+PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True)
 PLUS_OPAQUE = 0.1
 """What ``mrgs-plus`` adds to ``mrgs``."""
 

@@ -8,6 +8,7 @@ of a thermal camera is often known only roughly.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,7 +18,8 @@ from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
 from mrgs.render import Rendering
-from mrgs.scene import Scene
+from mrgs.scene import Camera, Scene
+from mrgs.training.exposure import Exposure, Look, Setting
 from mrgs.training.point_spread import spread_points
 
 INITIAL_POINT_SPREAD_PX = 0.8
@@ -35,7 +37,7 @@ class ImageModelConfig:
         point_spread: blur the rendered temperatures by a Gaussian of learned width before they are compared.
         fixed_pattern: add a learned offset to each column and each row of the thermal images.
         exposure: a learned gain and offset of each photo's colours.
-        thermal_gain: a learned gain and offset of each thermal photo; for cameras that scale every photo anew.
+        thermal_gain: the same of each thermal photo, in scenes without °C: their cameras may scale every photo anew.
         thermal_poses: a learned motion of each thermal camera, where it is not the RGB camera.
         point_spread_rate: learning rate of the logarithm of the blur's width.
         fixed_pattern_rate: of the offsets, in normalised temperature.
@@ -63,20 +65,23 @@ class Capture(NamedTuple):
     """What the image model must know of a scene's photos.
 
     Attributes:
-        views: number of training views.
+        looks: of each training view's first camera.
         thermal_size: width and height of the thermal photos in pixels; None if they differ, or if there are none.
         extent: of the scene.
+        has_celsius: whether the values of the thermal photos are temperatures.
     """
 
-    views: int
+    looks: tuple[Look, ...]
     thermal_size: tuple[int, int] | None
     extent: float
+    has_celsius: bool
 
     @classmethod
     def of(cls, scene: Scene) -> Capture:
         """That of a scene's training views."""
         sizes = {(view.thermal.camera.width, view.thermal.camera.height) for view in scene.train if view.thermal}
-        return cls(len(scene.train), sizes.pop() if len(sizes) == 1 else None, scene.extent)
+        looks = tuple(Look.of(camera, scene.extent) for camera in scene.train_cameras)
+        return cls(looks, sizes.pop() if len(sizes) == 1 else None, scene.extent, scene.temperature is not None)
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Capture:
@@ -85,7 +90,8 @@ class Capture(NamedTuple):
         if size is not None:
             width, height = size
             size = (int(width), int(height))
-        return cls(int(values["views"]), size, float(values["extent"]))
+        looks = tuple(Look.from_json(look) for look in values["looks"])
+        return cls(looks, size, float(values["extent"]), bool(values["has_celsius"]))
 
 
 class PointSpread(nn.Module):
@@ -118,20 +124,6 @@ class FixedPattern(nn.Module):
         """The image with the offsets."""
         columns, rows = self.columns - self.columns.mean(), self.rows - self.rows.mean()
         return image + (columns + rows[:, None])[:, :, None]
-
-
-class Exposure(nn.Module):
-    """A gain and an offset of each photo and channel; over all photos they average to 1 and 0."""
-
-    def __init__(self, views: int, channels: int) -> None:
-        super().__init__()
-        self.log_gains = nn.Parameter(torch.zeros(views, channels))
-        self.offsets = nn.Parameter(torch.zeros(views, channels))
-
-    def forward(self, image: Float[Tensor, "h w c"], view: int) -> Float[Tensor, "h w c"]:
-        """The image as this view's photo is exposed."""
-        gain = (self.log_gains[view] - self.log_gains.mean(dim=0)).exp()
-        return gain * image + self.offsets[view] - self.offsets.mean(dim=0)
 
 
 class ThermalPoses(nn.Module):
@@ -183,20 +175,29 @@ class ImageModel(nn.Module):
         self.point_spread = PointSpread() if config.point_spread else None
         size = capture.thermal_size if config.fixed_pattern else None
         self.fixed_pattern = None if size is None else FixedPattern(size)
-        self.exposure = Exposure(capture.views, 3) if config.exposure else None
-        self.thermal_gain = Exposure(capture.views, 1) if config.thermal_gain else None
-        self.thermal_poses = ThermalPoses(capture.views, capture.extent) if config.thermal_poses else None
+        self.exposure = Exposure(capture.looks, 3) if config.exposure else None
+        self.thermal_gain = Exposure(capture.looks, 1) if config.thermal_gain and not capture.has_celsius else None
+        self.thermal_poses = ThermalPoses(len(capture.looks), capture.extent) if config.thermal_poses else None
+        self._extent = capture.extent
 
-    def forward(self, rendering: Rendering, view: int | None) -> Rendering:
-        """The rendering of a training view as its cameras would have written it; of any other view if None."""
+    def forward(self, rendering: Rendering, view: int) -> Rendering:
+        """The rendering of a training view as its cameras would have written it."""
+        return self._written(rendering, lambda exposure: exposure.of(view))
+
+    def expected(self, rendering: Rendering, camera: Camera) -> Rendering:
+        """The rendering of any camera as it would have written it, as far as the training photos tell."""
+        look = Look.of(camera, self._extent)
+        return self._written(rendering, lambda exposure: exposure.expected(look))
+
+    def _written(self, rendering: Rendering, setting: Callable[[Exposure], Setting]) -> Rendering:
         rgb, thermal = rendering.rgb, rendering.thermal
-        if rgb is not None and self.exposure is not None and view is not None:
-            rgb = self.exposure(rgb, view)
+        if rgb is not None and self.exposure is not None:
+            rgb = setting(self.exposure).expose(rgb)
         if thermal is not None:
             if self.point_spread is not None:
                 thermal = self.point_spread(thermal)
-            if self.thermal_gain is not None and view is not None:
-                thermal = self.thermal_gain(thermal, view)
+            if self.thermal_gain is not None:
+                thermal = setting(self.thermal_gain).expose(thermal)
             if self.fixed_pattern is not None:
                 thermal = self.fixed_pattern(thermal)
         return rendering._replace(rgb=rgb, thermal=thermal)

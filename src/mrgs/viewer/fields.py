@@ -48,7 +48,7 @@ def render_pane(model: Model, camera: Camera, subject: Subject, as_photo: bool =
         rendering, _ = render(model, camera if subject.has_rgb else None, camera if subject.has_thermal else None)
     depth = to_array(surface_depth(rendering))
     if as_photo:
-        rendering = subject.photograph(rendering)
+        rendering = subject.photograph(rendering, camera)
     return Fields(
         rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
         values=None if rendering.thermal is None else thermal_array(rendering.thermal, subject.temperature),
