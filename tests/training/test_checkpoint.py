@@ -19,11 +19,16 @@ from mrgs.training.image_model import Capture
 from mrgs.training.step import TrainingState
 from mrgs.training.terms import Photos, SceneScale
 
+LOOK = Look((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
 FACTS = CheckpointFacts(
     step=2,
     scene="/somewhere/balls",
     capture=Capture(
-        looks=(Look((0.0, 0.5, -1.25), (0.0, 0.0, 1.0)),) * 6, thermal_size=(40, 30), extent=3.25, has_celsius=True
+        rgb_looks=(LOOK,) * 5 + (None,),
+        thermal_looks=(LOOK,) * 6,
+        thermal_size=(40, 30),
+        extent=3.25,
+        has_celsius=True,
     ),
     temperature=TemperatureRange(10.0, 30.0),
     train_seconds=1.5,

@@ -28,6 +28,15 @@ def test_exposures_average_to_none():
     assert (gains[0] / gains[1]).tolist() == pytest.approx([math.exp(0.4), math.exp(-0.3)])
 
 
+def test_a_view_without_a_photo_has_no_setting():
+    first, *_, last = along_a_line(7)
+    exposure = Exposure([first, None, None, None, last], channels=1)
+    exposure.offsets.data = torch.tensor([[0.3], [0.1]])
+    assert exposure.of(4).offset.item() == pytest.approx(-0.1)
+    assert exposure.expected(last).offset.item() == pytest.approx(-0.1)
+    assert len(exposure.offsets) == 2
+
+
 def test_a_setting_is_a_gain_and_an_offset():
     exposure = Exposure(along_a_line(2), channels=1)
     exposure.log_gains.data = torch.tensor([[0.2], [-0.2]])

@@ -156,10 +156,8 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
     parts = ImageModelConfig(
         point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
     )
-    size = (30, 20)
-    image_model = ImageModel(parts, Capture((Look((0, 0, 0), (0, 0, 1)),) * 4, size, 2.0, has_celsius=False)).to(
-        without_values
-    )
+    size, looks = (30, 20), (Look((0, 0, 0), (0, 0, 1)),) * 4
+    image_model = ImageModel(parts, Capture(looks, looks, size, 2.0, has_celsius=False)).to(without_values)
     uncertainty = DepthUncertainty().to(without_values)
 
     def plane(*channels: int) -> torch.Tensor:

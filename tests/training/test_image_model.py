@@ -20,7 +20,7 @@ from mrgs.training.image_model import (
 )
 
 LOOKS = tuple(Look((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(3))
-CAPTURE = Capture(LOOKS, thermal_size=(12, 9), extent=2.0, has_celsius=False)
+CAPTURE = Capture(LOOKS, (*LOOKS[:2], None), thermal_size=(12, 9), extent=2.0, has_celsius=False)
 ALL = ImageModelConfig(point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True)
 
 
@@ -88,7 +88,7 @@ def test_at_the_start_only_the_spread_changes_anything():
 
 def test_a_photo_that_was_not_learned_from_is_exposed_like_those_beside_it():
     looks = tuple(Look((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(20))
-    model, seen = ImageModel(ALL, CAPTURE._replace(looks=looks)), rendering()
+    model, seen = ImageModel(ALL, CAPTURE._replace(rgb_looks=looks, thermal_looks=looks)), rendering()
     model.exposure.offsets.data[10:] = 0.2
     model.thermal_gain.offsets.data[10:] = 0.2
     model.fixed_pattern.columns.data += torch.arange(12)
@@ -129,7 +129,7 @@ def test_a_rate_that_is_no_rate_is_named():
 
 
 @pytest.mark.parametrize(
-    "values", [{}, JSON | {"thermal_size": [1]}, JSON | {"looks": [[[0, 0], [0, 0, 1]]]}, JSON | {"looks": [1]}]
+    "values", [{}, JSON | {"thermal_size": [1]}, JSON | {"rgb_looks": [[[0, 0], [0, 0, 1]]]}, JSON | {"rgb_looks": [1]}]
 )
 def test_what_is_no_capture_is_refused(values):
     with pytest.raises((KeyError, TypeError, ValueError)):

@@ -109,7 +109,7 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     Raises:
         RunError: the scene has others.
     """
-    same_views = len(facts.capture.looks) == len(scene.train)
+    same_views = facts.capture.views == len(scene.train)
     if not same_views or not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
         raise RunError(f"{scene.name} has other cameras than the run's scene: use {facts.scene} as it was")
     if facts.temperature != scene.temperature:
@@ -199,7 +199,7 @@ def make_state(
         gaussian_optimizer=gaussian_optimizer,
         layer_optimizer=torch.optim.Adam(groups, fused=True),
         statistics=ScreenStatistics.empty(len(model.gaussians), device),
-        sampler=ViewSampler(len(capture.looks), generator),
+        sampler=ViewSampler(capture.views, generator),
         generator=generator,
         skipped_in_a_row=torch.zeros((), dtype=torch.int64, device=device),
     )

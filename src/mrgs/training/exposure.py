@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
@@ -53,18 +54,25 @@ class Setting(NamedTuple):
 
 
 class Exposure(nn.Module):
-    """A setting of each photo and channel; over all photos the gains average to 1 and the offsets to 0."""
+    """A setting of each photo and channel; over all photos the gains average to 1 and the offsets to 0.
 
-    def __init__(self, looks: Sequence[Look], channels: int) -> None:
+    Args:
+        looks: of each training view, None where it has no such photo.
+        channels: of the photos.
+    """
+
+    def __init__(self, looks: Sequence[Look | None], channels: int) -> None:
         super().__init__()
-        self._looks = tuple(looks)
-        self.log_gains = nn.Parameter(torch.zeros(len(looks), channels))
-        self.offsets = nn.Parameter(torch.zeros(len(looks), channels))
+        self._looks = [look for look in looks if look is not None]
+        self._rows = list(accumulate((look is not None for look in looks), initial=0))
+        self.log_gains = nn.Parameter(torch.zeros(len(self._looks), channels))
+        self.offsets = nn.Parameter(torch.zeros(len(self._looks), channels))
 
     def of(self, view: int) -> Setting:
-        """That of a training photo."""
-        gain = (self.log_gains[view] - self.log_gains.mean(dim=0)).exp()
-        return Setting(gain, self.offsets[view] - self.offsets.mean(dim=0))
+        """That of the photo of a training view, which must have one."""
+        row = self._rows[view]
+        gain = (self.log_gains[row] - self.log_gains.mean(dim=0)).exp()
+        return Setting(gain, self.offsets[row] - self.offsets.mean(dim=0))
 
     def expected(self, look: Look) -> Setting:
         """What is to be expected of a photo that was not learned from: see ``expected_settings``."""

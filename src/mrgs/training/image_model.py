@@ -65,13 +65,15 @@ class Capture(NamedTuple):
     """What the image model must know of a scene's photos.
 
     Attributes:
-        looks: of each training view's first camera.
+        rgb_looks: of each training view's first camera, None where the view has no RGB photo.
+        thermal_looks: the same, None where it has no thermal photo.
         thermal_size: width and height of the thermal photos in pixels; None if they differ, or if there are none.
         extent: of the scene.
         has_celsius: whether the values of the thermal photos are temperatures.
     """
 
-    looks: tuple[Look, ...]
+    rgb_looks: tuple[Look | None, ...]
+    thermal_looks: tuple[Look | None, ...]
     thermal_size: tuple[int, int] | None
     extent: float
     has_celsius: bool
@@ -80,8 +82,21 @@ class Capture(NamedTuple):
     def of(cls, scene: Scene) -> Capture:
         """That of a scene's training views."""
         sizes = {(view.thermal.camera.width, view.thermal.camera.height) for view in scene.train if view.thermal}
-        looks = tuple(Look.of(camera, scene.extent) for camera in scene.train_cameras)
-        return cls(looks, sizes.pop() if len(sizes) == 1 else None, scene.extent, scene.temperature is not None)
+        extent = scene.extent
+        looks = [Look.of(camera, extent) for camera in scene.train_cameras]
+        pairs = list(zip(looks, scene.train, strict=True))
+        return cls(
+            tuple(look if view.rgb else None for look, view in pairs),
+            tuple(look if view.thermal else None for look, view in pairs),
+            sizes.pop() if len(sizes) == 1 else None,
+            extent,
+            scene.temperature is not None,
+        )
+
+    @property
+    def views(self) -> int:
+        """Number of training views."""
+        return len(self.rgb_looks)
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Capture:
@@ -90,8 +105,11 @@ class Capture(NamedTuple):
         if size is not None:
             width, height = size
             size = (int(width), int(height))
-        looks = tuple(Look.from_json(look) for look in values["looks"])
-        return cls(looks, size, float(values["extent"]), bool(values["has_celsius"]))
+        rgb, thermal = (
+            tuple(None if look is None else Look.from_json(look) for look in values[name])
+            for name in ("rgb_looks", "thermal_looks")
+        )
+        return cls(rgb, thermal, size, float(values["extent"]), bool(values["has_celsius"]))
 
 
 class PointSpread(nn.Module):
@@ -175,9 +193,10 @@ class ImageModel(nn.Module):
         self.point_spread = PointSpread() if config.point_spread else None
         size = capture.thermal_size if config.fixed_pattern else None
         self.fixed_pattern = None if size is None else FixedPattern(size)
-        self.exposure = Exposure(capture.looks, 3) if config.exposure else None
-        self.thermal_gain = Exposure(capture.looks, 1) if config.thermal_gain and not capture.has_celsius else None
-        self.thermal_poses = ThermalPoses(len(capture.looks), capture.extent) if config.thermal_poses else None
+        self.exposure = Exposure(capture.rgb_looks, 3) if config.exposure else None
+        scaled_anew = config.thermal_gain and not capture.has_celsius
+        self.thermal_gain = Exposure(capture.thermal_looks, 1) if scaled_anew else None
+        self.thermal_poses = ThermalPoses(capture.views, capture.extent) if config.thermal_poses else None
         self._extent = capture.extent
 
     def forward(self, rendering: Rendering, view: int) -> Rendering:
