@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from benchmarks.workload import EXTENT, STEP_IN_FORCE, camera, gaussians, layers_of, photos, radiance_field, room
+from benchmarks.workload import CAPTURE, STEP_IN_FORCE, camera, gaussians, layers_of, photos, radiance_field, room
 from mrgs.field import nearest_neighbours
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
@@ -16,7 +16,6 @@ from mrgs.render import Model
 from mrgs.scene import Pixels
 from mrgs.training.checkpoint import make_state
 from mrgs.training.config import TrainConfig
-from mrgs.training.image_model import Capture
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.step import TrainingState
 from mrgs.training.terms import Photos
@@ -73,7 +72,7 @@ def state_on(device: torch.device, count: int, config: TrainConfig) -> TrainingS
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
     model = Model(parameters, field, neighbours, sh_degree=3).to(device)
     uncertainty = DepthUncertainty().to(device)
-    state = make_state(model, uncertainty, config, Capture(1, None, EXTENT), torch.Generator().manual_seed(3))
+    state = make_state(model, uncertainty, config, CAPTURE, torch.Generator().manual_seed(3))
     return replace(state, step=STEP_IN_FORCE)
 
 

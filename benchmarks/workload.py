@@ -19,6 +19,7 @@ from mrgs.render import Model
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, TemperatureRange, View
 from mrgs.training.checkpoint import make_state
 from mrgs.training.config import TrainConfig
+from mrgs.training.exposure import Look
 from mrgs.training.image_model import Capture
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.step import TrainingState
@@ -31,6 +32,8 @@ EXTENT = 5.0
 
 TEMPERATURE = TemperatureRange(10.0, 40.0)
 SCALE = SceneScale(EXTENT, TEMPERATURE)
+LOOK = Look((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+CAPTURE = Capture((LOOK,), (LOOK,), None, EXTENT, has_celsius=True)
 
 STEP_IN_FORCE = 20_000
 """Steps are measured after this one: all degrees of the harmonics in use, the neighbours not searched anew."""
@@ -133,5 +136,5 @@ def training_state(count: int, config: TrainConfig) -> TrainingState:
     k = config.field.neighbours_k
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
     model = Model(parameters, field, neighbours, sh_degree=3)
-    state = make_state(model, DepthUncertainty(), config, Capture(1, None, EXTENT), torch.Generator().manual_seed(3))
+    state = make_state(model, DepthUncertainty(), config, CAPTURE, torch.Generator().manual_seed(3))
     return replace(state, step=STEP_IN_FORCE)

@@ -8,14 +8,13 @@ import torch
 
 from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
-from benchmarks.workload import EXTENT, SCALE, photos, training_state, view
+from benchmarks.workload import CAPTURE, EXTENT, SCALE, photos, training_state, view
 from mrgs.field import nearest_neighbours
 from mrgs.render import bake_temperatures, render_view
 from mrgs.scene import Gaussians
 from mrgs.training.checkpoint import make_state
 from mrgs.training.config import Method, Preset, TrainConfig, make_config
 from mrgs.training.densification import ScreenStatistics
-from mrgs.training.image_model import Capture
 from mrgs.training.step import TrainingState, control_density, training_step
 
 STEP = "step"
@@ -97,7 +96,7 @@ def _before_event(start: TrainingState, config: TrainConfig) -> TrainingState:
     copies = Gaussians(**{name: t.detach().clone() for name, t in start.model.gaussians.tensors().items()})
     model = replace(start.model, gaussians=copies)
     generator = torch.Generator().manual_seed(5)
-    state = make_state(model, start.uncertainty, config, Capture(1, None, EXTENT), generator)
+    state = make_state(model, start.uncertainty, config, CAPTURE, generator)
     for tensor in state.gaussian_optimizer.gaussians.tensors().values():
         tensor.grad = torch.zeros_like(tensor)
     state.gaussian_optimizer.step(0.5)

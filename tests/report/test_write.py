@@ -14,6 +14,7 @@ from mrgs.errors import RunError
 from mrgs.report import write_report
 from mrgs.run import Run, load_run
 from mrgs.training import make_config, train
+from mrgs.training.image_model import ImageModel, ImageModelConfig
 
 METRICS = {
     "steps": 60,
@@ -140,6 +141,18 @@ def test_a_scene_without_celsius_has_relative_values(run, tmp_path):
     text = Page(write_report(unknown, scene, tmp_path / "report.html")).text
     assert "There are no °C" in text
     assert re.search(r"H1: \d\.\d{3}", text)
+
+
+def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, tmp_path):
+    scene = replace(run.load_scene(), temperature=None)
+    capture = run.facts.capture._replace(has_celsius=False)
+    unknown = replace(
+        run,
+        facts=run.facts._replace(temperature=None, capture=capture),
+        image_model=ImageModel(ImageModelConfig(thermal_gain=True), capture),
+    )
+    assert "mean scale" in Page(write_report(unknown, scene, tmp_path / "report.html")).text
+    assert "mean scale" not in Page(write_report(run, run.load_scene(), tmp_path / "other.html")).text
 
 
 def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):

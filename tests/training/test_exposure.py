@@ -82,6 +82,18 @@ def test_a_photo_that_was_learned_from_keeps_its_own():
     assert expected_settings(settings, along_a_line(5), Look((0.2, 0.0, 0.0), AHEAD)).item() == 0.5
 
 
+def test_photos_from_one_place_cannot_be_told_apart():
+    settings = centred(torch.randn(40, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
+    found = expected_settings(settings, [Look((1.0, 2.0, 3.0), AHEAD)] * 40, Look((1.0, 2.0, 3.0), AHEAD))
+    assert found.abs() < 0.3 * settings.std()
+
+
+def test_far_from_the_origin_a_photo_is_still_itself():
+    looks = [Look((5_000 + 0.1 * x, -8_000.0, 300.0), AHEAD) for x in range(60)]
+    settings = centred(torch.randn(60, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
+    assert [expected_settings(settings, looks, look).item() for look in looks] == settings[:, 0].tolist()
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_few_photos_tell_nothing(count):
     settings = centred(torch.arange(float(count))[:, None].double())

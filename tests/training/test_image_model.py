@@ -105,6 +105,14 @@ def test_thermal_photos_in_celsius_have_no_gain():
     assert ImageModel(ALL, CAPTURE._replace(has_celsius=True)).thermal_gain is None
 
 
+def test_without_photos_of_a_modality_nothing_is_learned_of_them():
+    model = ImageModel(ALL, CAPTURE._replace(rgb_looks=(None,) * 3))
+    assert (model.exposure, model.thermal_gain is None) == (None, False)
+    model = ImageModel(ALL, CAPTURE._replace(thermal_looks=(None,) * 3))
+    assert (model.exposure is None, model.thermal_gain) == (False, None)
+    assert model.expected(rendering(), camera_at(0.3)).thermal is not None
+
+
 def test_photos_of_several_sizes_have_no_pattern_in_common():
     model = ImageModel(ALL, CAPTURE._replace(thermal_size=None))
     assert model.fixed_pattern is None

@@ -13,7 +13,7 @@ def test_beside_a_photo_the_camera_is_imitated(subject, small_run, camera):
         subject, photograph=lambda rendering, _: rendering._replace(thermal=rendering.thermal - 0.25, rgb=None)
     )
     looked_at = render_pane(small_run.model, camera, colder)
-    compared = render_pane(small_run.model, camera, colder, as_photo=True)
+    compared = render_pane(small_run.model, camera, colder, as_photo_of=camera)
     expected = looked_at.values - 0.25 * small_run.temperature.span_c
     np.testing.assert_allclose(compared.values, expected, atol=1e-4)
     assert looked_at.rgb is not None

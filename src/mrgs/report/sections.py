@@ -62,8 +62,8 @@ def spots(run: Run, scene: Scene) -> str:
     )
 
 
-def limits(temperature: TemperatureRange | None) -> str:
-    """What the numbers do not say."""
+def limits(temperature: TemperatureRange | None, scaled_anew: bool) -> str:
+    """What the numbers do not say; ``scaled_anew`` if each thermal photo has a learned scale of its own."""
     lines = [
         "Emissivity: the temperatures are apparent, as the thermal camera computed them with the emissivity that was "
         "set in it. The scene's files do not say which; look it up in the camera or its original photos. A surface "
@@ -79,6 +79,8 @@ def limits(temperature: TemperatureRange | None) -> str:
     ]
     if temperature is None:
         lines.insert(0, "There are no °C: the photos hold relative values, from 0 (coldest) to 1 (warmest).")
+        if scaled_anew:
+            lines.insert(1, "Each thermal photo was scaled by itself. The values here are on the photos' mean scale.")
     else:
         lines.insert(
             2,
@@ -184,7 +186,8 @@ def _spot_figure(name: str, spot: Spot, view: View, run: Run, scale: Scale, span
     measured = photo_value(view, spot)
     unit = " °C" if run.temperature is not None else ""
     reads = "" if measured is None else f" The thermal photo reads {_number(measured, run.temperature)}{unit} there."
-    end = " At the end of the recorded range: the true value may lie beyond." if not 0 < spot.value < 1 else ""
+    at_end = not 0 < spot.value < 1 and run.image_model.thermal_gain is None
+    end = " At the end of the recorded range: the true value may lie beyond." if at_end else ""
     caption = (
         f"<strong>{name}: {_number(spot.value, run.temperature)}{unit}</strong><br>"
         f"{escape(view.name)}.{escape(reads)}{escape(end)}"

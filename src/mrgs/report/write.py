@@ -34,7 +34,7 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
     """
     sections = [
         spots(run, scene),
-        limits(scene.temperature),
+        limits(scene.temperature, run.image_model.thermal_gain is not None),
         capture(scene),
         metrics(run),
         contact_sheet(run),

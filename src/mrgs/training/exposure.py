@@ -57,7 +57,7 @@ class Exposure(nn.Module):
     """A setting of each photo and channel; over all photos the gains average to 1 and the offsets to 0.
 
     Args:
-        looks: of each training view, None where it has no such photo.
+        looks: of each training view, None where it has no such photo; at least one has.
         channels: of the photos.
     """
 
@@ -89,34 +89,36 @@ def expected_settings(settings: Float[Tensor, "v s"], looks: Sequence[Look], loo
     factor, from 0 to 1, that would have suited the photos left out best. Where settings are random, it is near 0.
 
     Args:
-        settings: of each photo; their mean is 0.
+        settings: of each photo, at least one; their mean is 0.
         looks: of each photo.
-        look: of the photo in question; if it is one of those, its own settings are returned.
+        look: of the photo in question; if exactly one of those was taken there, it is that one, with its own settings.
     """
-    distances = _distances([look], looks)[0]
-    if distances.min() < SAME_PLACE:
-        return settings[distances.argmin()]
+    distances = _distances([look], looks)
+    same = (distances[0] < SAME_PLACE).nonzero()[:, 0]
+    if len(same) == 1:
+        return settings[same[0]]
     if len(looks) <= NEAREST:
         return torch.zeros_like(settings[0])
-    others = _distances(looks, looks).fill_diagonal_(torch.inf)
-    told = torch.stack([_nearest_mean(settings, row) for row in others])
+    told = _nearest_means(settings, _distances(looks, looks).fill_diagonal_(torch.inf))
     square = told.square().sum(dim=0)
     trust = torch.where(square > 0, (told * settings).sum(dim=0) / square, 0.0).clamp(0, 1)
-    return trust * _nearest_mean(settings, distances)
+    return trust * _nearest_means(settings, distances)[0]
 
 
-def _nearest_mean(settings: Float[Tensor, "v s"], distances: Float[Tensor, " v"]) -> Float[Tensor, " s"]:
+def _nearest_means(settings: Float[Tensor, "v s"], distances: Float[Tensor, "m v"]) -> Float[Tensor, "m s"]:
     """The mean of the nearest photos' settings, weighted by the inverse of their distance."""
-    near = distances.topk(NEAREST, largest=False)
+    near = distances.topk(NEAREST, dim=1, largest=False)
     weights = 1 / near.values.clamp_min(SAME_PLACE)
-    return (weights / weights.sum()) @ settings[near.indices]
+    return ((weights / weights.sum(dim=1, keepdim=True))[:, :, None] * settings[near.indices]).sum(dim=1)
 
 
 def _distances(some: Sequence[Look], others: Sequence[Look]) -> Float[Tensor, "m n"]:
     """How differently photos see the scene: how far apart they were taken, in extents, plus the angle between them."""
     positions, directions = _columns(some)
     other_positions, other_directions = _columns(others)
-    return torch.cdist(positions, other_positions) + (directions @ other_directions.T).clamp(-1, 1).arccos()
+    exact = "donot_use_mm_for_euclid_dist"  # the product form loses its digits far from the origin
+    apart = torch.cdist(positions, other_positions, compute_mode=exact)
+    return apart + (directions @ other_directions.T).clamp(-1, 1).arccos()
 
 
 def _columns(looks: Sequence[Look]) -> tuple[Float64[Tensor, "n 3"], Float64[Tensor, "n 3"]]:

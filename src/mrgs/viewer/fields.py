@@ -35,20 +35,21 @@ class Fields:
     solid: Bool[np.ndarray, "h w"]
 
 
-def render_pane(model: Model, camera: Camera, subject: Subject, as_photo: bool = False) -> Fields:
+def render_pane(model: Model, camera: Camera, subject: Subject, as_photo_of: Camera | None = None) -> Fields:
     """Render the modalities that the model has.
 
     Args:
         model: to render.
         camera: of the pane, at the size to render.
         subject: says what the model has.
-        as_photo: show what the captured camera would have written, to be compared with its photo.
+        as_photo_of: the first camera of a captured view, to show what its cameras would have written; None to show what
+            is there.
     """
     with torch.no_grad():
         rendering, _ = render(model, camera if subject.has_rgb else None, camera if subject.has_thermal else None)
     depth = to_array(surface_depth(rendering))
-    if as_photo:
-        rendering = subject.photograph(rendering, camera)
+    if as_photo_of is not None:
+        rendering = subject.photograph(rendering, as_photo_of)
     return Fields(
         rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
         values=None if rendering.thermal is None else thermal_array(rendering.thermal, subject.temperature),

@@ -126,14 +126,15 @@ class Inspection:
         if pane.photo is not None and pane.content in ("rgb_photo", "thermal_photo"):
             return self._photo(pane)
         camera = pane.camera
+        compared_with = None
         if pane.content == "difference":
             assert pane.photo is not None
-            camera = pane.photo.camera
+            assert self.view is not None
+            camera, compared_with = pane.photo.camera, self.view.cameras[0]
         elif scale < 1:
             camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        compared = pane.content == "difference"
-        fields = subject.source.run(lambda model: render_pane(model, camera, subject, as_photo=compared))
-        return difference(fields, self._photo(pane)) if compared else fields
+        fields = subject.source.run(lambda model: render_pane(model, camera, subject, compared_with))
+        return fields if compared_with is None else difference(fields, self._photo(pane))
 
     def _photo(self, pane: Pane) -> Fields:
         """The pane's photo; the last few are kept."""

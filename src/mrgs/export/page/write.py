@@ -215,7 +215,7 @@ def _limits(temperature: TemperatureRange | None) -> list[str]:
 def _about(baked: BakedModel, header: dict[str, Any]) -> list[tuple[str, str]]:
     left_out = len(baked) - header["count"]
     invisible = f" ({left_out:,} that no pixel can show left out)" if left_out else ""
-    unit = "°C" if baked.temperature is not None else "relative, 0 to 1"
+    unit = "°C" if baked.temperature is not None else "relative"
     return [
         ("Model", f"{header['count']:,} Gaussian splats{invisible}"),
         ("Temperature", unit),
