@@ -35,8 +35,8 @@ def psnr_matched(
     squares over the valid pixels, with gains of 0 or more. Missing where the target is uniform: every rendering can be
     brought to that.
     """
-    inside = _select(target, valid)
-    if (inside.flatten(0, -2).amax(dim=0) == inside.flatten(0, -2).amin(dim=0)).all():
+    low, high = _select(target, valid).flatten(0, -2).aminmax(dim=0)
+    if torch.equal(low, high):
         return Missing("the photo is uniform, so gain and offset can turn every rendering into it")
     channels = [
         _matched(rendered.double(), photographed.double(), valid)
