@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from mrgs.errors import ConfigError, MrgsWarning, RunError
-from mrgs.render import render
+from mrgs.render import Rendering, render
 from mrgs.run import load_run
 from mrgs.scene import Camera, Gaussians
 from mrgs.training import StepStatistics, make_config, train
@@ -128,8 +128,8 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
     browser = FakeBrowser()
     with LiveView(tmp_path / "run", port=0, on_ready=urls.append) as live:
 
-        def on_model(model):
-            live.on_model(model)
+        def on_model(model, photograph):
+            live.on_model(model, photograph)
             live._viewer._browsers[0] = browser
 
         def look():
@@ -145,6 +145,30 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
     assert urls[0].startswith("http://127.0.0.1:")
     assert browser.notes[0] == "Training: step 1 of 6."
     assert values[0] > 0
+
+
+def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scene, tmp_path):
+    """The blur of ``mrgs-plus`` as it is learned by then; an image without detail stays as it is."""
+    sharp = torch.zeros(CAMERA.height, CAMERA.width, 1)
+    sharp[CAMERA.height // 2] = 1
+    found = []
+    with LiveView(tmp_path / "run", port=0) as live:
+
+        def look(_):
+            subject = live._viewer._subject
+            written = [
+                subject.photograph(Rendering(thermal=image), CAMERA).thermal for image in (sharp, sharp * 0 + 0.5)
+            ]
+            found.append(written)
+
+        config = make_config("mrgs-plus", max_steps=2, max_gaussians=60)
+        train(small_scene, tmp_path / "run", config, on_model=live.on_model, on_step=look)
+    run = load_run(tmp_path / "run")
+    blurred, even = found[-1]
+    torch.testing.assert_close(blurred, run.photograph(Rendering(thermal=sharp), CAMERA).thermal)
+    assert not torch.equal(blurred, found[0][0])
+    assert blurred.max() < 0.9
+    torch.testing.assert_close(even, torch.full_like(even, 0.5))
 
 
 def test_watching_changes_nothing(small_scene, tmp_path):
@@ -196,7 +220,7 @@ def test_a_port_that_is_taken_meanwhile_does_not_stop_the_training(small_scene, 
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         live._port = taken.getsockname()[1]
-        live.on_model(small_run.model)
+        live.on_model(small_run.model, small_run.photograph)
         live.on_step(StepStatistics(1, 0.0, {}, None, 10, False))
     assert "the training goes on without its view" in caplog.text
     live.close()

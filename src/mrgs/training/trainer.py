@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,8 +14,8 @@ from mrgs.data import load_scene
 from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
 from mrgs.gpu import HOST, DeviceName
-from mrgs.render import Model
-from mrgs.scene import PosedImage, Scene, View
+from mrgs.render import Model, Photograph, Rendering
+from mrgs.scene import Camera, PosedImage, Scene, View
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
@@ -52,7 +53,7 @@ def train(
     stop_at: int | None = None,
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
-    on_model: Callable[[Model], None] | None = None,
+    on_model: Callable[[Model, Photograph], None] | None = None,
 ) -> RunFolder:
     """Train a model of a scene folder into a run folder.
 
@@ -65,7 +66,8 @@ def train(
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
-        on_model: called after it with the model that is trained, which ``on_step`` may look at and must not change.
+        on_model: called after it with the model that is trained, which ``on_step`` may look at and must not change, and
+            with what the scene's cameras are taken to do to its renderings, as far as is learned by then.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -90,7 +92,7 @@ def train(
             if on_start is not None:
                 on_start(loaded, config)
             if on_model is not None:
-                on_model(trainer.model)
+                on_model(trainer.model, trainer.photograph)
             trainer.run(stop_at, on_step)
         except (SceneError, KeyboardInterrupt):  # a photo that cannot be decoded is found when its turn comes
             if not folder.checkpoints():
@@ -168,6 +170,13 @@ class _Trainer(Driver[StepStatistics]):
     def model(self) -> Model:
         """The model that is trained; the same object from the first step to the last."""
         return self._state.model
+
+    def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:
+        """A rendering in the host's memory as the scene's cameras would have written it."""
+        image_model = self._state.image_model
+        with torch.no_grad():
+            here = image_model if self._device == HOST else deepcopy(image_model).to(HOST)
+            return here.expected(rendering, camera)
 
     def _take_step(self) -> StepStatistics:
         statistics = self._with_enough_memory(self._step_on_next_view)

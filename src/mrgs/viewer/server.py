@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mrgs.render import Model
+from mrgs.render import Model, Photograph
 from mrgs.run import Run
 from mrgs.scene import Scene
 from mrgs.training import StepStatistics, TrainConfig
@@ -109,8 +109,8 @@ class LiveView:
         """Remember what is trained; for ``train(on_start=...)``."""
         self._scene, self._max_steps = scene, config.max_steps
 
-    def on_model(self, model: Model) -> None:
-        """Begin to serve the model; for ``train(on_model=...)``."""
+    def on_model(self, model: Model, photograph: Photograph) -> None:
+        """Begin to serve the model, compared with photos through ``photograph``; for ``train(on_model=...)``."""
         self._model = model
         try:
             from mrgs.viewer.web import Viewer, start_pose
@@ -118,7 +118,7 @@ class LiveView:
             scene = self._scene
             temperature = None if scene is None else scene.temperature
             name = self._output.resolve().name
-            subject = Subject(name, self._source, temperature, scene, self._output, "Training begins.")
+            subject = Subject(name, self._source, temperature, scene, self._output, "Training begins.", photograph)
             self._viewer = self._served = Viewer(subject, start_pose(scene, model), self._host, self._port)
             if self._on_ready is not None:
                 self._on_ready(self._viewer.url)
