@@ -26,7 +26,7 @@ def make_camera(angle: float) -> Camera:
 CAMERAS = [make_camera(angle) for angle in torch.linspace(-0.6, 0.6, 24).tolist()]
 
 
-def make_model(sh_degree: int = 3, **field_options) -> Model:
+def make_model(sh_degree: int = 3, bands: int = 0, **field_options) -> Model:
     torch.manual_seed(0)
     config = FieldConfig(**field_options)
     field = RadianceField(config)
@@ -41,7 +41,7 @@ def make_model(sh_degree: int = 3, **field_options) -> Model:
         sh_dc=torch.rand(COUNT, 1, 3),
         sh_rest=0.05 * torch.randn(COUNT, 15, 3),
         temperature_dc=torch.rand(COUNT, 1, 1),
-        temperature_rest=0.05 * torch.randn(COUNT, 0 if config.residuals else 15, 1),
+        temperature_rest=0.05 * torch.randn(COUNT, bands, 1),
         embedding=field.initial_embedding(means),
     )
     neighbours = nearest_neighbours(means, config.neighbours_k) if config.neighbours_k else None
@@ -77,6 +77,18 @@ def test_the_colour_residual_counts():
 def test_spherical_harmonics_alone_are_kept_as_they_are():
     model = make_model(residuals=False)
     assert torch.equal(bake(model, CAMERAS, None).sh, model.gaussians.sh)
+
+
+@pytest.mark.parametrize("residuals", [True, False])
+def test_temperatures_that_depend_on_the_view_are_averaged_over_the_photos(residuals):
+    model = make_model(bands=15, residuals=residuals)
+    cameras = CAMERAS[:3]
+    seen = [
+        model.field.temperatures(model.gaussians, model.neighbours, camera.position.float(), model.sh_degree)[:, 0]
+        for camera in cameras
+    ]
+    torch.testing.assert_close(bake(model, cameras, None).temperatures, torch.stack(seen).mean(dim=0))
+    assert not torch.allclose(seen[0], seen[2])
 
 
 def test_temperatures_are_celsius_where_the_scale_is_known():

@@ -22,7 +22,7 @@ def make_camera(angle: float = 0.0, distance: float = 4.0, width: int = 33, heig
     return Camera(K, viewmat, width, height)
 
 
-def make_model(dtype: torch.dtype = torch.float32, count: int = 60, **field_options) -> Model:
+def make_model(dtype: torch.dtype = torch.float32, count: int = 60, bands: int = 0, **field_options) -> Model:
     generator = torch.Generator().manual_seed(0)
 
     def random(*shape: int) -> torch.Tensor:
@@ -41,7 +41,7 @@ def make_model(dtype: torch.dtype = torch.float32, count: int = 60, **field_opti
         "sh_dc": random(1, 3),
         "sh_rest": 0.2 * random(15, 3),
         "temperature_dc": random(1, 1),
-        "temperature_rest": random(0, 1),
+        "temperature_rest": random(bands, 1),
         "embedding": field.initial_embedding(means),
     }
     gaussians = Gaussians(**{name: tensor.to(dtype).requires_grad_() for name, tensor in tensors.items()})
@@ -197,8 +197,10 @@ def test_baked_temperatures_give_the_same_images_without_the_thermal_branch(monk
             torch.testing.assert_close(baked_images[name], image, atol=2e-6, rtol=0)
 
 
-def test_temperatures_that_depend_on_the_view_are_not_baked():
-    assert bake_temperatures(make_model(residuals=False)).temperatures is None
+@pytest.mark.parametrize("residuals", [True, False])
+def test_temperatures_that_depend_on_the_view_are_not_baked(residuals):
+    assert bake_temperatures(make_model(bands=15, residuals=residuals)).temperatures is None
+    assert bake_temperatures(make_model(residuals=residuals)).temperatures is not None
 
 
 def rendering_of(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:

@@ -1,7 +1,7 @@
 """A trained model as plain splats: what any viewer can draw, without the field.
 
-The temperatures do not depend on the view, so they are final. The colour residual does, and is folded into the
-spherical harmonics by least squares over the directions from which the photos were taken.
+The temperatures are final where they do not depend on the view; else they are averaged over the directions from which
+the photos were taken. The colour residual is folded into the spherical harmonics by least squares over the same.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.field.spherical_harmonics import C0, evaluate_sh
+from mrgs.field.spherical_harmonics import evaluate_sh
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, Rendering, bake_temperatures
 from mrgs.scene import Camera, TemperatureRange, spread
@@ -131,7 +131,7 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
         opacity_rgb=gaussians.opacity_rgb,
         opacity_thermal=gaussians.opacity_thermal,
         sh=torch.cat([_fit_colors(model, rows, positions) for rows in blocks]),
-        temperatures=_temperatures(model),
+        temperatures=_temperatures(model, positions),
         temperature=temperature,
         background_rgb=model.background_rgb,
         background_thermal=model.background_thermal,
@@ -139,10 +139,13 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
     )
 
 
-def _temperatures(model: Model) -> Float[Tensor, " n"]:
-    """t + t̂; of a model without residuals (3DGS_RGB-T), whose temperature depends on the view, its mean over them."""
+def _temperatures(model: Model, positions: Float[Tensor, "m 3"]) -> Float[Tensor, " n"]:
+    """t + t̂; where it depends on the view, the mean over these positions."""
     baked = model.temperatures if model.temperatures is not None else bake_temperatures(model).temperatures
-    return C0 * model.gaussians.temperature_dc[:, 0, 0] + 0.5 if baked is None else baked[:, 0]
+    if baked is None:
+        seen = [model.field.temperatures(model.gaussians, model.neighbours, p, model.sh_degree) for p in positions]
+        baked = torch.stack(seen).mean(dim=0)
+    return baked[:, 0]
 
 
 def _fit_colors(model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]) -> Float[Tensor, "v 16 3"]:

@@ -132,9 +132,9 @@ class ScreenPoints(NamedTuple):
 def bake_temperatures(model: Model) -> Model:
     """The same model with its temperatures computed once for all views; for models that are no longer trained.
 
-    t + t̂ does not depend on the view. Without residuals (3DGS_RGB-T) it does, and the model is returned as it is.
+    A model whose temperatures depend on the view is returned as it is.
     """
-    if not model.field.config.residuals:
+    if model.gaussians.temperature_depends_on_view:
         return model
     with torch.no_grad():
         anywhere = model.gaussians.means.new_zeros(3)

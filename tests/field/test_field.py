@@ -71,6 +71,20 @@ def test_temperatures_do_not_depend_on_the_view():
     assert not torch.allclose(field.colors(gaussians, CAMERA, 3), field.colors(gaussians, -2 * CAMERA, 3))
 
 
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_temperatures_of_a_higher_degree_add_their_harmonics_without_a_clamp(degree):
+    field = make_field()
+    gaussians = make_gaussians(field, temperature_bands=15)
+    gaussians.temperature_dc -= 2
+    neighbours = nearest_neighbours(gaussians.means, 8)
+    found = field.temperatures(gaussians, neighbours, CAMERA, degree)
+    directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
+    harmonics = evaluate_sh(torch.zeros_like(gaussians.temperature_dc), gaussians.temperature_rest, directions, degree)
+    gaussians.temperature_rest = gaussians.temperature_rest[:, :0]
+    torch.testing.assert_close(found, field.temperatures(gaussians, neighbours, CAMERA, degree) + harmonics)
+    assert (found < 0).any()
+
+
 def test_baseline_treats_temperature_like_a_colour():
     field = make_field(residuals=False)
     gaussians = make_gaussians(field, temperature_bands=15)
@@ -84,9 +98,10 @@ def test_baseline_treats_temperature_like_a_colour():
 @pytest.mark.parametrize(
     "options", [{"neighbours_n": 3}, {"neighbours_n": 1}, {"neighbours_n": 2, "fourier": False}, {"residuals": False}]
 )
-def test_rows_give_the_same_values_as_all(options):
+@pytest.mark.parametrize("bands", [0, 3, 15])
+def test_rows_give_the_same_values_as_all(options, bands):
     field = make_field(**options)
-    gaussians = make_gaussians(field)
+    gaussians = make_gaussians(field, temperature_bands=bands)
     k = field.config.neighbours_k
     neighbours = nearest_neighbours(gaussians.means, k) if k else None
     rows = torch.tensor([7, 3, 39, 20])

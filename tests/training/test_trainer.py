@@ -18,6 +18,7 @@ from mrgs.training.densification import ScreenStatistics
 from mrgs.training.optimizer import GaussianOptimizer
 from mrgs.training.relocation import RelocationConfig
 from mrgs.training.run_folder import RunFolder
+from mrgs.training.trainer import initial_state
 from mrgs.training.views import PhotoCache
 
 
@@ -51,6 +52,13 @@ def eventful(make_short_config, method: str):
         max_gaussians=2_000,
     )
     return replace(config, densification=schedule)
+
+
+def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(small_scene, make_short_config):
+    scene, config = load_scene(small_scene), make_short_config("mrgs-plus")
+    for temperature, bands in ((scene.temperature, 0), (None, 15)):
+        state = initial_state(replace(scene, temperature=temperature), config)
+        assert state.model.gaussians.temperature_rest.shape[1] == bands
 
 
 def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):

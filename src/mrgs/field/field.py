@@ -144,14 +144,14 @@ class RadianceField(nn.Module):
     ) -> Float[Tensor, "v 1"]:
         """Normalised temperatures: t + t̂ of Eq. 5 (thr_alphblending), Sec. Rendering Overview.
 
-        t is of degree 0, so that neither t nor t̂ depends on the view. Without residuals (3DGS_RGB-T) the temperature
-        is treated like a colour: spherical harmonics up to ``sh_degree``, clamped at 0.
+        As published t is of degree 0, so that neither t nor t̂ depends on the view; t of a higher degree does. Without
+        residuals (3DGS_RGB-T) the temperature is treated like a colour: clamped at 0.
 
         Args:
             gaussians: N Gaussians.
             neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if that is 0.
-            camera_position: centre of projection in world coordinates; read only without residuals.
-            sh_degree: highest degree of the spherical harmonics in use; read only without residuals.
+            camera_position: centre of projection in world coordinates; not read where t is of degree 0.
+            sh_degree: highest degree of the spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
 
         Raises:
@@ -159,10 +159,10 @@ class RadianceField(nn.Module):
             IndexError: rows or neighbours on the CPU that do not exist.
         """
         _check_places("rows", rows, len(gaussians))
-        if self.config.residuals:
-            dc = _take(gaussians.temperature_dc, rows)
-            return C0 * dc[:, 0] + 0.5 + self._temperature_residual(gaussians, neighbours, rows)
         camera_position = camera_position.to(gaussians.means)
+        if self.config.residuals:
+            t = _own_temperatures(gaussians, camera_position, sh_degree, rows)
+            return t + self._temperature_residual(gaussians, neighbours, rows)
         dc, rest = gaussians.temperature_dc, gaussians.temperature_rest
         return _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows)
 
@@ -230,6 +230,17 @@ class RadianceField(nn.Module):
 
     def _normalised(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return (means - self.center) / self.scale
+
+
+def _own_temperatures(
+    gaussians: Gaussians, camera_position: Float[Tensor, "3"], degree: int, rows: Int64[Tensor, " v"] | None
+) -> Float[Tensor, "v 1"]:
+    """t, not clamped: what a photo shows may be colder than the range."""
+    dc = _take(gaussians.temperature_dc, rows)
+    if not gaussians.temperature_depends_on_view:
+        return C0 * dc[:, 0] + 0.5
+    rest, means = _take(gaussians.temperature_rest, rows), _take(gaussians.means, rows)
+    return evaluate_sh(dc, rest, _directions(means, camera_position), degree) + 0.5
 
 
 def _shade(

@@ -22,8 +22,8 @@ class Gaussians:
         sh_dc: spherical-harmonics coefficient of degree 0 per colour channel, [N, 1, 3].
         sh_rest: coefficients of degrees 1 to 3, [N, 15, 3].
         temperature_dc: the same for the normalised temperature t_i, degree 0, [N, 1, 1].
-        temperature_rest: degrees 1 to 3 of the temperature; [N, 15, 1] for 3DGS_RGB-T, [N, 0, 1] for MrGS,
-            whose t_i does not depend on the view.
+        temperature_rest: the higher degrees of the temperature; [N, 15, 1] for 3DGS_RGB-T, [N, 0, 1] for MrGS as
+            published, whose t_i does not depend on the view.
         embedding: the multi-modal embedding e_m, [N, C]; C = 0 for 3DGS_RGB-T.
     """
 
@@ -50,6 +50,11 @@ class Gaussians:
     def opacity_rgb(self) -> Float[Tensor, " n"]:
         """o_c in (0, 1)."""
         return self.opacity_rgb_logit[:, 0].sigmoid()
+
+    @property
+    def temperature_depends_on_view(self) -> bool:
+        """Whether there are harmonics above degree 0."""
+        return self.temperature_rest.shape[1] > 0
 
     @property
     def opacity_thermal(self) -> Float[Tensor, " n"]:

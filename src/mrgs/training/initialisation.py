@@ -32,7 +32,7 @@ def initial_gaussians(
         points: start points; a random subset if there are more than ``max_gaussians``.
         field: gives e_m its start; its frame must be set.
         shares_opacity: whether both modalities are blended with o_c.
-        temperature_degree: degree of the temperature's spherical harmonics, 0 or 3.
+        temperature_degree: degree of the temperature's spherical harmonics, 0 to 3.
         max_gaussians: the cap.
         generator: of the subset.
     """

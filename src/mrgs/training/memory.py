@@ -27,7 +27,8 @@ _PIXEL_FLOATS = 40
 def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     """Memory that training needs with this many Gaussians, roughly."""
     field = config.field
-    parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_degree + 1) ** 2
+    degree = config.temperature_degree_with(scene.temperature is not None)
+    parameters = 3 + 4 + 3 + 2 + 48 + (degree + 1) ** 2
     activations = 0
     if field.residuals:
         parameters += field.embedding_width

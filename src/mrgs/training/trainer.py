@@ -118,7 +118,7 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
             start_points(scene, config),
             field,
             shares_opacity,
-            config.temperature_degree,
+            config.temperature_degree_with(scene.temperature is not None),
             config.densification.max_gaussians,
             generator,
         )
