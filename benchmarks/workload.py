@@ -113,7 +113,7 @@ def gaussians(count: int, field: RadianceField, config: TrainConfig) -> Gaussian
     scene = room(count)
     generator = torch.Generator().manual_seed(2)
     opacity_thermal = scene["opacity_thermal"][:, None].logit()
-    bands = (config.temperature_degree_with(has_celsius=True) + 1) ** 2 - 1
+    bands = ((config.temperature_sh_degree or 0) + 1) ** 2 - 1
     return Gaussians(
         means=scene["means"],
         quats=scene["quats"],

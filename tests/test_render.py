@@ -8,7 +8,7 @@ import torch
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import reference
-from mrgs.render import Model, Rendering, bake_temperatures, render, render_view
+from mrgs.render import Model, Rendering, bake_residuals, render, render_view
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
 
 
@@ -174,33 +174,33 @@ def test_anti_aliased_gaussians_cover_less():
     assert compensated.alpha_thermal.sum() < 0.99 * plain.alpha_thermal.sum()
 
 
-def test_the_degree_of_the_harmonics_counts_for_colours_alone():
-    model, camera = make_model(), make_camera()
+@pytest.mark.parametrize("bands", [0, 15])
+def test_the_degree_of_the_harmonics_counts_for_temperatures_that_have_them(bands):
+    model, camera = make_model(bands=bands), make_camera()
     model.sh_degree = 0
     plain = render(model, camera, camera)[0]
     model.sh_degree = 3
     full = render(model, camera, camera)[0]
     assert not torch.allclose(plain.rgb, full.rgb)
-    assert torch.equal(plain.thermal, full.thermal)
+    assert torch.equal(plain.thermal, full.thermal) == (bands == 0)
 
 
-def test_baked_temperatures_give_the_same_images_without_the_thermal_branch(monkeypatch):
-    model = make_model()
+@pytest.mark.parametrize("bands", [0, 15])
+def test_known_residuals_give_the_same_images_without_the_thermal_branch(bands, monkeypatch):
+    model = make_model(bands=bands)
     cameras = [make_camera(angle) for angle in (0.0, 1.0)]
     with torch.no_grad():
         expected = [images_of(render(model, camera, camera)[0]) for camera in cameras]
-        baked = bake_temperatures(model)
-        monkeypatch.setattr(RadianceField, "temperatures", lambda *_: pytest.fail("the thermal branch was evaluated"))
+        baked = bake_residuals(model)
+        monkeypatch.setattr(RadianceField, "_residuals", lambda *_: pytest.fail("the thermal branch was evaluated"))
         found = [images_of(render(baked, camera, camera)[0]) for camera in cameras]
     for images, baked_images in zip(expected, found, strict=True):
         for name, image in images.items():
             torch.testing.assert_close(baked_images[name], image, atol=2e-6, rtol=0)
 
 
-@pytest.mark.parametrize("residuals", [True, False])
-def test_temperatures_that_depend_on_the_view_are_not_baked(residuals):
-    assert bake_temperatures(make_model(bands=15, residuals=residuals)).temperatures is None
-    assert bake_temperatures(make_model(residuals=residuals)).temperatures is not None
+def test_a_model_without_residuals_has_none_to_know():
+    assert bake_residuals(make_model(bands=15, residuals=False)).temperature_residuals is None
 
 
 def rendering_of(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:

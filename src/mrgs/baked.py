@@ -1,12 +1,13 @@
 """A trained model as plain splats: what any viewer can draw, without the field.
 
-The temperatures are final where they do not depend on the view; else they are averaged over the directions from which
-the photos were taken. The colour residual is folded into the spherical harmonics by least squares over the same.
+The temperatures are final where they do not depend on the view; else they are averaged over the photos' cameras. The
+colour residual is folded into the spherical harmonics by least squares over the directions from which the photos were
+taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -14,16 +15,18 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.field.spherical_harmonics import evaluate_sh
+from mrgs.field.spherical_harmonics import MAX_DEGREE, evaluate_sh
 from mrgs.rasterizer import Layer, rasterize
-from mrgs.render import Model, Rendering, bake_temperatures
+from mrgs.render import Model, Rendering, bake_residuals
 from mrgs.scene import Camera, TemperatureRange, spread
 
-SH_DEGREE = 3
-COEFFICIENTS = (SH_DEGREE + 1) ** 2
+COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
 DIRECTIONS = 32
-"""Cameras whose directions are fitted, spread evenly over those of the scene."""
+"""Cameras whose directions are fitted or averaged over, spread evenly over those of the scene."""
+
+UNSEEN_WEIGHT = 1e-3
+"""In a mean over cameras, of one that does not have the splat in its image; not zero, for splats that none has."""
 
 RIDGE = 0.01
 """Weight that keeps the coefficients near the trained ones where the directions do not tell them apart."""
@@ -89,7 +92,7 @@ class BakedModel:
     def colors(self, position: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
         """Colour of each splat as seen from a position."""
         directions = torch.nn.functional.normalize(self.means - position, dim=1)
-        return (evaluate_sh(self.sh[:, :1], self.sh[:, 1:], directions, SH_DEGREE) + 0.5).clamp_min(0)
+        return (evaluate_sh(self.sh[:, :1], self.sh[:, 1:], directions, MAX_DEGREE) + 0.5).clamp_min(0)
 
     def render(self, camera: Camera) -> Rendering:
         """Both modalities from one camera, without gradients."""
@@ -131,7 +134,7 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
         opacity_rgb=gaussians.opacity_rgb,
         opacity_thermal=gaussians.opacity_thermal,
         sh=torch.cat([_fit_colors(model, rows, positions) for rows in blocks]),
-        temperatures=_temperatures(model, positions),
+        temperatures=_temperatures(model, cameras),
         temperature=temperature,
         background_rgb=model.background_rgb,
         background_thermal=model.background_thermal,
@@ -139,19 +142,40 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
     )
 
 
-def _temperatures(model: Model, positions: Float[Tensor, "m 3"]) -> Float[Tensor, " n"]:
-    """t + t̂; where it depends on the view, the mean over these positions."""
-    baked = model.temperatures if model.temperatures is not None else bake_temperatures(model).temperatures
-    if baked is None:
-        seen = [model.field.temperatures(model.gaussians, model.neighbours, p, model.sh_degree) for p in positions]
-        baked = torch.stack(seen).mean(dim=0)
-    return baked[:, 0]
+def mean_over_views(
+    means: Float[Tensor, "n 3"],
+    cameras: Sequence[Camera],
+    seen_from: Callable[[Float[Tensor, "3"]], Float[Tensor, "n c"]],
+) -> Float[Tensor, "n c"]:
+    """The mean of what splats show to the cameras that have their centres in the image; to all, where none has.
+
+    Where photos show a splat from one side only, harmonics mean nothing on the other. At most ``DIRECTIONS`` cameras
+    are asked, spread evenly over those given.
+    """
+    total: Tensor | float = 0.0
+    weight = torch.zeros_like(means[:, :1])
+    for index in spread(len(cameras), DIRECTIONS):
+        camera = cameras[index]
+        seen = torch.where(camera.contains(camera.project(means)[0]), 1.0, UNSEEN_WEIGHT)[:, None].to(means)
+        total = total + seen * seen_from(camera.position.to(means))
+        weight += seen
+    return total / weight
+
+
+def _temperatures(model: Model, cameras: Sequence[Camera]) -> Float[Tensor, " n"]:
+    """t + t̂; where it depends on the view, its mean over the photos."""
+    if model.temperature_residuals is None:
+        model = bake_residuals(model)
+    means = model.gaussians.means.detach()
+    if not model.gaussians.temperature_depends_on_view:
+        return model.temperatures(means.new_zeros(3))[:, 0]
+    return mean_over_views(means, cameras, model.temperatures)[:, 0]
 
 
 def _fit_colors(model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]) -> Float[Tensor, "v 16 3"]:
     """The coefficients whose colours come closest to c + ĉ as seen from the positions, and to the trained ones."""
     sh, means = model.gaussians.sh[rows], model.gaussians.means[rows]
-    if model.sh_degree < SH_DEGREE:
+    if model.sh_degree < MAX_DEGREE:
         sh = torch.cat([sh[:, : (model.sh_degree + 1) ** 2], torch.zeros_like(sh[:, (model.sh_degree + 1) ** 2 :])], 1)
     if not model.field.config.residuals:
         return sh
@@ -159,7 +183,7 @@ def _fit_colors(model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]) -> 
     bases, missing = [], []
     for position in positions:
         directions = torch.nn.functional.normalize(means - position, dim=1)
-        basis = evaluate_sh(identity[:, :1], identity[:, 1:], directions, SH_DEGREE)
+        basis = evaluate_sh(identity[:, :1], identity[:, 1:], directions, MAX_DEGREE)
         colors = model.field.colors(model.gaussians, position, model.sh_degree, rows)
         bases.append(basis)
         missing.append(colors - 0.5 - torch.einsum("nb,nbc->nc", basis, sh))

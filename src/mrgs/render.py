@@ -33,7 +33,7 @@ class Model:
         background_rgb: colour seen where nothing is, the same for all channels.
         background_thermal: normalised temperature seen there.
         antialiased: whether the opacities are compensated for the dilation, see the rasterizer's contract.
-        temperatures: of each Gaussian, normalised, where they are known beforehand (``bake_temperatures``); else None.
+        temperature_residuals: t̂ of each Gaussian where it is known beforehand (``bake_residuals``), [N, 1]; else None.
     """
 
     gaussians: Gaussians
@@ -43,18 +43,27 @@ class Model:
     background_rgb: float = 0.0
     background_thermal: float = 0.0
     antialiased: bool = False
-    temperatures: Float[Tensor, "n 1"] | None = None
+    temperature_residuals: Float[Tensor, "n 1"] | None = None
 
     def to(self, device: torch.device) -> Model:
         """The same model on a device, to render with; itself if it is there."""
         if self.gaussians.means.device == device:
             return self
+        residuals = self.temperature_residuals
         return replace(
             self,
             gaussians=self.gaussians.to(device),
             field=deepcopy(self.field).to(device),
             neighbours=None if self.neighbours is None else self.neighbours.to(device),
-            temperatures=None if self.temperatures is None else self.temperatures.to(device),
+            temperature_residuals=None if residuals is None else residuals.to(device),
+        )
+
+    def temperatures(
+        self, camera_position: Float[Tensor, "3"], rows: Int64[Tensor, " v"] | None = None
+    ) -> Float[Tensor, "v 1"]:
+        """t + t̂, normalised, of these Gaussians (of all if None) as seen from a position in world coordinates."""
+        return self.field.temperatures(
+            self.gaussians, self.neighbours, camera_position, self.sh_degree, rows, self.temperature_residuals
         )
 
 
@@ -129,17 +138,11 @@ class ScreenPoints(NamedTuple):
     size: tuple[int, int]
 
 
-def bake_temperatures(model: Model) -> Model:
-    """The same model with its temperatures computed once for all views; for models that are no longer trained.
-
-    A model whose temperatures depend on the view is returned as it is.
-    """
-    if model.gaussians.temperature_depends_on_view:
-        return model
+def bake_residuals(model: Model) -> Model:
+    """The same model with t̂ computed once for all views; for models that are no longer trained."""
     with torch.no_grad():
-        anywhere = model.gaussians.means.new_zeros(3)
-        temperatures = model.field.temperatures(model.gaussians, model.neighbours, anywhere, model.sh_degree)
-    return replace(model, temperatures=temperatures)
+        residuals = model.field.temperature_residuals(model.gaussians, model.neighbours)
+    return replace(model, temperature_residuals=residuals)
 
 
 def render_view(model: Model, view: View) -> Rendering:
@@ -218,12 +221,12 @@ def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -
 def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
-    values = model.temperatures
-    if values is None:
-        position = _position(camera, gaussians.means)
-        values = model.field.temperatures(gaussians, model.neighbours, position, model.sh_degree, rows)
-        values = _scatter(values, rows, len(gaussians))
-    return Layer(gaussians.opacity_thermal, values, values.new_full((1,), model.background_thermal))
+    values = model.temperatures(_position(camera, gaussians.means), rows)
+    return Layer(
+        gaussians.opacity_thermal,
+        _scatter(values, rows, len(gaussians)),
+        values.new_full((1,), model.background_thermal),
+    )
 
 
 def _position(camera: Camera, means: Float[Tensor, "n 3"]) -> Float[Tensor, "3"]:

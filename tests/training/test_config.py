@@ -108,7 +108,7 @@ def test_impossible_choices_are_named(options, message):
     ("options", "message"),
     [
         ({"neighbours_every": 0}, "neighbours_every must be at least 1, not 0"),
-        ({"temperature_degree": 4}, "temperature_degree must be 0 to 3, not 4"),
+        ({"temperature_sh_degree": 4}, "temperature_sh_degree must be null or 0 to 3, not 4"),
     ],
 )
 def test_impossible_fields_are_named(options, message):
@@ -141,16 +141,9 @@ def test_methods_are_the_rows_of_the_ablation_table():
         "mrgs-plus": (True, True, True),
     }
     baseline = rows.pop("3dgs-rgbt")
-    assert (baseline.shares_opacity, baseline.temperature_degree, baseline.loss.smooth) == (True, 3, 0.0)
-    assert rows.pop("mrgs-plus").temperature_degree is None
-    assert all((config.shares_opacity, config.temperature_degree) == (False, 0) for config in rows.values())
-
-
-def test_temperatures_depend_on_the_view_where_cameras_without_a_scale_may_make_them():
-    config = make_config("mrgs-plus")
-    assert [config.temperature_degree_with(has_celsius) for has_celsius in (True, False)] == [0, 3]
-    chosen = replace(config, temperature_degree=1)
-    assert [chosen.temperature_degree_with(has_celsius) for has_celsius in (True, False)] == [1, 1]
+    assert (baseline.shares_opacity, baseline.temperature_sh_degree, baseline.loss.smooth) == (True, 3, 0.0)
+    assert rows.pop("mrgs-plus").temperature_sh_degree is None
+    assert all((config.shares_opacity, config.temperature_sh_degree) == (False, 0) for config in rows.values())
 
 
 def test_paper_is_the_published_schedule():

@@ -24,6 +24,7 @@ from mrgs.rasterizer import Blend, Raster
 from mrgs.scene import Pixels
 from mrgs.training import densification, dissimilarity, radiation
 from mrgs.training import step as step_module
+from mrgs.training.config import TrainConfig
 from mrgs.training.image_model import ImageModelConfig
 from mrgs.training.relocation import RelocationConfig
 from mrgs.training.step import explore_means, training_step
@@ -123,12 +124,17 @@ def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+def harmonic(config: TrainConfig) -> TrainConfig:
+    """As in scenes without °C, where ``mrgs-plus`` has harmonics of the temperature too."""
+    return replace(config, temperature_sh_degree=3) if config.temperature_sh_degree is None else config
+
+
 @pytest.fixture
 def start(small_scene, make_short_config):
     """Ten Gaussians, images of 8×6, and a step on them; the neighbours are known, and the first camera is copied."""
 
     def make(method: str, **changes: Any):
-        config = make_short_config(method, sh_every=1, **changes)
+        config = harmonic(make_short_config(method, sh_every=1, **changes))
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
         scene = load_scene(small_scene, resolution=8)
         state = initial_state(scene, config)
@@ -186,7 +192,7 @@ def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch
 def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, make_short_config, telling_of_waits):
     """The length of the rasterizer's list, and nothing else."""
     device = torch.device("cuda")
-    config = make_short_config(method, sh_every=1)
+    config = harmonic(make_short_config(method, sh_every=1))
     scene = load_scene(small_scene)
     state = initial_state(scene, config, device)
     view = scene.train[0]
@@ -256,7 +262,7 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, make_short_config, 
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
     device = torch.device("meta")
-    config = make_short_config(method, sh_every=1, relocation=RelocationConfig(), image_model=EVERY_PART)
+    config = harmonic(make_short_config(method, sh_every=1, relocation=RelocationConfig(), image_model=EVERY_PART))
     scene = load_scene(small_scene, resolution=8)
     state = initial_state(scene, config, device)
     if config.field.neighbours_k > 0:

@@ -54,11 +54,23 @@ def eventful(make_short_config, method: str):
     return replace(config, densification=schedule)
 
 
-def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(small_scene, make_short_config):
-    scene, config = load_scene(small_scene), make_short_config("mrgs-plus")
-    for temperature, bands in ((scene.temperature, 0), (None, 15)):
-        state = initial_state(replace(scene, temperature=temperature), config)
-        assert state.model.gaussians.temperature_rest.shape[1] == bands
+def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(make_scene, make_short_config):
+    config = make_short_config("mrgs-plus")
+    scene = load_scene(make_scene())
+    without_celsius = replace(scene, temperature=None)
+    colors_alone = replace(without_celsius, train=tuple(replace(view, thermal=None) for view in scene.train))
+    bands = [
+        initial_state(scene, changed).model.gaussians.temperature_rest.shape[1]
+        for scene, changed in (
+            (scene, config),
+            (without_celsius, config),
+            (colors_alone, config),
+            (scene, replace(config, temperature_sh_degree=1)),
+            (without_celsius, replace(config, temperature_sh_degree=0)),
+            (scene, make_short_config("3dgs-rgbt")),
+        )
+    ]
+    assert bands == [0, 15, 0, 3, 0, 15]
 
 
 def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):

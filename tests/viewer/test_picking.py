@@ -48,7 +48,7 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
     depths = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     variance = (weights * (depths - reading.depth).square()).sum() / alpha
     assert reading.depth_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
-    celsius = small_run.temperature.to_celsius(small_run.model.temperatures[:, 0].double())
+    celsius = small_run.temperature.to_celsius(small_run.model.temperatures(torch.zeros(3))[:, 0].double())
     variance = (weights * (celsius - reading.value).square()).sum()
     variance += (1 - alpha) * (small_run.temperature.min_c - reading.value) ** 2
     assert reading.value_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
@@ -88,9 +88,9 @@ def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, sub
 
 
 def test_a_model_in_training_is_read_too(small_run, camera, subject):
-    """Its temperatures are not computed beforehand."""
+    """Its t̂ is not computed beforehand."""
     known = read_point(small_run.model, camera, 0.5, 0.5, subject)
-    live = read_point(replace(small_run.model, temperatures=None), camera, 0.5, 0.5, subject)
+    live = read_point(replace(small_run.model, temperature_residuals=None), camera, 0.5, 0.5, subject)
     assert live.value == pytest.approx(known.value, abs=1e-3)
     assert live.value_spread == pytest.approx(known.value_spread, abs=1e-3)
 

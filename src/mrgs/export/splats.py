@@ -10,17 +10,11 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from mrgs.baked import BakedModel
+from mrgs.baked import BakedModel, mean_over_views
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.palette import PaletteName, palette_table
 from mrgs.field.spherical_harmonics import C0
-from mrgs.scene import Camera, spread
-
-MEAN_OVER = 32
-"""Cameras over which a colour without direction is averaged."""
-
-UNSEEN_WEIGHT = 1e-3
-"""Of a camera that does not have the splat in its image; not zero, for splats that none has."""
+from mrgs.scene import Camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +109,7 @@ def rgb_splats(baked: BakedModel) -> Splats:
 
 
 def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
-    """The temperatures with o_t in the colours of a palette, degree 0: they do not depend on the view.
+    """The temperatures with o_t in the colours of a palette, degree 0: the same from each side.
 
     A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour that is not on the
     palette.
@@ -130,15 +124,9 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
     """The RGB splats with one colour each: its mean over the cameras that have it in their image, in [0, 1].
 
     Closer to the photos than leaving the higher degrees out, whose mean over the directions from which a splat was
-    seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those given, are asked.
+    seen is not zero.
     """
-    total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
-    for index in spread(len(cameras), MEAN_OVER):
-        camera = cameras[index]
-        seen = torch.where(camera.contains(camera.project(baked.means)[0]), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
-        total += seen * baked.colors(camera.position.to(baked.means))
-        weight += seen
-    dc = ((total / weight).clamp(0, 1) - 0.5) / C0
+    dc = (mean_over_views(baked.means, cameras, baked.colors).clamp(0, 1) - 0.5) / C0
     return _splats(baked, baked.opacity_rgb, to_float32(dc[:, None]))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -141,11 +142,12 @@ class RadianceField(nn.Module):
         camera_position: Float[Tensor, "3"],
         sh_degree: int,
         rows: Int64[Tensor, " v"] | None = None,
+        residuals: Float[Tensor, "n 1"] | None = None,
     ) -> Float[Tensor, "v 1"]:
         """Normalised temperatures: t + t̂ of Eq. 5 (thr_alphblending), Sec. Rendering Overview.
 
         As published t is of degree 0, so that neither t nor t̂ depends on the view; t of a higher degree does. Without
-        residuals (3DGS_RGB-T) the temperature is treated like a colour: clamped at 0.
+        residuals (3DGS_RGB-T) the temperature is treated like a colour: harmonics up to ``sh_degree``, clamped at 0.
 
         Args:
             gaussians: N Gaussians.
@@ -153,6 +155,7 @@ class RadianceField(nn.Module):
             camera_position: centre of projection in world coordinates; not read where t is of degree 0.
             sh_degree: highest degree of the spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
+            residuals: t̂ of all Gaussians, where it is known; see ``temperature_residuals``.
 
         Raises:
             ValueError: heat is exchanged, but ``neighbours`` is None or of another shape.
@@ -160,11 +163,20 @@ class RadianceField(nn.Module):
         """
         _check_places("rows", rows, len(gaussians))
         camera_position = camera_position.to(gaussians.means)
-        if self.config.residuals:
-            t = _own_temperatures(gaussians, camera_position, sh_degree, rows)
-            return t + self._temperature_residual(gaussians, neighbours, rows)
         dc, rest = gaussians.temperature_dc, gaussians.temperature_rest
-        return _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows)
+        if not self.config.residuals:
+            return _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows)
+        if gaussians.temperature_depends_on_view:
+            t = _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows, floor=-math.inf)
+        else:
+            t = C0 * _take(dc, rows)[:, 0] + 0.5
+        return t + (self._residuals(gaussians, neighbours, rows) if residuals is None else _take(residuals, rows))
+
+    def temperature_residuals(
+        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None
+    ) -> Float[Tensor, "n 1"] | None:
+        """t̂ of all Gaussians, which depends on no view; None without residuals. Raises as ``temperatures`` does."""
+        return self._residuals(gaussians, neighbours, None) if self.config.residuals else None
 
     def _color_residual(
         self, gaussians: Gaussians, camera_position: Float[Tensor, "3"], rows: Int64[Tensor, " v"] | None
@@ -179,7 +191,7 @@ class RadianceField(nn.Module):
         residual: Tensor = head(_take(embedding, rows), _directions(_take(means, rows), camera_position))
         return residual
 
-    def _temperature_residual(
+    def _residuals(
         self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, " v"] | None
     ) -> Float[Tensor, "v 1"]:
         """t̂: orthogonal extraction, thermal head, heat transformation, and the output layer."""
@@ -232,17 +244,6 @@ class RadianceField(nn.Module):
         return (means - self.center) / self.scale
 
 
-def _own_temperatures(
-    gaussians: Gaussians, camera_position: Float[Tensor, "3"], degree: int, rows: Int64[Tensor, " v"] | None
-) -> Float[Tensor, "v 1"]:
-    """t, not clamped: what a photo shows may be colder than the range."""
-    dc = _take(gaussians.temperature_dc, rows)
-    if not gaussians.temperature_depends_on_view:
-        return C0 * dc[:, 0] + 0.5
-    rest, means = _take(gaussians.temperature_rest, rows), _take(gaussians.means, rows)
-    return evaluate_sh(dc, rest, _directions(means, camera_position), degree) + 0.5
-
-
 def _shade(
     means: Float[Tensor, "n 3"],
     dc: Float[Tensor, "n 1 c"],
@@ -250,12 +251,13 @@ def _shade(
     camera_position: Float[Tensor, "3"],
     degree: int,
     rows: Int64[Tensor, " v"] | None,
+    floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
-    """SH2RGB: spherical harmonics plus 0.5, clamped at 0."""
+    """SH2RGB: spherical harmonics plus 0.5, clamped at the floor."""
     if cpu.serves(means):
-        return cpu.shade(means, dc, rest, camera_position, degree, _listed(rows, means))
+        return cpu.shade(means, dc, rest, camera_position, degree, _listed(rows, means), floor)
     directions = _directions(_take(means, rows), camera_position)
-    return (evaluate_sh(_take(dc, rows), _take(rest, rows), directions, degree) + 0.5).clamp_min(0)
+    return (evaluate_sh(_take(dc, rows), _take(rest, rows), directions, degree) + 0.5).clamp_min(floor)
 
 
 def _directions(means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:

@@ -12,6 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+MAX_DEGREE = 3
+"""Of colours, and of temperatures that depend on the view."""
+
 C0 = math.sqrt(1 / (4 * math.pi))
 """The constant function of degree 0: a plain value v is stored as (v − 0.5) / C0."""
 

@@ -8,6 +8,8 @@ from typing import Literal, get_args
 
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
+from mrgs.field.spherical_harmonics import MAX_DEGREE
+from mrgs.scene import Scene
 from mrgs.training.densification import DensificationConfig
 from mrgs.training.image_model import ImageModelConfig
 from mrgs.training.losses import LossConfig
@@ -20,9 +22,6 @@ Method = Literal["mrgs", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "3dgs-rgbt",
 Preset = Literal["fast", "default", "paper"]
 METHODS: tuple[Method, ...] = get_args(Method)
 PRESETS: tuple[Preset, ...] = get_args(Preset)
-
-MAX_SH_DEGREE = 3
-"""Of colours, and of temperatures that depend on the view."""
 
 PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True)
 PLUS_OPAQUE = 0.1
@@ -55,9 +54,9 @@ class TrainConfig:
         seed: of every random choice.
         sh_every: steps between the degrees of the spherical harmonics.
         shares_opacity: blend both modalities with o_c.
-        temperature_degree: degree of the temperature's spherical harmonics: 0 as published, t_i does not depend on the
-            view; None for 3 in scenes without °C, whose cameras may turn temperatures into another grey from each
-            side, and 0 in all others.
+        temperature_sh_degree: degree of the temperature's spherical harmonics: 0 as published, t_i does not depend on
+            the view. None for 3 where thermal photos have no °C, whose greys may depend on what else a photo shows
+            (automatic gain), and 0 where they have.
         distant_points: start with points far away too, in the directions where no start point lies; not in the paper.
         photo_temperatures: start with temperatures read off the thermal photos, not with one for all, and with a larger
             o_t there; not in the paper.
@@ -82,7 +81,7 @@ class TrainConfig:
     seed: int = 0
     sh_every: int = 1_000
     shares_opacity: bool = False
-    temperature_degree: int | None = 0
+    temperature_sh_degree: int | None = 0
     distant_points: bool = False
     photo_temperatures: bool = False
     neighbours_every: int = 500
@@ -104,18 +103,18 @@ class TrainConfig:
                 raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
         if self.resolution is not None and self.resolution < 16:
             raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
-        if self.temperature_degree not in (None, 0, 1, 2, 3):
-            raise ConfigError(f"temperature_degree must be 0 to 3, not {self.temperature_degree}")
+        if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):
+            raise ConfigError(f"temperature_sh_degree must be null or 0 to 3, not {self.temperature_sh_degree}")
 
-    def temperature_degree_with(self, has_celsius: bool) -> int:
-        """``temperature_degree`` in a scene with or without °C."""
-        if self.temperature_degree is not None:
-            return self.temperature_degree
-        return 0 if has_celsius else MAX_SH_DEGREE
+    def temperature_sh_degree_in(self, scene: Scene) -> int:
+        """``temperature_sh_degree``, or what it is in this scene if that is None."""
+        if self.temperature_sh_degree is not None:
+            return self.temperature_sh_degree
+        return MAX_DEGREE if scene.has_thermal and scene.temperature is None else 0
 
     def sh_degree_at(self, step: int) -> int:
         """Highest degree of the spherical harmonics in use at this step."""
-        return min(MAX_SH_DEGREE, step // self.sh_every)
+        return min(MAX_DEGREE, step // self.sh_every)
 
 
 def make_config(
@@ -150,7 +149,7 @@ def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
             config,
             method=method,
             shares_opacity=True,
-            temperature_degree=MAX_SH_DEGREE,
+            temperature_sh_degree=MAX_DEGREE,
             field=replace(config.field, residuals=False),
             loss=replace(config.loss, smooth=0.0),
             radiation=None,
@@ -158,7 +157,7 @@ def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
     return replace(
         config,
         method=method,
-        temperature_degree=None if method == "mrgs-plus" else config.temperature_degree,
+        temperature_sh_degree=None if method == "mrgs-plus" else config.temperature_sh_degree,
         field=replace(config.field, fourier=method in ("mrgs-plus", "mrgs", "mrgs-fourier")),
         radiation=config.radiation if method in ("mrgs-plus", "mrgs", "mrgs-boltz") else None,
         loss=replace(config.loss, opaque=PLUS_OPAQUE) if method == "mrgs-plus" else config.loss,

@@ -20,7 +20,7 @@ def initial_gaussians(
     points: StartPoints,
     field: RadianceField,
     shares_opacity: bool,
-    temperature_degree: int,
+    temperature_sh_degree: int,
     max_gaussians: int,
     generator: torch.Generator,
 ) -> Gaussians:
@@ -32,7 +32,7 @@ def initial_gaussians(
         points: start points; a random subset if there are more than ``max_gaussians``.
         field: gives e_m its start; its frame must be set.
         shares_opacity: whether both modalities are blended with o_c.
-        temperature_degree: degree of the temperature's spherical harmonics, 0 to 3.
+        temperature_sh_degree: degree of the temperature's spherical harmonics, 0 to 3.
         max_gaussians: the cap.
         generator: of the subset.
     """
@@ -51,7 +51,7 @@ def initial_gaussians(
         sh_dc=((points.colors - 0.5) / C0)[:, None],
         sh_rest=torch.zeros(count, 15, 3),
         temperature_dc=((points.temperatures - 0.5) / C0)[:, None, None],
-        temperature_rest=torch.zeros(count, (temperature_degree + 1) ** 2 - 1, 1),
+        temperature_rest=torch.zeros(count, (temperature_sh_degree + 1) ** 2 - 1, 1),
         embedding=field.initial_embedding(means),
     )
 

@@ -27,8 +27,7 @@ _PIXEL_FLOATS = 40
 def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     """Memory that training needs with this many Gaussians, roughly."""
     field = config.field
-    degree = config.temperature_degree_with(scene.temperature is not None)
-    parameters = 3 + 4 + 3 + 2 + 48 + (degree + 1) ** 2
+    parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_sh_degree_in(scene) + 1) ** 2
     activations = 0
     if field.residuals:
         parameters += field.embedding_width

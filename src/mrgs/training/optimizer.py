@@ -30,7 +30,7 @@ class OptimizerConfig:
         sh_dc: of the colour coefficient of degree 0.
         sh_rest: of the colour coefficients of higher degrees.
         temperature_dc: of the temperature.
-        temperature_rest: of its higher degrees, where the method has them.
+        temperature_rest: of its higher degrees, where it has them.
         embedding: of e_m.
         heads: of the field's layers.
         uncertainty: of ψ.

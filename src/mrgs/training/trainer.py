@@ -92,7 +92,7 @@ def train(
             if on_start is not None:
                 on_start(loaded, config)
             if on_model is not None:
-                on_model(trainer.model, trainer.photograph)
+                on_model(trainer.model, trainer.photograph())
             trainer.run(stop_at, on_step)
         except (SceneError, KeyboardInterrupt):  # a photo that cannot be decoded is found when its turn comes
             if not folder.checkpoints():
@@ -118,7 +118,7 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
             start_points(scene, config),
             field,
             shares_opacity,
-            config.temperature_degree_with(scene.temperature is not None),
+            config.temperature_sh_degree_in(scene),
             config.densification.max_gaussians,
             generator,
         )
@@ -171,12 +171,16 @@ class _Trainer(Driver[StepStatistics]):
         """The model that is trained; the same object from the first step to the last."""
         return self._state.model
 
-    def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:
-        """A rendering in the host's memory as the scene's cameras would have written it."""
-        image_model = self._state.image_model
-        with torch.no_grad():
-            here = image_model if self._device == HOST else deepcopy(image_model).to(HOST)
-            return here.expected(rendering, camera)
+    def photograph(self) -> Photograph:
+        """What turns a rendering in the host's memory into what the scene's cameras would have written."""
+        image_model, on_host = self._state.image_model, self._device == HOST
+
+        def photograph(rendering: Rendering, camera: Camera) -> Rendering:
+            with torch.no_grad():
+                here = image_model if on_host else deepcopy(image_model).to(HOST)
+                return here.expected(rendering, camera)
+
+        return photograph
 
     def _take_step(self) -> StepStatistics:
         statistics = self._with_enough_memory(self._step_on_next_view)

@@ -91,7 +91,8 @@ def read_point(model: Model, camera: Camera, u: float, v: float, subject: Subjec
         value = spread = None
         if rendering.thermal is not None:
             value = rendering.thermal[row, column, 0].item()
-            squares = (_temperatures(model, camera) - value).square()
+            own = model.temperatures(camera.position.to(model.gaussians.means))[:, 0]
+            squares = (own - value).square()
             beyond = (model.background_thermal - value) ** 2
             spread = math.sqrt(_blend(model, camera, model.gaussians.opacity_thermal, squares, beyond)[row, column])
     if value is not None and spread is not None and subject.temperature is not None:
@@ -124,15 +125,6 @@ def _blend(
         camera.width, camera.height, antialiased=model.antialiased,
     )  # fmt: skip
     return to_array(raster.blends[0].image[..., 0].clamp_min(0))
-
-
-def _temperatures(model: Model, camera: Camera) -> Float[Tensor, " n"]:
-    """Normalised temperature of each Gaussian, as the thermal layer has it from this camera."""
-    values = model.temperatures
-    if values is None:
-        position = camera.position.to(model.gaussians.means)
-        values = model.field.temperatures(model.gaussians, model.neighbours, position, model.sh_degree)
-    return values[:, 0]
 
 
 def read_box(values: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], box: Box) -> BoxReading | None:

@@ -144,7 +144,8 @@ class LiveView:
     def close(self) -> None:
         """Stop serving. Raises nothing."""
         self._source.close()
-        viewer, self._viewer = self._served, None
+        viewer = self._served
+        self._viewer = self._served = self._model = self._scene = None  # a closed view keeps nothing in memory
         try:
             if viewer is not None:
                 viewer.close()

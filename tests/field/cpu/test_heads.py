@@ -17,7 +17,7 @@ from mrgs.scene import Gaussians
 CAMERA = torch.tensor([0.3, -0.2, -4.0])
 
 
-def make_case(count: int = 150, **options) -> tuple[RadianceField, Gaussians, torch.Tensor | None]:
+def make_case(count: int = 150, bands: int = 15, **options) -> tuple[RadianceField, Gaussians, torch.Tensor | None]:
     """A field and Gaussians in float32, with neighbours."""
     torch.manual_seed(0)
     field = RadianceField(FieldConfig(residual_scale=0.5, **options))
@@ -29,7 +29,7 @@ def make_case(count: int = 150, **options) -> tuple[RadianceField, Gaussians, to
         opacity_rgb_logit=torch.randn(count, 1), opacity_thermal_logit=torch.randn(count, 1),
         sh_dc=torch.randn(count, 1, 3), sh_rest=0.3 * torch.randn(count, 15, 3),
         temperature_dc=torch.randn(count, 1, 1),
-        temperature_rest=0.3 * torch.randn(count, 0 if field.config.residuals else 15, 1),
+        temperature_rest=0.3 * torch.randn(count, bands, 1),
         embedding=field.initial_embedding(means),
     )  # fmt: skip
     return field, gaussians, nearest_neighbours(means, k) if k else None
@@ -70,6 +70,7 @@ OPTIONS = [
     {"neighbours_n": 5, "thermal_feature_width": 7},
     {"fourier": False, "hidden_width": 20, "embedding_width": 6},
     {"direction_frequencies": 0, "position_frequencies": 0, "embedding_width": 30},
+    {"bands": 0},
     {"residuals": False},
 ]
 

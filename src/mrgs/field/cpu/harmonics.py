@@ -1,4 +1,4 @@
-"""Spherical harmonics of each Gaussian seen from a camera, clamped at 0: SH2RGB of Eq. 4 (rgb_alphblending)."""
+"""Spherical harmonics of each Gaussian seen from a camera: SH2RGB of Eq. 4 (rgb_alphblending), where clamped at 0."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ def shade(
     camera_position: Float[Tensor, "3"],
     degree: int,
     rows: Int64[Tensor, " v"],
+    floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
-    """max(Σ coefficients × basis(direction) + ½, 0) of some Gaussians; all tensors but ``rows`` are float32.
+    """max(Σ coefficients × basis(direction) + ½, floor) of some Gaussians; all tensors but ``rows`` are float32.
 
     Args:
         means: centres in world coordinates.
@@ -44,20 +45,22 @@ def shade(
         camera_position: centre of projection in world coordinates.
         degree: highest degree that counts, 0 to 3.
         rows: distinct Gaussians.
+        floor: −∞ for no clamp.
     """
-    shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, min((degree + 1) ** 2 - 1, rest.shape[1]), rows)
+    bands = min((degree + 1) ** 2 - 1, rest.shape[1])
+    shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, bands, rows, np.float32(floor))
     return shaded
 
 
 class _Shade(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Tensor:
-        means, dc, rest, camera_position, bands, rows = inputs
+        means, dc, rest, camera_position, bands, rows, floor = inputs
         tensors = [tensor.contiguous() for tensor in (means, dc, rest, camera_position, rows)]
         ctx.save_for_backward(*tensors)
-        ctx.bands = bands
+        ctx.bands, ctx.floor = bands, floor
         values = np.empty((len(rows), dc.shape[2]), np.float32)
-        _forward(*(tensor.detach().numpy() for tensor in tensors), bands, values)
+        _forward(*(tensor.detach().numpy() for tensor in tensors), bands, floor, values)
         return torch.from_numpy(values)
 
     @staticmethod
@@ -65,14 +68,14 @@ class _Shade(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
         gradients = [np.zeros(array.shape, np.float32) for array in saved[:3]]
-        _backward(*saved, ctx.bands, grads[0].contiguous().numpy(), *gradients)
+        _backward(*saved, ctx.bands, ctx.floor, grads[0].contiguous().numpy(), *gradients)
         means, *coefficients = (torch.from_numpy(array) for array in gradients)
         camera = -means.sum(dim=0) if ctx.needs_input_grad[3] else None
-        return means, *coefficients, camera, None, None
+        return means, *coefficients, camera, None, None, None
 
 
 @parallel_kernel
-def _forward(means, dc, rest, camera, rows, bands, values):
+def _forward(means, dc, rest, camera, rows, bands, floor, values):
     for share in prange(SHARES):
         basis = np.zeros(15, np.float32)
         for place in range(np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES):
@@ -81,11 +84,11 @@ def _forward(means, dc, rest, camera, rows, bands, values):
             _set_basis(x, y, z, bands, basis)
             for channel in range(dc.shape[2]):
                 value = _value(dc, rest, row, channel, basis, bands)
-                values[place, channel] = _ZERO if value < 0 else value  # so NaN stays
+                values[place, channel] = floor if value < floor else value  # so NaN stays
 
 
 @parallel_kernel
-def _backward(means, dc, rest, camera, rows, bands, grad, grad_means, grad_dc, grad_rest):
+def _backward(means, dc, rest, camera, rows, bands, floor, grad, grad_means, grad_dc, grad_rest):
     for share in prange(SHARES):
         basis, weights, g = np.zeros(15, np.float32), np.zeros(15, np.float32), np.zeros(dc.shape[2], np.float32)
         for place in range(np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES):
@@ -93,7 +96,7 @@ def _backward(means, dc, rest, camera, rows, bands, grad, grad_means, grad_dc, g
             x, y, z, inverse = direction(means, camera, row)
             _set_basis(x, y, z, bands, basis)
             for channel in range(dc.shape[2]):
-                is_clamped = _value(dc, rest, row, channel, basis, bands) < 0
+                is_clamped = _value(dc, rest, row, channel, basis, bands) < floor
                 g[channel] = _ZERO if is_clamped else grad[place, channel]
                 grad_dc[row, 0, channel] = _C0 * g[channel]
             for band in range(bands):
