@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -79,20 +80,11 @@ def test_spherical_harmonics_alone_are_kept_as_they_are():
     assert torch.equal(bake(model, CAMERAS, None).sh, model.gaussians.sh)
 
 
-@pytest.mark.parametrize("sh_degree", [1, 3])
 @pytest.mark.parametrize("residuals", [True, False])
-def test_temperatures_that_depend_on_the_view_are_averaged_over_the_photos(residuals, sh_degree):
-    model = make_model(sh_degree, bands=15, residuals=residuals)
-    here, there = CAMERAS[0], CAMERAS[-1]
-    with torch.no_grad():
-        a, b = (model.temperatures(camera.position.float())[:, 0] for camera in (here, there))
-        sees_a, sees_b = (camera.contains(camera.project(model.gaussians.means)[0]) for camera in (here, there))
-    assert (a - b).abs().max() > 0.01
-    found, same = bake(model, [here, there], None).temperatures, sees_a == sees_b
-    torch.testing.assert_close(found[same], (a + b)[same] / 2)
-    assert 0 < (~same).sum() < COUNT / 2
-    only = torch.where(sees_a, a, b)[~same]
-    torch.testing.assert_close(found[~same], only, atol=2e-3, rtol=0)
+def test_what_of_the_temperatures_depends_on_the_view_is_left_out(residuals):
+    model = make_model(bands=15, residuals=residuals)
+    flat = replace(model, gaussians=replace(model.gaussians, temperature_rest=torch.zeros(COUNT, 0, 1)))
+    torch.testing.assert_close(bake(model, CAMERAS, None).temperatures, bake(flat, CAMERAS, None).temperatures)
 
 
 def test_temperatures_are_celsius_where_the_scale_is_known():

@@ -1,13 +1,13 @@
 """A trained model as plain splats: what any viewer can draw, without the field.
 
-The temperatures are final where they do not depend on the view; else they are averaged over the photos' cameras. The
+The temperatures are final where they do not depend on the view; else the part that depends on it is left out. The
 colour residual is folded into the spherical harmonics by least squares over the directions from which the photos were
 taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -23,10 +23,7 @@ from mrgs.scene import Camera, TemperatureRange, spread
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
 DIRECTIONS = 32
-"""Cameras whose directions are fitted or averaged over, spread evenly over those of the scene."""
-
-UNSEEN_WEIGHT = 1e-3
-"""In a mean over cameras, of one that does not have the splat in its image; not zero, for splats that none has."""
+"""Cameras whose directions are fitted, spread evenly over those of the scene."""
 
 RIDGE = 0.01
 """Weight that keeps the coefficients near the trained ones where the directions do not tell them apart."""
@@ -134,7 +131,7 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
         opacity_rgb=gaussians.opacity_rgb,
         opacity_thermal=gaussians.opacity_thermal,
         sh=torch.cat([_fit_colors(model, rows, positions) for rows in blocks]),
-        temperatures=_temperatures(model, cameras),
+        temperatures=_temperatures(model),
         temperature=temperature,
         background_rgb=model.background_rgb,
         background_thermal=model.background_thermal,
@@ -142,34 +139,12 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
     )
 
 
-def mean_over_views(
-    means: Float[Tensor, "n 3"],
-    cameras: Sequence[Camera],
-    seen_from: Callable[[Float[Tensor, "3"]], Float[Tensor, "n c"]],
-) -> Float[Tensor, "n c"]:
-    """The mean of what splats show to the cameras that have their centres in the image; to all, where none has.
-
-    Where photos show a splat from one side only, harmonics mean nothing on the other. At most ``DIRECTIONS`` cameras
-    are asked, spread evenly over those given.
-    """
-    total: Tensor | float = 0.0
-    weight = torch.zeros_like(means[:, :1])
-    for index in spread(len(cameras), DIRECTIONS):
-        camera = cameras[index]
-        seen = torch.where(camera.contains(camera.project(means)[0]), 1.0, UNSEEN_WEIGHT)[:, None].to(means)
-        total = total + seen * seen_from(camera.position.to(means))
-        weight += seen
-    return total / weight
-
-
-def _temperatures(model: Model, cameras: Sequence[Camera]) -> Float[Tensor, " n"]:
-    """t + t̂; where it depends on the view, its mean over the photos."""
+def _temperatures(model: Model) -> Float[Tensor, " n"]:
+    """t of degree 0, plus t̂."""
     if model.temperature_residuals is None:
         model = bake_residuals(model)
-    means = model.gaussians.means.detach()
-    if not model.gaussians.temperature_depends_on_view:
-        return model.temperatures(means.new_zeros(3))[:, 0]
-    return mean_over_views(means, cameras, model.temperatures)[:, 0]
+    anywhere = model.gaussians.means.new_zeros(3)
+    return model.temperatures(anywhere, sh_degree=0)[:, 0]
 
 
 def _fit_colors(model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]) -> Float[Tensor, "v 16 3"]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, NamedTuple, TypeAlias
 
 import torch
@@ -59,11 +60,21 @@ class Model:
         )
 
     def temperatures(
-        self, camera_position: Float[Tensor, "3"], rows: Int64[Tensor, " v"] | None = None
+        self,
+        camera_position: Float[Tensor, "3"],
+        rows: Int64[Tensor, " v"] | None = None,
+        sh_degree: int | None = None,
     ) -> Float[Tensor, "v 1"]:
-        """t + t̂, normalised, of these Gaussians (of all if None) as seen from a position in world coordinates."""
+        """t + t̂, normalised, as seen from a position.
+
+        Args:
+            camera_position: in world coordinates.
+            rows: of the Gaussians; all if None.
+            sh_degree: highest degree of t's harmonics that counts; the model's if None.
+        """
+        degree = self.sh_degree if sh_degree is None else sh_degree
         return self.field.temperatures(
-            self.gaussians, self.neighbours, camera_position, self.sh_degree, rows, self.temperature_residuals
+            self.gaussians, self.neighbours, camera_position, degree, rows, self.temperature_residuals
         )
 
 
@@ -158,6 +169,7 @@ def render(
     rgb_camera: Camera | None,
     thermal_camera: Camera | None,
     thermal_motion: Float[Tensor, "4 4"] | None = None,
+    temperature_sh_degree: int | None = None,
 ) -> tuple[Rendering, list[ScreenPoints]]:
     """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in one pass each.
 
@@ -169,20 +181,21 @@ def render(
         thermal_camera: of the thermal image.
         thermal_motion: from the thermal camera's axes to those it is moved to, a rotation and a translation; only
             where the two cameras differ.
+        temperature_sh_degree: highest degree of the temperatures' harmonics that counts; the model's if None.
 
     Returns:
         the images, and the projected centres of each pass.
     """
     if rgb_camera is not None and thermal_camera is not None and rgb_camera.coincides_with(thermal_camera):
         rows = _rows_in_view(model.gaussians, rgb_camera)
-        layers = [_rgb_layer(model, rgb_camera, rows), _thermal_layer(model, rgb_camera, rows)]
+        layers = [_rgb_layer(model, rgb_camera, rows), _thermal_layer(model, rgb_camera, rows, temperature_sh_degree)]
         raster, points = _pass(model, layers, rgb_camera)
         return _rendering(*raster.blends), [points]
     blends: list[Blend | None] = []
     passes = []
     for camera, make_layer, motion in (
         (rgb_camera, _rgb_layer, None),
-        (thermal_camera, _thermal_layer, thermal_motion),
+        (thermal_camera, partial(_thermal_layer, sh_degree=temperature_sh_degree), thermal_motion),
     ):
         if camera is None:
             blends.append(None)
@@ -218,10 +231,10 @@ def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -
     )
 
 
-def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
+def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None, sh_degree: int | None) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
-    values = model.temperatures(_position(camera, gaussians.means), rows)
+    values = model.temperatures(_position(camera, gaussians.means), rows, sh_degree)
     return Layer(
         gaussians.opacity_thermal,
         _scatter(values, rows, len(gaussians)),

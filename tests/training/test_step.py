@@ -124,6 +124,23 @@ def test_the_harmonics_follow_the_schedule(make_start, make_short_config):
     assert degrees == [0, 1, 1, 2, 2, 3]
 
 
+@pytest.mark.parametrize(("method", "moves"), [("mrgs", [True, False, True]), ("3dgs-rgbt", [True, True, True])])
+def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
+    method, moves, make_start, make_short_config
+):
+    config = make_short_config(method, sh_every=1, temperature_sh_degree=3)
+    scene, state = make_start(config)
+    gradients, moment = [], "adam.temperature_rest.exp_avg_sq"
+    for number in range(3):
+        before = (
+            state.gaussian_optimizer.state()["adam.temperature_rest.exp_avg_sq"].clone() if number else torch.zeros(1)
+        )
+        take(state, scene, config, number)
+        after = state.gaussian_optimizer.state()["adam.temperature_rest.exp_avg_sq"]
+        gradients.append(bool((after > before).any()))
+    assert gradients == moves
+
+
 def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_start, make_short_config):
     config = make_short_config(neighbours_every=3)
     schedule = replace(config.densification, start=0, every=4, stop=100, gradient_threshold=0.0)

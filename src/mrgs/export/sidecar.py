@@ -56,9 +56,9 @@ def facts_of(
         if baked.antialiased
         else "for a viewer that adds 0.3 px² to the projected covariance and nothing else (3DGS)",
         "baking_loss_db": None if loss is None else {"rgb": loss.rgb_db, "thermal": loss.thermal_db},
-        "baking": "the view-dependent colour residual is folded into spherical harmonics of degree 3, and temperatures "
-        "that depend on the view are averaged over the photos' directions; baking_loss_db is the mean PSNR over the "
-        "held-out views that this costs (null: not measured)",
+        "baking": "the view-dependent colour residual is folded into spherical harmonics of degree 3; what depends on "
+        "the view in the temperatures is left out; baking_loss_db is the mean PSNR over the held-out views that this "
+        "costs (null: not measured)",
     }
 
 

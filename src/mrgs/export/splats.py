@@ -10,11 +10,17 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from mrgs.baked import BakedModel, mean_over_views
+from mrgs.baked import BakedModel
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.palette import PaletteName, palette_table
 from mrgs.field.spherical_harmonics import C0
-from mrgs.scene import Camera
+from mrgs.scene import Camera, spread
+
+MEAN_OVER = 32
+"""Cameras over which a colour without direction is averaged."""
+
+UNSEEN_WEIGHT = 1e-3
+"""Of a camera that does not have the splat in its image; not zero, for splats that none has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +130,15 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
     """The RGB splats with one colour each: its mean over the cameras that have it in their image, in [0, 1].
 
     Closer to the photos than leaving the higher degrees out, whose mean over the directions from which a splat was
-    seen is not zero.
+    seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those given, are asked.
     """
-    dc = (mean_over_views(baked.means, cameras, baked.colors).clamp(0, 1) - 0.5) / C0
+    total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
+    for index in spread(len(cameras), MEAN_OVER):
+        camera = cameras[index]
+        seen = torch.where(camera.contains(camera.project(baked.means)[0]), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
+        total += seen * baked.colors(camera.position.to(baked.means))
+        weight += seen
+    dc = ((total / weight).clamp(0, 1) - 0.5) / C0
     return _splats(baked, baked.opacity_rgb, to_float32(dc[:, None]))
 
 

@@ -116,6 +116,14 @@ class TrainConfig:
         """Highest degree of the spherical harmonics in use at this step."""
         return min(MAX_DEGREE, step // self.sh_every)
 
+    def temperature_sh_degree_at(self, step: int) -> int:
+        """The same of the temperature's, as far as there are any.
+
+        Where they come on top of t + t̂, every second step goes without them: what does not depend on the view must be
+        a model by itself, because exports have nothing else.
+        """
+        return 0 if self.field.residuals and step % 2 == 0 else self.sh_degree_at(step)
+
 
 def make_config(
     method: str = "mrgs",
