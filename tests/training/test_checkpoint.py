@@ -157,6 +157,12 @@ def test_missing_tensors_are_named(path, config):
         load_model(path, config)
 
 
+def test_temperatures_of_another_degree_are_named(path, config):
+    load_model(path, replace(config, temperature_sh_degree=None))
+    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+        load_model(path, replace(config, temperature_sh_degree=3))
+
+
 def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(state, path, monkeypatch):
     before = path.read_bytes()
 

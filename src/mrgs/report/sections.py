@@ -80,7 +80,11 @@ def limits(temperature: TemperatureRange | None, scaled_anew: bool) -> str:
     if temperature is None:
         lines.insert(0, "There are no °C: the photos hold relative values, from 0 (coldest) to 1 (warmest).")
         if scaled_anew:
-            lines.insert(1, "Each thermal photo was scaled by itself. The values here are on the photos' mean scale.")
+            lines.insert(
+                1,
+                "Each thermal photo was scaled by itself. The values here are on the photos' mean scale; where the "
+                "camera's scale followed the viewpoint, they may still change with it.",
+            )
     else:
         lines.insert(
             2,

@@ -237,6 +237,9 @@ def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
     gaussians = Gaussians(**{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")})
     neighbours = tensors.get("neighbours")
     _check_rows(gaussians, neighbours)
+    degree = config.temperature_sh_degree
+    if degree is not None and gaussians.temperature_rest.shape[1] != (degree + 1) ** 2 - 1:
+        raise ValueError("the temperatures are of another degree")
     field = RadianceField(config.field)
     field.load_state_dict(_below(tensors, "field."))
     return Model(
