@@ -8,7 +8,7 @@ import torch
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import reference
-from mrgs.render import Model, Rendering, bake_residuals, render, render_view
+from mrgs.render import Model, Rendering, bake_temperature_residuals, render, render_view
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
 
 
@@ -185,14 +185,28 @@ def test_the_degree_of_the_harmonics_counts_for_temperatures_that_have_them(band
     assert torch.equal(plain.thermal, full.thermal) == (bands == 0)
 
 
+@pytest.mark.parametrize("thermal_angle", [0.0, 0.4])
+def test_temperatures_can_be_rendered_without_their_harmonics(thermal_angle):
+    model = make_model(bands=15)
+    cameras = make_camera(0.0), make_camera(thermal_angle)
+    found = render(model, *cameras, temperature_sh_degree=0)[0]
+    full = render(model, *cameras)[0]
+    model.gaussians.temperature_rest = model.gaussians.temperature_rest[:, :0]
+    torch.testing.assert_close(found.thermal, render(model, *cameras)[0].thermal)
+    assert not torch.allclose(found.thermal, full.thermal, atol=1e-2)
+    assert torch.equal(found.rgb, full.rgb)
+
+
 @pytest.mark.parametrize("bands", [0, 15])
 def test_known_residuals_give_the_same_images_without_the_thermal_branch(bands, monkeypatch):
     model = make_model(bands=bands)
     cameras = [make_camera(angle) for angle in (0.0, 1.0)]
     with torch.no_grad():
         expected = [images_of(render(model, camera, camera)[0]) for camera in cameras]
-        baked = bake_residuals(model)
-        monkeypatch.setattr(RadianceField, "_residuals", lambda *_: pytest.fail("the thermal branch was evaluated"))
+        baked = bake_temperature_residuals(model)
+        monkeypatch.setattr(
+            RadianceField, "temperature_residuals", lambda *_: pytest.fail("the thermal branch was evaluated")
+        )
         found = [images_of(render(baked, camera, camera)[0]) for camera in cameras]
     for images, baked_images in zip(expected, found, strict=True):
         for name, image in images.items():
@@ -200,7 +214,7 @@ def test_known_residuals_give_the_same_images_without_the_thermal_branch(bands, 
 
 
 def test_a_model_without_residuals_has_none_to_know():
-    assert bake_residuals(make_model(bands=15, residuals=False)).temperature_residuals is None
+    assert bake_temperature_residuals(make_model(bands=15, residuals=False)).temperature_residuals is None
 
 
 def rendering_of(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:

@@ -10,7 +10,7 @@ from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import CAPTURE, EXTENT, SCALE, photos, training_state, view
 from mrgs.field import nearest_neighbours
-from mrgs.render import bake_residuals, render_view
+from mrgs.render import bake_temperature_residuals, render_view
 from mrgs.scene import Gaussians
 from mrgs.training.checkpoint import make_state
 from mrgs.training.config import Method, Preset, TrainConfig, make_config
@@ -51,7 +51,7 @@ def _step(case: Case, method: Method, preset: Preset) -> Stages:
 def rendering(case: Case) -> Stages:
     """A view of a trained MrGS model, whose t̂ is computed once for all views."""
     count, width, height = case.size
-    model = bake_residuals(training_state(count, make_config("mrgs", "default")).model)
+    model = bake_temperature_residuals(training_state(count, make_config("mrgs", "default")).model)
     seen = view(width, height)
     return Stages([Timing(RENDER, lambda _: render_view(model, seen))])
 

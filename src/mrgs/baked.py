@@ -17,7 +17,7 @@ from torch import Tensor
 
 from mrgs.field.spherical_harmonics import MAX_DEGREE, evaluate_sh
 from mrgs.rasterizer import Layer, rasterize
-from mrgs.render import Model, Rendering, bake_residuals
+from mrgs.render import Model, Rendering
 from mrgs.scene import Camera, TemperatureRange, spread
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
@@ -140,9 +140,7 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
 
 
 def _temperatures(model: Model) -> Float[Tensor, " n"]:
-    """t of degree 0, plus t̂."""
-    if model.temperature_residuals is None:
-        model = bake_residuals(model)
+    """t of degree 0, plus t̂; of a model without t̂ clamped at 0, as it is rendered."""
     anywhere = model.gaussians.means.new_zeros(3)
     return model.temperatures(anywhere, sh_degree=0)[:, 0]
 

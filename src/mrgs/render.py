@@ -34,7 +34,8 @@ class Model:
         background_rgb: colour seen where nothing is, the same for all channels.
         background_thermal: normalised temperature seen there.
         antialiased: whether the opacities are compensated for the dilation, see the rasterizer's contract.
-        temperature_residuals: t̂ of each Gaussian where it is known beforehand (``bake_residuals``), [N, 1]; else None.
+        temperature_residuals: t̂ of each Gaussian, [N, 1], where it is known beforehand
+            (``bake_temperature_residuals``); else None.
     """
 
     gaussians: Gaussians
@@ -63,6 +64,7 @@ class Model:
         self,
         camera_position: Float[Tensor, "3"],
         rows: Int64[Tensor, " v"] | None = None,
+        *,
         sh_degree: int | None = None,
     ) -> Float[Tensor, "v 1"]:
         """t + t̂, normalised, as seen from a position.
@@ -149,8 +151,10 @@ class ScreenPoints(NamedTuple):
     size: tuple[int, int]
 
 
-def bake_residuals(model: Model) -> Model:
+def bake_temperature_residuals(model: Model) -> Model:
     """The same model with t̂ computed once for all views; for models that are no longer trained."""
+    if not model.field.config.residuals:
+        return model
     with torch.no_grad():
         residuals = model.field.temperature_residuals(model.gaussians, model.neighbours)
     return replace(model, temperature_residuals=residuals)
@@ -186,16 +190,17 @@ def render(
     Returns:
         the images, and the projected centres of each pass.
     """
+    thermal_layer = partial(_thermal_layer, sh_degree=temperature_sh_degree)
     if rgb_camera is not None and thermal_camera is not None and rgb_camera.coincides_with(thermal_camera):
         rows = _rows_in_view(model.gaussians, rgb_camera)
-        layers = [_rgb_layer(model, rgb_camera, rows), _thermal_layer(model, rgb_camera, rows, temperature_sh_degree)]
+        layers = [_rgb_layer(model, rgb_camera, rows), thermal_layer(model, rgb_camera, rows)]
         raster, points = _pass(model, layers, rgb_camera)
         return _rendering(*raster.blends), [points]
     blends: list[Blend | None] = []
     passes = []
     for camera, make_layer, motion in (
         (rgb_camera, _rgb_layer, None),
-        (thermal_camera, partial(_thermal_layer, sh_degree=temperature_sh_degree), thermal_motion),
+        (thermal_camera, thermal_layer, thermal_motion),
     ):
         if camera is None:
             blends.append(None)
@@ -234,7 +239,7 @@ def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -
 def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None, sh_degree: int | None) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
-    values = model.temperatures(_position(camera, gaussians.means), rows, sh_degree)
+    values = model.temperatures(_position(camera, gaussians.means), rows, sh_degree=sh_degree)
     return Layer(
         gaussians.opacity_thermal,
         _scatter(values, rows, len(gaussians)),

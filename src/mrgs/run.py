@@ -15,7 +15,7 @@ from mrgs import gpu
 from mrgs.data import load_scene
 from mrgs.errors import DeviceError, RunError, SceneError
 from mrgs.gpu import HOST, DeviceName
-from mrgs.render import Model, Rendering, bake_residuals, render
+from mrgs.render import Model, Rendering, bake_temperature_residuals, render
 from mrgs.scene import Camera, Scene, TemperatureRange, View
 from mrgs.thermonerf import ThermoNerfConfig
 from mrgs.thermonerf.checkpoint import load_model as load_thermonerf
@@ -205,7 +205,7 @@ def load_run(path: str | Path, scene: str | Path | None = None, device: DeviceNa
     config = folder.read_config()
     model, facts, image_model = load_model(newest, config)
     chosen = gpu.choose_device(device)
-    return Run(folder, config, _moved(facts, scene), bake_residuals(model), image_model, chosen)
+    return Run(folder, config, _moved(facts, scene), bake_temperature_residuals(model), image_model, chosen)
 
 
 def _moved(facts: CheckpointFacts, scene: str | Path | None) -> CheckpointFacts:

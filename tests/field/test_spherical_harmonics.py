@@ -65,3 +65,10 @@ def test_missing_bands_count_as_zero():
 def test_gradient():
     inputs = [torch.randn(3, *shape, dtype=torch.float64, requires_grad=True) for shape in ((1, 2), (15, 2), (3,))]
     assert torch.autograd.gradcheck(lambda dc, rest, directions: evaluate_sh(dc, rest, directions, 3), inputs)
+
+
+def test_coefficients_that_do_not_count_have_a_gradient_of_zero():
+    """Adam goes on with its momentum then, whichever code gave the gradient."""
+    dc, rest = torch.ones(5, 1, 3, requires_grad=True), torch.ones(5, 15, 3, requires_grad=True)
+    evaluate_sh(dc, rest, torch.nn.functional.normalize(torch.ones(5, 3), dim=1), 0).sum().backward()
+    assert not rest.grad.any()

@@ -155,6 +155,14 @@ def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, tmp_path):
     assert "mean scale" not in Page(write_report(run, run.load_scene(), tmp_path / "other.html")).text
 
 
+def test_temperatures_that_depend_on_the_view_are_spoken_of(run, tmp_path):
+    gaussians = replace(run.model.gaussians, temperature_rest=torch.zeros(len(run.model.gaussians), 15, 1))
+    changing = replace(run, model=replace(run.model, gaussians=gaussians))
+    scene = run.load_scene()
+    assert "Viewpoint" in Page(write_report(changing, scene, tmp_path / "report.html")).text
+    assert "Viewpoint" not in Page(write_report(run, scene, tmp_path / "other.html")).text
+
+
 def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):
     run = load_run(trained)
     with torch.no_grad():

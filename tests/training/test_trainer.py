@@ -169,10 +169,12 @@ def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene
     assert 0 < len(tensors["gaussians.means"]) < 25
 
 
-@pytest.mark.parametrize(("method", "cut"), [("mrgs", 100), ("mrgs", 113), ("3dgs-rgbt", 100)])
-def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(method, cut, small_scene, tmp_path, make_short_config):
+@pytest.mark.parametrize(("method", "cut", "degree"), [("mrgs", 100, 0), ("mrgs", 113, 3), ("3dgs-rgbt", 100, 3)])
+def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
+    method, cut, degree, small_scene, tmp_path, make_short_config
+):
     # Step 100 densifies, so that there are no neighbours to save; step 113 lies between two densifications.
-    config = eventful(make_short_config, method)
+    config = replace(eventful(make_short_config, method), temperature_sh_degree=degree)
     whole = train(small_scene, tmp_path / "whole", config)
     parts = train(small_scene, tmp_path / "parts", config, stop_at=cut)
     assert load_facts(parts.newest_checkpoint()).step == cut

@@ -87,6 +87,20 @@ def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, sub
     assert reading.depth == pytest.approx(rendering.depth_rgb[row, column].item() / alpha, rel=1e-5)
 
 
+def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(small_run, camera, subject):
+    rest = 0.2 * torch.randn(len(small_run.model.gaussians), 15, 1, generator=torch.Generator().manual_seed(0))
+    model = replace(small_run.model, gaussians=replace(small_run.model.gaussians, temperature_rest=rest))
+    row, column = solid_pixel(small_run.render(camera))
+    flat, reading = (
+        read_point(which, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
+        for which in (small_run.model, model)
+    )
+    rendering = replace(small_run, model=model).render(camera)
+    assert reading.value == pytest.approx(small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3)
+    assert abs(reading.value - flat.value) > 0.01
+    assert abs(reading.value_spread - flat.value_spread) > 0.01
+
+
 def test_a_model_in_training_is_read_too(small_run, camera, subject):
     """Its t̂ is not computed beforehand."""
     known = read_point(small_run.model, camera, 0.5, 0.5, subject)

@@ -151,14 +151,15 @@ class RadianceField(nn.Module):
 
         Args:
             gaussians: N Gaussians.
-            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if that is 0.
+            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if that is 0, or if t̂
+                is known.
             camera_position: centre of projection in world coordinates; not read where t is of degree 0.
             sh_degree: highest degree of the spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
-            residuals: t̂ of all Gaussians, where it is known; see ``temperature_residuals``.
+            residuals: t̂ of all Gaussians, where it is known; not read by a field without residuals.
 
         Raises:
-            ValueError: heat is exchanged, but ``neighbours`` is None or of another shape.
+            ValueError: t̂ is not known and heat is exchanged, but ``neighbours`` is None or of another shape.
             IndexError: rows or neighbours on the CPU that do not exist.
         """
         _check_places("rows", rows, len(gaussians))
@@ -170,13 +171,9 @@ class RadianceField(nn.Module):
             t = _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows, floor=-math.inf)
         else:
             t = C0 * _take(dc, rows)[:, 0] + 0.5
-        return t + (self._residuals(gaussians, neighbours, rows) if residuals is None else _take(residuals, rows))
-
-    def temperature_residuals(
-        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None
-    ) -> Float[Tensor, "n 1"] | None:
-        """t̂ of all Gaussians, which depends on no view; None without residuals. Raises as ``temperatures`` does."""
-        return self._residuals(gaussians, neighbours, None) if self.config.residuals else None
+        if residuals is None:
+            return t + self.temperature_residuals(gaussians, neighbours, rows)
+        return t + _take(residuals, rows)
 
     def _color_residual(
         self, gaussians: Gaussians, camera_position: Float[Tensor, "3"], rows: Int64[Tensor, " v"] | None
@@ -191,10 +188,13 @@ class RadianceField(nn.Module):
         residual: Tensor = head(_take(embedding, rows), _directions(_take(means, rows), camera_position))
         return residual
 
-    def _residuals(
-        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, " v"] | None
+    def temperature_residuals(
+        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, " v"] | None = None
     ) -> Float[Tensor, "v 1"]:
-        """t̂: orthogonal extraction, thermal head, heat transformation, and the output layer."""
+        """t̂: orthogonal extraction, thermal head, heat transformation, and the output layer.
+
+        Arguments and errors are those of ``temperatures``; the field must have residuals.
+        """
         if self.config.neighbours_k == 0:
             neighbours = torch.empty(len(gaussians), 0, dtype=torch.int64, device=gaussians.means.device)
         if neighbours is None:

@@ -33,7 +33,7 @@ def evaluate_sh(
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
     constant = C0 * dc[:, 0]
     if bands == 0:
-        return constant
+        return constant + rest[:, :0].sum(dim=1)  # the rest has a gradient of 0 then, as from the kernels, and not none
     basis = torch.stack(_basis(directions, bands), dim=1)
     return constant + torch.einsum("nb,nbc->nc", basis, rest[:, :bands])
 

@@ -62,8 +62,14 @@ def spots(run: Run, scene: Scene) -> str:
     )
 
 
-def limits(temperature: TemperatureRange | None, scaled_anew: bool) -> str:
-    """What the numbers do not say; ``scaled_anew`` if each thermal photo has a learned scale of its own."""
+def limits(temperature: TemperatureRange | None, scaled_anew: bool, depends_on_view: bool) -> str:
+    """What the numbers do not say.
+
+    Args:
+        temperature: the scale of the thermal values; None without known °C.
+        scaled_anew: whether each thermal photo has a learned scale of its own.
+        depends_on_view: whether the model's temperatures change with the viewpoint.
+    """
     lines = [
         "Emissivity: the temperatures are apparent, as the thermal camera computed them with the emissivity that was "
         "set in it. The scene's files do not say which; look it up in the camera or its original photos. A surface "
@@ -80,17 +86,15 @@ def limits(temperature: TemperatureRange | None, scaled_anew: bool) -> str:
     if temperature is None:
         lines.insert(0, "There are no °C: the photos hold relative values, from 0 (coldest) to 1 (warmest).")
         if scaled_anew:
-            lines.insert(
-                1,
-                "Each thermal photo was scaled by itself. The values here are on the photos' mean scale; where the "
-                "camera's scale followed the viewpoint, they may still change with it.",
-            )
+            lines.insert(1, "Each thermal photo was scaled by itself. The values here are on the photos' mean scale.")
     else:
         lines.insert(
             2,
             f"Range: the photos record {_celsius(temperature.min_c)} to {_celsius(temperature.max_c)}. What was colder "
             "or warmer shows the end of this range.",
         )
+    if depends_on_view:
+        lines.append("Viewpoint: the model's values change a little with the side that a place is seen from.")
     return _heading("Limits of the measurement") + _list(lines)
 
 

@@ -34,7 +34,11 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
     """
     sections = [
         spots(run, scene),
-        limits(scene.temperature, run.image_model.thermal_gain is not None),
+        limits(
+            scene.temperature,
+            run.image_model.thermal_gain is not None,
+            run.model.gaussians.temperature_depends_on_view,
+        ),
         capture(scene),
         metrics(run),
         contact_sheet(run),

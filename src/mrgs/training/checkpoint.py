@@ -128,7 +128,7 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
     tensors, header = _read(path)
     facts = _facts(path, header)
     try:
-        model = _model(tensors, config, facts.step)
+        model = _model(tensors, config, facts)
         image_model = ImageModel(config.image_model, facts.capture)
         image_model.load_state_dict(_below(tensors, "image_model."))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -152,7 +152,7 @@ def load_state(path: Path, config: TrainConfig, device: torch.device = HOST) -> 
     tensors, header = _read(path)
     facts = _facts(path, header)
     try:
-        model = _model(tensors, config, facts.step).to(device)
+        model = _model(tensors, config, facts).to(device)
         uncertainty = DepthUncertainty()
         uncertainty.load_state_dict(_below(tensors, "uncertainty."))
         generator = torch.Generator()
@@ -232,13 +232,12 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
         raise _damaged(path) from error
 
 
-def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
+def _model(tensors: dict[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
     parameters = _below(tensors, "gaussians.")
     gaussians = Gaussians(**{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")})
     neighbours = tensors.get("neighbours")
     _check_rows(gaussians, neighbours)
-    degree = config.temperature_sh_degree
-    if degree is not None and gaussians.temperature_rest.shape[1] != (degree + 1) ** 2 - 1:
+    if gaussians.temperature_rest.shape[1] != (config.temperature_sh_degree_of(facts.capture) + 1) ** 2 - 1:
         raise ValueError("the temperatures are of another degree")
     field = RadianceField(config.field)
     field.load_state_dict(_below(tensors, "field."))
@@ -246,7 +245,7 @@ def _model(tensors: dict[str, Tensor], config: TrainConfig, step: int) -> Model:
         gaussians=gaussians,
         field=field,
         neighbours=neighbours,
-        sh_degree=config.sh_degree_at(step),
+        sh_degree=config.sh_degree_at(facts.step),
         background_rgb=config.background_rgb,
         background_thermal=config.background_thermal,
         antialiased=config.antialiased,

@@ -9,9 +9,8 @@ from typing import Literal, get_args
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
 from mrgs.field.spherical_harmonics import MAX_DEGREE
-from mrgs.scene import Scene
 from mrgs.training.densification import DensificationConfig
-from mrgs.training.image_model import ImageModelConfig
+from mrgs.training.image_model import Capture, ImageModelConfig
 from mrgs.training.losses import LossConfig
 from mrgs.training.optimizer import OptimizerConfig
 from mrgs.training.radiation import RadiationConfig
@@ -106,11 +105,11 @@ class TrainConfig:
         if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):
             raise ConfigError(f"temperature_sh_degree must be null or 0 to 3, not {self.temperature_sh_degree}")
 
-    def temperature_sh_degree_in(self, scene: Scene) -> int:
-        """``temperature_sh_degree``, or what it is in this scene if that is None."""
+    def temperature_sh_degree_of(self, capture: Capture) -> int:
+        """``temperature_sh_degree``, or what it is for these photos if that is None."""
         if self.temperature_sh_degree is not None:
             return self.temperature_sh_degree
-        return MAX_DEGREE if scene.has_thermal and scene.temperature is None else 0
+        return MAX_DEGREE if capture.lacks_celsius else 0
 
     def sh_degree_at(self, step: int) -> int:
         """Highest degree of the spherical harmonics in use at this step."""
@@ -120,7 +119,7 @@ class TrainConfig:
         """The same of the temperature's, as far as there are any.
 
         Where they come on top of t + t̂, every second step goes without them: what does not depend on the view must be
-        a model by itself, because exports have nothing else.
+        a model by itself, because exports have nothing else. Without residuals (3DGS_RGB-T) it is as published.
         """
         return 0 if self.field.residuals and step % 2 == 0 else self.sh_degree_at(step)
 

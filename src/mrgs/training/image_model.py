@@ -94,6 +94,11 @@ class Capture(NamedTuple):
         )
 
     @property
+    def lacks_celsius(self) -> bool:
+        """Whether there are thermal photos whose values are no temperatures: they may be scaled by themselves."""
+        return any(self.thermal_looks) and not self.has_celsius
+
+    @property
     def views(self) -> int:
         """Number of training views."""
         return len(self.rgb_looks)
@@ -193,9 +198,8 @@ class ImageModel(nn.Module):
         self.point_spread = PointSpread() if config.point_spread else None
         size = capture.thermal_size if config.fixed_pattern else None
         self.fixed_pattern = None if size is None else FixedPattern(size)
-        has_rgb, has_thermal = any(capture.rgb_looks), any(capture.thermal_looks)
-        self.exposure = Exposure(capture.rgb_looks, 3) if config.exposure and has_rgb else None
-        scaled_anew = config.thermal_gain and has_thermal and not capture.has_celsius
+        self.exposure = Exposure(capture.rgb_looks, 3) if config.exposure and any(capture.rgb_looks) else None
+        scaled_anew = config.thermal_gain and capture.lacks_celsius
         self.thermal_gain = Exposure(capture.thermal_looks, 1) if scaled_anew else None
         self.thermal_poses = ThermalPoses(capture.views, capture.extent) if config.thermal_poses else None
         self._extent = capture.extent

@@ -8,6 +8,7 @@ import torch
 
 from mrgs.scene import Scene
 from mrgs.training.config import TrainConfig
+from mrgs.training.image_model import Capture
 from mrgs.training.views import CACHE_BYTES
 
 _FLOAT = 4
@@ -27,7 +28,7 @@ _PIXEL_FLOATS = 40
 def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     """Memory that training needs with this many Gaussians, roughly."""
     field = config.field
-    parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_sh_degree_in(scene) + 1) ** 2
+    parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_sh_degree_of(Capture.of(scene)) + 1) ** 2
     activations = 0
     if field.residuals:
         parameters += field.embedding_width

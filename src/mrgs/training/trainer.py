@@ -21,7 +21,7 @@ from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
-from mrgs.training.image_model import Capture
+from mrgs.training.image_model import Capture, ImageModel
 from mrgs.training.initialisation import initial_gaussians
 from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
@@ -92,7 +92,7 @@ def train(
             if on_start is not None:
                 on_start(loaded, config)
             if on_model is not None:
-                on_model(trainer.model, trainer.photograph())
+                on_model(trainer.model, _photograph_with(trainer.image_model, chosen))
             trainer.run(stop_at, on_step)
         except (SceneError, KeyboardInterrupt):  # a photo that cannot be decoded is found when its turn comes
             if not folder.checkpoints():
@@ -106,6 +106,7 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
 
     It is made on the CPU, and so the same whatever the device.
     """
+    capture = Capture.of(scene)
     # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian from being pruned.
     shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
     generator = torch.Generator().manual_seed(config.seed)
@@ -118,7 +119,7 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
             start_points(scene, config),
             field,
             shares_opacity,
-            config.temperature_sh_degree_in(scene),
+            config.temperature_sh_degree_of(capture),
             config.densification.max_gaussians,
             generator,
         )
@@ -131,7 +132,18 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
         background_thermal=config.background_thermal,
         antialiased=config.antialiased,
     )
-    return checkpoint.make_state(model.to(device), uncertainty, config, Capture.of(scene), generator)
+    return checkpoint.make_state(model.to(device), uncertainty, config, capture, generator)
+
+
+def _photograph_with(image_model: ImageModel, device: torch.device) -> Photograph:
+    """Turns a rendering in the host's memory into what the cameras write, as far as is learned when it is called."""
+
+    def photograph(rendering: Rendering, camera: Camera) -> Rendering:
+        with torch.no_grad():
+            here = image_model if device == HOST else deepcopy(image_model).to(HOST)
+            return here.expected(rendering, camera)
+
+    return photograph
 
 
 def _images(view: View) -> list[PosedImage]:
@@ -171,16 +183,10 @@ class _Trainer(Driver[StepStatistics]):
         """The model that is trained; the same object from the first step to the last."""
         return self._state.model
 
-    def photograph(self) -> Photograph:
-        """What turns a rendering in the host's memory into what the scene's cameras would have written."""
-        image_model, on_host = self._state.image_model, self._device == HOST
-
-        def photograph(rendering: Rendering, camera: Camera) -> Rendering:
-            with torch.no_grad():
-                here = image_model if on_host else deepcopy(image_model).to(HOST)
-                return here.expected(rendering, camera)
-
-        return photograph
+    @property
+    def image_model(self) -> ImageModel:
+        """What the scene's cameras do to the images; the same object too."""
+        return self._state.image_model
 
     def _take_step(self) -> StepStatistics:
         statistics = self._with_enough_memory(self._step_on_next_view)
