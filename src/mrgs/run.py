@@ -132,8 +132,7 @@ class Run(TrainedRun):
             ) from None
 
     def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:  # noqa: D102
-        with torch.no_grad():
-            return self.image_model.expected(rendering, camera)
+        return self.image_model.expected(rendering, camera)
 
     @property
     def gaussian_count(self) -> int:  # noqa: D102

@@ -161,14 +161,14 @@ def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
             loss=replace(config.loss, smooth=0.0),
             radiation=None,
         )
+    if method == "mrgs-plus":
+        loss = replace(config.loss, opaque=PLUS_OPAQUE)
+        config = replace(config, temperature_sh_degree=None, loss=loss, image_model=PLUS_IMAGE_MODEL)
     return replace(
         config,
         method=method,
-        temperature_sh_degree=None if method == "mrgs-plus" else config.temperature_sh_degree,
         field=replace(config.field, fourier=method in ("mrgs-plus", "mrgs", "mrgs-fourier")),
         radiation=config.radiation if method in ("mrgs-plus", "mrgs", "mrgs-boltz") else None,
-        loss=replace(config.loss, opaque=PLUS_OPAQUE) if method == "mrgs-plus" else config.loss,
-        image_model=PLUS_IMAGE_MODEL if method == "mrgs-plus" else config.image_model,
     )
 
 

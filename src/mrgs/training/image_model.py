@@ -208,8 +208,9 @@ class ImageModel(nn.Module):
         """The rendering of a training view as its cameras would have written it."""
         return self._written(rendering, lambda exposure: exposure.of(view))
 
+    @torch.no_grad()
     def expected(self, rendering: Rendering, camera: Camera) -> Rendering:
-        """The rendering of any camera as it would have written it, as far as the training photos tell."""
+        """The rendering of any camera as it would have written it, as far as the training photos tell; no gradients."""
         look = Look.of(camera, self._extent)
         return self._written(rendering, lambda exposure: exposure.expected(look))
 

@@ -14,8 +14,8 @@ from mrgs.data import load_scene
 from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
 from mrgs.gpu import HOST, DeviceName
-from mrgs.render import Model, Photograph, Rendering
-from mrgs.scene import Camera, PosedImage, Scene, View
+from mrgs.render import Model, Photograph
+from mrgs.scene import PosedImage, Scene, View
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.config import TrainConfig
@@ -137,13 +137,9 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
 
 def _photograph_with(image_model: ImageModel, device: torch.device) -> Photograph:
     """Turns a rendering in the host's memory into what the cameras write, as far as is learned when it is called."""
-
-    def photograph(rendering: Rendering, camera: Camera) -> Rendering:
-        with torch.no_grad():
-            here = image_model if device == HOST else deepcopy(image_model).to(HOST)
-            return here.expected(rendering, camera)
-
-    return photograph
+    if device == HOST:
+        return image_model.expected
+    return lambda rendering, camera: deepcopy(image_model).to(HOST).expected(rendering, camera)
 
 
 def _images(view: View) -> list[PosedImage]:
