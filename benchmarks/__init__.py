@@ -1,1 +1,2 @@
-"""What a training step costs, stage by stage: ``make bench``, or ``python -m benchmarks --quick``."""
+"""What a training step costs, stage by stage: ``make bench``, or ``python -m benchmarks
+--quick``."""

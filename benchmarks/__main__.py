@@ -28,9 +28,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warm_up(groups, options.threads)
     cases = [case for name in groups for case in GROUPS[name].cases(options.quick)]
     effort = QUICK_EFFORT if options.quick else Effort()
-    results: dict[str, Any] = {"machine": _machine(options.threads), "quick": options.quick, "cases": []}
+    results: dict[str, Any] = {
+        "machine": _machine(options.threads),
+        "quick": options.quick,
+        "cases": [],
+    }
     for number, case in enumerate(cases, start=1):
-        size = " ".join(str(value) for value in (case.gaussians, case.width, case.height) if value is not None)
+        size = " ".join(
+            str(value) for value in (case.gaussians, case.width, case.height) if value is not None
+        )
         print(f"{number}/{len(cases)} {case.group} {size}", flush=True)
         results["cases"].append(measure_case(case, effort, options.threads))
     _write(results, options.output)
@@ -42,9 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Time every stage of a training step.")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description="Time every stage of a training step."
+    )
     parser.add_argument("--quick", action="store_true", help="two sizes and fewer runs")
-    parser.add_argument("--only", action="append", choices=GROUPS, metavar="STAGE", help=", ".join(GROUPS))
+    parser.add_argument(
+        "--only", action="append", choices=GROUPS, metavar="STAGE", help=", ".join(GROUPS)
+    )
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results")
     return parser.parse_args(arguments)
@@ -52,7 +62,9 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _machine(threads: int) -> dict[str, Any]:
     """What ran the benchmark."""
-    versions = {name: importlib.metadata.version(name) for name in ("torch", "numba", "numpy", "mrgs")}
+    versions = {
+        name: importlib.metadata.version(name) for name in ("torch", "numba", "numpy", "mrgs")
+    }
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),

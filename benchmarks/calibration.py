@@ -1,6 +1,8 @@
-"""Two small fixed kernels that are timed beside every case: how fast, and how loaded, the machine was just then.
+"""Two small fixed kernels that are timed beside every case: how fast, and how loaded, the machine
+was just then.
 
-Their times tell whether two figures of one report, or of two reports, were taken under equal conditions. They are
+Their times tell whether two figures of one report, or of two reports, were taken under equal
+conditions. They are
 fixed: whoever changes them makes older reports incomparable.
 """
 

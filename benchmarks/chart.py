@@ -25,8 +25,11 @@ CURVES = (
 """Group, stage and label of each line."""
 
 
-def points(cases: Sequence[dict[str, Any]], group: str, stage: str, along: str) -> list[tuple[int, float]]:
-    """(x, ms) of a stage: along "gaussians" at the fixed image size, or along "pixels" at the fixed N.
+def points(
+    cases: Sequence[dict[str, Any]], group: str, stage: str, along: str
+) -> list[tuple[int, float]]:
+    """(x, ms) of a stage: along "gaussians" at the fixed image size, or along "pixels" at the fixed
+    N.
 
     Empty where the stage does not depend on x.
     """
@@ -35,7 +38,11 @@ def points(cases: Sequence[dict[str, Any]], group: str, stage: str, along: str) 
         if case["group"] != group or stage not in case.get("timings", {}):
             continue
         pixels = None if case["width"] is None else case["width"] * case["height"]
-        x, other = (case["gaussians"], case["width"]) if along == "gaussians" else (pixels, case["gaussians"])
+        x, other = (
+            (case["gaussians"], case["width"])
+            if along == "gaussians"
+            else (pixels, case["gaussians"])
+        )
         fixed = FIXED_SIZE[0] if along == "gaussians" else FIXED_GAUSSIANS
         if x is not None and other in (None, fixed):
             found.append((x, case["timings"][stage]["median_ms"]))
@@ -64,7 +71,13 @@ def draw(cases: Sequence[dict[str, Any]], path: Path) -> None:
         for index, (group, stage, label) in enumerate(CURVES):
             curve = points(cases, group, stage, along)
             if curve:
-                axes.plot(*zip(*curve, strict=True), marker="o", markersize=4, color=f"C{index}", label=label)
+                axes.plot(
+                    *zip(*curve, strict=True),
+                    marker="o",
+                    markersize=4,
+                    color=f"C{index}",
+                    label=label,
+                )
         axes.set(xscale="log", yscale="log", xlabel=title)
         axes.set_xticks([*ticks], [*ticks.values()])
         axes.set_xticks([], minor=True)
@@ -72,7 +85,9 @@ def draw(cases: Sequence[dict[str, Any]], path: Path) -> None:
     left.set_ylabel("median, ms")
     handles: dict[str, Any] = {}
     for axes in (left, right):
-        handles |= {label: line for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        handles |= {
+            label: line for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
     figure.legend(handles.values(), handles.keys(), loc="lower center", ncols=5, frameon=False)
     figure.tight_layout(rect=(0, 0.1, 1, 1))
     figure.savefig(path, dpi=120)

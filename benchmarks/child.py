@@ -1,4 +1,5 @@
-"""Measures one case and prints the result as JSON: ``python -m benchmarks.child REQUEST``, started by ``processes``."""
+"""Measures one case and prints the result as JSON: ``python -m benchmarks.child REQUEST``, started
+by ``processes``."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def prepare(case: Case) -> Stages:
 
 
 def result_of(case: Case, effort: Effort, base_bytes: int) -> dict[str, Any]:
-    """Times, peak memory above ``base_bytes`` and notes of a case; or the reason why there are none."""
+    """Times, peak memory above ``base_bytes`` and notes of a case; or the reason why there are
+    none."""
     from benchmarks.calibration import Calibration  # Numba counts as memory of the case
 
     calibration = Calibration()
@@ -45,14 +47,16 @@ def result_of(case: Case, effort: Effort, base_bytes: int) -> dict[str, Any]:
 
 
 def import_what_torch_imports_late() -> None:
-    """An optimizer's first step imports torch's compiler, and Triton if it is there: memory that is no case's."""
+    """An optimizer's first step imports torch's compiler, and Triton if it is there: memory that is
+    no case's."""
     parameter = torch.zeros(1, requires_grad=True)
     parameter.grad = torch.zeros(1)
     torch.optim.Adam([parameter], fused=True).step()
 
 
 def main() -> None:
-    """Measure the cases of the request one after the other; the last one's result goes to stdout."""
+    """Measure the cases of the request one after the other; the last one's result goes to
+    stdout."""
     request = json.loads(sys.argv[1])
     torch.set_num_threads(request["threads"])
     import_what_torch_imports_late()

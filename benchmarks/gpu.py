@@ -1,8 +1,8 @@
 """What the GPU makes of it: ``python -m benchmarks.gpu``, in at most ten minutes.
 
-Needs an NVIDIA GPU, torch with CUDA, Triton and this repository; no network. From the repository's root, the package
-need not be installed (``PYTHONPATH=src python -m benchmarks.gpu``). ``--device cpu`` tries every part at tiny sizes
-without a GPU; its times say nothing.
+Needs an NVIDIA GPU, torch with CUDA, Triton and this repository; no network. From the repository's
+root, the package need not be installed (``PYTHONPATH=src python -m benchmarks.gpu``). ``--device
+cpu`` tries every part at tiny sizes without a GPU; its times say nothing.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 from benchmarks.gpu_plan import PARTS
 from benchmarks.gpu_report import to_markdown
-from mrgs.isolation import child_environment
+from mrgs.system.isolation import child_environment
 
 ROOT = Path(__file__).parents[1]
 SECONDS = 570.0
@@ -67,7 +67,8 @@ class Budget:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, write gpu.json and gpu.md, print the tables; 1 if a part failed or a result was wrong."""
+    """Measure, write gpu.json and gpu.md, print the tables; 1 if a part failed or a result was
+    wrong."""
     options = _parse(arguments)
     options.gsplat = _unpacked(options.gsplat)
     options.output.mkdir(parents=True, exist_ok=True)
@@ -79,7 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _measure(options: argparse.Namespace, budget: Budget) -> Results:
-    """All parts, one after the other; gpu.json is written after each. Without a device there are no parts."""
+    """All parts, one after the other; gpu.json is written after each. Without a device there are no
+    parts."""
     plan = "trial" if options.device == "cpu" else "quick" if options.quick else "full"
     parts: dict[str, Any] = {}
     results: Results = {"plan": plan, "parts": parts}
@@ -109,12 +111,27 @@ def is_bad(results: Results) -> bool:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.gpu", description="Check and time the GPU kernels.")
-    parser.add_argument("--quick", action="store_true", help="fewer sizes, a short training: about three minutes")
-    parser.add_argument("--only", action="append", choices=PARTS, metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--gsplat", type=Path, metavar="PATH", help="gsplat's wheel, or the folder that holds gsplat/")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="what has not begun by then is skipped")
-    parser.add_argument("--device", choices=("cuda", "cpu"), default="cuda", help="cpu: a trial at tiny sizes")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.gpu", description="Check and time the GPU kernels."
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer sizes, a short training: about three minutes"
+    )
+    parser.add_argument(
+        "--only", action="append", choices=PARTS, metavar="PART", help=", ".join(PARTS)
+    )
+    parser.add_argument(
+        "--gsplat",
+        type=Path,
+        metavar="PATH",
+        help="gsplat's wheel, or the folder that holds gsplat/",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=SECONDS, help="what has not begun by then is skipped"
+    )
+    parser.add_argument(
+        "--device", choices=("cuda", "cpu"), default="cuda", help="cpu: a trial at tiny sizes"
+    )
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results")
     return parser.parse_args(arguments)
 
@@ -124,7 +141,8 @@ def _wants_gsplat(options: argparse.Namespace) -> bool:
 
 
 def _unpacked(gsplat: Path | None) -> Path | None:
-    """The folder that holds gsplat; a wheel is unpacked where the next run finds it, with what was built of it."""
+    """The folder that holds gsplat; a wheel is unpacked where the next run finds it, with what was
+    built of it."""
     if gsplat is None or gsplat.is_dir():
         return gsplat
     folder = Path(tempfile.gettempdir()) / f"mrgs-{gsplat.stem}"
@@ -135,19 +153,30 @@ def _unpacked(gsplat: Path | None) -> Path | None:
 
 
 def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> dict[str, Any]:
-    """The part's rows and seconds; with why there are none, or no more, if it was "skipped" or "failed"."""
+    """The part's rows and seconds; with why there are none, or no more, if it was "skipped" or
+    "failed"."""
     if budget.left < LEAST_SECONDS[part]:
         return {"skipped": f"{max(budget.left, 0):.0f} s of {budget.seconds:.0f} s were left"}
     started, seconds = budget.spent, budget.left
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rows.json"
         until = time.time() + seconds
-        request = {"part": part, "plan": plan, "device": options.device, "until": until, "file": str(file)}
+        request = {
+            "part": part,
+            "plan": plan,
+            "device": options.device,
+            "until": until,
+            "file": str(file),
+        }
         command = [sys.executable, "-m", "benchmarks.gpu_part", json.dumps(request)]
         result: dict[str, Any] = {}
         try:
             child = subprocess.run(
-                command, env=environment(options.gsplat), stderr=subprocess.PIPE, text=True, timeout=seconds
+                command,
+                env=environment(options.gsplat),
+                stderr=subprocess.PIPE,
+                text=True,
+                timeout=seconds,
             )
         except subprocess.TimeoutExpired:
             result["skipped"] = f"not done after {seconds:.0f} s"
@@ -160,10 +189,18 @@ def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> d
 
 
 def environment(gsplat: Path | None) -> dict[str, str]:
-    """Of the child processes: they find the benchmarks, the package and gsplat, whatever folder this runs in."""
-    paths = [os.environ.get("PYTHONPATH", ""), str(ROOT), str(ROOT / "src"), *([str(gsplat)] if gsplat else [])]
+    """Of the child processes: they find the benchmarks, the package and gsplat, whatever folder
+    this runs in."""
+    paths = [
+        os.environ.get("PYTHONPATH", ""),
+        str(ROOT),
+        str(ROOT / "src"),
+        *([str(gsplat)] if gsplat else []),
+    ]
     found = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
-    found.pop("TRITON_INTERPRET", None)  # interpreted on the CPU, the kernels would be measured in minutes
+    found.pop(
+        "TRITON_INTERPRET", None
+    )  # interpreted on the CPU, the kernels would be measured in minutes
     return found
 
 
@@ -197,7 +234,8 @@ class GsplatBuild:
     def stop(self) -> None:
         """End the build with its compilers, if it is not done."""
         if self._process.poll() is None:
-            # Not killed at once: ninja gives each compiler a group of its own, and ends them when it is asked to end.
+            # Not killed at once: ninja gives each compiler a group of its own, and ends them when
+            # it is asked to end.
             os.killpg(self._process.pid, signal.SIGTERM)
             try:
                 self._process.communicate(timeout=END_SECONDS)
@@ -206,14 +244,16 @@ class GsplatBuild:
         self._process.communicate()
 
     def wait(self, seconds: float) -> str | None:
-        """Until the build is done; why there is none, otherwise. A build that is not done in time is ended."""
+        """Until the build is done; why there is none, otherwise. A build that is not done in time
+        is ended."""
         try:
             _, errors = self._process.communicate(timeout=max(seconds, 1.0))
         except subprocess.TimeoutExpired:
             self.stop()
             return (
                 "gsplat's kernels were not built in time: build them first "
-                f"(PYTHONPATH={self._path} python -m benchmarks.gpu_gsplat), then run this again on the same machine"
+                f"(PYTHONPATH={self._path} python -m benchmarks.gpu_gsplat), then run this again "
+                f"on the same machine"
             )
         if self._process.returncode != 0:
             return f"gsplat cannot be used ({reason(errors, self._process.returncode)})"

@@ -1,4 +1,5 @@
-"""Is it right on this device? Everything that has kernels there, beside the oracles in double precision."""
+"""Is it right on this device? Everything that has kernels there, beside the oracles in double
+precision."""
 
 from __future__ import annotations
 
@@ -16,10 +17,15 @@ from benchmarks.gpu_failure import failure
 from benchmarks.gpu_plan import Plan
 from benchmarks.gpu_workload import RandomScene, photos_on, random_scene, state_on
 from mrgs.field import nearest_neighbours
-from mrgs.training.config import make_config
-from mrgs.training.losses import LossConfig, masked_mean, photometric_loss, smoothness_loss
-from mrgs.training.radiation import boltzmann_loss
-from mrgs.training.ssim import ssim_map, structural_similarity
+from mrgs.method.config import make_config
+from mrgs.method.losses.photometric import (
+    LossConfig,
+    masked_mean,
+    photometric_loss,
+    smoothness_loss,
+)
+from mrgs.method.losses.radiation import boltzmann_loss
+from mrgs.method.losses.ssim import ssim_map, structural_similarity
 from mrgs.training.step import training_step
 
 IMAGE_ERROR_MAX = 1e-4
@@ -33,7 +39,8 @@ DSSIM = 0.2
 EXTENT = 5.0
 
 Finding = dict[str, Any]
-"""What was compared ("of"), the error and its limit; or why there is none ("skipped" or "failed")."""
+"""What was compared ("of"), the error and its limit; or why there is none ("skipped" or
+"failed")."""
 
 Comparison = Callable[[], Iterator[Finding]]
 
@@ -66,8 +73,11 @@ def comparisons(device: torch.device, plan: Plan) -> Iterator[tuple[str, Compari
 
 
 def ok(finding: Finding) -> bool:
-    """Whether the error is within its limit, which NaN is not; a comparison that found no room is not wrong."""
-    return "skipped" in finding or ("failed" not in finding and bool(finding["error"] <= finding["limit"]))
+    """Whether the error is within its limit, which NaN is not; a comparison that found no room is
+    not wrong."""
+    return "skipped" in finding or (
+        "failed" not in finding and bool(finding["error"] <= finding["limit"])
+    )
 
 
 def scenes(plan: Plan) -> Iterator[RandomScene]:
@@ -82,7 +92,8 @@ def scenes(plan: Plan) -> Iterator[RandomScene]:
 
 
 def compare_rasterizer(scene: RandomScene, device: torch.device) -> Iterator[Finding]:
-    """Every image, and the gradient of a random linear loss by every input; and whether a second run gives the same."""
+    """Every image, and the gradient of a random linear loss by every input; and whether a second
+    run gives the same."""
     truth_scene, scene = scene.to(device, torch.float64), scene.to(device, torch.float32)
     left_out = truth_scene.undecided()
     truth, raster = truth_scene.render(oracle=True), scene.render()
@@ -103,7 +114,11 @@ def compare_rasterizer(scene: RandomScene, device: torch.device) -> Iterator[Fin
         }
     again = scene.gradients(scene.render(), cotangents)
     differing = sum(not torch.equal(grads[name], again[name]) for name in grads)
-    yield {"of": "rasterizer: gradients that differ between two runs", "error": differing, "limit": 0}
+    yield {
+        "of": "rasterizer: gradients that differ between two runs",
+        "error": differing,
+        "limit": 0,
+    }
 
 
 def _cotangents(blends: tuple[Any, ...], left_out: Tensor) -> list[Tensor]:
@@ -111,9 +126,12 @@ def _cotangents(blends: tuple[Any, ...], left_out: Tensor) -> list[Tensor]:
     generator = torch.Generator().manual_seed(0)
     images = [image for blend in blends for image in blend]
     weights = [
-        1 + torch.randn(image.shape, generator=generator, dtype=torch.float64).to(left_out.device) for image in images
+        1 + torch.randn(image.shape, generator=generator, dtype=torch.float64).to(left_out.device)
+        for image in images
     ]
-    return [w.masked_fill(left_out.view(*left_out.shape, *[1] * (w.ndim - 2)), 0.0) for w in weights]
+    return [
+        w.masked_fill(left_out.view(*left_out.shape, *[1] * (w.ndim - 2)), 0.0) for w in weights
+    ]
 
 
 def relative(value: Tensor, truth: Tensor) -> float:
@@ -147,7 +165,12 @@ def loss_cases(width: int, height: int, masked: bool) -> Iterator[LossCase]:
     valid = noise(height, width) > 0.2 if masked else None
     config = LossConfig()
     cases: tuple[tuple[str, Loss, Loss, list[Tensor]], ...] = (
-        ("L1 + D-SSIM", lambda x, y, v: photometric_loss(x, y, v, DSSIM), photometric_truth, [rgb, target]),
+        (
+            "L1 + D-SSIM",
+            lambda x, y, v: photometric_loss(x, y, v, DSSIM),
+            photometric_truth,
+            [rgb, target],
+        ),
         (
             "total variation",
             lambda x, d, v: smoothness_loss(x, d, x.detach(), v, EXTENT, 1.0, config),
@@ -166,7 +189,11 @@ def compare_loss(case: LossCase, device: torch.device) -> Iterator[Finding]:
     true_values = _value_and_gradients(case.truth, case.tensors, case.valid, device, torch.float64)
     errors = [relative(value, true) for value, true in zip(values, true_values, strict=True)]
     yield {"of": f"{case.title}: value", "error": errors[0], "limit": GRADIENT_ERROR_MAX}
-    yield {"of": f"{case.title}: gradients", "error": _largest(errors[1:]), "limit": GRADIENT_ERROR_MAX}
+    yield {
+        "of": f"{case.title}: gradients",
+        "error": _largest(errors[1:]),
+        "limit": GRADIENT_ERROR_MAX,
+    }
 
 
 def _largest(errors: list[float]) -> float:
@@ -175,7 +202,11 @@ def _largest(errors: list[float]) -> float:
 
 
 def _value_and_gradients(
-    loss: Loss, tensors: list[Tensor], valid: Tensor | None, device: torch.device, dtype: torch.dtype
+    loss: Loss,
+    tensors: list[Tensor],
+    valid: Tensor | None,
+    device: torch.device,
+    dtype: torch.dtype,
 ) -> list[Tensor]:
     leaves = [tensor.to(device, dtype).requires_grad_() for tensor in tensors]
     value = loss(*leaves, None if valid is None else valid.to(device))
@@ -184,7 +215,10 @@ def _value_and_gradients(
 
 def photometric_truth(x: Tensor, y: Tensor, valid: Tensor | None) -> Tensor:
     """Eq. 17 from the map of SSIM."""
-    x, y = ((t if valid is None else torch.where(valid[..., None], t, 0)).permute(2, 0, 1) for t in (x, y))
+    x, y = (
+        (t if valid is None else torch.where(valid[..., None], t, 0)).permute(2, 0, 1)
+        for t in (x, y)
+    )
     return masked_mean((1 - DSSIM) * (x - y).abs() + DSSIM * (1 - ssim_map(x, y)), valid)
 
 
@@ -195,12 +229,18 @@ def smoothness_truth(x: Tensor, depth: Tensor, valid: Tensor | None) -> Tensor:
         for axis in (0, 1):
             differences = image.diff(dim=axis).abs().permute(2, 0, 1)
             steps = image.shape[axis] - 1
-            both = None if valid is None else valid.narrow(axis, 0, steps) & valid.narrow(axis, 1, steps)
+            both = (
+                None
+                if valid is None
+                else valid.narrow(axis, 0, steps) & valid.narrow(axis, 1, steps)
+            )
             total = total + weight * masked_mean(differences, both)
     return total
 
 
-def boltzmann_truth(thermal: Tensor, radiation: Tensor, uncertainty: Tensor, valid: Tensor | None) -> Tensor:
+def boltzmann_truth(
+    thermal: Tensor, radiation: Tensor, uncertainty: Tensor, valid: Tensor | None
+) -> Tensor:
     """Eq. 16 from the map of S-SSIM."""
     if valid is not None:
         thermal, radiation = torch.where(valid, thermal, 0), torch.where(valid, radiation, 0)
@@ -209,7 +249,8 @@ def boltzmann_truth(thermal: Tensor, radiation: Tensor, uncertainty: Tensor, val
 
 
 def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Iterator[Finding]:
-    """The distances to the found neighbours beside those of all pairs; which of two equally far ones may differ."""
+    """The distances to the found neighbours beside those of all pairs; which of two equally far
+    ones may differ."""
     means = torch.randn(count, 3, generator=torch.Generator().manual_seed(count)).to(device)
     found = nearest_neighbours(means, k)
     exact = means.double()
@@ -226,7 +267,9 @@ def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Iterator
 
 def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Finding]:
     """The losses of three steps beside those on the CPU, whose kernels have their own tests."""
-    count, width, height = (min(value, most) for value, most in zip(plan.step_size, (2_000, 96, 64), strict=True))
+    count, width, height = (
+        min(value, most) for value, most in zip(plan.step_size, (2_000, 96, 64), strict=True)
+    )
     config = make_config(method, "paper")
     losses = []
     for place in (torch.device("cpu"), device):
@@ -237,4 +280,8 @@ def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Find
         )
         steps = [training_step(state, view, 0, photos, config, workload.SCALE) for _ in range(3)]
         losses.append(torch.tensor([float(step.loss) for step in steps], dtype=torch.float64))
-    yield {"of": f"losses of three steps, {method}", "error": relative(losses[1], losses[0]), "limit": 1e-3}
+    yield {
+        "of": f"losses of three steps, {method}",
+        "error": relative(losses[1], losses[0]),
+        "limit": 1e-3,
+    }

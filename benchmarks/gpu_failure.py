@@ -9,9 +9,11 @@ import torch
 
 
 def failure(error: Exception) -> dict[str, Any]:
-    """``skipped``, where the device's memory does not suffice; otherwise ``failed`` and the traceback.
+    """``skipped``, where the device's memory does not suffice; otherwise ``failed`` and the
+    traceback.
 
-    Messages of CUDA begin with what is wrong, those of Triton's compiler end with it: both lines are kept.
+    Messages of CUDA begin with what is wrong, those of Triton's compiler end with it: both lines
+    are kept.
     """
     if isinstance(error, torch.cuda.OutOfMemoryError):
         return {"skipped": "out of memory"}

@@ -1,7 +1,8 @@
-"""Runs one part of the GPU benchmark: ``python -m benchmarks.gpu_part REQUEST``, started by ``gpu``.
+"""Runs one part of the GPU benchmark: ``python -m benchmarks.gpu_part REQUEST``, started by
+``gpu``.
 
-A process of its own: a kernel that goes wrong leaves no GPU to the rest of its process. Results are written after each
-one, so that what was measured before is kept.
+A process of its own: a kernel that goes wrong leaves no GPU to the rest of its process. Results are
+written after each one, so that what was measured before is kept.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.gpu_plan import PLANS
 from benchmarks.gpu_stages import PARTS, Order
-from mrgs.gpu import choose_device
+from mrgs.system.gpu import choose_device
 
 
 def main() -> None:

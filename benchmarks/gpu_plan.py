@@ -1,4 +1,5 @@
-"""What the GPU benchmark measures: sizes and efforts of the full run, the quick one, and the trial without a GPU."""
+"""What the GPU benchmark measures: sizes and efforts of the full run, the quick one, and the trial
+without a GPU."""
 
 from __future__ import annotations
 
@@ -52,7 +53,9 @@ class Plan:
 
 
 FULL = Plan(
-    sizes=tuple((n, *size) for size in ((640, 480), (1920, 1080)) for n in (50_000, 200_000, 1_000_000)),
+    sizes=tuple(
+        (n, *size) for size in ((640, 480), (1920, 1080)) for n in (50_000, 200_000, 1_000_000)
+    ),
     effort=Effort(runs=60, seconds=3.0, fewest=10, warm_up=5),
     scenes=24,
     largest_scene=(2_000, 321, 243),

@@ -13,7 +13,8 @@ FORWARD, FORWARD_BACKWARD = "forward", "forward + backward"
 TARGET_STEPS_PER_S = 150
 TARGET_TRAINING_S = 240
 TARGET_BESIDE_GSPLAT = 1.3
-"""What is aimed at on an H200: a step of mrgs at 50,000 Gaussians, the paper's training, and the fused pass."""
+"""What is aimed at on an H200: a step of mrgs at 50,000 Gaussians, the paper's training, and the
+fused pass."""
 
 Rows = Sequence[dict[str, Any]]
 
@@ -32,7 +33,9 @@ def to_markdown(results: dict[str, Any]) -> str:
 def _part(name: str, part: dict[str, Any], device: Rows) -> list[str]:
     rows = part.get("rows", [])
     lines = [_TABLES[name](rows, device)] if rows else []
-    return lines + [f"{kind.capitalize()}: {part[kind]}." for kind in ("skipped", "failed") if kind in part]
+    return lines + [
+        f"{kind.capitalize()}: {part[kind]}." for kind in ("skipped", "failed") if kind in part
+    ]
 
 
 def _head(device: dict[str, Any], results: dict[str, Any]) -> str:
@@ -48,10 +51,14 @@ def _head(device: dict[str, Any], results: dict[str, Any]) -> str:
     names += [f"torch {d['torch']}", f"Python {d['python']}"]
     trial = " A trial without a GPU: its times say nothing." if results["plan"] == "trial" else ""
     return (
-        f"{', '.join(names)}. {results['plan'].capitalize()} run, {results['seconds']:.0f} s.{trial}\n\n"
-        f"At most, as measured here: {d['copy_bytes_per_s'] / 1e9:,.0f} GB/s copying (bytes read and written), "
-        f"{d['float32_operations_per_s'] / 1e12:.1f} TFLOP/s in a float32 matrix product, one small operation of torch "
-        f"in {1e6 * d['launch_s']:.1f} µs. Times are medians in milliseconds; in brackets a quarter and three quarters."
+        f"{', '.join(names)}. {results['plan'].capitalize()} run, {results['seconds']:.0f} "
+        f"s.{trial}\n\n"
+        f"At most, as measured here: {d['copy_bytes_per_s'] / 1e9:,.0f} GB/s copying (bytes read "
+        f"and written), "
+        f"{d['float32_operations_per_s'] / 1e12:.1f} TFLOP/s in a float32 matrix product, one "
+        f"small operation of torch "
+        f"in {1e6 * d['launch_s']:.1f} µs. Times are medians in milliseconds; in brackets a "
+        f"quarter and three quarters."
     )
 
 
@@ -61,13 +68,18 @@ def _size(row: dict[str, Any]) -> str:
 
 def _missing(row: dict[str, Any]) -> str:
     """Why a row has no result, for a table's cell."""
-    return row["skipped"] if "skipped" in row else f"**failed**: {row['failed']}".replace("|", "\\|")
+    return (
+        row["skipped"] if "skipped" in row else f"**failed**: {row['failed']}".replace("|", "\\|")
+    )
 
 
 def spread(times: dict[str, Any]) -> str:
     """A median with its quartiles."""
     digits = 3 if times["median_ms"] < 1 else 2 if times["median_ms"] < 100 else 0
-    return f"{times['median_ms']:,.{digits}f} ({times['q1_ms']:,.{digits}f}–{times['q3_ms']:,.{digits}f})"
+    return (
+        f"{times['median_ms']:,.{digits}f} "
+        f"({times['q1_ms']:,.{digits}f}–{times['q3_ms']:,.{digits}f})"
+    )
 
 
 def _memory(nbytes: int | None) -> str:
@@ -87,11 +99,20 @@ def _waits(rows: Rows) -> str:
 def _correctness(rows: Rows, _: Rows) -> str:
     worst: dict[str, dict[str, Any]] = {}
     for row in (row for row in rows if "error" in row):
-        if row["of"] not in worst or (worst[row["of"]]["ok"], -worst[row["of"]]["error"]) > (row["ok"], -row["error"]):
+        if row["of"] not in worst or (worst[row["of"]]["ok"], -worst[row["of"]]["error"]) > (
+            row["ok"],
+            -row["error"],
+        ):
             worst[row["of"]] = row
     counts = {name: sum(row["of"] == name for row in rows) for name in worst}
     lines = [
-        [name, str(counts[name]), f"{row['error']:.1e}", f"{row['limit']:.0e}", "" if row["ok"] else "**wrong**"]
+        [
+            name,
+            str(counts[name]),
+            f"{row['error']:.1e}",
+            f"{row['limit']:.0e}",
+            "" if row["ok"] else "**wrong**",
+        ]
         for name, row in worst.items()
     ]
     lines += [[row["of"], "1", "", "", _missing(row)] for row in rows if "error" not in row]
@@ -110,7 +131,14 @@ def _rasterizer(rows: Rows, device: Rows) -> str:
             [_size(row), spread(row["times"][FORWARD]), spread(row["times"][FORWARD_BACKWARD]),
              "–" if floor is None else f"{floor:.3f}", _memory(row["peak_bytes"]), str(waits)]
         )  # fmt: skip
-    header = ["Gaussians, image", FORWARD, FORWARD_BACKWARD, "least, by its bytes", "memory, MB", "host waits"]
+    header = [
+        "Gaussians, image",
+        FORWARD,
+        FORWARD_BACKWARD,
+        "least, by its bytes",
+        "memory, MB",
+        "host waits",
+    ]
     return table(header, lines) + _waits(rows[:1])
 
 
@@ -125,11 +153,28 @@ def _gsplat(rows: Rows, _: Rows) -> str:
             ours = times["mrgs"]["median_ms"]
             theirs = [times[name] for name in ("two passes", "shared projection")]
             ratios = [f"{way['median_ms'] / ours:.2f}" for way in theirs]
-            lines.append([_size(row), direction, spread(times["mrgs"]), *map(spread, theirs), *ratios])
-    header = ["Gaussians, image", "", "mrgs, fused", "gsplat twice", "gsplat, projected once", "ratio", "ratio"]
-    text = f"gsplat {', '.join(versions)}, in turns in one process. A ratio above 1: mrgs takes less time"
+            lines.append(
+                [_size(row), direction, spread(times["mrgs"]), *map(spread, theirs), *ratios]
+            )
+    header = [
+        "Gaussians, image",
+        "",
+        "mrgs, fused",
+        "gsplat twice",
+        "gsplat, projected once",
+        "ratio",
+        "ratio",
+    ]
+    text = (
+        f"gsplat {', '.join(versions)}, in turns in one process. A ratio above 1: mrgs takes "
+        f"less time"
+    )
     differences = [d for row in rows for d in row.get("mean_difference", {}).values()]
-    agreement = f"\n\nMean absolute difference of an image: at most {max(differences):.1e}." if differences else ""
+    agreement = (
+        f"\n\nMean absolute difference of an image: at most {max(differences):.1e}."
+        if differences
+        else ""
+    )
     return f"{text}; {TARGET_BESIDE_GSPLAT} is aimed at.\n\n" + table(header, lines) + agreement
 
 
@@ -141,23 +186,34 @@ def _step(rows: Rows, _: Rows) -> str:
               _memory(row["peak_bytes"]), str(sum(row["host_waits"].values()))]
         for row in rows
     ]  # fmt: skip
-    aim = f"Aimed at on an H200: {TARGET_STEPS_PER_S} steps per second at 50,000 Gaussians and 640×480.\n\n"
+    aim = (
+        f"Aimed at on an H200: {TARGET_STEPS_PER_S} steps per second at 50,000 Gaussians and "
+        f"640×480.\n\n"
+    )
     return (
-        aim + table(["method", "Gaussians, image", "step", "steps/s", "memory, MB", "host waits"], lines) + _waits(rows)
+        aim
+        + table(
+            ["method", "Gaussians, image", "step", "steps/s", "memory, MB", "host waits"], lines
+        )
+        + _waits(rows)
     )
 
 
 def _training(rows: Rows, _: Rows) -> str:
     row = rows[0]
     whole = row["steps"] == row["of_steps"]
-    done = f"{row['steps']:,} of {row['of_steps']:,} steps" + ("" if whole else ", stopped when the time was up")
+    done = f"{row['steps']:,} of {row['of_steps']:,} steps" + (
+        "" if whole else ", stopped when the time was up"
+    )
     text = (
         f"mrgs, preset paper: {done}, in {row['seconds']:.0f} s with loading the scene, "
         f"{row['steps_per_s']:.3g} steps/s; {row['gaussians']:,} Gaussians at the end; "
         f"at most {_memory(row['peak_bytes'])} MB. "
         f"Aimed at on an H200: 30,000 steps in {TARGET_TRAINING_S} s."
     )
-    figures = [[name, f"{value:.4g}"] for scored in rows[1:] for name, value in scored["metrics"].items()]
+    figures = [
+        [name, f"{value:.4g}"] for scored in rows[1:] for name, value in scored["metrics"].items()
+    ]
     return text + ("\n\n" + table(["", ""], figures) if figures else "")
 
 

@@ -1,10 +1,12 @@
-"""Registers, spills and shared memory of every Triton kernel, compiled for sm_80 and sm_90 on any machine.
+"""Registers, spills and shared memory of every Triton kernel, compiled for sm_80 and sm_90 on any
+machine.
 
-    python -m benchmarks.gpu_resources            compare with the table, exit with 1 if anything got worse
+    python -m benchmarks.gpu_resources            compare with the table; exit 1 if it got worse
     python -m benchmarks.gpu_resources --update   write the table anew for the installed Triton
 
-Each Triton version has its own compiler, and so its own part of the table; docs/gpu.md shows that of the newest.
-Another version is measured by putting it first: ``PYTHONPATH=FOLDER_WITH_TRITON python -m benchmarks.gpu_resources``.
+Each Triton version has its own compiler, and so its own part of the table; docs/gpu.md shows that
+of the newest. Another version is measured by putting it first: ``PYTHONPATH=FOLDER_WITH_TRITON
+python -m benchmarks.gpu_resources``.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.report import table
-from mrgs.isolation import child_environment
+from mrgs.system.isolation import child_environment
 
 ROOT = Path(__file__).parents[1]
 TABLE = Path(__file__).parent / "results" / "gpu_resources.json"
@@ -59,7 +61,8 @@ class CompilationError(Exception):
 
 
 def compile_in_children() -> dict[str, Any]:
-    """Triton's version, the resources of every specialisation by its name and target, and the unlisted kernels.
+    """Triton's version, the resources of every specialisation by its name and target, and the
+    unlisted kernels.
 
     Each target in a process of its own, which compiles, while this one may have Triton interpret.
 
@@ -69,17 +72,29 @@ def compile_in_children() -> dict[str, Any]:
     with ThreadPoolExecutor() as pool:
         found = dict(zip(TARGETS, pool.map(_compile, TARGETS.values()), strict=True))
     first = next(iter(found.values()))
-    kernels = {name: {target: found[target]["kernels"][name] for target in found} for name in first["kernels"]}
+    kernels = {
+        name: {target: found[target]["kernels"][name] for target in found}
+        for name in first["kernels"]
+    }
     return {"triton": first["triton"], "unlisted": first["unlisted"], "kernels": kernels}
 
 
 def _compile(capability: int) -> dict[str, Any]:
-    """What ``gpu_compile.compile_all`` finds, without any of Triton's variables that are set here."""
+    """What ``gpu_compile.compile_all`` finds, without any of Triton's variables that are set
+    here."""
     paths = [os.environ.get("PYTHONPATH", ""), str(ROOT / "src"), str(ROOT)]
     environment = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
-    environment = {key: value for key, value in environment.items() if not key.startswith("TRITON_")}
-    with tempfile.TemporaryDirectory() as cache:  # what Triton finds in its cache it does not compile
-        variables = {"TRITON_CACHE_DIR": cache, "TRITON_DUMP_PTXAS_LOG": "1", "TRITON_DEFAULT_FP_FUSION": "1"}
+    environment = {
+        key: value for key, value in environment.items() if not key.startswith("TRITON_")
+    }
+    with (
+        tempfile.TemporaryDirectory() as cache
+    ):  # what Triton finds in its cache it does not compile
+        variables = {
+            "TRITON_CACHE_DIR": cache,
+            "TRITON_DUMP_PTXAS_LOG": "1",
+            "TRITON_DEFAULT_FP_FUSION": "1",
+        }
         child = subprocess.run(
             [sys.executable, "-m", "benchmarks.gpu_compile", str(capability)],
             env=environment | variables, capture_output=True, text=True, timeout=TIMEOUT_S,
@@ -91,13 +106,18 @@ def _compile(capability: int) -> dict[str, Any]:
 
 
 def worsened(found: Mapping[str, Any], tables: Mapping[str, Kernels]) -> list[str]:
-    """One line for everything in which the kernels are worse than the table, or than they may be without one.
+    """One line for everything in which the kernels are worse than the table, or than they may be
+    without one.
 
     Args:
         found: what ``compile_in_children`` returned.
-        tables: the committed table, by Triton's version; of a version without one, nothing may spill.
+        tables: the committed table, by Triton's version; of a version without one, nothing may
+            spill.
     """
-    lines = [f"{name} is in no KERNELS: list every specialisation that is launched" for name in found["unlisted"]]
+    lines = [
+        f"{name} is in no KERNELS: list every specialisation that is launched"
+        for name in found["unlisted"]
+    ]
     known = tables.get(found["triton"])
     if known is None:
         return lines + _spilling(found["kernels"])
@@ -129,7 +149,8 @@ def _raised(what: str, old: Resources, new: Resources) -> list[str]:
 
 
 def resident_warps(target: str, taken: Resources) -> int:
-    """Warps that a multiprocessor can hold of a kernel, of at most 64: what hides the time of its loads."""
+    """Warps that a multiprocessor can hold of a kernel, of at most 64: what hides the time of its
+    loads."""
     warps = taken["warps"]
     registers = -(-taken["registers"] // 8) * 8  # handed out to a warp by 8 per thread
     by_registers = REGISTERS_PER_SM // (registers * 32) // warps
@@ -139,7 +160,14 @@ def resident_warps(target: str, taken: Resources) -> int:
 
 def to_markdown(version: str, kernels: Kernels) -> str:
     """A row per specialisation, and in each cell sm_80 / sm_90 where they differ."""
-    header = ["kernel", "warps", "registers", "spilled bytes", "shared memory, bytes", "warps per SM"]
+    header = [
+        "kernel",
+        "warps",
+        "registers",
+        "spilled bytes",
+        "shared memory, bytes",
+        "warps per SM",
+    ]
     rows = [[f"`{name}`", *_cells(targets)] for name, targets in sorted(kernels.items())]
     return f"Triton {version}, sm_80 / sm_90:\n\n{table(header, rows)}"
 
@@ -171,14 +199,20 @@ def read_table() -> dict[str, Kernels]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compile, compare or update, print the table; 1 if anything got worse."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.gpu_resources", description=__doc__.splitlines()[0])
-    parser.add_argument("--update", action="store_true", help="write the table anew for the installed Triton")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.gpu_resources", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--update", action="store_true", help="write the table anew for the installed Triton"
+    )
     options = parser.parse_args(arguments)
     found, known = compile_in_children(), read_table()
     if options.update:
         known[found["triton"]] = found["kernels"]
         TABLE.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
-        DOCUMENT.write_text(with_newest(DOCUMENT.read_text(encoding="utf-8"), known), encoding="utf-8")
+        DOCUMENT.write_text(
+            with_newest(DOCUMENT.read_text(encoding="utf-8"), known), encoding="utf-8"
+        )
     print(to_markdown(found["triton"], found["kernels"]))
     lines = worsened(found, known)
     for line in lines:

@@ -1,4 +1,5 @@
-"""The parts of the GPU benchmark: each yields its results one by one, so that what was measured is kept."""
+"""The parts of the GPU benchmark: each yields its results one by one, so that what was measured is
+kept."""
 
 from __future__ import annotations
 
@@ -20,14 +21,15 @@ from benchmarks.gpu_workload import FusedPass, photos_on, state_on
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
 from mrgs.evaluation.evaluate import evaluate
-from mrgs.run import load_run
+from mrgs.method.config import make_config
+from mrgs.runs.open import load_run
 from mrgs.training import StepStatistics, train
-from mrgs.training.config import make_config
 from mrgs.training.step import training_step
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 EVALUATION_S = 75.0
-"""Kept back of the training's time for the scoring, whose first use of the CPU's kernels compiles them for a minute."""
+"""Kept back of the training's time for the scoring, whose first use of the CPU's kernels compiles
+them for a minute."""
 
 STEPS_MOST = 200
 """So many steps, one after the other, tell how many there are in a second."""
@@ -83,7 +85,9 @@ def _fused_pass(clock: Clock, size: Size, plan: Plan) -> Row:
     memory = PeakMemory(clock.device)
     fused.forward_backward()
     peak_bytes = memory.nbytes()
-    times = clock.measure({FORWARD: fused.render, FORWARD_BACKWARD: fused.forward_backward}, plan.effort)
+    times = clock.measure(
+        {FORWARD: fused.render, FORWARD_BACKWARD: fused.forward_backward}, plan.effort
+    )
     return {
         "times": _times(times),
         "peak_bytes": peak_bytes,
@@ -117,7 +121,10 @@ def _compare(clock: Clock, size: Size, plan: Plan, make_passes: Callable[[FusedP
             FORWARD_BACKWARD: _times(clock.measure(both, plan.effort)),
         },
         "mean_difference": {
-            name: max((a - b).abs().mean().item() for a, b in zip(images["mrgs"], images[name], strict=True))
+            name: max(
+                (a - b).abs().mean().item()
+                for a, b in zip(images["mrgs"], images[name], strict=True)
+            )
             for name in ways
         },
     }
@@ -127,7 +134,10 @@ def step(order: Order) -> Iterator[Row]:
     """Whole training steps of each method: render, losses, backward, Adam."""
     clock = Clock(order.device)
     for method in order.plan.methods:
-        yield {"method": method, **_sized(order.plan.step_size, lambda m=method: _steps(clock, m, order.plan))}
+        yield {
+            "method": method,
+            **_sized(order.plan.step_size, lambda m=method: _steps(clock, m, order.plan)),
+        }
 
 
 def _steps(clock: Clock, method: str, plan: Plan) -> Row:
@@ -166,7 +176,8 @@ def _per_second(clock: Clock, run: Callable[[], object], effort: Effort) -> floa
 
 
 def training(order: Order) -> Iterator[Row]:
-    """The bundled scene with the paper's schedule, until its end or until the time is up; then scored."""
+    """The bundled scene with the paper's schedule, until its end or until the time is up; then
+    scored."""
     plan, device = order.plan, order.device
     config = make_config("mrgs", "paper", max_steps=plan.training_steps, resolution=plan.resolution)
     memory = PeakMemory(device)
@@ -191,7 +202,9 @@ def training(order: Order) -> Iterator[Row]:
         }
         run = load_run(Path(folder) / "run", device=device.type)
         scene = run.load_scene()
-        metrics = evaluate(scene.eval, run.render_view, scene.temperature, photograph=run.photograph)
+        metrics = evaluate(
+            scene.eval, run.render_view, scene.temperature, photograph=run.photograph
+        )
         figures = {"rgb": metrics.rgb, "thermal": metrics.thermal}
         yield {
             "metrics": {
@@ -204,7 +217,8 @@ def training(order: Order) -> Iterator[Row]:
 
 
 def _sized(size: Size, measure: Callable[[], Row]) -> Row:
-    """A row of a size; with the reason where there is no result, so that the other sizes are measured all the same."""
+    """A row of a size; with the reason where there is no result, so that the other sizes are
+    measured all the same."""
     row: Row = dict(zip(("gaussians", "width", "height"), size, strict=True))
     try:
         return row | measure()

@@ -1,6 +1,7 @@
 """Timing on a GPU with its own clock, what it can do at most, and how often the host waits for it.
 
-On the CPU the same functions use the host's clock, so that the benchmark can be tried without a GPU.
+On the CPU the same functions use the host's clock, so that the benchmark can be tried without a
+GPU.
 """
 
 from __future__ import annotations
@@ -27,17 +28,23 @@ class Clock:
 
     def __init__(self, device: torch.device) -> None:
         self.device = device
-        self._flush = torch.empty(FLUSH_BYTES, dtype=torch.uint8, device=device) if device.type == "cuda" else None
+        self._flush = (
+            torch.empty(FLUSH_BYTES, dtype=torch.uint8, device=device)
+            if device.type == "cuda"
+            else None
+        )
 
     def measure(
         self, runs: Mapping[str, Callable[[], object]], effort: Effort, flush: bool = True
     ) -> dict[str, Summary]:
-        """Milliseconds of each run; they are taken in turns, and every other round in reverse order.
+        """Milliseconds of each run; they are taken in turns, and every other round in reverse
+        order.
 
         Args:
             runs: what is timed, by name.
             effort: how often.
-            flush: empty the caches before each run; not where a run is long, or leaves the caches as it finds them.
+            flush: empty the caches before each run; not where a run is long, or leaves the caches
+                as it finds them.
         """
         for _ in range(effort.warm_up):
             for run in runs.values():
@@ -75,7 +82,8 @@ class Clock:
 
 
 def ceilings(clock: Clock, size: int) -> dict[str, float]:
-    """What the device does at most: bytes per second, float32 operations per second, and seconds per tiny operation.
+    """What the device does at most: bytes per second, float32 operations per second, and seconds
+    per tiny operation.
 
     Args:
         clock: of the device.
@@ -105,7 +113,8 @@ def ceilings(clock: Clock, size: int) -> dict[str, float]:
 
 
 def host_waits(run: Callable[[], object]) -> dict[str, int]:
-    """The lines of code at which the host waits for the GPU during a run, with how often; empty on the CPU."""
+    """The lines of code at which the host waits for the GPU during a run, with how often; empty on
+    the CPU."""
     if not torch.cuda.is_available():
         return {}
     before = torch.cuda.get_sync_debug_mode()
@@ -126,7 +135,8 @@ def _short(path: str) -> str:
 
 
 class PeakMemory:
-    """The largest memory that tensors took on the device, above what they took when this was made."""
+    """The largest memory that tensors took on the device, above what they took when this was
+    made."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device if device.type == "cuda" else None
@@ -136,4 +146,8 @@ class PeakMemory:
 
     def nbytes(self) -> int | None:
         """Bytes; None on the CPU."""
-        return None if self._device is None else torch.cuda.max_memory_allocated(self._device) - self._before
+        return (
+            None
+            if self._device is None
+            else torch.cuda.max_memory_allocated(self._device) - self._before
+        )

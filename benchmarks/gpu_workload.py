@@ -8,17 +8,26 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from benchmarks.workload import CAPTURE, STEP_IN_FORCE, camera, gaussians, layers_of, photos, radiance_field, room
+from benchmarks.workload import (
+    CAPTURE,
+    STEP_IN_FORCE,
+    camera,
+    gaussians,
+    layers_of,
+    photos,
+    radiance_field,
+    room,
+)
 from mrgs.field import nearest_neighbours
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.losses.terms import Photos
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from mrgs.render import Model
 from mrgs.scene import Pixels
 from mrgs.training.checkpoint import make_state
-from mrgs.training.config import TrainConfig
-from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.step import TrainingState
-from mrgs.training.terms import Photos
 
 MODALITIES = ("rgb", "thermal")
 CHUNK_PIXELS = 2**22
@@ -29,20 +38,33 @@ class FusedPass:
     """``rasterize`` of both modalities on a device, and its gradient for every input."""
 
     def __init__(self, count: int, width: int, height: int, device: torch.device) -> None:
-        self.scene = {name: tensor.to(device).requires_grad_() for name, tensor in room(count).items()}
-        self._layers = [Layer(*(tensor.to(device) for tensor in layer)) for layer in layers_of(self.scene)]
+        self.scene = {
+            name: tensor.to(device).requires_grad_() for name, tensor in room(count).items()
+        }
+        self._layers = [
+            Layer(*(tensor.to(device) for tensor in layer)) for layer in layers_of(self.scene)
+        ]
         seen_by = camera(width, height)
         self.width, self.height = width, height
         self.viewmat, self.K = seen_by.viewmat.to(device), seen_by.K.to(device)
         # Random, so that no gradient is left out because it is zero or the same everywhere.
         generator = torch.Generator().manual_seed(7)
-        self.cotangents = [torch.randn(image.shape, generator=generator).to(device) for image in self.forward()]
+        self.cotangents = [
+            torch.randn(image.shape, generator=generator).to(device) for image in self.forward()
+        ]
 
     def forward(self) -> list[Tensor]:
         """Image, depth and alpha of both modalities."""
         s = self.scene
         raster = rasterize(
-            s["means"], s["quats"], s["scales"], self._layers, self.viewmat, self.K, self.width, self.height
+            s["means"],
+            s["quats"],
+            s["scales"],
+            self._layers,
+            self.viewmat,
+            self.K,
+            self.width,
+            self.height,
         )
         return [image for blend in raster.blends for image in blend]
 
@@ -57,7 +79,8 @@ class FusedPass:
 
     @property
     def least_bytes(self) -> int:
-        """What forward and backward must move at least: inputs read and gradients written, images and theirs."""
+        """What forward and backward must move at least: inputs read and gradients written, images
+        and theirs."""
         inputs = sum(tensor.nbytes for tensor in self.scene.values())
         images = sum(tensor.nbytes for tensor in self.cotangents)
         return 2 * (inputs + images)
@@ -81,12 +104,15 @@ def photos_on(device: torch.device, width: int, height: int) -> Photos:
     rgb, thermal, _ = photos(width, height)
     assert rgb is not None
     assert thermal is not None
-    return Photos(Pixels(rgb.values.to(device)), Pixels(thermal.values.to(device)), shares_camera=True)
+    return Photos(
+        Pixels(rgb.values.to(device)), Pixels(thermal.values.to(device)), shares_camera=True
+    )
 
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A rasterizer's arguments; ``tensors`` holds the differentiable ones by name, a layer's as "rgb.features"."""
+    """A rasterizer's arguments; ``tensors`` holds the differentiable ones by name, a layer's as
+    "rgb.features"."""
 
     tensors: dict[str, Tensor]
     viewmat: Tensor
@@ -103,18 +129,27 @@ class RandomScene:
 
     def to(self, device: torch.device, dtype: torch.dtype) -> RandomScene:
         """The same numbers as leaves that ask for a gradient."""
-        tensors = {name: t.detach().to(device, dtype).requires_grad_() for name, t in self.tensors.items()}
-        return replace(self, tensors=tensors, viewmat=self.viewmat.to(device, dtype), K=self.K.to(device, dtype))
+        tensors = {
+            name: t.detach().to(device, dtype).requires_grad_() for name, t in self.tensors.items()
+        }
+        return replace(
+            self,
+            tensors=tensors,
+            viewmat=self.viewmat.to(device, dtype),
+            K=self.K.to(device, dtype),
+        )
 
     def render(self, oracle: bool = False) -> Raster:
         """By the kernels of the device, or by the oracle."""
         t = self.tensors
         layers = [
-            Layer(t[f"{name}.opacities"], t[f"{name}.features"], t[f"{name}.background"]) for name in self.modalities
+            Layer(t[f"{name}.opacities"], t[f"{name}.features"], t[f"{name}.background"])
+            for name in self.modalities
         ]
         chosen = reference.rasterize if oracle else rasterize
         return chosen(
-            t["means"], t["quats"], t["scales"], layers, self.viewmat, self.K, self.width, self.height,
+            t["means"], t["quats"], t["scales"], layers, self.viewmat, self.K, self.width,
+            self.height,
             t["means2d_offset"], self.antialiased,
         )  # fmt: skip
 
@@ -123,17 +158,28 @@ class RandomScene:
         images = [image for blend in raster.blends for image in blend]
         given = [cotangent.to(image) for cotangent, image in zip(cotangents, images, strict=True)]
         grads = torch.autograd.grad(images, list(self.tensors.values()), given, allow_unused=True)
-        return {name: grad for name, grad in zip(self.tensors, grads, strict=True) if grad is not None}
+        return {
+            name: grad for name, grad in zip(self.tensors, grads, strict=True) if grad is not None
+        }
 
     @torch.no_grad()
     def undecided(self) -> Tensor:
-        """Pixels where rounding may decide whether a Gaussian counts, bool [H, W]: both results are right there.
+        """Pixels where rounding may decide whether a Gaussian counts, bool [H, W]: both results are
+        right there.
 
-        α near 1/255 or 0.999, or T near 1e-4; the margin of T is wide because 1 − α loses up to three digits.
+        α near 1/255 or 0.999, or T near 1e-4; the margin of T is wide because 1 − α loses up to
+        three digits.
         """
         t = self.tensors
         splats = reference.project(
-            t["means"], t["quats"], t["scales"], self.viewmat, self.K, self.width, self.height, t["means2d_offset"]
+            t["means"],
+            t["quats"],
+            t["scales"],
+            self.viewmat,
+            self.K,
+            self.width,
+            self.height,
+            t["means2d_offset"],
         )
         pixels = reference.pixel_centres(self.width, self.height, t["means"])
         near = [
@@ -151,7 +197,8 @@ class RandomScene:
             alpha = opacities * falloff
             transmittance = reference.transmittances(reference.alphas(opacities, falloff))[:, 1:]
             for values, threshold, margin in (
-                (alpha, ALPHA_MIN, 1e-4), (alpha, ALPHA_MAX, 1e-4), (transmittance, TRANSMITTANCE_MIN, 1e-2),
+                (alpha, ALPHA_MIN, 1e-4), (alpha, ALPHA_MAX, 1e-4), (transmittance,
+                TRANSMITTANCE_MIN, 1e-2),
             ):  # fmt: skip
                 near |= ((values / threshold - 1).abs() < margin).any(dim=1)
         return near
@@ -160,10 +207,12 @@ class RandomScene:
 def random_scene(
     seed: int, count: int, width: int, height: int, antialiased: bool, modalities: tuple[str, ...]
 ) -> RandomScene:
-    """Gaussians of all kinds before a rotated camera with an off-centre principal point; float32 numbers.
+    """Gaussians of all kinds before a rotated camera with an off-centre principal point; float32
+    numbers.
 
-    One in ten lies behind the camera, a third outside the image; from less than a pixel to more than the image, most
-    of a few pixels; opacities from below 1/255 to above 0.999. Depths keep a distance, so that rounding swaps none.
+    One in ten lies behind the camera, a third outside the image; from less than a pixel to more
+    than the image, most of a few pixels; opacities from below 1/255 to above 0.999. Depths keep a
+    distance, so that rounding swaps none.
     """
     rng = torch.Generator().manual_seed(seed)
 
@@ -177,14 +226,18 @@ def random_scene(
     viewmat[:3, 3] = uniform(-2, 2, 3)
     depths = 1 + 5 * (torch.randperm(count, generator=rng) + uniform(0, 0.5, count)) / max(count, 1)
     places = uniform(-0.1, 1.1, count, 2) * size
-    in_camera = torch.cat([(places - centre) / focal, torch.ones(count, 1)], dim=1) * depths[:, None]
+    in_camera = (
+        torch.cat([(places - centre) / focal, torch.ones(count, 1)], dim=1) * depths[:, None]
+    )
     in_camera[::10] *= -1
     extent_px = torch.exp(uniform(-1, 2, count))
     extent_px[3::50] = uniform(0.3, 1.0, len(extent_px[3::50])) * width
     tensors = {
         "means": (in_camera - viewmat[:3, 3]) @ viewmat[:3, :3],
-        "quats": torch.randn(count, 4, generator=rng, dtype=torch.float64) * uniform(0.3, 3, count, 1),
-        "scales": torch.exp(uniform(-0.8, 0.8, count, 3)) * (extent_px * depths / focal[0])[:, None],
+        "quats": torch.randn(count, 4, generator=rng, dtype=torch.float64)
+        * uniform(0.3, 3, count, 1),
+        "scales": torch.exp(uniform(-0.8, 0.8, count, 3))
+        * (extent_px * depths / focal[0])[:, None],
         "means2d_offset": uniform(-0.5, 0.5, count, 2),
     }
     for name, channels in zip(MODALITIES, (3, 1), strict=True):

@@ -1,14 +1,15 @@
 """What watching costs a training: ``python -m benchmarks.live_view``.
 
-The bundled scene is trained again and again, in turns: alone; watched by somebody who moves the camera now and then;
-and by somebody who never stops dragging it. The onlooker is a process of its own that speaks viser's protocol as a
-browser does, but throws every picture away: a browser's drawing is the browser's cost, and may happen elsewhere.
+The bundled scene is trained again and again, in turns: alone; watched by somebody who moves the
+camera now and then; and by somebody who never stops dragging it. The onlooker is a process of its
+own that speaks viser's protocol as a browser does, but throws every picture away: a browser's
+drawing is the browser's cost, and may happen elsewhere.
 
-The trainings of a round are compared by the clock and by the processor time of the process (a picture is drawn with
-all cores, most of a step is not: so it takes a larger share of the processor time than of the time). What else runs on
-the machine blurs both. So the viewer's cost is also taken directly, within the watched training: how long it stood
-still for the viewer, and the processor time of the viewer's own threads (web server, painting), for which no core may
-be free.
+The trainings of a round are compared by the clock and by the processor time of the process (a
+picture is drawn with all cores, most of a step is not: so it takes a larger share of the processor
+time than of the time). What else runs on the machine blurs both. So the viewer's cost is also taken
+directly, within the watched training: how long it stood still for the viewer, and the processor
+time of the viewer's own threads (web server, painting), for which no core may be free.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ import websockets
 import zstandard
 
 from mrgs import load_scene, make_config, train
-from mrgs.evaluation.paths import focus_point, orbit
+from mrgs.scene.camera_paths import focus_point, orbit
 from mrgs.training import StepStatistics
 from mrgs.viewer import LiveView
 from mrgs.viewer.cameras import rotation_wxyz, vertical_fov
@@ -76,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=300)
     options = parser.parse_args(arguments)
     ours, theirs = multiprocessing.get_context("spawn").Pipe()
-    onlooker = multiprocessing.get_context("spawn").Process(target=look_on, args=(theirs,), daemon=True)
+    onlooker = multiprocessing.get_context("spawn").Process(
+        target=look_on, args=(theirs,), daemon=True
+    )
     onlooker.start()
     kinds = [ALONE, *PAUSES_S]
     for kind in kinds:  # loads the compiled kernels
@@ -85,7 +88,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for number in range(options.rounds):
         for kind in kinds:
             turns[kind].append(train_once(kind, options.steps, ours))
-            print(f"{number + 1}/{options.rounds} {kind}: {turns[kind][-1]}", file=sys.stderr, flush=True)
+            print(
+                f"{number + 1}/{options.rounds} {kind}: {turns[kind][-1]}",
+                file=sys.stderr,
+                flush=True,
+            )
     ours.send(None)
     onlooker.join()
     print(to_markdown(turns))
@@ -101,7 +108,9 @@ def train_once(kind: str, steps: int, onlooker: Connection) -> Turn:
         run = Path(folder) / "run"
         live = None
         if kind != ALONE:
-            live = stack.enter_context(LiveView(run, port=0, on_ready=lambda url: onlooker.send((url, PAUSES_S[kind]))))
+            live = stack.enter_context(
+                LiveView(run, port=0, on_ready=lambda url: onlooker.send((url, PAUSES_S[kind])))
+            )
 
         def on_step(statistics: StepStatistics) -> None:
             starts_s.append(time.perf_counter())
@@ -114,21 +123,36 @@ def train_once(kind: str, steps: int, onlooker: Connection) -> Turn:
         train(SCENE, run, make_config("mrgs", "fast", max_steps=steps), on_step=on_step, **hooks)
         beside_s = _processor_time_of_other_threads()
     pictures = 0 if live is None else onlooker.recv()
-    return Turn(starts_s[-1] - starts_s[0], process_s[-1] - process_s[0], sum(halts_s[:-1]), beside_s, pictures)
+    return Turn(
+        starts_s[-1] - starts_s[0],
+        process_s[-1] - process_s[0],
+        sum(halts_s[:-1]),
+        beside_s,
+        pictures,
+    )
 
 
 def _processor_time_of_other_threads() -> float:
     """Of Python's threads alone: those of the kernels are none."""
-    others = [thread.ident for thread in threading.enumerate() if thread is not threading.current_thread()]
-    return sum(time.clock_gettime(time.pthread_getcpuclockid(ident)) for ident in others if ident is not None)
+    others = [
+        thread.ident for thread in threading.enumerate() if thread is not threading.current_thread()
+    ]
+    return sum(
+        time.clock_gettime(time.pthread_getcpuclockid(ident))
+        for ident in others
+        if ident is not None
+    )
 
 
 def to_markdown(turns: dict[str, list[Turn]]) -> str:
-    """Medians over the rounds with their ranges, in percent; the first two beside the unwatched training of a round."""
+    """Medians over the rounds with their ranges, in percent; the first two beside the unwatched
+    training of a round."""
     header = ("", "wall", "processor time", "stood still", "other threads", "both", "pictures")
     lines = [f"| {' | '.join(header)} |", "|" + "---|" * len(header)]
     alone = turns[ALONE]
-    wall_s, process_s = (statistics.median(getattr(t, name) for t in alone) for name in ("wall_s", "process_s"))
+    wall_s, process_s = (
+        statistics.median(getattr(t, name) for t in alone) for name in ("wall_s", "process_s")
+    )
     lines.append(f"| {ALONE} | {wall_s:.1f} s | {process_s:.1f} s | | | | |")
     for kind in PAUSES_S:
         rows = [_percentages(own, other) for own, other in zip(turns[kind], alone, strict=True)]
@@ -142,7 +166,8 @@ def to_markdown(turns: dict[str, list[Turn]]) -> str:
 
 
 def _percentages(watched: Turn, alone: Turn) -> tuple[float, ...]:
-    """How much longer, and how much more processor time, than alone; then what adds to the training's own time."""
+    """How much longer, and how much more processor time, than alone; then what adds to the
+    training's own time."""
     own_s = watched.wall_s - watched.halted_s
     return (
         100 * (watched.wall_s / alone.wall_s - 1),
@@ -154,7 +179,8 @@ def _percentages(watched: Turn, alone: Turn) -> tuple[float, ...]:
 
 
 def look_on(orders: Connection) -> None:
-    """The onlooker's process: watch each address that is sent, and send back how many pictures came."""
+    """The onlooker's process: watch each address that is sent, and send back how many pictures
+    came."""
     cameras = camera_messages()
     while (order := orders.recv()) is not None:
         orders.send(asyncio.run(watch(*order, cameras)))
@@ -165,7 +191,8 @@ def camera_messages() -> list[bytes]:
     cameras = load_scene(SCENE).train_cameras
     width, height = WINDOW_PX
     shared = {
-        "type": "ViewerCameraMessage", "near": 0.01, "far": 1000.0, "image_width": width, "image_height": height,
+        "type": "ViewerCameraMessage", "near": 0.01, "far": 1000.0, "image_width": width,
+        "image_height": height,
         "look_at": focus_point(cameras).tolist(), "up_direction": [0.0, 0.0, 1.0],
     }  # fmt: skip
     return [
@@ -184,8 +211,13 @@ def camera_messages() -> list[bytes]:
 async def watch(url: str, pause_s: float, cameras: Sequence[bytes]) -> int:
     """Be a browser until the server goes; returns the number of pictures that it sent."""
     pictures = 0
-    address, protocol = url.replace("http", "ws", 1), websockets.Subprotocol(f"viser-v{viser.__version__}")
-    async with websockets.connect(address, subprotocols=[protocol], compression=None, max_size=None) as socket:
+    address, protocol = (
+        url.replace("http", "ws", 1),
+        websockets.Subprotocol(f"viser-v{viser.__version__}"),
+    )
+    async with websockets.connect(
+        address, subprotocols=[protocol], compression=None, max_size=None
+    ) as socket:
         moving = asyncio.create_task(_move(socket, pause_s, cameras))
         with suppress(websockets.ConnectionClosed):
             while True:
@@ -203,7 +235,8 @@ async def _move(socket: Any, pause_s: float, cameras: Sequence[bytes]) -> None:
 
 
 def _is_picture(message: bytes) -> bool:
-    """Whether a message has a picture: 8 bytes length, 8 bytes length packed, packed descriptions, then the arrays."""
+    """Whether a message has a picture: 8 bytes length, 8 bytes length packed, packed descriptions,
+    then the arrays."""
     packed = message[16 : 16 + int.from_bytes(message[8:16], "little")]
     return b"BackgroundImageMessage" in zstandard.decompress(packed)
 

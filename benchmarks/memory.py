@@ -17,7 +17,8 @@ def resident_bytes() -> int:
 
 
 def peak_bytes() -> int:
-    """Largest resident memory since ``reset_peak``; where that cannot be had, since the process began."""
+    """Largest resident memory since ``reset_peak``; where that cannot be had, since the process
+    began."""
     return _from_status("VmHWM") or peak_memory_bytes()
 
 

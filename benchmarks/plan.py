@@ -1,4 +1,5 @@
-"""What is measured: groups of stages, and the numbers of Gaussians and image sizes they are measured at."""
+"""What is measured: groups of stages, and the numbers of Gaussians and image sizes they are
+measured at."""
 
 from __future__ import annotations
 
@@ -35,7 +36,9 @@ class Case:
     def size(self) -> tuple[int, int, int]:
         """N, width and height of a case whose cost depends on all three."""
         if self.gaussians is None or self.width is None or self.height is None:
-            raise ValueError(f"the group {self.group} does not depend on both the Gaussians and the image")
+            raise ValueError(
+                f"the group {self.group} does not depend on both the Gaussians and the image"
+            )
         return self.gaussians, self.width, self.height
 
 
@@ -46,7 +49,8 @@ class Group:
     Attributes:
         name: as ``--only`` takes it.
         title: as the report prints it.
-        prepare: ``module:function`` that makes the ``Timing``s of a case; the parent process never imports it.
+        prepare: ``module:function`` that makes the ``Timing``s of a case; the parent process never
+            imports it.
         fixed: the only (N, size) the group is measured at; empty for all that its dependences span.
         by_gaussians: whether the cost depends on N.
         by_pixels: whether it depends on the image's size.
@@ -74,8 +78,13 @@ class Group:
         return Case(self.name, gaussians if self.by_gaussians else None, width, height)
 
 
-AVX2_ONLY = {"ATEN_CPU_CAPABILITY": "avx2", "ONEDNN_MAX_CPU_ISA": "AVX2", "MKL_ENABLE_INSTRUCTIONS": "AVX2"}
-"""Keeps torch from vectors wider than those of the rasterizer's kernels; the kernels do not read these."""
+AVX2_ONLY = {
+    "ATEN_CPU_CAPABILITY": "avx2",
+    "ONEDNN_MAX_CPU_ISA": "AVX2",
+    "MKL_ENABLE_INSTRUCTIONS": "AVX2",
+}
+"""Keeps torch from vectors wider than those of the rasterizer's kernels; the kernels do not read
+these."""
 
 _STAGES = "benchmarks.stages"
 _PROTOTYPE_CASES = ((50_000, (320, 240)), (50_000, (640, 480)), (200_000, (640, 480)))
@@ -86,8 +95,14 @@ GROUPS = {
     group.name: group
     for group in (
         Group("rasterizer", "Rasterizer, both modalities", f"{_STAGES}.rasterizer:stages"),
-        Group("render", "Rendering only, temperatures computed beforehand", f"{_STAGES}.training:rendering"),
-        Group("losses", "Losses, forward and backward", f"{_STAGES}.losses:stages", by_gaussians=False),
+        Group(
+            "render",
+            "Rendering only, temperatures computed beforehand",
+            f"{_STAGES}.training:rendering",
+        ),
+        Group(
+            "losses", "Losses, forward and backward", f"{_STAGES}.losses:stages", by_gaussians=False
+        ),
         Group(
             "heads",
             "Heads of the paper preset, forward and backward, all rows",
@@ -95,11 +110,19 @@ GROUPS = {
             by_pixels=False,
         ),
         Group("neighbours", "Neighbours", f"{_STAGES}.heads:neighbours", by_pixels=False),
-        Group("densification", "Densification event", f"{_STAGES}.training:densification", by_pixels=False),
+        Group(
+            "densification",
+            "Densification event",
+            f"{_STAGES}.training:densification",
+            by_pixels=False,
+        ),
         Group("adam", "Adam over the Gaussians", f"{_STAGES}.training:adam", by_pixels=False),
         Group("mrgs", "Whole step, MrGS", f"{_STAGES}.training:mrgs_step"),
         Group(
-            "mrgs-paper", "Whole step, MrGS, heads of the paper preset", f"{_STAGES}.training:paper_step", _PAPER_CASES
+            "mrgs-paper",
+            "Whole step, MrGS, heads of the paper preset",
+            f"{_STAGES}.training:paper_step",
+            _PAPER_CASES,
         ),
         Group("3dgs-rgbt", "Whole step, 3DGS_RGB-T", f"{_STAGES}.training:baseline_step"),
         Group("prototype", "Known workloads", f"{_STAGES}.prototype:stages", _PROTOTYPE_CASES),

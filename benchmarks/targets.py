@@ -32,7 +32,11 @@ class Target:
     def value(self, cases: Sequence[dict[str, Any]]) -> float | None:
         """The measured figure, in the limit's unit; None if the run does not hold it."""
         for case in cases:
-            if (case["group"], case["gaussians"], case["width"]) == (self.group, self.gaussians, self.width):
+            if (case["group"], case["gaussians"], case["width"]) == (
+                self.group,
+                self.gaussians,
+                self.width,
+            ):
                 if self.timing is None:
                     return case["peak_bytes"] / 1e9 if "peak_bytes" in case else None
                 summary = case.get("timings", {}).get(self.timing)
@@ -41,13 +45,15 @@ class Target:
 
 
 TARGETS = (
-    Target("L1 + D-SSIM of 4 channels, 640×480", "losses", None, 640, "L1 + D-SSIM, 4 channels", 20.0),
+    Target("L1 + D-SSIM of 4 channels, "
+           "640×480", "losses", None, 640, "L1 + D-SSIM, 4 channels", 20.0),
     Target("MrGS step, 50,000 Gaussians, 320×240", "mrgs", 50_000, 320, "step", MS_PER_S / 8),
     Target("MrGS step, 50,000 Gaussians, 640×480", "mrgs", 50_000, 640, "step", MS_PER_S / 5),
     Target(
         "densification event, 50,000 Gaussians",
         "densification", 50_000, None, "rows moved and neighbours searched", 400.0,
     ),
-    Target("rendering only, 50,000 Gaussians, 640×480", "render", 50_000, 640, "render", MS_PER_S / 30),
+    Target("rendering only, 50,000 Gaussians, "
+           "640×480", "render", 50_000, 640, "render", MS_PER_S / 30),
     Target("peak memory of MrGS, 200,000 Gaussians, 640×480", "mrgs", 200_000, 640, None, 2.0),
 )  # fmt: skip

@@ -1,4 +1,5 @@
-"""Interleaved timing: every stage of a case once per round, the calibration kernel in each round too."""
+"""Interleaved timing: every stage of a case once per round, the calibration kernel in each round
+too."""
 
 from __future__ import annotations
 
@@ -49,7 +50,8 @@ class SkippedError(Exception):
 
 @dataclass(frozen=True)
 class Summary:
-    """Milliseconds of the runs of a stage: median, quartiles, least; and how many runs there were."""
+    """Milliseconds of the runs of a stage: median, quartiles, least; and how many runs there
+    were."""
 
     median_ms: float
     q1_ms: float

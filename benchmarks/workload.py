@@ -1,7 +1,8 @@
-"""The scene of all measurements: a wall of thin Gaussians with clutter before it, seen by one camera.
+"""The scene of all measurements: a wall of thin Gaussians with clutter before it, seen by one
+camera.
 
-Gaussians shrink as their number grows, as they do in training: each covers about as many pixels of the wall as the
-others, and the wall is always closed.
+Gaussians shrink as their number grows, as they do in training: each covers about as many pixels of
+the wall as the others, and the wall is always closed.
 """
 
 from __future__ import annotations
@@ -14,16 +15,16 @@ from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
+from mrgs.method.camera_model.exposure import Look
+from mrgs.method.camera_model.image_model import Capture
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.losses.terms import Photos, SceneScale
 from mrgs.rasterizer import Layer
 from mrgs.render import Model
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, TemperatureRange, View
 from mrgs.training.checkpoint import make_state
-from mrgs.training.config import TrainConfig
-from mrgs.training.exposure import Look
-from mrgs.training.image_model import Capture
-from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.step import TrainingState
-from mrgs.training.terms import Photos, SceneScale
 
 FIELD_OF_VIEW = math.radians(60)
 
@@ -36,11 +37,13 @@ LOOK = Look((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 CAPTURE = Capture((LOOK,), (LOOK,), None, EXTENT, has_celsius=True)
 
 STEP_IN_FORCE = 20_000
-"""Steps are measured after this one: all degrees of the harmonics in use, the neighbours not searched anew."""
+"""Steps are measured after this one: all degrees of the harmonics in use, the neighbours not
+searched anew."""
 
 
 def room(count: int, seed: int = 0) -> dict[str, Tensor]:
-    """Half the Gaussians on a wall 6 m away, half as clutter before it; positions and sizes in metres."""
+    """Half the Gaussians on a wall 6 m away, half as clutter before it; positions and sizes in
+    metres."""
     generator = torch.Generator().manual_seed(seed)
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
@@ -53,14 +56,21 @@ def room(count: int, seed: int = 0) -> dict[str, Tensor]:
     clutter = count - wall
     means = torch.cat(
         [
-            torch.stack([uniform(-4, 4, wall), uniform(-3, 3, wall), 6 + 0.05 * normal(wall)], dim=1),
-            torch.stack([1.2 * normal(clutter), 0.9 * normal(clutter), uniform(2, 5.5, clutter)], dim=1),
+            torch.stack(
+                [uniform(-4, 4, wall), uniform(-3, 3, wall), 6 + 0.05 * normal(wall)], dim=1
+            ),
+            torch.stack(
+                [1.2 * normal(clutter), 0.9 * normal(clutter), uniform(2, 5.5, clutter)], dim=1
+            ),
         ]
     )
     return {
         "means": means,
         "quats": normal(count, 4),
-        "scales": 6 / count**0.5 * torch.exp(0.5 * normal(count, 3)) * torch.tensor([1.0, 1.0, 0.3]),
+        "scales": 6
+        / count**0.5
+        * torch.exp(0.5 * normal(count, 3))
+        * torch.tensor([1.0, 1.0, 0.3]),
         "opacity_rgb": uniform(0.05, 0.95, count),
         "opacity_thermal": uniform(0.05, 0.95, count),
         "colors": torch.rand(count, 3, generator=generator),
@@ -79,7 +89,9 @@ def layers_of(scene: dict[str, Tensor]) -> list[Layer]:
 def camera(width: int, height: int) -> Camera:
     """At the origin, looking along +z."""
     focal = 0.5 * width / math.tan(FIELD_OF_VIEW / 2)
-    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+    K = torch.tensor(
+        [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64
+    )
     return Camera(K, torch.eye(4, dtype=torch.float64), width, height)
 
 

@@ -1,4 +1,5 @@
-"""What holds for every test: quiet threads, checked shapes, a device; and small scenes with known contents."""
+"""What holds for every test: quiet threads, checked shapes, a device; and small scenes with known
+contents."""
 
 from __future__ import annotations
 
@@ -12,7 +13,9 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded: spinning threads starve each other
+os.environ.setdefault(
+    "OMP_WAIT_POLICY", "PASSIVE"
+)  # before torch is loaded: spinning threads starve each other
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nor do small matrices gain by threads
 
 import numpy as np
@@ -26,7 +29,9 @@ if TYPE_CHECKING:
     from mrgs.scene import Pixels
 
 if not torch.cuda.is_available():
-    os.environ.setdefault("TRITON_INTERPRET", "1")  # before Triton is loaded: its kernels then run on CPU tensors
+    os.environ.setdefault(
+        "TRITON_INTERPRET", "1"
+    )  # before Triton is loaded: its kernels then run on CPU tensors
 
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
 UNCHECKED = (
@@ -34,28 +39,31 @@ UNCHECKED = (
     "mrgs.rasterizer.gpu",
     "mrgs.field.cpu",
     "mrgs.field.gpu",
-    "mrgs.training.cpu",
-    "mrgs.training.gpu",
-    "mrgs.thermonerf.cpu",
-    "mrgs.terminal",
-    "mrgs.cli",
-    "mrgs.commands",
+    "mrgs.method.cpu",
+    "mrgs.method.gpu",
+    "mrgs.baselines.thermonerf.cpu",
+    "mrgs.app.terminal",
+    "mrgs.app.cli",
+    "mrgs.app.commands",
 )
-"""The hook's decorators break Numba's cache and Triton's reading of a kernel's source; cli imports what it annotates
-only when it is needed."""
+"""The hook's decorators break Numba's cache and Triton's reading of a kernel's source; cli imports
+what it annotates only when it is needed."""
 
 
 def _checked_modules() -> list[str]:
-    """Every module but the unchecked; never a package, because the hook takes all that is below it."""
+    """Every module but the unchecked; never a package, because the hook takes all that is below
+    it."""
     paths = [path.relative_to(SOURCE.parent).with_suffix("") for path in SOURCE.rglob("*.py")]
     names = [".".join(path.parts) for path in paths if path.name != "__init__"]
     return [name for name in sorted(names) if not name.startswith(UNCHECKED)]
 
 
-# Shapes and types stand in the signatures and are checked in the tests alone, if beartype is there: a machine lent for
-# its GPU may lack it. An int counts as a float (PEP 484).
+# Shapes and types stand in the signatures and are checked in the tests alone, if beartype is there:
+# a machine lent for its GPU may lack it. An int counts as a float (PEP 484).
 if importlib.util.find_spec("beartype") is not None:
-    install_import_hook(_checked_modules(), "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+    install_import_hook(
+        _checked_modules(), "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
+    )
 
 # The same examples on every machine, and no verdict from how busy it is.
 settings.register_profile("mrgs", deadline=None, derandomize=True)
@@ -74,7 +82,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True, scope="session")
 def auto_is_the_cpu() -> Iterator[None]:
     """With a GPU, too, a test runs on the CPU unless it says otherwise: many compare bits."""
-    from mrgs import gpu
+    from mrgs.system import gpu
 
     choose = gpu.choose_device
     with pytest.MonkeyPatch.context() as patch:
@@ -84,12 +92,13 @@ def auto_is_the_cpu() -> Iterator[None]:
 
 @pytest.fixture
 def gpu_device() -> Iterator[str]:
-    """Where the Triton kernels run: "cuda"; or, without a CUDA device, "cpu", where they are interpreted."""
+    """Where the Triton kernels run: "cuda"; or, without a CUDA device, "cpu", where they are
+    interpreted."""
     pytest.importorskip("triton")
     if torch.cuda.is_available():
         yield "cuda"
         return
-    from mrgs import gpu
+    from mrgs.system import gpu
 
     with gpu.interpreted():
         yield "cpu"
@@ -97,11 +106,13 @@ def gpu_device() -> Iterator[str]:
 
 @contextmanager
 def sync_debug_mode(mode: str) -> Iterator[None]:
-    """torch tells of what makes the host wait for the GPU: "warn" or "error". Its notice that it may miss some is not
-    an error."""
+    """torch tells of what makes the host wait for the GPU: "warn" or "error". Its notice that it
+    may miss some is not an error."""
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype feature", UserWarning)
+            warnings.filterwarnings(
+                "ignore", "Synchronization debug mode is a prototype feature", UserWarning
+            )
             torch.cuda.set_sync_debug_mode(mode)
         yield
     finally:
@@ -115,7 +126,8 @@ def telling_of_waits() -> Callable[[str], AbstractContextManager[None]]:
 
 
 class CountingImage:
-    """A float image of 4×5×1 (80 bytes), with a mask of 20 bytes if asked for, which counts how often it is read."""
+    """A float image of 4×5×1 (80 bytes), with a mask of 20 bytes if asked for, which counts how
+    often it is read."""
 
     def __init__(self, masked: bool = False) -> None:
         from mrgs.scene import Camera, PosedImage
@@ -154,9 +166,14 @@ def orbit(angle: float) -> np.ndarray:
 
 
 def blobs() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres [N, 3], colours [N, 3] and normalised temperatures [N] of soft balls about the origin."""
+    """Centres [N, 3], colours [N, 3] and normalised temperatures [N] of soft balls about the
+    origin."""
     rng = np.random.default_rng(5)
-    return rng.uniform(-0.6, 0.6, (25, 3)), rng.uniform(0.2, 1.0, (25, 3)), rng.uniform(0.2, 1.0, 25)
+    return (
+        rng.uniform(-0.6, 0.6, (25, 3)),
+        rng.uniform(0.2, 1.0, (25, 3)),
+        rng.uniform(0.2, 1.0, 25),
+    )
 
 
 def picture(pose: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -175,8 +192,11 @@ def picture(pose: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.rint(255 * image).astype(np.uint8)
 
 
-def write_scene(root: Path, rgb: bool = True, thermal: bool = True, two_cameras: bool = False) -> Path:
-    """A ThermoScenes folder: six views for training and two held out, 25 start points near the balls."""
+def write_scene(
+    root: Path, rgb: bool = True, thermal: bool = True, two_cameras: bool = False
+) -> Path:
+    """A ThermoScenes folder: six views for training and two held out, 25 start points near the
+    balls."""
     _, colors, temperatures = blobs()
     frames = []
     for index in range(8):
@@ -186,7 +206,12 @@ def write_scene(root: Path, rgb: bool = True, thermal: bool = True, two_cameras:
         frame = {"transform_matrix": pose.tolist()}
         for here, key, folder, content in (
             (rgb, "file_path", "images", picture(pose, colors)),
-            (thermal, "thermal_file_path", "thermal", picture(thermal_pose, temperatures[:, None])[..., 0]),
+            (
+                thermal,
+                "thermal_file_path",
+                "thermal",
+                picture(thermal_pose, temperatures[:, None])[..., 0],
+            ),
         ):
             if here:
                 frame[key] = f"{folder}/{name}"
@@ -195,8 +220,17 @@ def write_scene(root: Path, rgb: bool = True, thermal: bool = True, two_cameras:
         if two_cameras:
             frame["thermal_transform_matrix"] = thermal_pose.tolist()
         frames.append(frame)
-    lens = {"fl_x": WIDTH, "fl_y": WIDTH, "cx": WIDTH / 2, "cy": HEIGHT / 2, "w": WIDTH, "h": HEIGHT}
-    (root / "transforms.json").write_text(json.dumps({"camera_model": "PINHOLE", **lens, "frames": frames}))
+    lens = {
+        "fl_x": WIDTH,
+        "fl_y": WIDTH,
+        "cx": WIDTH / 2,
+        "cy": HEIGHT / 2,
+        "w": WIDTH,
+        "h": HEIGHT,
+    }
+    (root / "transforms.json").write_text(
+        json.dumps({"camera_model": "PINHOLE", **lens, "frames": frames})
+    )
     bounds = {"absolute_min_temperature": MIN_C, "absolute_max_temperature": MAX_C}
     (root / "temperature_bounds.json").write_text(json.dumps(bounds))
     _write_points(root / "sparse_pc.ply")
@@ -225,5 +259,6 @@ def small_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def make_scene(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a scene of its own into the test's folder: ``make_scene(rgb=..., thermal=..., two_cameras=...)``."""
+    """Writes a scene of its own into the test's folder: ``make_scene(rgb=..., thermal=...,
+    two_cameras=...)``."""
     return lambda **options: write_scene(tmp_path / "scene", **options)

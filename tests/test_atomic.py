@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.atomic import replacing
 from mrgs.errors import RunError
+from mrgs.system.atomic import replacing
 
 
 def test_a_whole_file_appears_in_a_new_folder(tmp_path: Path) -> None:
@@ -36,5 +36,8 @@ def test_an_error_keeps_the_old_file_and_leaves_nothing_behind(tmp_path: Path) -
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file, not a folder")
     path = tmp_path / "taken" / "file.txt"
-    with pytest.raises(RunError, match=r"file\.txt cannot be written"), replacing(path) as temporary:
+    with (
+        pytest.raises(RunError, match=r"file\.txt cannot be written"),
+        replacing(path) as temporary,
+    ):
         temporary.write_text("x")

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.baked import bake
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.render import Model, render
+from mrgs.runs.baked import bake
 from mrgs.scene import Camera, Gaussians, TemperatureRange
 
 COUNT = 80
@@ -72,7 +72,10 @@ def test_the_colour_residual_counts():
     with torch.no_grad():
         expected = render(model, CAMERAS[5], None)[0].rgb
     baked = bake(model, CAMERAS, None)
-    assert psnr(baked.render(CAMERAS[5]).rgb, expected) > psnr(plain.render(CAMERAS[5]).rgb, expected) + 10
+    assert (
+        psnr(baked.render(CAMERAS[5]).rgb, expected)
+        > psnr(plain.render(CAMERAS[5]).rgb, expected) + 10
+    )
 
 
 def test_spherical_harmonics_alone_are_kept_as_they_are():
@@ -83,8 +86,12 @@ def test_spherical_harmonics_alone_are_kept_as_they_are():
 @pytest.mark.parametrize("residuals", [True, False])
 def test_what_of_the_temperatures_depends_on_the_view_is_left_out(residuals):
     model = make_model(bands=15, residuals=residuals)
-    flat = replace(model, gaussians=replace(model.gaussians, temperature_rest=torch.zeros(COUNT, 0, 1)))
-    torch.testing.assert_close(bake(model, CAMERAS, None).temperatures, bake(flat, CAMERAS, None).temperatures)
+    flat = replace(
+        model, gaussians=replace(model.gaussians, temperature_rest=torch.zeros(COUNT, 0, 1))
+    )
+    torch.testing.assert_close(
+        bake(model, CAMERAS, None).temperatures, bake(flat, CAMERAS, None).temperatures
+    )
 
 
 def test_temperatures_are_celsius_where_the_scale_is_known():

@@ -20,8 +20,8 @@ from filelock import FileLock
 from PIL import Image
 from safetensors.torch import save_file
 
-from mrgs import commands, terminal
-from mrgs.cli import main
+from mrgs.app import commands, terminal
+from mrgs.app.cli import main
 from mrgs.training import StepStatistics
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")
@@ -82,11 +82,16 @@ def set_pose(entry: float) -> Damage:
 
 
 def hold_everything_out(content: dict) -> None:
-    content.update(train_filenames=[], val_filenames=[frame["file_path"] for frame in content["frames"]])
+    content.update(
+        train_filenames=[], val_filenames=[frame["file_path"] for frame in content["frames"]]
+    )
 
 
 BAD_SCENES: dict[str, tuple[Damage, str]] = {
-    "folder missing": (shutil.rmtree, r"scene: is not a folder; give the folder that holds the scene"),
+    "folder missing": (
+        shutil.rmtree,
+        r"scene: is not a folder; give the folder that holds the scene",
+    ),
     "transforms missing": (
         lambda scene: (scene / "transforms.json").unlink(),
         r"scene: no scene found; looked for transforms\.json.*give the folder that holds one",
@@ -95,16 +100,24 @@ BAD_SCENES: dict[str, tuple[Damage, str]] = {
         lambda scene: (scene / "transforms.json").write_text("{"),
         r"transforms\.json: is not valid JSON.*repair or export it again",
     ),
-    "no frames": (transforms(lambda content: content.update(frames=[])), r"\"frames\" is \[\].*export the file again"),
+    "no frames": (
+        transforms(lambda content: content.update(frames=[])),
+        r"\"frames\" is \[\].*export the file again",
+    ),
     "image missing": (
         lambda scene: (scene / "images" / TRAINED).unlink(),
-        rf"transforms\.json: the image 'images/{TRAINED}' of frame 3 is missing; restore it or remove the frame",
+        rf"transforms\.json: the image 'images/{TRAINED}' of frame 3 is missing; restore it or "
+        rf"remove the frame",
     ),
-    "image truncated": (cut_off(f"images/{TRAINED}"), rf"{TRAINED}: cannot be decoded.*truncated.*replace the file"),
+    "image truncated": (
+        cut_off(f"images/{TRAINED}"),
+        rf"{TRAINED}: cannot be decoded.*truncated.*replace the file",
+    ),
     "thermal truncated": (cut_off(f"thermal/{TRAINED}"), rf"thermal/{TRAINED}: cannot be decoded"),
     "image of another size": (
         lambda scene: Image.new("RGB", (20, 10)).save(scene / "images" / TRAINED),
-        rf"{TRAINED}: is 20×10 px, but its intrinsics are for 40×30 px; resize the image or correct the intrinsics",
+        rf"{TRAINED}: is 20×10 px, but its intrinsics are for 40×30 px; resize the image or "
+        rf"correct the intrinsics",
     ),
     "large image": (
         lambda scene: Image.new("1", (10_000, 9_500)).save(scene / "images" / TRAINED),
@@ -118,7 +131,10 @@ BAD_SCENES: dict[str, tuple[Damage, str]] = {
         set_pose(float("nan")),
         r"transforms\.json: transform_matrix of frame 1 .*NaN.*correct it or remove the frame",
     ),
-    "scaled pose": (set_pose(3.0), r"transform_matrix of frame 1 .* is not a rotation and a translation"),
+    "scaled pose": (
+        set_pose(3.0),
+        r"transform_matrix of frame 1 .* is not a rotation and a translation",
+    ),
     "zero focal length": (
         transforms(lambda content: content.update(fl_x=0)),
         r"transforms\.json: the focal length of frame 0 .*must be positive: correct it",
@@ -136,14 +152,22 @@ BAD_SCENES: dict[str, tuple[Damage, str]] = {
         r"the path '/etc/secret\.png' leaves the scene folder",
     ),
     "one temperature": (
-        lambda scene: edit_json(scene / "temperature_bounds.json", lambda c: c.update(absolute_min_temperature=30)),
-        r"temperature_bounds\.json: not a temperature range in °C: 30\.0 to 30\.0; correct the temperatures",
+        lambda scene: edit_json(
+            scene / "temperature_bounds.json", lambda c: c.update(absolute_min_temperature=30)
+        ),
+        r"temperature_bounds\.json: not a temperature range in °C: 30\.0 to 30\.0; correct the "
+        r"temperatures",
     ),
-    "start points damaged": (lambda scene: (scene / "sparse_pc.ply").write_text("ply\n"), r"sparse_pc\.ply: .*export"),
+    "start points damaged": (
+        lambda scene: (scene / "sparse_pc.ply").write_text("ply\n"),
+        r"sparse_pc\.ply: .*export",
+    ),
 }
 
 
-@pytest.mark.filterwarnings("default")  # as at the terminal, where another library's warning would be a second line
+@pytest.mark.filterwarnings(
+    "default"
+)  # as at the terminal, where another library's warning would be a second line
 @pytest.mark.parametrize(("damage", "message"), BAD_SCENES.values(), ids=BAD_SCENES)
 def test_a_bad_scene_is_one_line_and_leaves_nothing(damage, message, make_scene, tmp_path, capsys):
     scene = make_scene()
@@ -171,11 +195,16 @@ def test_what_stood_in_the_output_folder_stays(make_scene, tmp_path, capsys):
         (("--resolution", 3), "resolution must be at least 16 px, not 3"),
         (("--seed", -1), "the seed must be from 0 to 4,294,967,295, not -1"),
         (("--seed", 2**70), "the seed must be from 0 to"),
-        (("--config", "nowhere.yaml"), r"nowhere\.yaml cannot be read \(No such file or directory\): name a text file"),
+        (
+            ("--config", "nowhere.yaml"),
+            r"nowhere\.yaml cannot be read \(No such file or directory\): name a text file",
+        ),
         (("--config", "/"), r"/ cannot be read \(Is a directory\)"),
     ],
 )
-def test_a_bad_option_is_one_line_and_leaves_nothing(options, message, small_scene, tmp_path, capsys):
+def test_a_bad_option_is_one_line_and_leaves_nothing(
+    options, message, small_scene, tmp_path, capsys
+):
     refused(capsys, message, "train", small_scene, "--output", tmp_path / "run", *options)
     assert not (tmp_path / "run").exists()
 
@@ -203,11 +232,17 @@ def test_without_bounds_it_trains_without_celsius_and_says_so(make_scene, tmp_pa
     (scene / "temperature_bounds.json").unlink()
     assert run("train", scene, "--output", output, *TINY) == 0
     printed = capsys.readouterr()
-    assert "There is no temperature_bounds.json: thermal values are relative, and °C are not known." in printed.err
+    assert (
+        "There is no temperature_bounds.json: thermal values are relative, and °C are not known."
+        in printed.err
+    )
     assert "(no °C)" in printed.out
     assert run("eval", output) == 0
     assert "°C" not in capsys.readouterr().out
-    assert json.loads((output / "eval" / "metrics.json").read_text())["mean"]["thermal"]["mae_c"] is None
+    assert (
+        json.loads((output / "eval" / "metrics.json").read_text())["mean"]["thermal"]["mae_c"]
+        is None
+    )
     assert run("render", output) == 0
     assert (output / "renders" / "eval" / "thermal_normalised" / "frame_eval_00002.tiff").is_file()
     assert not (output / "renders" / "eval" / "temperature_c").exists()
@@ -247,8 +282,14 @@ def cut_checkpoint(folder: Path) -> None:
 
 
 BAD_RUNS: dict[str, tuple[Damage, str]] = {
-    "missing": (shutil.rmtree, r"own run is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote"),
-    "no configuration": (lambda folder: (folder / "config.yaml").unlink(), r"is not a run: it has no config\.yaml"),
+    "missing": (
+        shutil.rmtree,
+        r"own run is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote",
+    ),
+    "no configuration": (
+        lambda folder: (folder / "config.yaml").unlink(),
+        r"is not a run: it has no config\.yaml",
+    ),
     "not YAML": (
         lambda folder: (folder / "config.yaml").write_text("max_steps: [1"),
         r"config\.yaml is not valid YAML.*mend the file or train anew",
@@ -257,9 +298,18 @@ BAD_RUNS: dict[str, tuple[Damage, str]] = {
         lambda folder: (folder / "config.yaml").write_text("max_steps: 0"),
         r"config\.yaml: max_steps must be at least 1, not 0; mend the file or train anew",
     ),
-    "no text": (lambda folder: (folder / "config.yaml").write_bytes(b"\xff\xfe\0"), r"its config\.yaml cannot be read"),
-    "no checkpoint": (lambda folder: shutil.rmtree(folder / "checkpoints"), "own run has no checkpoint yet"),
-    "checkpoint truncated": (cut_checkpoint, r"step_000003\.safetensors is not a whole checkpoint: delete it"),
+    "no text": (
+        lambda folder: (folder / "config.yaml").write_bytes(b"\xff\xfe\0"),
+        r"its config\.yaml cannot be read",
+    ),
+    "no checkpoint": (
+        lambda folder: shutil.rmtree(folder / "checkpoints"),
+        "own run has no checkpoint yet",
+    ),
+    "checkpoint truncated": (
+        cut_checkpoint,
+        r"step_000003\.safetensors is not a whole checkpoint: delete it",
+    ),
 }
 
 
@@ -280,10 +330,21 @@ def test_a_scene_that_has_moved_is_named(make_scene, tmp_path, capsys):
     scene.rename(tmp_path / "elsewhere")
     for command in ("eval", "render", "export", "report"):
         refused(
-            capsys, r"/scene: the scene that .*/run was trained on is no longer there; say where it is", command, output
+            capsys,
+            r"/scene: the scene that .*/run was trained on is no longer there; say where it is",
+            command,
+            output,
         )
     assert run("eval", output, "--scene", tmp_path / "elsewhere") == 0
-    refused(capsys, "elsewhere2: is not a folder", "train", tmp_path / "elsewhere2", "--resume", "--output", output)
+    refused(
+        capsys,
+        "elsewhere2: is not a folder",
+        "train",
+        tmp_path / "elsewhere2",
+        "--resume",
+        "--output",
+        output,
+    )
     assert run("train", tmp_path / "elsewhere", "--resume", "--output", output) == 0
 
 
@@ -291,35 +352,83 @@ def test_without_eval_views_there_is_nothing_to_score(make_scene, tmp_path, caps
     scene, output = make_scene(), tmp_path / "run"
     edit_json(scene / "transforms.json", lambda content: content.update(val_filenames=[]))
     run("train", scene, "--output", output, *TINY)
-    refused(capsys, "/scene: no views are held out, so there is nothing to score; put 'eval' into", "eval", output)
+    refused(
+        capsys,
+        "/scene: no views are held out, so there is nothing to score; put 'eval' into",
+        "eval",
+        output,
+    )
     assert not (output / "eval").exists()
-    refused(capsys, "/scene: no views are held out; choose --split train or --split path", "render", output)
+    refused(
+        capsys,
+        "/scene: no views are held out; choose --split train or --split path",
+        "render",
+        output,
+    )
     assert not (output / "renders").exists()
 
 
 def test_bad_lpips_weights_are_named(trained, tmp_path, capsys):
     file = tmp_path / "weights.safetensors"
     refused(
-        capsys, r"weights\.safetensors: no such file; --lpips-weights takes", "eval", trained, "--lpips-weights", file
+        capsys,
+        r"weights\.safetensors: no such file; --lpips-weights takes",
+        "eval",
+        trained,
+        "--lpips-weights",
+        file,
     )
     file.write_bytes(b"PK\x03\x04" * 100)
-    refused(capsys, r"weights\.safetensors: not a readable safetensors", "eval", trained, "--lpips-weights", file)
+    refused(
+        capsys,
+        r"weights\.safetensors: not a readable safetensors",
+        "eval",
+        trained,
+        "--lpips-weights",
+        file,
+    )
     save_file({"x": torch.zeros(1)}, file)
     refused(capsys, r"features\.0\.weight is missing", "eval", trained, "--lpips-weights", file)
 
 
 def test_a_path_needs_frames(own_run, capsys):
     refused(
-        capsys, "a camera path needs at least one frame, got 0", "render", own_run, "--split", "path", "--frames", 0
+        capsys,
+        "a camera path needs at least one frame, got 0",
+        "render",
+        own_run,
+        "--split",
+        "path",
+        "--frames",
+        0,
     )
     assert not (own_run / "renders").exists()
 
 
 def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
     pytest.importorskip("mitsuba")
-    refused(capsys, "balls holds a scene already: delete it, or choose another folder", "synth", small_scene)
-    refused(capsys, "the seed must be from 0 to 1,000,000, not -1", "synth", tmp_path / "new", "--seed", -1)
-    refused(capsys, "images of 15×240 cannot be generated: choose even", "synth", tmp_path / "new", "--width", 15)
+    refused(
+        capsys,
+        "balls holds a scene already: delete it, or choose another folder",
+        "synth",
+        small_scene,
+    )
+    refused(
+        capsys,
+        "the seed must be from 0 to 1,000,000, not -1",
+        "synth",
+        tmp_path / "new",
+        "--seed",
+        -1,
+    )
+    refused(
+        capsys,
+        "images of 15×240 cannot be generated: choose even",
+        "synth",
+        tmp_path / "new",
+        "--width",
+        15,
+    )
     assert not (tmp_path / "new").exists()
 
 
@@ -348,7 +457,10 @@ def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, m
         interrupt(patch, times=1)
         assert run("train", small_scene, "--output", output, *TINY) == 130
     printed = capsys.readouterr()
-    assert f"a checkpoint is kept; go on with: mrgs train {small_scene} --output '{output}' --resume" in printed.out
+    assert (
+        f"a checkpoint is kept; go on with: mrgs train {small_scene} --output '{output}' --resume"
+        in printed.out
+    )
     assert "stopping after this step" in printed.err
     assert printed.err.endswith("mrgs: stopped\n")
     assert signal.getsignal(signal.SIGINT) is before
@@ -360,11 +472,25 @@ def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, m
 
 def test_ctrl_c_in_the_last_step_is_a_finished_run(small_scene, tmp_path, monkeypatch, capsys):
     interrupt(monkeypatch, times=1)
-    assert run("train", small_scene, "--output", tmp_path / "run", "--max-steps", 1, "--max-gaussians", 100) == 0
+    assert (
+        run(
+            "train",
+            small_scene,
+            "--output",
+            tmp_path / "run",
+            "--max-steps",
+            1,
+            "--max-gaussians",
+            100,
+        )
+        == 0
+    )
     assert "trained:" in capsys.readouterr().out
 
 
-def test_a_second_ctrl_c_stops_at_once_and_leaves_nothing(small_scene, tmp_path, monkeypatch, capsys):
+def test_a_second_ctrl_c_stops_at_once_and_leaves_nothing(
+    small_scene, tmp_path, monkeypatch, capsys
+):
     interrupt(monkeypatch, times=2)
     assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 130
     assert capsys.readouterr().err.endswith("mrgs: stopped\n")
@@ -372,9 +498,19 @@ def test_a_second_ctrl_c_stops_at_once_and_leaves_nothing(small_scene, tmp_path,
 
 
 def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_path):
-    command = [sys.executable, "-m", "mrgs.cli", "train", str(small_scene), "--output", str(tmp_path / "run")]
+    command = [
+        sys.executable,
+        "-m",
+        "mrgs.app.cli",
+        "train",
+        str(small_scene),
+        "--output",
+        str(tmp_path / "run"),
+    ]
     options = ["--max-steps", "1000000", "--max-gaussians", "100"]
-    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         while "compiles the kernels" not in process.stdout.readline():
             assert process.poll() is None
@@ -388,7 +524,12 @@ def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_p
     assert re.fullmatch(r"mrgs: error: .*already holds a run.*\n", again.stderr)
 
 
-SCENES = {"both": {}, "two cameras": {"two_cameras": True}, "thermal": {"rgb": False}, "RGB": {"thermal": False}}
+SCENES = {
+    "both": {},
+    "two cameras": {"two_cameras": True},
+    "thermal": {"rgb": False},
+    "RGB": {"thermal": False},
+}
 
 
 @pytest.mark.parametrize("kind", [*SCENES, "masks"])
@@ -406,18 +547,30 @@ def test_train_eval_and_render(kind, make_scene, tmp_path, capsys):
     assert "scene: 6 training views, 2 held out, 25 start points" in capsys.readouterr().out
     assert run("eval", output) == 0
     printed = capsys.readouterr()
-    assert ("thermal: PSNR" in printed.out, "RGB:     PSNR" in printed.out) == (has_thermal, has_rgb)
+    assert ("thermal: PSNR" in printed.out, "RGB:     PSNR" in printed.out) == (
+        has_thermal,
+        has_rgb,
+    )
     assert bool(re.search(r"MAE \d+\.\d{3} °C", printed.out)) == has_thermal
-    assert {path.name for path in (output / "eval").iterdir()} == {"metrics.json", "metrics.md", "contact_sheet.png"}
+    assert {path.name for path in (output / "eval").iterdir()} == {
+        "metrics.json",
+        "metrics.md",
+        "contact_sheet.png",
+    }
     assert len(json.loads((output / "eval" / "metrics.json").read_text())["views"]) == 2
     assert run("render", output, "--palette", "iron") == 0
     check_renders(output / "renders" / "eval", has_rgb, has_thermal)
     assert run("render", output, "--split", "path", "--frames", 2) == 0
-    folders = {"rgb"} & {"rgb" if has_rgb else ""} | {"thermal"} & {"thermal" if has_thermal else ""}
+    folders = {"rgb"} & {"rgb" if has_rgb else ""} | {"thermal"} & {
+        "thermal" if has_thermal else ""
+    }
     path = output / "renders" / "path"
     assert {folder.name for folder in path.iterdir() if folder.is_dir()} == folders
     for folder in folders:
-        assert sorted(frame.name for frame in (path / folder).iterdir()) == ["00000.png", "00001.png"]
+        assert sorted(frame.name for frame in (path / folder).iterdir()) == [
+            "00000.png",
+            "00001.png",
+        ]
     assert capsys.readouterr().err == ""
 
 
@@ -426,7 +579,9 @@ def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
     view = "frame_eval_00002"
     kinds = {"rgb": has_rgb, "depth_rgb": has_rgb}
     kinds |= {"thermal": has_thermal, "temperature_c": has_thermal, "depth_thermal": has_thermal}
-    assert {path.name for path in folder.iterdir()} == {name for name, there in kinds.items() if there}
+    assert {path.name for path in folder.iterdir()} == {
+        name for name, there in kinds.items() if there
+    }
     if has_rgb:
         with Image.open(folder / "rgb" / f"{view}.png") as image:
             assert (image.mode, image.size) == ("RGB", (40, 30))
@@ -435,7 +590,9 @@ def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
             celsius = np.asarray(image)
         assert (celsius.dtype, celsius.shape) == (np.float32, (30, 40))
         assert 10 <= celsius.min() < celsius.max() < 40
-    with Image.open(folder / ("depth_rgb" if has_rgb else "depth_thermal") / f"{view}.tiff") as image:
+    with Image.open(
+        folder / ("depth_rgb" if has_rgb else "depth_thermal") / f"{view}.tiff"
+    ) as image:
         depth = np.asarray(image)
     assert (depth.dtype, depth.shape) == (np.float32, (30, 40))
     assert 0 < depth.max() < 10
@@ -450,11 +607,24 @@ def test_renders_of_another_program_are_scored(small_scene, tmp_path, capsys):
     assert run("eval", small_scene, "--renders", renders) == 0
     assert "thermal: " in capsys.readouterr().out
     assert run("eval", own_run) == 0
-    own, other = (json.loads((folder / "eval" / "metrics.json").read_text()) for folder in (own_run, renders))
-    assert other["mean"]["thermal"]["psnr"] == pytest.approx(own["mean"]["thermal"]["psnr"], abs=1e-3)
+    own, other = (
+        json.loads((folder / "eval" / "metrics.json").read_text()) for folder in (own_run, renders)
+    )
+    assert other["mean"]["thermal"]["psnr"] == pytest.approx(
+        own["mean"]["thermal"]["psnr"], abs=1e-3
+    )
     assert other["mean"]["rgb"]["psnr"] == pytest.approx(own["mean"]["rgb"]["psnr"], abs=0.2)
     refused(capsys, "holds no renderings", "eval", small_scene, "--renders", own_run)
-    refused(capsys, "leave --scene out", "eval", small_scene, "--renders", renders, "--scene", small_scene)
+    refused(
+        capsys,
+        "leave --scene out",
+        "eval",
+        small_scene,
+        "--renders",
+        renders,
+        "--scene",
+        small_scene,
+    )
     refused(capsys, "--resolution goes with --renders", "eval", own_run, "--resolution", "30")
 
 
@@ -465,7 +635,9 @@ def test_methods_are_compared(small_scene, tmp_path, capsys):
     assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
     refused(capsys, "write NAME=PATH", "compare", small_scene, *tiny, "--renders", "somewhere")
     refused(capsys, "a is there twice", "compare", small_scene, *tiny, "--renders", "a=b", "a=c")
-    refused(capsys, "no.yaml cannot be read", "compare", small_scene, *tiny, "--variants", "a=no.yaml")
+    refused(
+        capsys, "no.yaml cannot be read", "compare", small_scene, *tiny, "--variants", "a=no.yaml"
+    )
 
 
 def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):
@@ -477,11 +649,16 @@ def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tm
     assert run("train", small_scene, "--output", output, "--resume") == 0
     assert run("eval", output) == 0
     assert json.loads((output / "eval" / "metrics.json").read_text())["gaussians"] is None
-    refused(capsys, "is a ThermoNeRF run: it has no Gaussians to export, view or report on", "export", output)
+    refused(
+        capsys,
+        "is a ThermoNeRF run: it has no Gaussians to export, view or report on",
+        "export",
+        output,
+    )
 
 
 def test_every_scene_that_can_be_generated_has_its_option():
-    from mrgs.synth import SceneKind
+    from mrgs_synth import SceneKind
 
     (option,) = (field for field in dataclasses.fields(commands.Synth) if field.name == "scene")
     assert get_args(get_type_hints(commands.Synth)[option.name]) == get_args(SceneKind)
@@ -490,9 +667,16 @@ def test_every_scene_that_can_be_generated_has_its_option():
 def test_export_and_report(own_run, capsys):
     assert run("export", own_run, "--format", "ply") == 0
     out = capsys.readouterr().out
-    assert re.search(r"^baking costs RGB -?\d+\.\d\d dB, thermal -?\d+\.\d\d dB$", out, re.MULTILINE)
+    assert re.search(
+        r"^baking costs RGB -?\d+\.\d\d dB, thermal -?\d+\.\d\d dB$", out, re.MULTILINE
+    )
     assert (own_run / "export" / "rgb_thermal.ply").read_bytes().startswith(b"ply\n")
-    assert run("export", own_run, "--format", "page", "--output", own_run / "mail", "--palette", "iron") == 0
+    assert (
+        run(
+            "export", own_run, "--format", "page", "--output", own_run / "mail", "--palette", "iron"
+        )
+        == 0
+    )
     assert capsys.readouterr().out.endswith(f"{own_run / 'mail' / 'page.html'}\n")
     assert run("report", own_run) == 0
     assert "Limits of the measurement" in (own_run / "report.html").read_text(encoding="utf-8")
@@ -504,7 +688,9 @@ def test_the_range_of_an_export_must_rise(own_run, capsys):
 
 def test_an_unfinished_run_is_used_and_said(small_scene, tmp_path, monkeypatch, capsys):
     output = tmp_path / "run"
-    monkeypatch.setattr(terminal.TrainingProgress, "step", lambda self, statistics: statistics.step == 2)
+    monkeypatch.setattr(
+        terminal.TrainingProgress, "step", lambda self, statistics: statistics.step == 2
+    )
     run("train", small_scene, "--output", output, *TINY)
     capsys.readouterr()
     run("export", output, "--format", "splat")
@@ -525,7 +711,9 @@ def test_view_serves_and_says_where_to_look(own_run, monkeypatch, capsys):
 
 def test_a_training_can_be_watched(small_scene, tmp_path, capsys):
     pytest.importorskip("viser")
-    assert run("train", small_scene, "--output", tmp_path / "run", "--view", "--port", 0, *TINY) == 0
+    assert (
+        run("train", small_scene, "--output", tmp_path / "run", "--view", "--port", 0, *TINY) == 0
+    )
     assert re.search(r"open http://127\.0\.0\.1:\d+", capsys.readouterr().out)
 
 
@@ -534,10 +722,14 @@ def test_a_transforms_file_names_the_scene_too(make_scene, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert run("train", scene / "transforms.json", *TINY) == 0
     assert run("eval", "runs/scene-mrgs-plus") == 0
-    assert json.loads(Path("runs/scene-mrgs-plus/eval/metrics.json").read_text())["scene"] == "scene"
+    assert (
+        json.loads(Path("runs/scene-mrgs-plus/eval/metrics.json").read_text())["scene"] == "scene"
+    )
 
 
-def test_progress_is_plain_lines_where_there_is_no_terminal(small_scene, tmp_path, monkeypatch, capsys):
+def test_progress_is_plain_lines_where_there_is_no_terminal(
+    small_scene, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(terminal, "PLAIN_LINE_EVERY_S", 0.0)
     assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
     printed = capsys.readouterr().out
@@ -590,7 +782,9 @@ def test_help_explains_every_option(command, capsys):
     text = capsys.readouterr().out
     for field in dataclasses.fields(command):
         positional = field.default is dataclasses.MISSING
-        assert ("positional arguments" if positional else "--" + field.name.replace("_", "-")) in text
+        assert (
+            "positional arguments" if positional else "--" + field.name.replace("_", "-")
+        ) in text
 
 
 def test_help_lists_the_commands(capsys):
@@ -624,7 +818,13 @@ def test_a_gpu_that_cannot_be_used_is_refused(arguments, small_scene, own_run, t
 
 def test_thermonerf_says_that_it_works_on_the_cpu_alone(small_scene, tmp_path, capsys):
     options = ("--method", "thermonerf", "--output", tmp_path / "new", "--device", "cuda")
-    refused(capsys, "thermonerf works on the CPU alone: leave --device out", "train", small_scene, *options)
+    refused(
+        capsys,
+        "thermonerf works on the CPU alone: leave --device out",
+        "train",
+        small_scene,
+        *options,
+    )
 
 
 def test_the_cpu_can_be_asked_for_and_is_noted(small_scene, tmp_path):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from mrgs import gpu
 from mrgs.errors import DeviceError, MrgsWarning
+from mrgs.system import gpu
 
 choose_device = gpu.choose_device  # before the tests' own, which takes the CPU for "auto"
 
@@ -83,20 +83,26 @@ def without_triton_on_windows(machine: pytest.MonkeyPatch) -> str:
 def without_compiler(machine: pytest.MonkeyPatch) -> str:
     machine.delenv("CC")
     machine.setattr(gpu.shutil, "which", lambda name: None)
-    return "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or name one in CC"
+    return (
+        "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or name "
+        "one in CC"
+    )
 
 
 def without_headers(machine: pytest.MonkeyPatch) -> str:
     machine.setattr(gpu.sysconfig, "get_paths", lambda scheme: {"include": "/nowhere"})
     return (
-        f"Triton needs Python's C headers, once, to start its kernels, but there is no {Path('/nowhere/Python.h')}: "
+        f"Triton needs Python's C headers, once, to start its kernels, but there is no "
+        f"{Path('/nowhere/Python.h')}: "
         "install python3-dev (python3-devel on Fedora)"
     )
 
 
 def with_gpu_that_does_not_start(machine: pytest.MonkeyPatch) -> str:
     def capability() -> tuple[int, int]:
-        raise RuntimeError("CUDA error: initialization error\nCUDA kernel errors might be reported later\n")
+        raise RuntimeError(
+            "CUDA error: initialization error\nCUDA kernel errors might be reported later\n"
+        )
 
     machine.setattr(torch.cuda, "get_device_capability", capability)
     return "the GPU cannot be started: CUDA error: initialization error"
@@ -113,8 +119,10 @@ def fail(machine: pytest.MonkeyPatch, reason: str) -> None:
 
 
 OBSTACLES = [
-    without_driver, with_old_driver, with_hidden_gpu, with_cpu_torch, with_cpu_torch_on_windows, with_old_gpu,
-    without_triton, without_triton_on_windows, without_compiler, without_headers, with_gpu_that_does_not_start,
+    without_driver, with_old_driver, with_hidden_gpu, with_cpu_torch, with_cpu_torch_on_windows,
+    with_old_gpu,
+    without_triton, without_triton_on_windows, without_compiler, without_headers,
+    with_gpu_that_does_not_start,
 ]  # fmt: skip
 
 
@@ -190,5 +198,7 @@ def test_the_kernels_take_cpu_tensors_only_where_they_are_interpreted(monkeypatc
 def test_triton_is_not_loaded_by_the_cpu_path():
     """Only the packages of kernels import it, and only dispatchers import those."""
     source = Path(gpu.__file__).parent
-    importers = [path for path in source.rglob("*.py") if "import triton" in path.read_text(encoding="utf-8")]
+    importers = [
+        path for path in source.rglob("*.py") if "import triton" in path.read_text(encoding="utf-8")
+    ]
     assert {path.relative_to(source).parts[1] for path in importers} <= {"gpu"}

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from mrgs.isolation import CHILD_FOLDER, child_environment
+from mrgs.system.isolation import CHILD_FOLDER, child_environment
 
 
 def test_the_python_path_means_the_same_folders(monkeypatch, tmp_path):
@@ -26,7 +26,9 @@ def test_changes_are_made(monkeypatch):
     assert (environment["KEPT"], environment["ADDED"]) == ("1", "2")
 
 
-def test_a_module_on_a_relative_path_is_found_and_one_in_the_current_folder_is_not(monkeypatch, tmp_path: Path):
+def test_a_module_on_a_relative_path_is_found_and_one_in_the_current_folder_is_not(
+    monkeypatch, tmp_path: Path
+):
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "wanted.py").write_text("import json, mrgs")
     (tmp_path / "json.py").write_text("raise RuntimeError")
@@ -34,4 +36,6 @@ def test_a_module_on_a_relative_path_is_found_and_one_in_the_current_folder_is_n
     monkeypatch.setenv("PYTHONPATH", "own")
     for safe in ("1", ""):  # Python 3.10 does not know it: the folder alone must do
         environment = child_environment(PYTHONSAFEPATH=safe)
-        subprocess.run([sys.executable, "-m", "wanted"], env=environment, cwd=CHILD_FOLDER, check=True)
+        subprocess.run(
+            [sys.executable, "-m", "wanted"], env=environment, cwd=CHILD_FOLDER, check=True
+        )

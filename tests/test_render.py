@@ -12,8 +12,11 @@ from mrgs.render import Model, Rendering, bake_temperature_residuals, render, re
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
 
 
-def make_camera(angle: float = 0.0, distance: float = 4.0, width: int = 33, height: int = 26) -> Camera:
-    """Looks at the origin from a circle about the y axis; narrow, so that it sees a part of the Gaussians."""
+def make_camera(
+    angle: float = 0.0, distance: float = 4.0, width: int = 33, height: int = 26
+) -> Camera:
+    """Looks at the origin from a circle about the y axis; narrow, so that it sees a part of the
+    Gaussians."""
     K = torch.tensor([[40.0, 0, 17], [0, 42, 12], [0, 0, 1]], dtype=torch.float64)
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[0, 0] = viewmat[2, 2] = math.cos(angle)
@@ -22,7 +25,9 @@ def make_camera(angle: float = 0.0, distance: float = 4.0, width: int = 33, heig
     return Camera(K, viewmat, width, height)
 
 
-def make_model(dtype: torch.dtype = torch.float32, count: int = 60, bands: int = 0, **field_options) -> Model:
+def make_model(
+    dtype: torch.dtype = torch.float32, count: int = 60, bands: int = 0, **field_options
+) -> Model:
     generator = torch.Generator().manual_seed(0)
 
     def random(*shape: int) -> torch.Tensor:
@@ -44,9 +49,13 @@ def make_model(dtype: torch.dtype = torch.float32, count: int = 60, bands: int =
         "temperature_rest": random(bands, 1),
         "embedding": field.initial_embedding(means),
     }
-    gaussians = Gaussians(**{name: tensor.to(dtype).requires_grad_() for name, tensor in tensors.items()})
+    gaussians = Gaussians(
+        **{name: tensor.to(dtype).requires_grad_() for name, tensor in tensors.items()}
+    )
     k = field.config.neighbours_k
-    return Model(gaussians, field.to(dtype), nearest_neighbours(means, k) if k else None, sh_degree=2)
+    return Model(
+        gaussians, field.to(dtype), nearest_neighbours(means, k) if k else None, sh_degree=2
+    )
 
 
 def images_of(rendering: Rendering) -> dict[str, torch.Tensor]:
@@ -60,10 +69,16 @@ def gradients(model: Model, *renderings: Rendering) -> dict[str, torch.Tensor]:
         for name, image in images_of(rendering).items():
             weights = torch.rand(image.shape, generator=torch.Generator().manual_seed(len(name)))
             total = total + (weights * image).sum()
-    tensors = {name: tensor for name, tensor in model.gaussians.tensors().items() if tensor.numel() > 0}
+    tensors = {
+        name: tensor for name, tensor in model.gaussians.tensors().items() if tensor.numel() > 0
+    }
     tensors |= dict(model.field.named_parameters())
     found = torch.autograd.grad(total, list(tensors.values()), allow_unused=True)
-    return {name: gradient for name, gradient in zip(tensors, found, strict=True) if gradient is not None}
+    return {
+        name: gradient
+        for name, gradient in zip(tensors, found, strict=True)
+        if gradient is not None
+    }
 
 
 def assert_same(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
@@ -88,7 +103,9 @@ def test_the_offset_collects_the_screen_space_gradient_of_both_modalities():
     runs = [render(model, camera, camera), render(model, camera, None), render(model, None, camera)]
     grads = []
     for rendering, passes in runs:
-        torch.stack([image.square().sum() for image in images_of(rendering).values()]).sum().backward()
+        torch.stack(
+            [image.square().sum() for image in images_of(rendering).values()]
+        ).sum().backward()
         grads.append(passes[0].offset.grad)
     torch.testing.assert_close(grads[0], grads[1] + grads[2], rtol=1e-3, atol=1e-3)
     assert (grads[0][passes[0].radii > 0] != 0).any()
@@ -107,7 +124,11 @@ def test_two_cameras_are_two_passes():
 def test_a_modality_without_a_camera_is_left_out():
     model, camera = make_model(), make_camera()
     assert set(images_of(render(model, camera, None)[0])) == {"rgb", "depth_rgb", "alpha_rgb"}
-    assert set(images_of(render(model, None, camera)[0])) == {"thermal", "depth_thermal", "alpha_thermal"}
+    assert set(images_of(render(model, None, camera)[0])) == {
+        "thermal",
+        "depth_thermal",
+        "alpha_thermal",
+    }
     rendering, passes = render(model, None, None)
     assert images_of(rendering) == {}
     assert passes == []
@@ -205,7 +226,9 @@ def test_known_residuals_give_the_same_images_without_the_thermal_branch(bands, 
         expected = [images_of(render(model, camera, camera)[0]) for camera in cameras]
         baked = bake_temperature_residuals(model)
         monkeypatch.setattr(
-            RadianceField, "temperature_residuals", lambda *_: pytest.fail("the thermal branch was evaluated")
+            RadianceField,
+            "temperature_residuals",
+            lambda *_: pytest.fail("the thermal branch was evaluated"),
         )
         found = [images_of(render(baked, camera, camera)[0]) for camera in cameras]
     for images, baked_images in zip(expected, found, strict=True):
@@ -214,7 +237,10 @@ def test_known_residuals_give_the_same_images_without_the_thermal_branch(bands, 
 
 
 def test_a_model_without_residuals_has_none_to_know():
-    assert bake_temperature_residuals(make_model(bands=15, residuals=False)).temperature_residuals is None
+    assert (
+        bake_temperature_residuals(make_model(bands=15, residuals=False)).temperature_residuals
+        is None
+    )
 
 
 def rendering_of(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:
@@ -228,11 +254,14 @@ def test_a_surfaces_depth_is_that_of_the_blend_without_the_background():
     expected = torch.tensor([[2.0, 2.0, torch.nan]])
     torch.testing.assert_close(rendering.surface_depth("thermal"), expected, equal_nan=True)
     expected[0, 1] = torch.nan
-    torch.testing.assert_close(rendering.surface_depth("thermal", min_alpha=0.6), expected, equal_nan=True)
+    torch.testing.assert_close(
+        rendering.surface_depth("thermal", min_alpha=0.6), expected, equal_nan=True
+    )
 
 
 def test_outlines_have_no_depth_where_they_are_not_wanted():
-    """A near and a far surface, both slightly slanted, and a hole, which is no outline of what is beside it."""
+    """A near and a far surface, both slightly slanted, and a hole, which is no outline of what is
+    beside it."""
     row = [2.0, 2.01, 2.02, 4.0, 4.02, 4.04, 9.0, 4.1]
     rendering = rendering_of([row] * 3, [[1.0] * 6 + [0.1, 1.0]] * 3)
     found = rendering.surface_depth("thermal", max_step=0.05)
@@ -249,14 +278,15 @@ def test_where_nothing_is_there_is_no_surface():
 
 
 def test_a_motion_of_the_thermal_camera_is_another_camera():
-    from mrgs.training.image_model import ThermalPoses
+    from mrgs.method.camera_model.image_model import ThermalPoses
 
     model, camera = make_model(fourier=False), make_camera(0.3)
     poses = ThermalPoses(views=1, extent=1.0)
     poses.twists[0].data = torch.tensor([0.05, -0.1, 0.2, 0.1, -0.2, 0.3])
     motion = poses(0).detach()
     moved = Camera(camera.K, motion.double() @ camera.viewmat, camera.width, camera.height)
-    # The heads look at the Gaussians where they are, and thermal heads do not look at the camera at all.
+    # The heads look at the Gaussians where they are, and thermal heads do not look at the camera at
+    # all.
     expected, _ = render(model, None, moved)
     found, _ = render(model, None, camera, motion)
     for name, image in images_of(expected).items():
@@ -264,10 +294,13 @@ def test_a_motion_of_the_thermal_camera_is_another_camera():
 
 
 def test_the_gradient_of_a_motion(monkeypatch):
-    from mrgs.training.image_model import ThermalPoses
+    from mrgs.method.camera_model.image_model import ThermalPoses
 
     monkeypatch.setattr(mrgs.render, "rasterize", reference.rasterize)
-    model, camera = make_model(torch.float64, count=8, fourier=False), make_camera(0.3, width=12, height=10)
+    model, camera = (
+        make_model(torch.float64, count=8, fourier=False),
+        make_camera(0.3, width=12, height=10),
+    )
     poses = ThermalPoses(views=1, extent=1.0).double()
 
     def temperature(twist: torch.Tensor) -> torch.Tensor:
@@ -275,5 +308,7 @@ def test_the_gradient_of_a_motion(monkeypatch):
         motion = torch.func.functional_call(poses, {"twists.0": twist}, (0,))
         return render(model, None, camera, motion)[0].thermal
 
-    twist = torch.tensor([0.02, -0.03, 0.04, 0.05, 0.0, -0.1], dtype=torch.float64, requires_grad=True)
+    twist = torch.tensor(
+        [0.02, -0.03, 0.04, 0.05, 0.0, -0.1], dtype=torch.float64, requires_grad=True
+    )
     assert torch.autograd.gradcheck(temperature, twist, atol=1e-5)

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import mrgs
-from mrgs import run as run_module
 from mrgs.errors import DeviceError, RunError, SceneError
-from mrgs.run import Run, load_run, open_run
+from mrgs.runs import open as run_module
+from mrgs.runs.open import Run, load_run, open_run
 from mrgs.training import make_config, train
 
 MIN_C, MAX_C = 10.0, 30.0
@@ -18,7 +18,11 @@ MIN_C, MAX_C = 10.0, 30.0
 
 @pytest.fixture(scope="module")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    folder = train(small_scene, tmp_path_factory.mktemp("runs") / "run", make_config(max_steps=3, max_gaussians=100))
+    folder = train(
+        small_scene,
+        tmp_path_factory.mktemp("runs") / "run",
+        make_config(max_steps=3, max_gaussians=100),
+    )
     return load_run(folder.path)
 
 
@@ -58,7 +62,9 @@ def test_without_a_temperature_range_there_is_no_celsius(run):
     rendering = run.render(run.load_scene().eval[0].rgb.camera)
     unknown = replace(run, facts=run.facts._replace(temperature=None))
     for case, image in ((unknown, rendering), (run, rendering._replace(thermal=None))):
-        with pytest.raises(ValueError, match="no °C: the scene has no temperature range, or the rendering has no"):
+        with pytest.raises(
+            ValueError, match="no °C: the scene has no temperature range, or the rendering has no"
+        ):
             case.temperatures_c(image)
 
 
@@ -97,7 +103,10 @@ def test_a_gpu_without_enough_memory_to_render_is_said(run, monkeypatch):
     monkeypatch.setattr(run_module, "render", full)
     with pytest.raises(DeviceError) as caught:
         run.render(run.load_scene().eval[0].rgb.camera)
-    assert str(caught.value) == "the GPU's memory does not suffice to render 25 Gaussians: use --device cpu"
+    assert (
+        str(caught.value)
+        == "the GPU's memory does not suffice to render 25 Gaussians: use --device cpu"
+    )
 
 
 def test_a_gpu_that_cannot_be_used_is_said(run):

@@ -1,14 +1,16 @@
 """gsplat's own plain-torch reference functions on the CPU, beside the same stages here.
 
-gsplat is made for CUDA. Of its reference, ``gsplat.cuda._torch_impl``, this much runs without a compiler: spherical
-harmonics, projection, tile intersection (a Python loop over the Gaussians), and compositing (``accumulate``) but for
-two things that exist for CUDA alone and are replaced here by a few lines of torch: the list of (pixel, Gaussian) pairs,
-whose time is not counted, and nerfacc's two helpers inside ``accumulate``. gsplat blends one opacity per pass, so
-both modalities take two passes.
+gsplat is made for CUDA. Of its reference, ``gsplat.cuda._torch_impl``, this much runs without a
+compiler: spherical harmonics, projection, tile intersection (a Python loop over the Gaussians), and
+compositing (``accumulate``) but for two things that exist for CUDA alone and are replaced here by a
+few lines of torch: the list of (pixel, Gaussian) pairs, whose time is not counted, and nerfacc's
+two helpers inside ``accumulate``. gsplat blends one opacity per pass, so both modalities take two
+passes.
 
-Both dilate by 0.3 px². gsplat bounds a Gaussian at 3.33 standard deviations, which no α above 1/255 exceeds. The rules
-that leave pairs out (α < 1/255, T < 1e-4) are applied in the list, and so are this project's. What remains are
-differences of rounding, which beside a threshold decide over a whole contribution.
+Both dilate by 0.3 px². gsplat bounds a Gaussian at 3.33 standard deviations, which no α above 1/255
+exceeds. The rules that leave pairs out (α < 1/255, T < 1e-4) are applied in the list, and so are
+this project's. What remains are differences of rounding, which beside a threshold decide over a
+whole contribution.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, NEAR_PLANE, TRANSMITT
 
 TILE_SIZE = 16
 LARGEST_FOR_TILES = 10_000
-"""Beyond so many Gaussians the loop over them takes a minute, and the pairs do not fit in memory."""
+"""Beyond so many Gaussians the loop over them takes a minute, and the pairs do not fit in
+memory."""
 
 
 def stages(case: Case) -> Stages:
@@ -42,7 +45,9 @@ def stages(case: Case) -> Stages:
     fused = FusedPass(*case.size)
     timings = [
         Timing("gsplat: harmonics, degree 3, forward + backward", lambda _: reference.harmonics()),
-        Timing("mrgs: harmonics, degree 3, forward + backward", lambda _: reference.our_harmonics()),
+        Timing(
+            "mrgs: harmonics, degree 3, forward + backward", lambda _: reference.our_harmonics()
+        ),
         Timing("gsplat: projection", lambda _: reference.project()),
         Timing("mrgs: projection", lambda _: ours.project()),
     ]
@@ -55,10 +60,13 @@ def stages(case: Case) -> Stages:
             Timing("gsplat: tile intersection, one opacity", lambda _: reference.intersect_tiles()),
             Timing("mrgs: depth order and tile lists", lambda _: ours.list_tiles_from_projection()),
             Timing(
-                "gsplat: projection and compositing of listed pairs, two opacities, forward + backward",
+                "gsplat: projection and compositing of listed pairs, two opacities, forward + "
+                "backward",
                 lambda _: reference.composite(),
             ),
-            Timing("mrgs: whole fused pass, forward + backward", lambda _: fused.forward_backward()),
+            Timing(
+                "mrgs: whole fused pass, forward + backward", lambda _: fused.forward_backward()
+            ),
         ]
     return Stages(timings, notes)
 
@@ -66,9 +74,13 @@ def stages(case: Case) -> Stages:
 def agreement(theirs: list[Tensor], ours: list[Tensor]) -> dict[str, str]:
     """Differences of the images, of which there are image, depth and alpha per modality."""
     notes = {}
-    for name, first, second in zip(("rgb", "rgb depth, m", "rgb alpha"), theirs, ours, strict=False):
+    for name, first, second in zip(
+        ("rgb", "rgb depth, m", "rgb alpha"), theirs, ours, strict=False
+    ):
         difference = (first - second).detach().abs()
-        notes[f"difference, {name}"] = f"mean {difference.mean():.1e}, largest {difference.max():.1e}"
+        notes[f"difference, {name}"] = (
+            f"mean {difference.mean():.1e}, largest {difference.max():.1e}"
+        )
     difference = (theirs[3] - ours[3]).detach().abs()
     notes["difference, thermal"] = f"mean {difference.mean():.1e}, largest {difference.max():.1e}"
     return notes
@@ -88,15 +100,21 @@ class GsplatReference:
         self._scene = {name: tensor.requires_grad_() for name, tensor in room(count).items()}
         seen_by = camera(width, height)
         self._viewmats, self._Ks = seen_by.viewmat.float()[None], seen_by.K.float()[None]
-        self._sh = torch.randn(count, 16, 3, generator=torch.Generator().manual_seed(6)).requires_grad_()
-        self._dc, self._rest = (part.detach().clone().requires_grad_() for part in self._sh.split((1, 15), dim=1))
+        self._sh = torch.randn(
+            count, 16, 3, generator=torch.Generator().manual_seed(6)
+        ).requires_grad_()
+        self._dc, self._rest = (
+            part.detach().clone().requires_grad_() for part in self._sh.split((1, 15), dim=1)
+        )
         self._directions = torch.nn.functional.normalize(self._scene["means"].detach(), dim=1)
         with torch.no_grad():
             self._projected = self.project()
 
     def harmonics(self) -> tuple[Tensor, ...]:
         """Gradients of the coefficients."""
-        return torch.autograd.grad(self._gsplat._spherical_harmonics(3, self._directions, self._sh).sum(), self._sh)
+        return torch.autograd.grad(
+            self._gsplat._spherical_harmonics(3, self._directions, self._sh).sum(), self._sh
+        )
 
     def our_harmonics(self) -> tuple[Tensor, ...]:
         """The same with the function of ``mrgs``, which keeps degree 0 apart."""
@@ -106,7 +124,9 @@ class GsplatReference:
     def project(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Radii, centres, depths and conics, for one camera."""
         scene = self._scene
-        covars, _ = self._gsplat._quat_scale_to_covar_preci(scene["quats"], scene["scales"], compute_preci=False)
+        covars, _ = self._gsplat._quat_scale_to_covar_preci(
+            scene["quats"], scene["scales"], compute_preci=False
+        )
         radii, means2d, depths, conics, _ = self._gsplat._fully_fused_projection(
             scene["means"], covars, self._viewmats, self._Ks, *self._size, near_plane=NEAR_PLANE
         )
@@ -121,13 +141,16 @@ class GsplatReference:
     @cached_property
     @torch.no_grad()
     def pairs(self) -> list[tuple[Tensor, Tensor]]:
-        """Of each modality, the pairs that count: (Gaussian, pixel), sorted by pixel and then by depth."""
+        """Of each modality, the pairs that count: (Gaussian, pixel), sorted by pixel and then by
+        depth."""
         _, means2d, _, conics = self._projected
         width, height = self._size
         gaussian, pixel = _candidates(*self.intersect_tiles(), width, height)
         delta = torch.stack([pixel % width, pixel // width], dim=1) + 0.5 - means2d[0, gaussian]
         a, b, c = conics[0, gaussian].unbind(dim=1)
-        falloff = torch.exp(-0.5 * (a * delta[:, 0] ** 2 + c * delta[:, 1] ** 2) - b * delta[:, 0] * delta[:, 1])
+        falloff = torch.exp(
+            -0.5 * (a * delta[:, 0] ** 2 + c * delta[:, 1] ** 2) - b * delta[:, 0] * delta[:, 1]
+        )
         pairs = []
         for opacity in (self._scene["opacity_rgb"], self._scene["opacity_thermal"]):
             alpha = (opacity[gaussian] * falloff).clamp_max(ALPHA_MAX)
@@ -158,7 +181,9 @@ class GsplatReference:
 
     def composite(self) -> tuple[Tensor, ...]:
         """Gradients of the scene, projection included; the gradient of each pixel is 1."""
-        return torch.autograd.grad(torch.stack([image.sum() for image in self.images()]).sum(), [*self._scene.values()])
+        return torch.autograd.grad(
+            torch.stack([image.sum() for image in self.images()]).sum(), [*self._scene.values()]
+        )
 
 
 def _import_reference() -> Any:
@@ -166,7 +191,9 @@ def _import_reference() -> Any:
     try:
         from gsplat.cuda import _torch_impl
     except ImportError as error:
-        raise SkippedError(f'gsplat is not installed ({error}): pip install -e ".[bench]"') from error
+        raise SkippedError(
+            f'gsplat is not installed ({error}): pip install -e ".[bench]"'
+        ) from error
     stand_in = types.ModuleType("nerfacc")
     stand_in.render_weight_from_alpha = _weights_from_alpha  # type: ignore[attr-defined]
     stand_in.accumulate_along_rays = _accumulate_along_rays  # type: ignore[attr-defined]
@@ -175,7 +202,8 @@ def _import_reference() -> Any:
 
 
 def _candidates(ids: Tensor, offsets: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Every pixel of every tile with every Gaussian of the tile, sorted by pixel and then by depth."""
+    """Every pixel of every tile with every Gaussian of the tile, sorted by pixel and then by
+    depth."""
     starts = torch.cat([offsets.flatten(), torch.tensor([len(ids)])])
     tile = torch.repeat_interleave(torch.arange(offsets.numel()), starts.diff())
     inner = torch.arange(TILE_SIZE**2)
@@ -189,9 +217,11 @@ def _candidates(ids: Tensor, offsets: Tensor, width: int, height: int) -> tuple[
 
 
 def transmittance_before(alpha: Tensor, ray: Tensor, rays: int) -> Tensor:
-    """Π (1 − α) over the earlier samples of the same ray; the samples of a ray stand one after the other.
+    """Π (1 − α) over the earlier samples of the same ray; the samples of a ray stand one after the
+    other.
 
-    A running sum of logarithms over all samples, in double precision, minus its value where the ray begins.
+    A running sum of logarithms over all samples, in double precision, minus its value where the ray
+    begins.
     """
     logs = torch.log1p(-alpha.double())
     before = torch.cat([logs.new_zeros(1), logs.cumsum(0)[:-1]]) if len(logs) > 0 else logs
@@ -206,7 +236,9 @@ def _weights_from_alpha(alphas: Tensor, ray_indices: Tensor, n_rays: int) -> tup
     return transmittance * alphas, transmittance
 
 
-def _accumulate_along_rays(weights: Tensor, values: Tensor | None, ray_indices: Tensor, n_rays: int) -> Tensor:
+def _accumulate_along_rays(
+    weights: Tensor, values: Tensor | None, ray_indices: Tensor, n_rays: int
+) -> Tensor:
     """nerfacc's ``accumulate_along_rays``: Σ w v of each ray; Σ w without values."""
     source = weights[:, None] if values is None else weights[:, None] * values
     return source.new_zeros(n_rays, source.shape[1]).index_add(0, ray_indices, source)

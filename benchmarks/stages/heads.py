@@ -1,4 +1,5 @@
-"""The radiance field: colours and temperatures of all Gaussians, forward and backward; and the neighbour search."""
+"""The radiance field: colours and temperatures of all Gaussians, forward and backward; and the
+neighbour search."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import gaussians, radiance_field, room
 from mrgs.field import FieldConfig, nearest_neighbours
-from mrgs.training.config import TrainConfig, make_config
+from mrgs.method.config import TrainConfig, make_config
 
 
 def stages(case: Case) -> Stages:
@@ -19,12 +20,16 @@ def stages(case: Case) -> Stages:
     assert case.gaussians is not None
     config = make_config("mrgs", "paper")
     full = Heads(case.gaussians, config)
-    without_heat = Heads(case.gaussians, replace(config, field=replace(config.field, fourier=False)))
+    without_heat = Heads(
+        case.gaussians, replace(config, field=replace(config.field, fourier=False))
+    )
     return Stages(
         [
             Timing("colours", lambda _: full.colors()),
             Timing("temperatures", lambda _: full.temperatures()),
-            Timing("temperatures without heat transformation", lambda _: without_heat.temperatures()),
+            Timing(
+                "temperatures without heat transformation", lambda _: without_heat.temperatures()
+            ),
         ]
     )
 
@@ -37,7 +42,8 @@ def neighbours(case: Case) -> Stages:
 
 
 class Heads:
-    """A field and its Gaussians; each method returns the gradients of the field and of all that it reads."""
+    """A field and its Gaussians; each method returns the gradients of the field and of all that it
+    reads."""
 
     def __init__(self, count: int, config: TrainConfig) -> None:
         self._field = radiance_field(count, config)
@@ -54,7 +60,9 @@ class Heads:
 
     def temperatures(self) -> tuple[Tensor | None, ...]:
         """Through t + t̂."""
-        return self._gradients(self._field.temperatures(self._gaussians, self._neighbours, self._camera_position, 3))
+        return self._gradients(
+            self._field.temperatures(self._gaussians, self._neighbours, self._camera_position, 3)
+        )
 
     def _gradients(self, values: Tensor) -> tuple[Tensor | None, ...]:
         return torch.autograd.grad(values.sum(), self._inputs, allow_unused=True)

@@ -8,8 +8,13 @@ from torch import Tensor
 from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import EXTENT, TEMPERATURE, photos
-from mrgs.training.losses import LossConfig, photometric_loss, smoothness_loss
-from mrgs.training.radiation import DepthUncertainty, boltzmann_loss, normalise_radiation, thermal_radiation
+from mrgs.method.losses.photometric import LossConfig, photometric_loss, smoothness_loss
+from mrgs.method.losses.radiation import (
+    DepthUncertainty,
+    boltzmann_loss,
+    normalise_radiation,
+    thermal_radiation,
+)
 
 PHOTOMETRIC = "L1 + D-SSIM, 4 channels"
 
@@ -29,7 +34,8 @@ def stages(case: Case) -> Stages:
 
 
 class Losses:
-    """Images of noise as rendered, photos of noise as targets; each method returns the gradients."""
+    """Images of noise as rendered, photos of noise as targets; each method returns the
+    gradients."""
 
     def __init__(self, width: int, height: int) -> None:
         self._config = LossConfig()
@@ -39,7 +45,9 @@ class Losses:
         assert thermal is not None
         self._targets = [rgb.values, thermal.values]
         generator = torch.Generator().manual_seed(4)
-        self._images = [torch.rand(t.shape, generator=generator).requires_grad_() for t in self._targets]
+        self._images = [
+            torch.rand(t.shape, generator=generator).requires_grad_() for t in self._targets
+        ]
         depths = [2 + 4 * torch.rand(height, width, generator=generator) for _ in self._targets]
         self._depths = [depth.requires_grad_() for depth in depths]
 
@@ -62,6 +70,8 @@ class Losses:
     def radiation(self) -> tuple[Tensor, ...]:
         """L_boltz."""
         depth, image = self._depths[1], self._images[1]
-        radiation = normalise_radiation(thermal_radiation(self._targets[1][..., 0], depth, EXTENT, TEMPERATURE))
+        radiation = normalise_radiation(
+            thermal_radiation(self._targets[1][..., 0], depth, EXTENT, TEMPERATURE)
+        )
         loss = boltzmann_loss(image[..., 0], radiation, self._uncertainty(depth, EXTENT))
         return torch.autograd.grad(loss, [image, depth, *self._uncertainty.parameters()])

@@ -1,7 +1,8 @@
-"""The workloads whose times on the C++ prototype's machine are known, run here in turns with the fused pass.
+"""The workloads whose times on the C++ prototype's machine are known, run here in turns with the
+fused pass.
 
-They are written as they were there: what matters is that both machines do the same work, not that it is done well.
-``benchmarks/prototype.py`` holds the known times and says what follows from these.
+They are written as they were there: what matters is that both machines do the same work, not that
+it is done well. ``benchmarks/prototype.py`` holds the known times and says what follows from these.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ def stages(case: Case) -> Stages:
     """The fused pass, and the torch parts of a step as the prototype had them."""
     count, width, height = case.size
     fused = FusedPass(count, width, height)
-    mlp = nn.Sequential(nn.Linear(32, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 1))
+    mlp = nn.Sequential(
+        nn.Linear(32, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU(), nn.Linear(64, 1)
+    )
     inputs = torch.randn(MLP_ROWS, 32, requires_grad=True)
     x = torch.rand(4, height, width, requires_grad=True)
     y = torch.rand(4, height, width)
@@ -33,7 +36,9 @@ def stages(case: Case) -> Stages:
     return Stages(
         [
             Timing(FUSED, lambda _: fused.forward_backward()),
-            Timing(MLP, lambda _: torch.autograd.grad(mlp(inputs).sum(), [inputs, *mlp.parameters()])),
+            Timing(
+                MLP, lambda _: torch.autograd.grad(mlp(inputs).sum(), [inputs, *mlp.parameters()])
+            ),
             Timing(SSIM_CONV, lambda _: torch.autograd.grad(_ssim(x, y, window_by_convolution), x)),
             Timing(SSIM_SHIFTED, lambda _: torch.autograd.grad(_ssim(x, y, window_by_shifts), x)),
             Timing(ADAM, lambda _: optimizer.step()),
@@ -60,7 +65,10 @@ def window_by_shifts(planes: Tensor) -> Tensor:
     for axis, padding in ((1, (0, 0, 5, 5)), (2, (5, 5))):
         size, padded = planes.shape[axis], nn.functional.pad(planes, padding)
         planes = sum(
-            (weight * padded.narrow(axis, k, size) for k, weight in enumerate(SSIM_WEIGHTS.tolist())),
+            (
+                weight * padded.narrow(axis, k, size)
+                for k, weight in enumerate(SSIM_WEIGHTS.tolist())
+            ),
             torch.zeros(()),
         )
     return planes

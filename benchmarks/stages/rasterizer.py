@@ -1,6 +1,7 @@
 """The rasterizer: the fused pass as the training calls it, and its stages one by one.
 
-The stages are internals of ``mrgs.rasterizer.cpu``; this is the only file of the benchmarks that knows them.
+The stages are internals of ``mrgs.rasterizer.cpu``; this is the only file of the benchmarks that
+knows them.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ def stages(case: Case) -> Stages:
 
 
 class FusedPass:
-    """``rasterize`` of both modalities and its gradient for every input, the gradient of each pixel being 1."""
+    """``rasterize`` of both modalities and its gradient for every input, the gradient of each pixel
+    being 1."""
 
     def __init__(self, count: int, width: int, height: int) -> None:
         self._scene = {name: tensor.requires_grad_() for name, tensor in room(count).items()}
@@ -54,7 +56,14 @@ class FusedPass:
         """Image, depth and alpha of both modalities."""
         scene, c = self._scene, self._camera
         raster = rasterize(
-            scene["means"], scene["quats"], scene["scales"], self._layers, c.viewmat, c.K, c.width, c.height
+            scene["means"],
+            scene["quats"],
+            scene["scales"],
+            self._layers,
+            c.viewmat,
+            c.K,
+            c.width,
+            c.height,
         )
         return [image for images in raster.blends for image in images]
 
@@ -78,12 +87,22 @@ class PassInStages:
         scene = {name: tensor.numpy() for name, tensor in room(count).items()}
         self._opacities = np.stack([scene["opacity_rgb"], scene["opacity_thermal"]], axis=1)
         features = np.concatenate([scene["colors"], scene["temperatures"]], axis=1)
-        self._gaussians = [scene["means"], scene["quats"], scene["scales"], self._opacities, features]
+        self._gaussians = [
+            scene["means"],
+            scene["quats"],
+            scene["scales"],
+            self._opacities,
+            features,
+        ]
         seen_by = camera(width, height)
         self._viewmat, self._K = seen_by.viewmat.numpy(), seen_by.K.numpy()
         self._offset = np.zeros((count, 2), np.float32)
         self._backgrounds = np.zeros(3, np.float32), np.zeros(1, np.float32)
-        shapes = [shape for c in (3, 1) for shape in ((height, width, c), (height, width), (height, width))]
+        shapes = [
+            shape
+            for c in (3, 1)
+            for shape in ((height, width, c), (height, width), (height, width))
+        ]
         self._images = [np.empty(shape, np.float32) for shape in shapes]
         self._grad_images = [np.ones(shape, np.float32) for shape in shapes]
         self._grads = [np.empty_like(array) for array in (*self._gaussians, self._offset)]
@@ -101,13 +120,16 @@ class PassInStages:
         self._records = np.empty((self.count, splat.SPLAT_FLOATS), np.float32)
         self._radii = np.empty(self.count, np.float32)
         project(
-            *self._gaussians, self._viewmat, self._K, self.width, self.height, self._offset, False, self._records,
+            *self._gaussians, self._viewmat, self._K, self.width, self.height, self._offset, False,
+            self._records,
             self._radii,
         )  # fmt: skip
 
     def sort(self) -> None:
         """The visible Gaussians by depth."""
-        self.order = depth_order(np.ascontiguousarray(self._records[:, splat.DEPTH]), self._radii > 0)
+        self.order = depth_order(
+            np.ascontiguousarray(self._records[:, splat.DEPTH]), self._radii > 0
+        )
 
     def gather(self) -> None:
         """The records in that order."""
@@ -133,13 +155,19 @@ class PassInStages:
         lists = self.lists
         self.pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
         blend_backward(
-            self.splats, lists.tile_splats, lists.tile_starts, *self._images, *self._grad_images, self.pair_grads
+            self.splats,
+            lists.tile_splats,
+            lists.tile_starts,
+            *self._images,
+            *self._grad_images,
+            self.pair_grads,
         )
 
     def project_backward(self) -> None:
         """The gradients of the Gaussians."""
         lists = self.lists
         project_backward(
-            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, False, self.pair_grads,
+            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, False,
+            self.pair_grads,
             lists.pair_positions, lists.pair_starts, *self._grads,
         )  # fmt: skip

@@ -10,11 +10,11 @@ from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import CAPTURE, EXTENT, SCALE, photos, training_state, view
 from mrgs.field import nearest_neighbours
+from mrgs.method.config import Method, Preset, TrainConfig, make_config
+from mrgs.method.density.densification import ScreenStatistics
 from mrgs.render import bake_temperature_residuals, render_view
 from mrgs.scene import Gaussians
 from mrgs.training.checkpoint import make_state
-from mrgs.training.config import Method, Preset, TrainConfig, make_config
-from mrgs.training.densification import ScreenStatistics
 from mrgs.training.step import TrainingState, control_density, training_step
 
 STEP = "step"
@@ -79,7 +79,9 @@ def densification(case: Case) -> Stages:
 
     def event(state: TrainingState) -> None:
         control_density(state, config, EXTENT)
-        state.model.neighbours = nearest_neighbours(state.model.gaussians.means, config.field.neighbours_k)
+        state.model.neighbours = nearest_neighbours(
+            state.model.gaussians.means, config.field.neighbours_k
+        )
 
     return Stages([Timing(EVENT, event, lambda: _before_event(start, config))])
 
@@ -87,13 +89,20 @@ def densification(case: Case) -> Stages:
 def _choosing(gaussians: Gaussians, config: TrainConfig) -> TrainConfig:
     """Thresholds by which a tenth of the Gaussians densifies, whatever their number."""
     median_size = gaussians.scales.detach().max(dim=1).values.median().item()
-    thresholds = replace(config.densification, gradient_threshold=1 - DENSIFIED_SHARE, clone_below=median_size / EXTENT)
+    thresholds = replace(
+        config.densification,
+        gradient_threshold=1 - DENSIFIED_SHARE,
+        clone_below=median_size / EXTENT,
+    )
     return replace(config, densification=thresholds)
 
 
 def _before_event(start: TrainingState, config: TrainConfig) -> TrainingState:
-    """A copy of the state at a step that densifies, with Adam's moments and screen-space gradients."""
-    copies = Gaussians(**{name: t.detach().clone() for name, t in start.model.gaussians.tensors().items()})
+    """A copy of the state at a step that densifies, with Adam's moments and screen-space
+    gradients."""
+    copies = Gaussians(
+        **{name: t.detach().clone() for name, t in start.model.gaussians.tensors().items()}
+    )
     model = replace(start.model, gaussians=copies)
     generator = torch.Generator().manual_seed(5)
     state = make_state(model, start.uncertainty, config, CAPTURE, generator)
@@ -102,4 +111,6 @@ def _before_event(start: TrainingState, config: TrainConfig) -> TrainingState:
     state.gaussian_optimizer.step(0.5)
     count = len(model.gaussians)
     statistics = ScreenStatistics(torch.rand(count, generator=generator), torch.ones(count))
-    return replace(state, step=config.densification.start + config.densification.every, statistics=statistics)
+    return replace(
+        state, step=config.densification.start + config.densification.every, statistics=statistics
+    )

@@ -1,4 +1,5 @@
-"""MrGS: posed RGB and thermal photos in, one 3D Gaussian model out that renders novel views in colour and in °C.
+"""MrGS: posed RGB and thermal photos in, one 3D Gaussian model out that renders novel views in
+colour and in °C.
 
 The names below are imported on first use, so that ``import mrgs`` stays cheap.
 """
@@ -10,19 +11,28 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mrgs.data import load_scene
     from mrgs.errors import MrgsError
-    from mrgs.run import Run, load_run, open_run
+    from mrgs.runs.open import Run, load_run, open_run
     from mrgs.scene import Camera
     from mrgs.training import make_config, train
 
 __version__ = "0.1.0"
-__all__ = ["Camera", "MrgsError", "Run", "load_run", "load_scene", "make_config", "open_run", "train"]
+__all__ = [
+    "Camera",
+    "MrgsError",
+    "Run",
+    "load_run",
+    "load_scene",
+    "make_config",
+    "open_run",
+    "train",
+]
 
 _HOMES = {
     "Camera": "mrgs.scene",
     "MrgsError": "mrgs.errors",
-    "Run": "mrgs.run",
-    "load_run": "mrgs.run",
-    "open_run": "mrgs.run",
+    "Run": "mrgs.runs.open",
+    "load_run": "mrgs.runs.open",
+    "open_run": "mrgs.runs.open",
     "load_scene": "mrgs.data",
     "make_config": "mrgs.training",
     "train": "mrgs.training",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 
 class MrgsError(Exception):
-    """An error that the user can mend; the command line prints it as one line and exits with code 2."""
+    """An error that the user can mend; the command line prints it as one line and exits with code
+    2."""
 
 
 class SceneError(MrgsError):

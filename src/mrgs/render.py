@@ -1,4 +1,5 @@
-"""A model and a camera in, images out: the field gives colours and temperatures, the rasterizer blends them."""
+"""A model and a camera in, images out: the field gives colours and temperatures, the rasterizer
+blends them."""
 
 from __future__ import annotations
 
@@ -13,10 +14,10 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs import gpu
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Blend, Layer, Raster, contract, rasterize
 from mrgs.scene import Camera, Gaussians, View
+from mrgs.system import gpu
 
 ALL_ROWS_FROM = 0.9
 """Above this share in view, picking rows costs more than evaluating the heads for the others."""
@@ -29,11 +30,13 @@ class Model:
     Attributes:
         gaussians: the shared Gaussians.
         field: what turns their parameters into colours and temperatures.
-        neighbours: of each Gaussian, for the heat transformation, [N, K]; None if the field has none.
+        neighbours: of each Gaussian, for the heat transformation, [N, K]; None if the field has
+            none.
         sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
         background_rgb: colour seen where nothing is, the same for all channels.
         background_thermal: normalised temperature seen there.
-        antialiased: whether the opacities are compensated for the dilation, see the rasterizer's contract.
+        antialiased: whether the opacities are compensated for the dilation, see the rasterizer's
+            contract.
         temperature_residuals: t̂ of each Gaussian, [N, 1], where it is known beforehand
             (``bake_temperature_residuals``); else None.
     """
@@ -76,7 +79,12 @@ class Model:
         """
         degree = self.sh_degree if sh_degree is None else sh_degree
         return self.field.temperatures(
-            self.gaussians, self.neighbours, camera_position, degree, rows, self.temperature_residuals
+            self.gaussians,
+            self.neighbours,
+            camera_position,
+            degree,
+            rows,
+            self.temperature_residuals,
         )
 
 
@@ -104,21 +112,28 @@ class Rendering(NamedTuple):
         return Rendering(*(None if image is None else image.cpu() for image in self))
 
     def surface_depth(
-        self, modality: Literal["rgb", "thermal"], min_alpha: float = 0.5, max_step: float | None = None
+        self,
+        modality: Literal["rgb", "thermal"],
+        min_alpha: float = 0.5,
+        max_step: float | None = None,
     ) -> Float[Tensor, "h3 w3"]:
-        """z-depth of the surface that a pixel shows, D / A: the blended depth without the share of the background.
+        """z-depth of the surface that a pixel shows, D / A: the blended depth without the share of
+        the background.
 
         Args:
             modality: whose blend; it must have been rendered.
             min_alpha: a pixel that is covered less shows no surface.
-            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one of more lies on an
-                outline, where the mean depth is that of neither surface. None to keep outlines.
+            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
+                of more lies on an outline, where the mean depth is that of neither surface. None to
+                keep outlines.
 
         Returns:
             Scene units, NaN where there is no surface, the image's size.
         """
         depth, alpha = (
-            (self.depth_rgb, self.alpha_rgb) if modality == "rgb" else (self.depth_thermal, self.alpha_thermal)
+            (self.depth_rgb, self.alpha_rgb)
+            if modality == "rgb"
+            else (self.depth_thermal, self.alpha_thermal)
         )
         assert depth is not None
         assert alpha is not None
@@ -129,7 +144,8 @@ class Rendering(NamedTuple):
 
 
 Photograph: TypeAlias = Callable[[Rendering, Camera], Rendering]
-"""From what is there, and the camera that it is seen from, to what the scene's cameras would have written there."""
+"""From what is there, and the camera that it is seen from, to what the scene's cameras would have
+written there."""
 
 
 def as_it_is(rendering: Rendering, camera: Camera) -> Rendering:
@@ -141,7 +157,8 @@ class ScreenPoints(NamedTuple):
     """The projected centres of one pass, for densification.
 
     Attributes:
-        offset: zeros, [N, 2]; after the backward pass its gradient is that of the projected centres, in 1/px.
+        offset: zeros, [N, 2]; after the backward pass its gradient is that of the projected
+            centres, in 1/px.
         radii: [N], 0 where the pass does not draw the Gaussian.
         size: width and height of the image in pixels.
     """
@@ -175,7 +192,8 @@ def render(
     thermal_motion: Float[Tensor, "4 4"] | None = None,
     temperature_sh_degree: int | None = None,
 ) -> tuple[Rendering, list[ScreenPoints]]:
-    """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in one pass each.
+    """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in
+    one pass each.
 
     Differentiable in the Gaussians' parameters, the field's, and the motion.
 
@@ -183,15 +201,20 @@ def render(
         model: what to render.
         rgb_camera: of the RGB image.
         thermal_camera: of the thermal image.
-        thermal_motion: from the thermal camera's axes to those it is moved to, a rotation and a translation; only
-            where the two cameras differ.
-        temperature_sh_degree: highest degree of the temperatures' harmonics that counts; the model's if None.
+        thermal_motion: from the thermal camera's axes to those it is moved to, a rotation and a
+            translation; only where the two cameras differ.
+        temperature_sh_degree: highest degree of the temperatures' harmonics that counts; the
+            model's if None.
 
     Returns:
         the images, and the projected centres of each pass.
     """
     thermal_layer = partial(_thermal_layer, sh_degree=temperature_sh_degree)
-    if rgb_camera is not None and thermal_camera is not None and rgb_camera.coincides_with(thermal_camera):
+    if (
+        rgb_camera is not None
+        and thermal_camera is not None
+        and rgb_camera.coincides_with(thermal_camera)
+    ):
         rows = _rows_in_view(model.gaussians, rgb_camera)
         layers = [_rgb_layer(model, rgb_camera, rows), thermal_layer(model, rgb_camera, rows)]
         raster, points = _pass(model, layers, rgb_camera)
@@ -215,7 +238,9 @@ def render(
 def _depth_range(depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
     """Largest minus smallest depth within 3×3 pixels; NaN does not count."""
     far, minus_near = (
-        torch.nn.functional.max_pool2d(signed.nan_to_num(nan=-torch.inf)[None], 3, stride=1, padding=1)[0]
+        torch.nn.functional.max_pool2d(
+            signed.nan_to_num(nan=-torch.inf)[None], 3, stride=1, padding=1
+        )[0]
         for signed in (depth, -depth)
     )
     return far + minus_near
@@ -230,13 +255,19 @@ def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
 def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
     """o_c and c + ĉ."""
     gaussians = model.gaussians
-    colors = model.field.colors(gaussians, _position(camera, gaussians.means), model.sh_degree, rows)
+    colors = model.field.colors(
+        gaussians, _position(camera, gaussians.means), model.sh_degree, rows
+    )
     return Layer(
-        gaussians.opacity_rgb, _scatter(colors, rows, len(gaussians)), colors.new_full((3,), model.background_rgb)
+        gaussians.opacity_rgb,
+        _scatter(colors, rows, len(gaussians)),
+        colors.new_full((3,), model.background_rgb),
     )
 
 
-def _thermal_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None, sh_degree: int | None) -> Layer:
+def _thermal_layer(
+    model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None, sh_degree: int | None
+) -> Layer:
     """o_t and t + t̂."""
     gaussians = model.gaussians
     values = model.temperatures(_position(camera, gaussians.means), rows, sh_degree=sh_degree)
@@ -254,10 +285,12 @@ def _position(camera: Camera, means: Float[Tensor, "n 3"]) -> Float[Tensor, "3"]
 
 @torch.no_grad()
 def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | None:
-    """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for others; None for all.
+    """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for
+    others; None for all.
 
-    Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out. On a GPU it is all:
-    the host would have to wait for their number, which costs more than the heads of those that are not seen.
+    Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out.
+    On a GPU it is all: the host would have to wait for their number, which costs more than the
+    heads of those that are not seen.
     """
     means = gaussians.means
     if gpu.serves(means):
@@ -266,7 +299,10 @@ def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] |
     x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)
     largest = gaussians.log_scales.max(dim=1).values.exp()
     in_view = z >= contract.NEAR_PLANE
-    for across, focal, centre, size in ((x, K[0, 0], K[0, 2], camera.width), (y, K[1, 1], K[1, 2], camera.height)):
+    for across, focal, centre, size in (
+        (x, K[0, 0], K[0, 2], camera.width),
+        (y, K[1, 1], K[1, 2], camera.height),
+    ):
         slope = across / z
         margin = contract.FRUSTUM_MARGIN * 0.5 * size / focal
         clamped = slope.clamp(-centre / focal - margin, (size - centre) / focal + margin)
@@ -278,7 +314,9 @@ def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] |
     return None if len(rows) > ALL_ROWS_FROM * len(means) else rows
 
 
-def _scatter(values: Float[Tensor, "v c"], rows: Int64[Tensor, " v"] | None, count: int) -> Float[Tensor, "n c"]:
+def _scatter(
+    values: Float[Tensor, "v c"], rows: Int64[Tensor, " v"] | None, count: int
+) -> Float[Tensor, "n c"]:
     """Values of some rows among zeros for the others."""
     if rows is None:
         return values
@@ -291,9 +329,15 @@ def _pass(
     gaussians = model.gaussians
     means, quats = gaussians.means, gaussians.quats
     if motion is not None:
-        means, quats = _moved(means, quats, camera.tensors(means.device, means.dtype).viewmat, motion)
+        means, quats = _moved(
+            means, quats, camera.tensors(means.device, means.dtype).viewmat, motion
+        )
     offset = torch.zeros(
-        len(gaussians), 2, dtype=means.dtype, device=means.device, requires_grad=torch.is_grad_enabled()
+        len(gaussians),
+        2,
+        dtype=means.dtype,
+        device=means.device,
+        requires_grad=torch.is_grad_enabled(),
     )
     K, viewmat, _ = camera.tensors(means.device)
     raster = rasterize(
@@ -317,7 +361,8 @@ def _moved(
     viewmat: Float[Tensor, "4 4"],
     motion: Float[Tensor, "4 4"],
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 4"]]:
-    """The Gaussians moved in the world as the camera's motion moves them in its axes; differentiable in the motion."""
+    """The Gaussians moved in the world as the camera's motion moves them in its axes;
+    differentiable in the motion."""
     R, t = viewmat[:3, :3], viewmat[:3, 3]
     in_camera = means @ R.T + t
     moved = in_camera @ motion[:3, :3].T + motion[:3, 3]
@@ -329,7 +374,11 @@ def _rotated(quats: Float[Tensor, "n 4"], rotation: Float[Tensor, "3 3"]) -> Flo
     """Quaternions wxyz behind a rotation of less than half a turn."""
     w = 0.5 * (1 + rotation.diagonal().sum()).sqrt()
     skew = torch.stack(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
     )
     r = skew / (4 * w)
     crossed = torch.linalg.cross(r.expand(len(quats), 3), quats[:, 1:])

@@ -1,4 +1,5 @@
-"""The GPU benchmark where there is no GPU: its logic, and every part at tiny sizes through the CPU kernels."""
+"""The GPU benchmark where there is no GPU: its logic, and every part at tiny sizes through the CPU
+kernels."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
 from benchmarks.plan import ONE_RUN, Effort
 
 from benchmarks import gpu, gpu_correctness, gpu_gsplat, gpu_stages, gpu_timing, gpu_workload
-from mrgs.training.config import make_config
+from mrgs.method.config import make_config
 
 CPU = torch.device("cpu")
 
@@ -55,7 +56,10 @@ def test_waits_of_the_host_are_counted_by_their_lines(monkeypatch):
     monkeypatch.setattr(gpu_timing.torch.cuda, "set_sync_debug_mode", modes.append)
 
     def run() -> None:
-        warnings.warn("Synchronization debug mode does not yet detect all synchronizing operations", stacklevel=1)
+        warnings.warn(
+            "Synchronization debug mode does not yet detect all synchronizing operations",
+            stacklevel=1,
+        )
         for _ in range(3):
             warnings.warn("called a synchronizing CUDA operation", stacklevel=1)
 
@@ -76,7 +80,13 @@ def test_the_cpu_kernels_pass_every_comparison():
     rows = rows_of("correctness")
     assert [row for row in rows if not row["ok"]] == []
     kinds = {row["of"].split(":")[0].split(",")[0] for row in rows}
-    assert {"rasterizer", "L1 + D-SSIM", "total variation", "L_boltz", "losses of three steps"} <= kinds
+    assert {
+        "rasterizer",
+        "L1 + D-SSIM",
+        "total variation",
+        "L_boltz",
+        "losses of three steps",
+    } <= kinds
 
 
 def test_scenes_grow_and_have_all_kinds_of_layers():
@@ -110,7 +120,9 @@ def test_a_wrong_image_and_a_wrong_gradient_are_found(monkeypatch):
 def test_nan_is_wrong_and_a_wrong_neighbour_is_found(monkeypatch):
     assert not gpu_correctness.ok({"error": math.nan, "limit": 1})
     assert gpu_correctness.ok({"error": 0.0, "limit": 0})
-    monkeypatch.setattr(gpu_correctness, "nearest_neighbours", lambda means, k: torch.zeros(len(means), k).long())
+    monkeypatch.setattr(
+        gpu_correctness, "nearest_neighbours", lambda means, k: torch.zeros(len(means), k).long()
+    )
     (found,) = gpu_correctness.compare_neighbours(CPU, 50)
     assert not gpu_correctness.ok(found)
 
@@ -119,7 +131,9 @@ def test_sizes_are_measured_with_the_least_bytes_they_move():
     (row,) = rows_of("rasterizer")
     assert (row["gaussians"], row["width"], row["height"]) == TRIAL.sizes[0]
     assert row["times"].keys() == {"forward", "forward + backward"}
-    assert row["least_bytes"] == 2 * 4 * (300 * 16 + 64 * 48 * 8)  # 16 numbers per Gaussian, 8 per pixel
+    assert row["least_bytes"] == 2 * 4 * (
+        300 * 16 + 64 * 48 * 8
+    )  # 16 numbers per Gaussian, 8 per pixel
 
 
 def raising(error: Exception):
@@ -145,13 +159,18 @@ def test_a_size_that_fails_leaves_the_others_alone(monkeypatch):
     plan = dataclasses.replace(TRIAL, sizes=((1, 8, 8), (2, 8, 8)))
     version, failed, measured = gpu_stages.beside_gsplat(gpu_stages.Order(plan, CPU, 0))
     assert version == {"gsplat": "1.5.3"}
-    assert failed["failed"] == "RuntimeError: CUDA error: invalid argument … Compile with X to enable assertions."
+    assert (
+        failed["failed"]
+        == "RuntimeError: CUDA error: invalid argument … Compile with X to enable assertions."
+    )
     assert "in compare" in failed["traceback"]
     assert measured == {"gaussians": 2, "width": 8, "height": 8, "times": {}}
 
 
 def test_a_comparison_that_fails_is_wrong_and_one_without_room_is_not(monkeypatch):
-    monkeypatch.setattr(gpu_correctness, "compare_rasterizer", raising(torch.cuda.OutOfMemoryError("no")))
+    monkeypatch.setattr(
+        gpu_correctness, "compare_rasterizer", raising(torch.cuda.OutOfMemoryError("no"))
+    )
     monkeypatch.setattr(gpu_correctness, "compare_neighbours", raising(ValueError()))
     rows = rows_of("correctness")
     skipped, failed = ([row for row in rows if kind in row] for kind in ("skipped", "failed"))
@@ -173,7 +192,10 @@ def test_a_size_that_fails_ends_with_status_1():
 
 
 def test_whole_steps_of_both_methods():
-    assert [(row["method"], row["steps_per_s"] > 0) for row in rows_of("step")] == [("mrgs", True), ("mrgs-plus", True)]
+    assert [(row["method"], row["steps_per_s"] > 0) for row in rows_of("step")] == [
+        ("mrgs", True),
+        ("mrgs-plus", True),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -195,7 +217,9 @@ def test_the_training_begins_only_if_time_for_the_scoring_is_left():
 
 
 def test_the_full_run_trains_with_the_schedule_of_the_paper():
-    assert make_config("mrgs", "paper", max_steps=FULL.training_steps) == make_config("mrgs", "paper")
+    assert make_config("mrgs", "paper", max_steps=FULL.training_steps) == make_config(
+        "mrgs", "paper"
+    )
 
 
 def test_the_bundled_scene_is_trained_and_scored():
@@ -211,8 +235,11 @@ def test_training_ends_when_the_time_is_up(monkeypatch):
     assert "rgb psnr" in scored["metrics"]
 
 
-def answer(monkeypatch, rows: list[dict], returncode: int = 0, stderr: str = "", late: bool = False) -> list[str]:
-    """Replaces the children, but for the device's, by one that writes these rows; returns the parts asked for."""
+def answer(
+    monkeypatch, rows: list[dict], returncode: int = 0, stderr: str = "", late: bool = False
+) -> list[str]:
+    """Replaces the children, but for the device's, by one that writes these rows; returns the parts
+    asked for."""
     asked = []
 
     def run(command, timeout, **_):
@@ -244,7 +271,12 @@ def test_a_wrong_result_ends_with_status_1(monkeypatch, tmp_path):
 
 def test_a_part_that_fails_says_why_and_keeps_what_it_measured(monkeypatch, tmp_path, capsys):
     rows = [{"of": "image", "error": 0.0, "limit": 0.1, "ok": True}]
-    answer(monkeypatch, rows, returncode=1, stderr="Traceback\nRuntimeError: an illegal memory access\n")
+    answer(
+        monkeypatch,
+        rows,
+        returncode=1,
+        stderr="Traceback\nRuntimeError: an illegal memory access\n",
+    )
     status, parts = run_gpu(tmp_path, "--only", "correctness")
     assert status == 1
     assert parts["correctness"]["rows"] == rows
@@ -298,14 +330,19 @@ def test_the_children_never_interpret_the_kernels(monkeypatch):
 
 
 def test_parts_run_without_what_a_bare_machine_lacks(tmp_path):
-    """One part for real, from another folder, where the command line's and the viewer's packages are missing."""
+    """One part for real, from another folder, where the command line's and the viewer's packages
+    are missing."""
     for name in ("tyro", "rich", "viser", "pytest", "hypothesis", "beartype", "matplotlib"):
         (tmp_path / f"{name}.py").write_text(f"raise ImportError('{name} is missing')")
     environment = gpu.environment(None)
     environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), environment["PYTHONPATH"]])
     command = [sys.executable, "-m", "benchmarks.gpu", "--device", "cpu", "--only", "rasterizer"]
     run = subprocess.run(
-        [*command, "--output", str(tmp_path / "out")], cwd=tmp_path, env=environment, capture_output=True, text=True
+        [*command, "--output", str(tmp_path / "out")],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
     )
     assert run.returncode == 0, run.stderr
     parts = json.loads((tmp_path / "out" / "gpu.json").read_text())["parts"]

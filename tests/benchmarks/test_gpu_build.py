@@ -17,7 +17,11 @@ from benchmarks import gpu
 def build_with(monkeypatch, command: str) -> gpu.GsplatBuild:
     """The build, replaced by a command of its own."""
     start = subprocess.Popen
-    monkeypatch.setattr(gpu.subprocess, "Popen", lambda _, **options: start([sys.executable, "-c", command], **options))
+    monkeypatch.setattr(
+        gpu.subprocess,
+        "Popen",
+        lambda _, **options: start([sys.executable, "-c", command], **options),
+    )
     return gpu.GsplatBuild(None)
 
 
@@ -39,13 +43,17 @@ def wait_until(condition) -> None:
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        ("raise ImportError('no CUDA compiler')", "gsplat cannot be used (ImportError: no CUDA compiler)"),
+        (
+            "raise ImportError('no CUDA compiler')",
+            "gsplat cannot be used (ImportError: no CUDA compiler)",
+        ),
         ("pass", None),
         (
             "raise RuntimeError('Error building extension: [1/2] nvcc -o a.o\\n'"
             "'a.cu(3): error: identifier \"x\" is undefined\\n  throw error: x\\n'"
             "'nvcc fatal   : no room\\nninja: build stopped: subcommand failed.')",
-            'gsplat cannot be used (a.cu(3): error: identifier "x" is undefined; nvcc fatal   : no room)',
+            'gsplat cannot be used (a.cu(3): error: identifier "x" is undefined; nvcc fatal   : '
+            "no room)",
         ),
     ],
 )
@@ -59,7 +67,8 @@ def test_a_build_that_takes_too_long_is_ended(monkeypatch):
     with build_with(monkeypatch, "import time; time.sleep(600)") as build:
         assert build.wait(0) == (
             "gsplat's kernels were not built in time: build them first "
-            "(PYTHONPATH=src python -m benchmarks.gpu_gsplat), then run this again on the same machine"
+            "(PYTHONPATH=src python -m benchmarks.gpu_gsplat), then run this again on the same "
+            "machine"
         )
         assert build._process.poll() is not None
     assert build._process.returncode != 0
@@ -79,13 +88,21 @@ def test_a_build_that_does_not_end_when_asked_is_killed(monkeypatch, tmp_path):
     assert build._process.returncode == -signal.SIGKILL
 
 
-@pytest.mark.skipif(shutil.which("ninja") is None or not hasattr(os, "mkfifo"), reason="needs ninja and POSIX")
+@pytest.mark.skipif(
+    shutil.which("ninja") is None or not hasattr(os, "mkfifo"), reason="needs ninja and POSIX"
+)
 def test_the_compilers_of_a_build_are_ended_with_it(monkeypatch, tmp_path):
-    """ninja gives them groups of their own; one that lives holds the pipe's end that it writes to."""
+    """ninja gives them groups of their own; one that lives holds the pipe's end that it writes
+    to."""
     os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "build.ninja").write_text("rule compile\n  command = exec sleep 600 > pipe\nbuild a.o: compile\n")
+    (tmp_path / "build.ninja").write_text(
+        "rule compile\n  command = exec sleep 600 > pipe\nbuild a.o: compile\n"
+    )
     pipe = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    command = f"import subprocess; subprocess.run(['ninja', '-C', {str(tmp_path)!r}], stdout=subprocess.PIPE)"
+    command = (
+        f"import subprocess; subprocess.run(['ninja', '-C', {str(tmp_path)!r}], "
+        f"stdout=subprocess.PIPE)"
+    )
     try:
         with build_with(monkeypatch, command) as build:
             wait_until(lambda: held(pipe))
@@ -106,5 +123,7 @@ def test_the_remedy_names_the_folder_of_the_wheel(monkeypatch, tmp_path):
     monkeypatch.setattr(gpu.subprocess, "Popen", popen)
     monkeypatch.setattr(gpu.os, "cpu_count", lambda: 16)
     with gpu.GsplatBuild(tmp_path) as build:
-        assert f"PYTHONPATH=src{os.pathsep}{tmp_path} python -m benchmarks.gpu_gsplat" in build.wait(0)
+        assert (
+            f"PYTHONPATH=src{os.pathsep}{tmp_path} python -m benchmarks.gpu_gsplat" in build.wait(0)
+        )
     assert jobs == [14]

@@ -22,26 +22,58 @@ def test_the_report_of_a_gpu():
     compared = {n: {"median_ms": ms, "q1_ms": ms, "q3_ms": ms} for n, ms in ways.items()}
     waits = {"mrgs/rasterizer/gpu.py:7": 1}
     device = {
-        "device": "A GPU", "capability": "9.0", "multiprocessors": 132, "memory_bytes": 2**37, "cuda": "13.0",
+        "device": "A GPU", "capability": "9.0", "multiprocessors": 132, "memory_bytes": 2**37,
+        "cuda": "13.0",
         "triton": "3.6.0", "torch": "2.11", "python": "3.12", "copy_bytes_per_s": 4e12,
         "float32_operations_per_s": 5e13, "launch_s": 4e-6,
     }  # fmt: skip
-    timed = {"times": sample(both), "peak_bytes": 10**8, "least_bytes": 4 * 10**8, "host_waits": waits}
-    step = {"times": sample(("step",)), "peak_bytes": 10**9, "host_waits": waits, "steps_per_s": 161.4}
-    trained = {"steps": 9_000, "of_steps": 30_000, "seconds": 90, "steps_per_s": 100, "gaussians": 47_000}
+    timed = {
+        "times": sample(both),
+        "peak_bytes": 10**8,
+        "least_bytes": 4 * 10**8,
+        "host_waits": waits,
+    }
+    step = {
+        "times": sample(("step",)),
+        "peak_bytes": 10**9,
+        "host_waits": waits,
+        "steps_per_s": 161.4,
+    }
+    trained = {
+        "steps": 9_000,
+        "of_steps": 30_000,
+        "seconds": 90,
+        "steps_per_s": 100,
+        "gaussians": 47_000,
+    }
     rows = {
         "device": [device],
-        "correctness": [{"of": "image", "error": e, "limit": 1e-4, "ok": e < 1e-4} for e in (1e-6, 2e-6)],
+        "correctness": [
+            {"of": "image", "error": e, "limit": 1e-4, "ok": e < 1e-4} for e in (1e-6, 2e-6)
+        ],
         "gsplat": [
             {"gsplat": "1.5.3"},
-            {**size, "times": dict.fromkeys(both, compared), "mean_difference": {"two passes": 1e-6}},
+            {
+                **size,
+                "times": dict.fromkeys(both, compared),
+                "mean_difference": {"two passes": 1e-6},
+            },
         ],
         "rasterizer": [{**size, **timed}, {**size, "skipped": "out of memory"}],
         "step": [{"method": "mrgs", **size, **step}],
         "training": [{**trained, "peak_bytes": 10**9}, {"metrics": {"rgb psnr": 31.25}}],
     }
-    text = to_markdown({"plan": "full", "seconds": 400, "parts": {name: {"rows": part} for name, part in rows.items()}})
-    assert "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, CUDA 13.0, Triton 3.6.0" in text
+    text = to_markdown(
+        {
+            "plan": "full",
+            "seconds": 400,
+            "parts": {name: {"rows": part} for name, part in rows.items()},
+        }
+    )
+    assert (
+        "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, CUDA 13.0, Triton 3.6.0"
+        in text
+    )
     assert "4,000 GB/s" in text
     assert "| image | 2 | 2.0e-06 | 1e-04 |  |" in text
     assert "| 3.00 (3.00–3.00) | 2.50 (2.50–2.50) | 1.50 | 1.25 |" in text
@@ -56,12 +88,17 @@ def test_the_report_says_where_a_result_is_missing():
     size = {"gaussians": 50_000, "width": 640, "height": 480}
     failed = {**size, "failed": "ValueError: a | b"}
     rows = {
-        "correctness": [{"of": "image", "skipped": "out of memory", "ok": True}, {"of": "loss", **failed, "ok": False}],
+        "correctness": [
+            {"of": "image", "skipped": "out of memory", "ok": True},
+            {"of": "loss", **failed, "ok": False},
+        ],
         "gsplat": [failed],
         "rasterizer": [failed],
         "step": [{"method": "mrgs", **failed}],
     }
-    parts = {"device": {"skipped": "no time"}} | {name: {"rows": part} for name, part in rows.items()}
+    parts = {"device": {"skipped": "no time"}} | {
+        name: {"rows": part} for name, part in rows.items()
+    }
     text = to_markdown({"plan": "quick", "seconds": 1, "parts": parts})
     assert "| image | 1 |  |  | out of memory |" in text
     assert text.count(r"| **failed**: ValueError: a \| b |") == 4

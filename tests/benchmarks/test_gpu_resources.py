@@ -21,7 +21,7 @@ from benchmarks.gpu_resources import (
 )
 
 from benchmarks import gpu_resources
-from mrgs.gpu_kernels import KernelSpec
+from mrgs.system.gpu_kernels import KernelSpec
 
 GOOD = {"registers": 40, "spill_stores": 0, "spill_loads": 0, "stack": 0, "shared": 512, "warps": 4}
 
@@ -85,29 +85,34 @@ def test_table_and_lists_hold_the_same_kernels():
 
 
 def test_a_kernel_in_no_list_is_a_finding():
-    lines = worsened(found(unlisted=("mrgs.training.gpu.k.lost",)), TABLE_OF_GOOD)
-    assert lines == ["mrgs.training.gpu.k.lost is in no KERNELS: list every specialisation that is launched"]
+    lines = worsened(found(unlisted=("mrgs.method.gpu.k.lost",)), TABLE_OF_GOOD)
+    assert lines == [
+        "mrgs.method.gpu.k.lost is in no KERNELS: list every specialisation that is launched"
+    ]
 
 
 def fake_kernel(name: str, body: Callable = len) -> SimpleNamespace:
     """What ``triton.jit`` returns, as far as it is looked at."""
     code = getattr(body, "__code__", SimpleNamespace(co_names=()))
-    fn = SimpleNamespace(__name__=name, __module__="mrgs.training.gpu.kernels", __code__=code)
+    fn = SimpleNamespace(__name__=name, __module__="mrgs.method.gpu.kernels", __code__=code)
     return SimpleNamespace(fn=fn, __name__=name, arg_names=["x"])
 
 
 def test_kernels_without_an_entry_are_found_but_not_what_kernels_call():
-    module = ModuleType("mrgs.training.gpu.kernels")
+    module = ModuleType("mrgs.method.gpu.kernels")
     module.blur = fake_kernel("blur", lambda x: window(x))
     module.window, module.lost = fake_kernel("window"), fake_kernel("lost")
     specs = [KernelSpec(module.blur, {"x": "*fp32"}, {})]
-    assert unlisted([module], specs) == ["mrgs.training.gpu.kernels.lost"]
+    assert unlisted([module], specs) == ["mrgs.method.gpu.kernels.lost"]
 
 
 def test_specialisations_of_a_kernel_need_names_of_their_own():
     blur = fake_kernel("blur")
     module = ModuleType("kernels")
-    module.KERNELS = (KernelSpec(blur, {"x": "*fp32"}, {}), KernelSpec(blur, {}, {"x": None}, variant="bare"))
+    module.KERNELS = (
+        KernelSpec(blur, {"x": "*fp32"}, {}),
+        KernelSpec(blur, {}, {"x": None}, variant="bare"),
+    )
     assert list(listed([module])) == ["training: blur", "training: blur[bare]"]
     module.KERNELS = (module.KERNELS[0], KernelSpec(blur, {}, {"x": None}))
     with pytest.raises(ValueError, match="two entries of KERNELS are called training: blur"):
@@ -150,7 +155,10 @@ def test_a_row_of_the_table():
 
 
 def test_the_document_shows_the_newest_compiler():
-    text = with_newest(f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n", {**TABLE_OF_GOOD, "3.10.0": found()["kernels"]})
+    text = with_newest(
+        f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n",
+        {**TABLE_OF_GOOD, "3.10.0": found()["kernels"]},
+    )
     assert text.startswith(f"before\n{MARKS[0]}\n\nTriton 3.10.0")
     assert text.endswith(f"\n\n{MARKS[1]}\nafter\n")
     assert "old" not in text
@@ -162,7 +170,8 @@ def test_the_committed_document_shows_the_committed_table():
 
 
 def test_the_children_compile_whatever_this_process_does(monkeypatch):
-    """TRITON_INTERPRET would make them interpret, and options for ptxas would change what they measure."""
+    """TRITON_INTERPRET would make them interpret, and options for ptxas would change what they
+    measure."""
     started = []
 
     def run(command, env, **options):
@@ -175,10 +184,17 @@ def test_the_children_compile_whatever_this_process_does(monkeypatch):
     monkeypatch.setenv("TRITON_PTXAS_PATH", "/somewhere")
     monkeypatch.setattr(gpu_resources.subprocess, "run", run)
     kernels = compile_in_children()["kernels"]["training: blur"]
-    assert {target: taken["registers"] for target, taken in kernels.items()} == {"sm_80": 80, "sm_90": 90}
+    assert {target: taken["registers"] for target, taken in kernels.items()} == {
+        "sm_80": 80,
+        "sm_90": 90,
+    }
     for environment in started:
         triton_variables = {key for key in environment if key.startswith("TRITON_")}
-        assert triton_variables == {"TRITON_CACHE_DIR", "TRITON_DUMP_PTXAS_LOG", "TRITON_DEFAULT_FP_FUSION"}
+        assert triton_variables == {
+            "TRITON_CACHE_DIR",
+            "TRITON_DUMP_PTXAS_LOG",
+            "TRITON_DEFAULT_FP_FUSION",
+        }
 
 
 def test_a_kernel_that_does_not_compile_is_told_as_the_compiler_tells_it(monkeypatch):

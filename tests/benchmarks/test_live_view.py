@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from mrgs.run import load_run
+from mrgs.runs.open import load_run
 from mrgs.training import make_config, train
 
 pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
@@ -20,12 +20,17 @@ from mrgs.viewer.web import open_viewer
 
 
 def test_the_onlooker_is_a_browser_to_the_viewer(small_scene, tmp_path, monkeypatch):
-    """It is drawn for and receives pictures until the server goes; painting and serving are accounted for."""
+    """It is drawn for and receives pictures until the server goes; painting and serving are
+    accounted for."""
     charged = set()
-    monkeypatch.setattr(TrainedSource, "charge", lambda _: charged.add(threading.current_thread().name))
+    monkeypatch.setattr(
+        TrainedSource, "charge", lambda _: charged.add(threading.current_thread().name)
+    )
     monkeypatch.setattr(live_view, "SCENE", small_scene)
     cameras = camera_messages()
-    run = load_run(train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=60)).path)
+    run = load_run(
+        train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=60)).path
+    )
     viewer = open_viewer(run, run.load_scene(), "127.0.0.1", 0)
     with ThreadPoolExecutor(1) as pool:
         pictures = pool.submit(lambda: asyncio.run(watch(viewer.url, 0.1, cameras)))
@@ -46,11 +51,20 @@ def _until(condition):
 
 
 def test_the_table_compares_each_watched_training_with_the_one_alone_of_its_round():
-    alone = [Turn(10.0, 8.0, 0.0, 0.0, 0), Turn(20.0, 8.0, 0.0, 0.0, 0), Turn(10.0, 8.0, 0.0, 0.0, 0)]
-    watched = [Turn(10.4, 8.8, 0.4, 0.1, 7), Turn(20.4, 8.2, 0.4, 0.2, 9), Turn(10.3, 8.4, 0.3, 0.2, 8)]
+    alone = [
+        Turn(10.0, 8.0, 0.0, 0.0, 0),
+        Turn(20.0, 8.0, 0.0, 0.0, 0),
+        Turn(10.0, 8.0, 0.0, 0.0, 0),
+    ]
+    watched = [
+        Turn(10.4, 8.8, 0.4, 0.1, 7),
+        Turn(20.4, 8.2, 0.4, 0.2, 9),
+        Turn(10.3, 8.4, 0.3, 0.2, 8),
+    ]
     lines = to_markdown({ALONE: alone, **dict.fromkeys(PAUSES_S, watched)}).splitlines()
     assert lines[2] == "| alone | 10.0 s | 8.0 s | | | | |"
     assert lines[3].split(" | ")[1:] == [
-        "3.0 % (2.0 to 4.0)", "5.0 % (2.5 to 10.0)", "3.0 % (2.0 to 4.0)", "1.0 % (1.0 to 2.0)", "5.0 % (3.0 to 5.0)",
+        "3.0 % (2.0 to 4.0)", "5.0 % (2.5 to 10.0)", "3.0 % (2.0 to 4.0)", "1.0 % (1.0 to 2.0)",
+        "5.0 % (3.0 to 5.0)",
         "8 |",
     ]  # fmt: skip

@@ -43,5 +43,7 @@ def test_cases_survive_the_way_to_the_child():
 
 def test_the_parent_process_loads_no_torch():
     script = "import sys, benchmarks.__main__; print(*{'torch', 'numba'} & set(sys.modules))"
-    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     assert run.stdout.split() == []

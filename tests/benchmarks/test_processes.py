@@ -33,7 +33,9 @@ def test_a_result_goes_with_its_case(monkeypatch):
     assert environment["ONEDNN_MAX_CPU_ISA"] == "AVX2"
 
 
-@pytest.mark.parametrize(("stderr", "reason"), [("Traceback\nKeyError: x\n", "KeyError: x"), ("", "exit status -9")])
+@pytest.mark.parametrize(
+    ("stderr", "reason"), [("Traceback\nKeyError: x\n", "KeyError: x"), ("", "exit status -9")]
+)
 def test_a_child_that_fails_says_why(monkeypatch, stderr, reason):
     child_that(monkeypatch, returncode=-9, stderr=stderr)
     assert measure_case(CASE, ONE_RUN, threads=2) == {**SIZE, "failed": reason}

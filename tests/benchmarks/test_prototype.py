@@ -22,7 +22,9 @@ def test_on_the_same_machine_nothing_is_scaled():
     assert found.verdict == "met"
 
 
-@pytest.mark.parametrize(("fused_over_target", "verdict"), [(0.4, "met"), (0.8, "undecided"), (1.1, "missed")])
+@pytest.mark.parametrize(
+    ("fused_over_target", "verdict"), [(0.4, "met"), (0.8, "undecided"), (1.1, "missed")]
+)
 def test_the_verdict_names_what_the_range_leaves_open(fused_over_target, verdict):
     """Of two factors, 0.5 and 1, each is applied to the fused pass that was measured beside it."""
     fused_ms = fused_over_target * TARGET_RATIO[SIZE] * CPP_MS[SIZE]

@@ -9,7 +9,9 @@ from benchmarks.targets import TARGETS
 MACHINE = {"processor": "P", "threads": 2, "cores": 2, "python": "3", "torch": "2", "numba": "0"}
 
 
-def case(group: str, gaussians=None, width=None, calibration_ms: float = 1.0, **stages_ms: float) -> dict:
+def case(
+    group: str, gaussians=None, width=None, calibration_ms: float = 1.0, **stages_ms: float
+) -> dict:
     height = None if width is None else width * 3 // 4
     times = {**dict.fromkeys(CALIBRATIONS, calibration_ms), **stages_ms}
     timings = {name: {"median_ms": ms, "runs": 12} for name, ms in times.items()}
@@ -30,21 +32,39 @@ def test_a_median_of_few_runs_is_marked(median_ms, runs, text):
 
 
 def test_load_is_relative_to_the_quietest_case():
-    skipped = {"group": "gsplat", "gaussians": 1, "width": 320, "height": 240, "skipped": "not installed"}
-    cases = with_load([case("adam", 10, calibration_ms=2.0), case("adam", 20, calibration_ms=3.0), skipped])
+    skipped = {
+        "group": "gsplat",
+        "gaussians": 1,
+        "width": 320,
+        "height": 240,
+        "skipped": "not installed",
+    }
+    cases = with_load(
+        [case("adam", 10, calibration_ms=2.0), case("adam", 20, calibration_ms=3.0), skipped]
+    )
     assert [c.get("load") for c in cases] == [1.0, 1.5, None]
 
 
 def test_the_report_shows_what_was_measured_and_what_was_not():
-    skipped = {"group": "losses", "gaussians": None, "width": 640, "height": 480, "skipped": "out of memory"}
-    markdown = to_markdown({"machine": MACHINE, "cases": [case("losses", None, 320, radiation=4.5), skipped]})
+    skipped = {
+        "group": "losses",
+        "gaussians": None,
+        "width": 640,
+        "height": 480,
+        "skipped": "out of memory",
+    }
+    markdown = to_markdown(
+        {"machine": MACHINE, "cases": [case("losses", None, 320, radiation=4.5), skipped]}
+    )
     assert "| 320×240 | 4.5 | 3 | 1.00 |" in markdown
     assert "| 640×480 | – | – | – |" in markdown
     assert "- 640×480: skipped: out of memory" in markdown
     assert "Targets" not in markdown
 
 
-@pytest.mark.parametrize(("calibration_ms", "end"), [(1.0, "missed | 1.00"), (1.5, "undecided | 1.50")])
+@pytest.mark.parametrize(
+    ("calibration_ms", "end"), [(1.0, "missed | 1.00"), (1.5, "undecided | 1.50")]
+)
 def test_the_report_compares_with_the_prototype(calibration_ms, end):
     known = {FUSED: 100.5, MLP: 39.0, SSIM_CONV: 200.0, SSIM_SHIFTED: 124.0, ADAM: 3.0}
     cases = [case("adam", 10), case("prototype", 50_000, 640, calibration_ms, **known)]
@@ -55,7 +75,9 @@ def test_the_report_compares_with_the_prototype(calibration_ms, end):
 @pytest.mark.parametrize(("ms", "verdict"), [(100.0, "met"), (130.0, "missed")])
 def test_a_target_is_met_up_to_its_limit(ms, verdict):
     markdown = to_markdown({"machine": MACHINE, "cases": [case("mrgs", 50_000, 320, step=ms)]})
-    assert f"| MrGS step, 50,000 Gaussians, 320×240 | {ms:.0f} ms | 125 ms | {verdict} |" in markdown
+    assert (
+        f"| MrGS step, 50,000 Gaussians, 320×240 | {ms:.0f} ms | 125 ms | {verdict} |" in markdown
+    )
 
 
 def test_targets_name_stages_that_exist():

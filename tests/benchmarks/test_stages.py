@@ -30,7 +30,9 @@ def test_gsplat_draws_the_same_image():
         stages = prepare(GROUPS["gsplat"].case(*SMALLEST))
     except SkippedError as reason:
         pytest.skip(str(reason))
-    differences = {name: value for name, value in stages.notes.items() if name.startswith("difference")}
+    differences = {
+        name: value for name, value in stages.notes.items() if name.startswith("difference")
+    }
     assert len(differences) == 4
     assert all(float(value.split()[1].rstrip(",")) < 1e-5 for value in differences.values())
     for timing in stages.timings:
@@ -42,7 +44,9 @@ def test_a_case_that_cannot_be_measured_says_why(monkeypatch):
         raise SkippedError("not here")
 
     monkeypatch.setattr(training, "adam", unavailable)
-    assert result_of(GROUPS["adam"].case(*SMALLEST), ONE_RUN, base_bytes=0) == {"skipped": "not here"}
+    assert result_of(GROUPS["adam"].case(*SMALLEST), ONE_RUN, base_bytes=0) == {
+        "skipped": "not here"
+    }
 
 
 def test_an_error_is_no_reason_to_skip(monkeypatch):
@@ -70,7 +74,9 @@ def test_a_densification_event_starts_from_the_same_state_each_time():
 
 def test_both_windows_of_the_known_ssim_are_the_same():
     planes = torch.rand(4, 20, 30, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(prototype.window_by_convolution(planes), prototype.window_by_shifts(planes))
+    torch.testing.assert_close(
+        prototype.window_by_convolution(planes), prototype.window_by_shifts(planes)
+    )
 
 
 def test_transmittance_of_each_ray():

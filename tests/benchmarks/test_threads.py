@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from benchmarks import workload
-from mrgs.training.config import make_config
+from mrgs.method.config import make_config
 from mrgs.training.step import training_step
 
 
@@ -33,7 +33,11 @@ def train(method: str, steps: int = 3) -> dict[str, torch.Tensor]:
     for _ in range(steps):
         statistics = training_step(state, view, 0, photos, config, workload.SCALE)
         losses.append(statistics.loss)
-    tensors = {**state.model.gaussians.tensors(), **state.model.field.state_dict(), "losses": torch.tensor(losses)}
+    tensors = {
+        **state.model.gaussians.tensors(),
+        **state.model.field.state_dict(),
+        "losses": torch.tensor(losses),
+    }
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
 

@@ -21,7 +21,11 @@ def test_a_summary_holds_median_quartiles_and_least(samples):
 def test_stages_run_in_turns_each_after_its_setup():
     calls = []
     timings = [
-        Timing(name, lambda argument: calls.append(argument), lambda name=name: calls.append(f"setup {name}") or name)
+        Timing(
+            name,
+            lambda argument: calls.append(argument),
+            lambda name=name: calls.append(f"setup {name}") or name,
+        )
         for name in "ab"
     ]
     summaries = measure(timings, Effort(runs=2, seconds=60.0, fewest=1, warm_up=1))

@@ -1,7 +1,8 @@
-"""How much work and memory a fixed small scene takes: a change that doubles either is seen here, on any machine.
+"""How much work and memory a fixed small scene takes: a change that doubles either is seen here, on
+any machine.
 
-The figures are those measured when they were last written down. Lower them when the work shrinks; raise them only on
-purpose.
+The figures are those measured when they were last written down. Lower them when the work shrinks;
+raise them only on purpose.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ PAIRS = 20_978
 """Pairs of a tile and a splat: what the blending walks over, forwards and backwards."""
 
 FUSED_PASS_BYTES = 2_490_000
-"""Largest sum of numpy arrays during the fused pass and its backward: records, lists, pairs' gradients, images."""
+"""Largest sum of numpy arrays during the fused pass and its backward: records, lists, pairs'
+gradients, images."""
 
 STEP_BYTES = 165e6
-"""Peak of a process that takes one MrGS step, 20,000 Gaussians, 640×480, above the interpreter with torch loaded."""
+"""Peak of a process that takes one MrGS step, 20,000 Gaussians, 640×480, above the interpreter with
+torch loaded."""
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +49,9 @@ def test_the_tile_lists_are_as_long(steps):
 def test_records_are_as_large(steps):
     """One cache line per splat; 4 + 4 bytes of lists and 48 of gradients per pair."""
     lists = steps.lists
-    per_pair = (lists.tile_splats.nbytes + lists.pair_positions.nbytes + steps.pair_grads.nbytes) / len(
-        lists.tile_splats
-    )
+    per_pair = (
+        lists.tile_splats.nbytes + lists.pair_positions.nbytes + steps.pair_grads.nbytes
+    ) / len(lists.tile_splats)
     assert steps.splats.nbytes / len(steps.order) <= 64
     assert per_pair <= 56
 
@@ -65,7 +68,10 @@ def test_the_fused_pass_allocates_as_little():
     assert 0.5 * FUSED_PASS_BYTES < peak < 1.1 * FUSED_PASS_BYTES
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the peak of a child can be told from that of its imports on Linux")
+@pytest.mark.skipif(
+    sys.platform != "linux",
+    reason="the peak of a child can be told from that of its imports on Linux",
+)
 def test_a_step_needs_as_little_memory():
     warm_up(["mrgs"], threads=2)
     result = measure_case(Case("mrgs", 20_000, 640, 480), ONE_RUN, threads=2)

@@ -48,7 +48,9 @@ def make_document() -> Callable[..., dict[str, Any]]:
 def make_outcome() -> Callable[..., Outcome]:
     """``make_outcome(scene, method, seed, psnr, **changes of metrics.json)``."""
 
-    def make(scene: str, method: str, seed: int | None = 0, psnr: float = 30.0, **changes: Any) -> Outcome:
+    def make(
+        scene: str, method: str, seed: int | None = 0, psnr: float = 30.0, **changes: Any
+    ) -> Outcome:
         return outcome(scene, method, seed, metrics_document(psnr, **changes))
 
     return make

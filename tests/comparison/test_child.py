@@ -48,12 +48,16 @@ def test_what_the_user_can_mend_is_said_in_one_message(tmp_path, request_for, ca
     assert "nowhere: is not a folder" in message["message"]
 
 
-def test_the_end_of_input_stops_the_training_with_a_checkpoint(small_scene, request_for, capsys, monkeypatch):
+def test_the_end_of_input_stops_the_training_with_a_checkpoint(
+    small_scene, request_for, capsys, monkeypatch
+):
     monkeypatch.setattr(child.Reporter, "_wait_for_end_of_input", lambda self: self._stop.set())
     request = request_for(small_scene)
     assert child.main(request) == 0
     assert said(capsys)[-1] == {"end": "stopped"}
-    assert [path.name for path in (Path(request["folder"]) / "checkpoints").iterdir()] == ["step_000001.safetensors"]
+    assert [path.name for path in (Path(request["folder"]) / "checkpoints").iterdir()] == [
+        "step_000001.safetensors"
+    ]
 
 
 def test_the_end_of_input_stops_the_scoring(small_scene, request_for, capsys, monkeypatch):

@@ -19,7 +19,7 @@ from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import Job, plan
 from mrgs.comparison.single import run_one
 from mrgs.errors import MrgsError
-from mrgs.run import TrainedRun, open_run
+from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train
 
 
@@ -57,7 +57,8 @@ def files_in(folder: Path) -> set[str]:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The methods of the runs that are opened for the figures, in order; each must be gone when the next comes."""
+    """The methods of the runs that are opened for the figures, in order; each must be gone when the
+    next comes."""
     methods: list[str] = []
     alive: list[weakref.ref[TrainedRun]] = []
 
@@ -72,7 +73,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return methods
 
 
-def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twin, tmp_path, make_options):
+def test_two_methods_on_two_scenes_with_two_seeds(
+    here, opened, small_scene, twin, tmp_path, make_options
+):
     options = make_options(seeds=2, methods=("mrgs-fourier", "mrgs"))
     said: list[str] = []
     result = compare([small_scene, twin], tmp_path / "out", options, say=said.append)
@@ -81,13 +84,17 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twi
     assert said == ["8 runs, 0 of them scored already"]
     out = tmp_path / "out"
     assert files_in(out / "tables") == {
-        f"{name}{suffix}" for name in ("thermal", "rgb", "ablation") for suffix in (".md", ".tex", ".csv")
+        f"{name}{suffix}"
+        for name in ("thermal", "rgb", "ablation")
+        for suffix in (".md", ".tex", ".csv")
     }
     assert re.search(r"\| mrgs \|.* ± ", read(out / "tables" / "thermal.md"))
     results = json.loads(read(out / "results.json"))
     assert len(results["runs"]) == 8
     run = results["runs"][0]
-    metrics = json.loads(read(out / "runs" / "balls" / "mrgs-fourier" / "seed_0" / "eval" / "metrics.json"))
+    metrics = json.loads(
+        read(out / "runs" / "balls" / "mrgs-fourier" / "seed_0" / "eval" / "metrics.json")
+    )
     assert run["figures"]["thermal.psnr"] == metrics["mean"]["thermal"]["psnr"]
     assert run["metrics"] == metrics
     assert "--lpips-weights" in run["reasons"]["rgb.lpips"]
@@ -115,7 +122,9 @@ def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path, make_o
     assert json.loads(read(job.folder / "eval" / "metrics.json"))["steps"] == 3
 
 
-def test_a_run_that_fails_leaves_a_dash_with_its_reason(here, small_scene, twin, tmp_path, make_options, monkeypatch):
+def test_a_run_that_fails_leaves_a_dash_with_its_reason(
+    here, small_scene, twin, tmp_path, make_options, monkeypatch
+):
     for path in (twin / "images").glob("*train_00003*"):
         path.write_bytes(path.read_bytes()[:200])
     options = make_options(methods=("3dgs-rgbt",), max_steps=20)
@@ -130,10 +139,14 @@ def test_a_run_that_fails_leaves_a_dash_with_its_reason(here, small_scene, twin,
 def test_renders_of_another_program_stand_in_the_tables(here, small_scene, tmp_path, make_options):
     for kind, source in (("rgb", "images"), ("thermal", "thermal")):
         shutil.copytree(
-            small_scene / source, tmp_path / "other" / "balls" / kind, ignore=shutil.ignore_patterns("*train*")
+            small_scene / source,
+            tmp_path / "other" / "balls" / kind,
+            ignore=shutil.ignore_patterns("*train*"),
         )
     options = make_options(methods=("3dgs-rgbt",))
-    result = compare([small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
+    result = compare(
+        [small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"}
+    )
     _, theirs = result.tables[0].rows
     assert theirs.labels == ("Other",)
     assert theirs.cells[1].mean == pytest.approx(1.0)
@@ -145,7 +158,9 @@ def test_renders_of_another_program_stand_in_the_tables(here, small_scene, tmp_p
 
 def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path, make_options):
     options = make_options(methods=("3dgs-rgbt",))
-    result = compare([small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
+    result = compare(
+        [small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"}
+    )
     assert list(result.failures) == ["balls, Other"]
     assert "is not a folder" in result.failures["balls, Other"]
 
@@ -154,7 +169,11 @@ def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_pa
     options = make_options(methods=("3dgs-rgbt",))
     compare([twin], tmp_path / "out", options)
     for kind, source in (("rgb", "images"), ("thermal", "thermal")):
-        shutil.copytree(twin / source, tmp_path / "other" / "twin" / kind, ignore=shutil.ignore_patterns("*train*"))
+        shutil.copytree(
+            twin / source,
+            tmp_path / "other" / "twin" / kind,
+            ignore=shutil.ignore_patterns("*train*"),
+        )
     for path in (twin / "images").glob("*eval*"):
         path.write_bytes(path.read_bytes()[:200])
     result = compare([twin], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
@@ -171,18 +190,26 @@ def test_the_neighbours_alone_have_no_figure(here, opened, small_scene, tmp_path
     assert opened == []
 
 
-def test_a_method_of_the_neighbours_may_stand_in_the_depth_figure(here, opened, small_scene, tmp_path, make_options):
-    compare([small_scene], tmp_path / "out", make_options(methods=("mrgs-fourier",), neighbours=(1, 3)))
+def test_a_method_of_the_neighbours_may_stand_in_the_depth_figure(
+    here, opened, small_scene, tmp_path, make_options
+):
+    compare(
+        [small_scene], tmp_path / "out", make_options(methods=("mrgs-fourier",), neighbours=(1, 3))
+    )
     assert files_in(tmp_path / "out" / "figures") == {"qualitative.png", "depth.png"}
     assert opened == ["mrgs-fourier", "mrgs"]
 
 
-def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(here, small_scene, tmp_path, make_options, monkeypatch):
+def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(
+    here, small_scene, tmp_path, make_options, monkeypatch
+):
     do_all = comparison.run_jobs
 
     def run_jobs(jobs: Sequence[Job], *arguments: Any) -> dict[Job, str]:
         lost = [job for job in jobs if job.method == "3dgs-rgbt"]
-        return do_all([job for job in jobs if job not in lost], *arguments) | dict.fromkeys(lost, "it crashed")
+        return do_all([job for job in jobs if job not in lost], *arguments) | dict.fromkeys(
+            lost, "it crashed"
+        )
 
     monkeypatch.setattr(comparison, "run_jobs", run_jobs)
     options = make_options(methods=("3dgs-rgbt",), neighbours=(1,))
@@ -191,7 +218,9 @@ def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(here, small_scen
     assert not (tmp_path / "out" / "figures").exists()
 
 
-def test_tables_and_figures_of_an_earlier_call_are_removed(here, small_scene, tmp_path, make_options):
+def test_tables_and_figures_of_an_earlier_call_are_removed(
+    here, small_scene, tmp_path, make_options
+):
     out = tmp_path / "out"
     compare([small_scene], out, make_options(methods=("mrgs-fourier", "mrgs")))
     for folder in ("tables", "figures"):
@@ -216,10 +245,16 @@ def test_scores_of_an_older_version_are_renewed(here, small_scene, tmp_path, mak
     compare([small_scene], tmp_path / "out", options)
     assert len(here) == 2
     (run,) = json.loads(read(tmp_path / "out" / "results.json"))["runs"]
-    assert run["figures"]["thermal.psnr_matched"] == run["metrics"]["mean"]["thermal"]["psnr_matched"] > 0
+    assert (
+        run["figures"]["thermal.psnr_matched"]
+        == run["metrics"]["mean"]["thermal"]["psnr_matched"]
+        > 0
+    )
 
 
-def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_scene, tmp_path, make_options):
+def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(
+    here, small_scene, tmp_path, make_options
+):
     options = make_options(methods=("3dgs-rgbt",))
     compare([small_scene], tmp_path / "out", options)
     shutil.rmtree(tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0" / "checkpoints")
@@ -232,9 +267,18 @@ def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_
     ("arguments", "message"),
     [
         ({"jobs": 0}, "--jobs must be at least 1, not 0"),
-        ({"renders": {"mrgs": Path("x")}}, "--renders mrgs: a method has this name already; choose another"),
-        ({"renders": {"a/b": Path("x")}}, "--renders a/b: the name must be usable as a folder's name; choose another"),
-        ({"lpips_weights": Path("none")}, "none: no such file; --lpips-weights takes a safetensors file"),
+        (
+            {"renders": {"mrgs": Path("x")}},
+            "--renders mrgs: a method has this name already; choose another",
+        ),
+        (
+            {"renders": {"a/b": Path("x")}},
+            "--renders a/b: the name must be usable as a folder's name; choose another",
+        ),
+        (
+            {"lpips_weights": Path("none")},
+            "none: no such file; --lpips-weights takes a safetensors file",
+        ),
     ],
 )
 def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_path, make_options):
@@ -245,15 +289,21 @@ def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_pat
 
 def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path, make_options):
     few = Variant("few", "mrgs", "densification: {max_gaussians: 30}", "few.yaml")
-    result = compare([small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few,)))
+    result = compare(
+        [small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few,))
+    )
     assert [row.labels for row in result.tables[0].rows] == [("mrgs",), ("few",)]
     with pytest.raises(MrgsError, match="--variants few: a method has this name already"):
-        compare([small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few, few)))
+        compare(
+            [small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few, few))
+        )
 
 
 def test_in_a_process_of_its_own(small_scene, tmp_path, make_options):
     said: list[str] = []
-    result = compare([small_scene], tmp_path / "out", make_options(methods=("3dgs-rgbt",)), say=said.append)
+    result = compare(
+        [small_scene], tmp_path / "out", make_options(methods=("3dgs-rgbt",)), say=said.append
+    )
     assert result.failures == {}
     assert said[0] == "1 runs, 0 of them scored already"
     assert said[1] == "starts: balls, 3dgs-rgbt, seed 0"

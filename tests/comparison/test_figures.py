@@ -19,7 +19,7 @@ from mrgs.comparison.figures import (
     qualitative_figure,
 )
 from mrgs.data import load_scene
-from mrgs.evaluation.pictures import write_float_tiff
+from mrgs.pictures.files import write_float_tiff
 from mrgs.render import Rendering
 from mrgs.scene import View
 
@@ -35,10 +35,15 @@ def render_off_by(error: float, depth: float = 2.0) -> Callable[[View], Renderin
 
 @pytest.fixture
 def make_exhibit(small_scene: Path) -> Callable[..., Exhibit]:
-    def make(methods: dict[str, Callable[[View], Rendering]], folder: Path = small_scene) -> Exhibit:
+    def make(
+        methods: dict[str, Callable[[View], Rendering]], folder: Path = small_scene
+    ) -> Exhibit:
         scene = load_scene(small_scene)
         view = scene.eval[1]
-        figures = {name: {"thermal": {"psnr": 31.234, "mae_c": 0.456}, "rgb": {"psnr": None}} for name in methods}
+        figures = {
+            name: {"thermal": {"psnr": 31.234, "mae_c": 0.456}, "rgb": {"psnr": None}}
+            for name in methods
+        }
         shown = {name: drawn(scene, view, render(view)) for name, render in methods.items()}
         return Exhibit(scene, folder, view, shown, figures)
 
@@ -74,7 +79,8 @@ def test_the_error_is_that_of_the_rendering(make_exhibit):
     cold = np.asarray(qualitative(make_exhibit({"a": render_off_by(-0.2)}), ["a"])).astype(int)
     below = warm.shape[0] * 3 // 4
     error = [
-        picture[below - 40 : below, -WIDE_PX // 2 - 20 : -WIDE_PX // 2].mean(axis=(0, 1)) for picture in (warm, cold)
+        picture[below - 40 : below, -WIDE_PX // 2 - 20 : -WIDE_PX // 2].mean(axis=(0, 1))
+        for picture in (warm, cold)
     ]
     assert error[0][0] > error[0][2]  # red: too warm
     assert error[1][0] < error[1][2]  # blue: too cold

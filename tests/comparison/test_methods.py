@@ -10,7 +10,10 @@ from mrgs.training.run_folder import RunFolder
 
 def changes(variant, options):
     """What a variant's configuration has of its own, against the method's."""
-    usual, other = flat(configure(Variant("", variant.method), options, 4)), flat(configure(variant, options, 4))
+    usual, other = (
+        flat(configure(Variant("", variant.method), options, 4)),
+        flat(configure(variant, options, 4)),
+    )
     assert usual["seed"] == other["seed"] == 4
     return {name: other[name] for name in usual if usual[name] != other[name]}
 
@@ -19,7 +22,10 @@ def test_a_variant_differs_from_its_method_by_what_its_text_says(make_options):
     text = "{method: mrgs, seed: 7, densification: {max_gaussians: 90}, field: {neighbours_n: 5}}"
     variant = Variant.from_text("wide", text, "wide.yaml")
     assert (variant.name, variant.method) == ("wide", "mrgs")
-    assert changes(variant, make_options()) == {"densification.max_gaussians": 90, "field.neighbours_n": 5}
+    assert changes(variant, make_options()) == {
+        "densification.max_gaussians": 90,
+        "field.neighbours_n": 5,
+    }
 
 
 def test_a_variant_of_thermonerf(make_options):
@@ -29,20 +35,27 @@ def test_a_variant_of_thermonerf(make_options):
 
 @pytest.mark.parametrize("text", ["3", "{seed: 1}", "{method: 3}"])
 def test_a_variant_names_its_method(text):
-    with pytest.raises(ConfigError, match=r"wide.yaml does not say which method it changes: add a line such as"):
+    with pytest.raises(
+        ConfigError, match=r"wide.yaml does not say which method it changes: add a line such as"
+    ):
         Variant.from_text("wide", text, "wide.yaml")
 
 
 def test_a_misspelt_value_of_a_variant(make_options):
     with pytest.raises(ConfigError, match=r"wide.yaml: there is no field 'sed'"):
-        configure(Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), make_options(), 0)
+        configure(
+            Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), make_options(), 0
+        )
 
 
 @pytest.mark.parametrize("method", ["mrgs", "thermonerf"])
 def test_a_variant_has_the_resolution_of_all(method, make_options):
     variant = Variant.from_text("small", f"{{method: {method}, resolution: 20}}", "small.yaml")
     for resolution in (None, 30):
-        with pytest.raises(ConfigError, match=r"^small.yaml has a resolution of its own, but all runs are compared at"):
+        with pytest.raises(
+            ConfigError,
+            match=r"^small.yaml has a resolution of its own, but all runs are compared at",
+        ):
             configure(variant, make_options(resolution=resolution), 0)
     assert configure(variant, make_options(resolution=20), 0).resolution == 20
 
@@ -56,7 +69,9 @@ def test_a_configuration_survives_its_text(method, make_options):
 
 
 @pytest.mark.parametrize("method", ["3dgs-rgbt", "thermonerf"])
-def test_every_method_is_trained_continued_and_read_back(method, small_scene, tmp_path, make_options):
+def test_every_method_is_trained_continued_and_read_back(
+    method, small_scene, tmp_path, make_options
+):
     config = configure(Variant(method, method), make_options(), 0)
     train_run(small_scene, tmp_path, config, lambda statistics: statistics.step == 2)
     steps = []

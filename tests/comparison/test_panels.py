@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mrgs.comparison.panels import Block, Panel, as_drawn, draw_figure
-from mrgs.evaluation.drawing import Scale
+from mrgs.pictures.drawing import Scale
 
 RED = np.full((30, 40, 3), (200, 10, 10), np.uint8)
 BLUE = np.full((60, 80, 3), (10, 10, 200), np.uint8)
@@ -21,7 +21,10 @@ def centroid(picture: np.ndarray, color: tuple[int, int, int]) -> tuple[float, f
 
 def test_panels_stand_side_by_side_at_one_width():
     picture = np.asarray(draw_figure(["a", "b"], [block(Panel(RED), Panel(BLUE))], 200))
-    (red_x, red_y), (blue_x, blue_y) = centroid(picture, (200, 10, 10)), centroid(picture, (10, 10, 200))
+    (red_x, red_y), (blue_x, blue_y) = (
+        centroid(picture, (200, 10, 10)),
+        centroid(picture, (10, 10, 200)),
+    )
     assert blue_x - red_x == pytest.approx(206, abs=1)
     assert blue_y == pytest.approx(red_y, abs=1)
     areas = [(picture == color).all(axis=2).sum() for color in ((200, 10, 10), (10, 10, 200))]
@@ -54,7 +57,9 @@ def test_a_block_at_its_size_holds_no_more_than_what_is_drawn():
         None,
     ]
     columns = ["a", "b", "c"]
-    assert draw_figure(columns, [small], 200).tobytes() == draw_figure(columns, [whole], 200).tobytes()
+    assert (
+        draw_figure(columns, [small], 200).tobytes() == draw_figure(columns, [whole], 200).tobytes()
+    )
 
 
 def test_nothing_to_draw():

@@ -11,10 +11,15 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.training import train
 
 
-def test_every_seed_is_done_for_all_before_the_next(small_scene, make_scene, tmp_path, make_options):
-    jobs = plan([small_scene, make_scene()], tmp_path / "out", make_options(seeds=2, neighbours=(1, 3)))
+def test_every_seed_is_done_for_all_before_the_next(
+    small_scene, make_scene, tmp_path, make_options
+):
+    jobs = plan(
+        [small_scene, make_scene()], tmp_path / "out", make_options(seeds=2, neighbours=(1, 3))
+    )
     assert [str(job) for job in jobs[:4]] == [
-        "balls, 3dgs-rgbt, seed 0", "balls, mrgs, seed 0", "balls, mrgs-n1, seed 0", "scene, 3dgs-rgbt, seed 0",
+        "balls, 3dgs-rgbt, seed "
+        "0", "balls, mrgs, seed 0", "balls, mrgs-n1, seed 0", "scene, 3dgs-rgbt, seed 0",
     ]  # fmt: skip
     assert len(jobs) == 2 * 2 * 3
     assert jobs[-1].folder == tmp_path / "out" / "runs" / "scene" / "mrgs-n1" / "seed_1"
@@ -22,12 +27,20 @@ def test_every_seed_is_done_for_all_before_the_next(small_scene, make_scene, tmp
 
 
 def test_mrgs_itself_stands_for_its_own_number_of_neighbours(make_options):
-    assert neighbour_methods(make_options(neighbours=(1, 3, 5))) == {1: "mrgs-n1", 3: "mrgs", 5: "mrgs-n5"}
+    assert neighbour_methods(make_options(neighbours=(1, 3, 5))) == {
+        1: "mrgs-n1",
+        3: "mrgs",
+        5: "mrgs-n5",
+    }
 
 
 def test_variants_come_between_the_methods_and_the_neighbours(small_scene, tmp_path, make_options):
     variant = Variant("half", "mrgs", "densification: {max_gaussians: 30}", "half.yaml")
-    jobs = plan([small_scene], tmp_path, make_options(methods=("mrgs",), variants=(variant,), neighbours=(1,)))
+    jobs = plan(
+        [small_scene],
+        tmp_path,
+        make_options(methods=("mrgs",), variants=(variant,), neighbours=(1,)),
+    )
     assert [job.method for job in jobs] == ["mrgs", "half", "mrgs-n1"]
     assert [job.config.densification.max_gaussians for job in jobs] == [60, 30, 60]
 
@@ -60,7 +73,9 @@ def test_at_least_one_scene(tmp_path, make_options):
 
 def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path, make_options):
     twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
-    with pytest.raises(ConfigError, match=rf"balls and .*{twin.parent.name}/balls have the same name: rename one"):
+    with pytest.raises(
+        ConfigError, match=rf"balls and .*{twin.parent.name}/balls have the same name: rename one"
+    ):
         plan([small_scene, twin], tmp_path / "out", make_options())
     assert len(plan([small_scene, small_scene], tmp_path / "out", make_options())) == 2
 
@@ -68,10 +83,16 @@ def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path, ma
 def test_a_name_stands_for_one_folder_over_time(small_scene, tmp_path, make_options):
     twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
     plan([small_scene], tmp_path / "out", make_options())
-    with pytest.raises(ConfigError, match=r"out holds runs of .*balls under the name balls: choose another --output"):
+    with pytest.raises(
+        ConfigError,
+        match=r"out holds runs of .*balls under the name balls: choose another --output",
+    ):
         plan([twin], tmp_path / "out", make_options())
     (tmp_path / "out" / "scenes.json").write_text("[1]")
-    with pytest.raises(ConfigError, match=r"scenes\.json cannot be read: choose another --output, or remove the file"):
+    with pytest.raises(
+        ConfigError,
+        match=r"scenes\.json cannot be read: choose another --output, or remove the file",
+    ):
         plan([small_scene], tmp_path / "out", make_options())
 
 
@@ -84,10 +105,15 @@ def test_a_scene_without_held_out_views(make_scene, tmp_path, make_options):
         plan([scene], tmp_path, make_options())
 
 
-def test_a_folder_with_another_run_is_found_before_anything_runs(small_scene, tmp_path, make_options):
+def test_a_folder_with_another_run_is_found_before_anything_runs(
+    small_scene, tmp_path, make_options
+):
     options = make_options(methods=("3dgs-rgbt",))
     (job,) = plan([small_scene], tmp_path, options)
     train(small_scene, job.folder, job.config)
     plan([small_scene], tmp_path, options)
-    with pytest.raises(ConfigError, match=r"seed_0 holds a run with another configuration \(max_steps is 3 there and"):
+    with pytest.raises(
+        ConfigError,
+        match=r"seed_0 holds a run with another configuration \(max_steps is 3 there and",
+    ):
         plan([small_scene], tmp_path, make_options(methods=("3dgs-rgbt",), max_steps=4))

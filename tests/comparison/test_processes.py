@@ -33,7 +33,8 @@ def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
         monkeypatch.setattr(processes, "CHILD", ("-c", SPEAK + script))
         config = make_config("mrgs", "fast", max_steps=3)
         return [
-            Job(tmp_path / "scene", "scene", "mrgs", seed, config, tmp_path / f"seed_{seed}") for seed in range(count)
+            Job(tmp_path / "scene", "scene", "mrgs", seed, config, tmp_path / f"seed_{seed}")
+            for seed in range(count)
         ]
 
     return make
@@ -41,12 +42,17 @@ def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 
 def do(jobs: list[Job], count: int = 1) -> tuple[dict[Job, str], list[tuple[int, dict]]]:
     heard: list[tuple[int, dict]] = []
-    failures = run_jobs(jobs, count, None, lambda job, message: heard.append((job.seed, message)), lambda: None)
+    failures = run_jobs(
+        jobs, count, None, lambda job, message: heard.append((job.seed, message)), lambda: None
+    )
     return failures, heard
 
 
 def test_messages_are_handed_on_in_order(make_jobs):
-    jobs = make_jobs("print('a library speaks'); say(step=1, gaussians=5); say(scored=1, of=1); say(end='scored')")
+    jobs = make_jobs(
+        "print('a library speaks'); say(step=1, gaussians=5); say(scored=1, of=1); "
+        "say(end='scored')"
+    )
     failures, heard = do(jobs)
     assert failures == {}
     assert [message for _, message in heard] == [
@@ -68,24 +74,40 @@ def test_the_request_holds_absolute_paths(make_jobs, tmp_path, monkeypatch):
     (job,) = make_jobs("say(**request); say(end='scored')")
     job = replace(job, scene=Path("scene"), folder=Path("seed_0"))
     heard: list[dict] = []
-    run_jobs([job], 1, Path("lpips.safetensors"), lambda job, message: heard.append(message), lambda: None)
+    run_jobs(
+        [job],
+        1,
+        Path("lpips.safetensors"),
+        lambda job, message: heard.append(message),
+        lambda: None,
+    )
     paths = [heard[1][key] for key in ("scene", "folder", "lpips_weights")]
     assert paths == [str(tmp_path / name) for name in ("scene", "seed_0", "lpips.safetensors")]
 
 
 def test_a_poisoned_current_folder_is_not_imported_from(tmp_path, monkeypatch):
-    """The real child, which fails for want of a scene: all that it imports before comes from elsewhere."""
+    """The real child, which fails for want of a scene: all that it imports before comes from
+    elsewhere."""
     monkeypatch.chdir(tmp_path)
     for name in ("json", "mrgs", "numpy", "torch"):
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('poisoned')")
-    job = Job(Path("missing"), "missing", "mrgs", 0, make_config("mrgs", "fast", max_steps=3), Path("seed_0"))
+    job = Job(
+        Path("missing"),
+        "missing",
+        "mrgs",
+        0,
+        make_config("mrgs", "fast", max_steps=3),
+        Path("seed_0"),
+    )
     (reason,) = do([job])[0].values()
     assert reason.startswith(str(tmp_path / "missing"))
 
 
 def test_cores_are_divided(make_jobs):
     names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_WAIT_POLICY")
-    jobs = make_jobs(f"say(step=0, threads=[os.environ[name] for name in {names}]); say(end='scored')", count=2)
+    jobs = make_jobs(
+        f"say(step=0, threads=[os.environ[name] for name in {names}]); say(end='scored')", count=2
+    )
     told = [message["threads"] for _, message in do(jobs, 2)[1] if "threads" in message]
     assert told == [[str(threads_each(2))] * 2 + ["PASSIVE"]] * 2
     assert threads_each(10_000) == 1
@@ -93,7 +115,9 @@ def test_cores_are_divided(make_jobs):
 
 def test_fewer_runs_than_processes_have_all_cores(make_jobs, monkeypatch):
     monkeypatch.setattr(processes, "threads_each", lambda count: 12 // count)
-    jobs = make_jobs("say(step=0, threads=os.environ['NUMBA_NUM_THREADS']); say(end='scored')", count=2)
+    jobs = make_jobs(
+        "say(step=0, threads=os.environ['NUMBA_NUM_THREADS']); say(end='scored')", count=2
+    )
     assert do(jobs[:1], 3)[1][1][1]["threads"] == "12"
     assert {message["threads"] for _, message in do(jobs, 3)[1] if "threads" in message} == {"6"}
 
@@ -110,7 +134,10 @@ def test_only_so_many_run_at_a_time(make_jobs):
 
 
 def test_what_the_user_can_mend_is_told_and_others_go_on(make_jobs):
-    script = "say(end='error', message='mend it') if 'seed_0' in request['folder'] else say(end='scored')"
+    script = (
+        "say(end='error', message='mend it') if 'seed_0' in request['folder'] else "
+        "say(end='scored')"
+    )
     jobs = make_jobs(script + "; sys.exit(2 if 'seed_0' in request['folder'] else 0)", count=2)
     failures, heard = do(jobs)
     assert failures == {jobs[0]: "mend it"}
@@ -133,7 +160,11 @@ def test_a_child_that_says_nothing_has_failed(make_jobs):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
 def test_a_child_that_the_system_ended(make_jobs):
     (reason,) = do(make_jobs("os.kill(os.getpid(), 9)"))[0].values()
-    assert reason == "the system ended the process (signal 9), most likely for want of memory: use fewer --jobs"
+    assert (
+        reason
+        == "the system ended the process (signal 9), most likely for want of memory: use fewer "
+        "--jobs"
+    )
 
 
 def interrupt(when: Callable[[], bool], times: int = 1) -> None:
@@ -148,12 +179,20 @@ def interrupt(when: Callable[[], bool], times: int = 1) -> None:
 
 
 def test_ctrl_c_closes_the_childs_input_and_waits_for_it(make_jobs):
-    jobs = make_jobs("say(step=1, gaussians=1); sys.stdin.read(); say(step=2, gaussians=1); say(end='stopped')", 2)
+    jobs = make_jobs(
+        "say(step=1, gaussians=1); sys.stdin.read(); say(step=2, gaussians=1); say(end='stopped')",
+        2,
+    )
     heard: list[dict] = []
     interrupt(lambda: {"step": 1, "gaussians": 1} in heard)
     with pytest.raises(KeyboardInterrupt):
         run_jobs(jobs, 1, None, lambda job, message: heard.append(message), lambda: None)
-    assert heard == [{"start": True}, {"step": 1, "gaussians": 1}, {"step": 2, "gaussians": 1}, {"end": "stopped"}]
+    assert heard == [
+        {"start": True},
+        {"step": 1, "gaussians": 1},
+        {"step": 2, "gaussians": 1},
+        {"end": "stopped"},
+    ]
 
 
 def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs, tmp_path):

@@ -40,7 +40,10 @@ def test_speed_and_time_left_leave_the_start_out(teller):
     teller.hear(0, 150.0, step=1, gaussians=10)
     teller.hear(0, 160.0, step=11, gaussians=10)
     # 89 and 100 steps at one a second
-    assert teller.tick(160.0) == "0 of 2 done, about 3 min left | board, mrgs, seed 0: step 11/100, 1.0 steps/s"
+    assert (
+        teller.tick(160.0)
+        == "0 of 2 done, about 3 min left | board, mrgs, seed 0: step 11/100, 1.0 steps/s"
+    )
 
 
 def test_lines_keep_a_distance(teller):
@@ -72,7 +75,9 @@ def test_side_by_side_takes_half_as_long():
         teller.hear(seed, 0.0, start=True)
         teller.hear(seed, 10.0, step=0, gaussians=10)
     teller.hear(0, 20.0, step=4, gaussians=10)
-    assert teller.tick(20.0).startswith("0 of 2 done, about 4 min left")  # 96 + 100 steps at 0.4 a second, halved
+    assert teller.tick(20.0).startswith(
+        "0 of 2 done, about 4 min left"
+    )  # 96 + 100 steps at 0.4 a second, halved
 
 
 def test_failures_and_stops(teller):

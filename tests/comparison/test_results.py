@@ -28,15 +28,23 @@ def test_a_missing_figure_keeps_the_reason_of_the_document(make_document):
 
 
 def test_a_ratio_needs_both_of_its_figures(make_document):
-    document = make_document(truth=TRUTH | {"mae_c": None}, reasons={"truth.mae_c": "no thermal image"})
+    document = make_document(
+        truth=TRUTH | {"mae_c": None}, reasons={"truth.mae_c": "no thermal image"}
+    )
     assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing("no thermal image")
     document = make_document(truth=TRUTH | {"camera_mae_c": 0.0})
-    assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing("the camera makes no error")
+    assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing(
+        "the camera makes no error"
+    )
 
 
 def test_a_document_of_another_shape_has_no_figures():
     figures = outcome("a", "b", 0, {"mean": [1], "gaussians": True, "reasons": 3}).figures
-    assert figures["thermal.psnr"] == figures["gaussians_k"] == Missing("metrics.json does not hold it")
+    assert (
+        figures["thermal.psnr"]
+        == figures["gaussians_k"]
+        == Missing("metrics.json does not hold it")
+    )
 
 
 def test_all_figures_of_a_failed_run_have_its_reason():

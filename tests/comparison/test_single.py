@@ -17,7 +17,12 @@ def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path, make
     config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
     assert not is_scored(tmp_path / "run", config, with_lpips=False)
     scored = []
-    assert run_one(small_scene, tmp_path / "run", config, on_score=lambda done, total: scored.append((done, total)))
+    assert run_one(
+        small_scene,
+        tmp_path / "run",
+        config,
+        on_score=lambda done, total: scored.append((done, total)),
+    )
     assert scored == [(1, 2), (2, 2)]
     assert is_scored(tmp_path / "run", config, with_lpips=False)
     assert not is_scored(tmp_path / "run", config, with_lpips=True)
@@ -28,13 +33,23 @@ def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path, make
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path, make_options):
     config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
-    assert not run_one(small_scene, tmp_path / "cut", config, on_step=lambda statistics: statistics.step == 2)
+    assert not run_one(
+        small_scene, tmp_path / "cut", config, on_step=lambda statistics: statistics.step == 2
+    )
     assert not (tmp_path / "cut" / "eval").exists()
     steps = []
-    assert run_one(small_scene, tmp_path / "cut", config, on_step=lambda statistics: steps.append(statistics.step))
+    assert run_one(
+        small_scene,
+        tmp_path / "cut",
+        config,
+        on_step=lambda statistics: steps.append(statistics.step),
+    )
     assert steps == [3]
     assert run_one(small_scene, tmp_path / "whole", config)
-    means = [json.loads((tmp_path / name / "eval" / "metrics.json").read_text())["mean"] for name in ("cut", "whole")]
+    means = [
+        json.loads((tmp_path / name / "eval" / "metrics.json").read_text())["mean"]
+        for name in ("cut", "whole")
+    ]
     assert means[0] == means[1]
 
 
@@ -49,7 +64,9 @@ def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path, make_opti
 
 
 @pytest.mark.parametrize("group", ["thermal", "rgb"])
-def test_scores_that_lack_a_figure_are_renewed_without_training(group, small_scene, tmp_path, make_options):
+def test_scores_that_lack_a_figure_are_renewed_without_training(
+    group, small_scene, tmp_path, make_options
+):
     config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
     run_one(small_scene, tmp_path, config)
     path = tmp_path / "eval" / "metrics.json"
@@ -64,10 +81,14 @@ def test_scores_that_lack_a_figure_are_renewed_without_training(group, small_sce
     assert is_scored(tmp_path, config, with_lpips=False)
 
 
-def test_scores_that_lack_a_figure_count_where_the_checkpoint_is_gone(small_scene, tmp_path, make_options):
+def test_scores_that_lack_a_figure_count_where_the_checkpoint_is_gone(
+    small_scene, tmp_path, make_options
+):
     config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
     run_one(small_scene, tmp_path, config)
-    (tmp_path / "eval" / "metrics.json").write_text(json.dumps({"steps": 3, "mean": {"thermal": {"psnr": 30.0}}}))
+    (tmp_path / "eval" / "metrics.json").write_text(
+        json.dumps({"steps": 3, "mean": {"thermal": {"psnr": 30.0}}})
+    )
     assert not is_scored(tmp_path, config, with_lpips=False)
     shutil.rmtree(tmp_path / "checkpoints")
     assert is_scored(tmp_path, config, with_lpips=False)
@@ -80,7 +101,10 @@ def test_another_configuration_in_the_folder_is_named(small_scene, tmp_path):
     train(small_scene, tmp_path / "run", config)
     require_same_config(tmp_path / "run", config)
     other = make_config("mrgs", "fast", max_steps=3, max_gaussians=70)
-    with pytest.raises(ConfigError, match=r"run holds a run with another configuration \(densification.max_gaussians "):
+    with pytest.raises(
+        ConfigError,
+        match=r"run holds a run with another configuration \(densification.max_gaussians ",
+    ):
         require_same_config(tmp_path / "run", other)
 
 

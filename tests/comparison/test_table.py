@@ -22,8 +22,17 @@ def test_higher_or_lower_is_better_by_figure():
 
 
 def test_figures_printed_alike_are_marked_alike():
-    assert column("thermal.psnr", row(30.001), row(30.004), row(29.0), row(28.0)) == ["best", "best", "second", ""]
-    assert column("thermal.psnr", row(31.0), row(30.001), row(30.004)) == ["best", "second", "second"]
+    assert column("thermal.psnr", row(30.001), row(30.004), row(29.0), row(28.0)) == [
+        "best",
+        "best",
+        "second",
+        "",
+    ]
+    assert column("thermal.psnr", row(31.0), row(30.001), row(30.004)) == [
+        "best",
+        "second",
+        "second",
+    ]
 
 
 def test_blocks_are_ranked_apart():

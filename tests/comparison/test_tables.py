@@ -9,12 +9,17 @@ from mrgs.comparison.table import Table
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
-NO_CELSIUS = {"thermal": {"psnr": 20.0, "psnr_matched": 26.0, "ssim": 0.9, "mae_c": None}, "rgb": {}}
+NO_CELSIUS = {
+    "thermal": {"psnr": 20.0, "psnr_matched": 26.0, "ssim": 0.9, "mae_c": None},
+    "rgb": {},
+}
 
 
 def gathered(*all: Outcome, neighbours: dict[int, str] | None = None) -> Outcomes:
     scenes = tuple(dict.fromkeys(each.scene for each in all))
-    methods = tuple(dict.fromkeys(each.method for each in all if not each.method.startswith("mrgs-n")))
+    methods = tuple(
+        dict.fromkeys(each.method for each in all if not each.method.startswith("mrgs-n"))
+    )
     return Outcomes(all, scenes, methods, neighbours or {})
 
 
@@ -39,7 +44,9 @@ def test_thermal_and_rgb_tables_have_a_mean_over_scenes(make_outcome):
 
 
 def test_one_scene_has_no_mean(make_outcome):
-    assert [group.heading for group in tables_of(gathered(make_outcome("a", "mrgs")))["thermal"].groups] == ["a"]
+    assert [
+        group.heading for group in tables_of(gathered(make_outcome("a", "mrgs")))["thermal"].groups
+    ] == ["a"]
 
 
 def test_a_mean_leaves_out_scenes_where_no_method_has_the_figure(make_outcome):
@@ -55,10 +62,16 @@ def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae(make_o
     paper = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
     without = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
     assert thermal.groups == (("a", paper), ("b", without), ("mean", paper))
-    assert [cell.mean for cell in thermal.rows[0].cells[4:8]] == pytest.approx([20.0, 26.0, 0.9, 12.34])
-    assert any(remark.startswith("PSNR matched, for scenes without °C: ") for remark in thermal.remarks)
+    assert [cell.mean for cell in thermal.rows[0].cells[4:8]] == pytest.approx(
+        [20.0, 26.0, 0.9, 12.34]
+    )
+    assert any(
+        remark.startswith("PSNR matched, for scenes without °C: ") for remark in thermal.remarks
+    )
     alone = [make_outcome(scene, "mrgs", mean=NO_CELSIUS) for scene in "bc"]
-    assert [group.figures for group in tables_of(gathered(*alone))["thermal"].groups] == [without] * 3
+    assert [group.figures for group in tables_of(gathered(*alone))["thermal"].groups] == [
+        without
+    ] * 3
 
 
 def test_scenes_with_celsius_and_scenes_without_figures_have_the_papers_columns(make_outcome):
@@ -69,7 +82,12 @@ def test_scenes_with_celsius_and_scenes_without_figures_have_the_papers_columns(
 
 
 def test_a_method_whose_run_failed_has_no_mean(make_outcome):
-    runs = [make_outcome("a", "mrgs"), make_outcome("a", "x"), make_outcome("b", "mrgs"), failed("b", "x", 0, "crash")]
+    runs = [
+        make_outcome("a", "mrgs"),
+        make_outcome("a", "x"),
+        make_outcome("b", "mrgs"),
+        failed("b", "x", 0, "crash"),
+    ]
     mrgs, x = tables_of(gathered(*runs))["thermal"].rows
     assert mrgs.cells[8].mean == 30.0
     assert x.cells[4].note == "crash"
@@ -125,19 +143,42 @@ def test_the_names_of_all_tables_are_known(make_outcome):
 
 def test_the_papers_figures_stand_beside_ours_on_its_scenes(make_outcome):
     methods = ("3dgs-rgbt", "mrgs", "mrgs-n1")
-    runs = [make_outcome(scene, method) for scene in ("buildingA_winter", "heater_water_cup") for method in methods]
+    runs = [
+        make_outcome(scene, method)
+        for scene in ("buildingA_winter", "heater_water_cup")
+        for method in methods
+    ]
     tables = tables_of(gathered(*runs, neighbours={1: "mrgs-n1", 3: "mrgs"}))
     thermal = tables["thermal"]
-    assert [group.heading for group in thermal.groups] == ["Building (Winter)", "Hot Water Cup", "mean"]
-    assert labels(thermal)[2:] == [("ThermoNeRF (paper)",), ("3DGS_RGB-T (paper)",), ("MrGS (paper)",)]
-    assert [thermal.rows[-1].cells[index].mean for index in (0, 4, 8)] == pytest.approx([30.02, 31.44, 30.73])
-    assert [row.labels[0] for row in tables["ablation"].rows if row.published] == ["Building (Winter) (paper)"] * 5
+    assert [group.heading for group in thermal.groups] == [
+        "Building (Winter)",
+        "Hot Water Cup",
+        "mean",
+    ]
+    assert labels(thermal)[2:] == [
+        ("ThermoNeRF (paper)",),
+        ("3DGS_RGB-T (paper)",),
+        ("MrGS (paper)",),
+    ]
+    assert [thermal.rows[-1].cells[index].mean for index in (0, 4, 8)] == pytest.approx(
+        [30.02, 31.44, 30.73]
+    )
+    assert [row.labels[0] for row in tables["ablation"].rows if row.published] == [
+        "Building (Winter) (paper)"
+    ] * 5
     cup = [row for row in tables["neighbours"].rows if row.published]
-    assert [(row.labels[1], row.cells[-1].mean) for row in cup] == [("n = 1", 17.0), ("n = 3", 27.0)]
+    assert [(row.labels[1], row.cells[-1].mean) for row in cup] == [
+        ("n = 1", 17.0),
+        ("n = 3", 27.0),
+    ]
 
 
 def test_other_scenes_have_no_rows_of_the_paper(make_outcome):
-    assert not any(row.published for table in all_tables(gathered(make_outcome("a", "mrgs"))) for row in table.rows)
+    assert not any(
+        row.published
+        for table in all_tables(gathered(make_outcome("a", "mrgs")))
+        for row in table.rows
+    )
 
 
 def test_a_method_without_outcomes_was_not_run(make_outcome):

@@ -17,7 +17,11 @@ def table() -> Table:
     """Two methods on four scenes."""
     groups = tuple(Group(f"scene_{letter}", FIGURES) for letter in "abcd")
     good = tuple(Cell(value) for value in (31.0, 0.2) * 4)
-    poor = (*(Cell(value) for value in (30.0, 0.3) * 3), Cell(29.0, 1.5, 2), Cell(None, note="100% | no °C, 1 < 2 > 0"))
+    poor = (
+        *(Cell(value) for value in (30.0, 0.3) * 3),
+        Cell(29.0, 1.5, 2),
+        Cell(None, note="100% | no °C, 1 < 2 > 0"),
+    )
     rows = (Row(("ours",), good), Row(("their_s",), poor))
     return Table("thermal", "A caption.", ("",), groups, rows, ("A remark.",))
 
@@ -67,9 +71,19 @@ def test_csv_has_a_line_per_figure_with_all_decimals(table):
     rows = list(csv.DictReader(io.StringIO(to_csv(table))))
     assert len(rows) == 2 * 4 * 2
     last = rows[-1]
-    assert (last["method"], last["group"], last["figure"], last["unit"]) == ("their_s", "scene_d", "MAE", "°C")
+    assert (last["method"], last["group"], last["figure"], last["unit"]) == (
+        "their_s",
+        "scene_d",
+        "MAE",
+        "°C",
+    )
     assert (last["mean"], last["note"]) == ("", "100% | no °C, 1 < 2 > 0")
-    assert (rows[-2]["mean"], rows[-2]["std"], rows[-2]["seeds"], rows[-2]["mark"]) == ("29.0", "1.5", "2", "second")
+    assert (rows[-2]["mean"], rows[-2]["std"], rows[-2]["seeds"], rows[-2]["mark"]) == (
+        "29.0",
+        "1.5",
+        "2",
+        "second",
+    )
 
 
 def test_equal_notes_share_a_letter_and_there_are_more_than_26():

@@ -13,7 +13,14 @@ import pytest
 from PIL import Image
 
 WIDTH, HEIGHT = 24, 16
-COLMAP_IDS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5}
+COLMAP_IDS = {
+    "SIMPLE_PINHOLE": 0,
+    "PINHOLE": 1,
+    "SIMPLE_RADIAL": 2,
+    "RADIAL": 3,
+    "OPENCV": 4,
+    "OPENCV_FISHEYE": 5,
+}
 
 
 def orbit_pose(angle: float, radius: float = 3.0) -> np.ndarray:
@@ -34,7 +41,9 @@ class SceneWriter:
         self.root = root
         root.mkdir()
 
-    def image(self, name: str, mode: str = "RGB", size: tuple[int, int] = (WIDTH, HEIGHT), seed: int = 0) -> Path:
+    def image(
+        self, name: str, mode: str = "RGB", size: tuple[int, int] = (WIDTH, HEIGHT), seed: int = 0
+    ) -> Path:
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         rng = np.random.default_rng(seed)
@@ -44,7 +53,9 @@ class SceneWriter:
         elif mode == "I;16":
             pixels = rng.integers(0, 65536, shape, dtype=np.uint16)
         else:
-            pixels = rng.integers(0, 256, (*shape, len(mode)) if len(mode) > 1 else shape, dtype=np.uint8)
+            pixels = rng.integers(
+                0, 256, (*shape, len(mode)) if len(mode) > 1 else shape, dtype=np.uint8
+            )
         Image.fromarray(pixels).save(path)
         return path
 
@@ -54,10 +65,15 @@ class SceneWriter:
         path.write_text(json.dumps(content))
         return path
 
-    def thermoscenes(self, train: int = 4, held_out: int = 2, thermal_mode: str = "L") -> dict[str, Any]:
-        """Images and bounds on disk; returns the content of transforms.json, still to be written."""
+    def thermoscenes(
+        self, train: int = 4, held_out: int = 2, thermal_mode: str = "L"
+    ) -> dict[str, Any]:
+        """Images and bounds on disk; returns the content of transforms.json, still to be
+        written."""
         frames = []
-        names = [f"frame_train_{i:05d}" for i in range(train)] + [f"frame_eval_{i:05d}" for i in range(held_out)]
+        names = [f"frame_train_{i:05d}" for i in range(train)] + [
+            f"frame_eval_{i:05d}" for i in range(held_out)
+        ]
         suffix = ".tiff" if thermal_mode == "F" else ".PNG"
         for index, name in enumerate(names):
             self.image(f"images/{name}{('.jpg', '.JPG', '.png')[index % 3]}", seed=index)
@@ -70,7 +86,15 @@ class SceneWriter:
                 }
             )
         intrinsics = {"fl_x": 20.0, "fl_y": 22.0, "cx": 12.5, "cy": 7.5, "w": WIDTH, "h": HEIGHT}
-        return {"camera_model": "OPENCV", **intrinsics, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "frames": frames}
+        return {
+            "camera_model": "OPENCV",
+            **intrinsics,
+            "k1": 0.0,
+            "k2": 0.0,
+            "p1": 0.0,
+            "p2": 0.0,
+            "frames": frames,
+        }
 
     def transforms(self, content: Any) -> Path:
         return self.json("transforms.json", content)
@@ -90,7 +114,11 @@ class SceneWriter:
         path = self.root / folder
         path.mkdir(parents=True, exist_ok=True)
         poses = [_colmap_pose(0.5 * index) for index in range(len(names))]
-        points = [(0.5, -0.25, 0.125, 255, 0, 51), (1.0, 2.0, 3.0, 0, 255, 0), (-80.0, 1.0, 0.0, 1, 2, 3)]
+        points = [
+            (0.5, -0.25, 0.125, 255, 0, 51),
+            (1.0, 2.0, 3.0, 0, 255, 0),
+            (-80.0, 1.0, 0.0, 1, 2, 3),
+        ]
         write = _write_binary if binary else _write_text
         write(path, model, parameters, names, poses, points)
         return path
@@ -107,7 +135,8 @@ def _write_text(path, model, parameters, names, poses, points) -> None:
 
     (path / "cameras.txt").write_text(f"# a comment\n{row(1, model, WIDTH, HEIGHT, *parameters)}\n")
     images = [
-        f"{row(i + 1, *pose, 1, name)}\n1.5 2.5 -1\n" for i, (pose, name) in enumerate(zip(poses, names, strict=True))
+        f"{row(i + 1, *pose, 1, name)}\n1.5 2.5 -1\n"
+        for i, (pose, name) in enumerate(zip(poses, names, strict=True))
     ]
     (path / "images.txt").write_text("# a comment\n" + "".join(images))
     lines = [row(i + 1, *point, 0.5, 1, 0, 2, 3) + "\n" for i, point in enumerate(points)]

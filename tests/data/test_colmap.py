@@ -27,7 +27,9 @@ def test_text_and_binary_give_the_same_scene(writer, folder):
     from_binary = load_scene(writer.root)
     assert torch.equal(from_text.points.positions, from_binary.points.positions)
     assert torch.equal(from_text.points.colors, from_binary.points.colors)
-    for one, other in zip(from_text.train + from_text.eval, from_binary.train + from_binary.eval, strict=True):
+    for one, other in zip(
+        from_text.train + from_text.eval, from_binary.train + from_binary.eval, strict=True
+    ):
         assert one.name == other.name
         assert one.rgb.camera.coincides_with(other.rgb.camera)
         assert torch.equal(one.thermal.load().values, other.thermal.load().values)
@@ -59,7 +61,9 @@ def test_the_pose_is_world_to_camera(writer):
         "1 0.7071067811865476 0 0 0.7071067811865476 1 2 3 1 a.png\n\n"
     )
     camera = load_scene(writer.root).train[0].rgb.camera
-    np.testing.assert_allclose(camera.viewmat[:3], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-12)
+    np.testing.assert_allclose(
+        camera.viewmat[:3], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(("mode", "suffix"), [("L", "png"), ("I;16", "png"), ("F", "tiff")])
@@ -152,14 +156,23 @@ def damage_text(name, text):
     [
         (damage_text("cameras.txt", "1 OPENCV 24\n"), "cameras.txt: line 1 is damaged"),
         (damage_text("cameras.txt", "1 FOV 24 16 1 1 1 1 1\n"), "has the model 'FOV'; undistort"),
-        (damage_text("cameras.txt", "1 PINHOLE 24 16 20 20 12\n"), "3 parameters where PINHOLE has 4"),
+        (
+            damage_text("cameras.txt", "1 PINHOLE 24 16 20 20 12\n"),
+            "3 parameters where PINHOLE has 4",
+        ),
         (damage_text("cameras.txt", "1 PINHOLE 24 16 0 20 12 8\n"), "must be positive"),
         (damage_text("cameras.txt", "1 PINHOLE 24 16 nan 20 12 8\n"), "NaN, infinity or a huge"),
         (damage_text("images.txt", "1 1 0 0 x 0 0 0 1 a.png\n\n"), "images.txt: line 1 is damaged"),
         (damage_text("images.txt", "1 2 0 0 0 0 0 0 1 a.png\n\n"), "has length 2, not 1"),
         (damage_text("images.txt", "1 1 0 0 0 nan 0 0 1 a.png\n\n"), "NaN, infinity or a huge"),
-        (damage_text("images.txt", "1 1 0 0 0 0 0 0 9 a.png\n\n"), "uses camera 9, which is not there"),
-        (damage_text("images.txt", "1 1 0 0 0 0 0 0 1 b.png\n\n"), "registered image 'b.png' is missing"),
+        (
+            damage_text("images.txt", "1 1 0 0 0 0 0 0 9 a.png\n\n"),
+            "uses camera 9, which is not there",
+        ),
+        (
+            damage_text("images.txt", "1 1 0 0 0 0 0 0 1 b.png\n\n"),
+            "registered image 'b.png' is missing",
+        ),
         (damage_text("images.txt", "# none\n"), "no registered image"),
         (damage_text("points3D.txt", "1 0 0\n"), "points3D.txt: line 1 is damaged"),
     ],

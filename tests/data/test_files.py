@@ -7,7 +7,8 @@ from mrgs.errors import SceneError
 
 
 @pytest.mark.parametrize(
-    ("name", "stem"), [("a.JPG", "a"), ("x/a.b.png", "x/a.b"), ("r_0.5", "r_0.5"), ("a", "a"), ("a.ply", "a.ply")]
+    ("name", "stem"),
+    [("a.JPG", "a"), ("x/a.b.png", "x/a.b"), ("r_0.5", "r_0.5"), ("a", "a"), ("a.ply", "a.ply")],
 )
 def test_only_image_extensions_are_cut(name, stem):
     assert without_image_suffix(name) == stem

@@ -14,7 +14,24 @@ from mrgs.data import load_scene
 from mrgs.errors import SceneError
 from mrgs.scene import Scene
 
-ODD_VALUES = [None, True, -1, 0, 1e300, float("nan"), float("inf"), 10**400, "", "x", "../x", "a\0", [], {}, [[]], [{}]]
+ODD_VALUES = [
+    None,
+    True,
+    -1,
+    0,
+    1e300,
+    float("nan"),
+    float("inf"),
+    10**400,
+    "",
+    "x",
+    "../x",
+    "a\0",
+    [],
+    {},
+    [[]],
+    [{}],
+]
 
 
 def opens_or_refuses(root: Path) -> bool:
@@ -58,7 +75,9 @@ def mutate_bytes(data: bytes, rng: random.Random) -> bytes:
             case 0:
                 mutated[start] = rng.randrange(256)
             case 1:
-                mutated[start : start + 8] = rng.choice([b"\xff" * 8, b"\0" * 8, b"\x7f" + b"\xff" * 7])
+                mutated[start : start + 8] = rng.choice(
+                    [b"\xff" * 8, b"\0" * 8, b"\x7f" + b"\xff" * 7]
+                )
             case 2:
                 del mutated[start : start + rng.randint(1, 8)]
             case 3:

@@ -75,10 +75,17 @@ def test_the_exif_orientation_is_ignored(tmp_path):
 
 def png_header(width: int, height: int) -> bytes:
     def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(b""))
+        + chunk(b"IEND", b"")
+    )
 
 
 @pytest.mark.parametrize("side", [8_950, 10_000, 60_000])
@@ -92,7 +99,9 @@ def test_decompression_bombs_are_refused_from_the_header(tmp_path, side):
 
 def test_truncated_and_foreign_files(tmp_path):
     rng = np.random.default_rng(0)
-    whole = save(tmp_path / "whole.png", rng.integers(0, 255, (40, 40), dtype=np.uint8)).read_bytes()
+    whole = save(
+        tmp_path / "whole.png", rng.integers(0, 255, (40, 40), dtype=np.uint8)
+    ).read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "text.png").write_text("not an image")
     (tmp_path / "empty.jpg").write_bytes(b"")
@@ -112,7 +121,9 @@ def test_thirty_two_bit_integers_are_refused(tmp_path):
 def test_mutated_images_give_pixels_or_a_scene_error(tmp_path):
     rng = np.random.default_rng(1)
     for name in ("a.png", "a.jpg", "a.tiff"):
-        whole = bytearray(save(tmp_path / name, rng.integers(0, 255, (16, 16), dtype=np.uint8)).read_bytes())
+        whole = bytearray(
+            save(tmp_path / name, rng.integers(0, 255, (16, 16), dtype=np.uint8)).read_bytes()
+        )
         for _ in range(60):
             mutated = whole.copy()
             for position in rng.integers(0, len(whole), 4):

@@ -22,14 +22,18 @@ def lens(**distortion) -> Lens:
 
 
 def test_brown_at_a_point_by_hand():
-    x, y = lens(radial=(0.1, 0.01, 0.001, 0.0001), tangential=(0.02, 0.03)).distort(np.array([0.6]), np.array([0.8]))
+    x, y = lens(radial=(0.1, 0.01, 0.001, 0.0001), tangential=(0.02, 0.03)).distort(
+        np.array([0.6]), np.array([0.8])
+    )
     scale = 1 + 0.1 + 0.01 + 0.001 + 0.0001  # r = 1
     assert x == pytest.approx(scale * 0.6 + 2 * 0.02 * 0.48 + 0.03 * (1 + 0.72))
     assert y == pytest.approx(scale * 0.8 + 0.02 * (1 + 1.28) + 2 * 0.03 * 0.48)
 
 
 def test_fisheye_at_a_point_by_hand():
-    x, y = lens(radial=(0.1, 0.01, 0.001, 0.0001), fisheye=True).distort(np.array([0.6]), np.array([0.8]))
+    x, y = lens(radial=(0.1, 0.01, 0.001, 0.0001), fisheye=True).distort(
+        np.array([0.6]), np.array([0.8])
+    )
     theta = math.pi / 4
     bent = theta * (1 + 0.1 * theta**2 + 0.01 * theta**4 + 0.001 * theta**6 + 0.0001 * theta**8)
     assert (x, y) == (pytest.approx(0.6 * bent), pytest.approx(0.8 * bent))
@@ -67,7 +71,11 @@ def test_the_fold_of_a_barrel_is_found():
 
 
 def test_the_board_camera_never_folds():
-    assert lens(**BOARD).before_fold(np.array([0.9 * math.tan(math.radians(WIDEST_ANGLE_DEG))]), np.zeros(1)).all()
+    assert (
+        lens(**BOARD)
+        .before_fold(np.array([0.9 * math.tan(math.radians(WIDEST_ANGLE_DEG))]), np.zeros(1))
+        .all()
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,6 +91,14 @@ def test_the_board_camera_never_folds():
     ],
 )
 def test_impossible_lenses_are_refused(change, message):
-    values = {"width": 640, "height": 480, "fx": 300.0, "fy": 300.0, "cx": 320.0, "cy": 240.0, **change}
+    values = {
+        "width": 640,
+        "height": 480,
+        "fx": 300.0,
+        "fy": 300.0,
+        "cx": 320.0,
+        "cy": 240.0,
+        **change,
+    }
     with pytest.raises(SceneError, match=f"cameras.txt: .*camera 1.*{message}"):
         checked_lens(Lens(**values), "camera 1", Path("cameras.txt"))

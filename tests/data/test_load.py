@@ -22,12 +22,16 @@ def test_a_folder_that_may_not_be_listed(writer, monkeypatch):
 
     writer.transforms(writer.thermoscenes())
     monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(SceneError, match=r"images: cannot be read \(Permission denied\); check its permissions"):
+    with pytest.raises(
+        SceneError, match=r"images: cannot be read \(Permission denied\); check its permissions"
+    ):
         load_scene(writer.root)
 
 
 def test_an_unknown_layout_lists_what_was_looked_for(tmp_path):
-    with pytest.raises(SceneError, match=r"no scene found; looked for transforms.json.*sparse/0/cameras.bin"):
+    with pytest.raises(
+        SceneError, match=r"no scene found; looked for transforms.json.*sparse/0/cameras.bin"
+    ):
         load_scene(str(tmp_path))
 
 
@@ -52,7 +56,9 @@ def test_reading_twice_gives_the_same_bits(writer):
 
 def test_random_start_points_follow_the_seed(writer):
     writer.transforms(writer.thermoscenes())
-    first, again, other = (load_scene(writer.root, seed=seed).points.positions for seed in (1, 1, 2))
+    first, again, other = (
+        load_scene(writer.root, seed=seed).points.positions for seed in (1, 1, 2)
+    )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 

@@ -25,7 +25,9 @@ def test_thermoscenes(writer):
     assert scene.points.positions.shape == (20_000, 3)
     view = scene.train[1]
     assert view.shares_camera
-    assert torch.equal(view.rgb.camera.K, torch.tensor([[20.0, 0, 12.5], [0, 22.0, 7.5], [0, 0, 1]]).double())
+    assert torch.equal(
+        view.rgb.camera.K, torch.tensor([[20.0, 0, 12.5], [0, 22.0, 7.5], [0, 0, 1]]).double()
+    )
     c2w = np.array(content["frames"][1]["transform_matrix"])
     np.testing.assert_allclose(view.rgb.camera.position, c2w[:3, 3], atol=1e-12)
     np.testing.assert_allclose(view.rgb.camera.forward, -c2w[:3, 2], atol=1e-12)
@@ -107,7 +109,15 @@ def test_a_frame_may_have_its_own_intrinsics(writer):
 
 def test_two_cameras(writer):
     content = writer.thermoscenes()
-    content["thermal_camera"] = {"camera_model": "OPENCV", "w": 12, "h": 10, "fl_x": 9.0, "fl_y": 9.5, "cx": 6, "cy": 5}
+    content["thermal_camera"] = {
+        "camera_model": "OPENCV",
+        "w": 12,
+        "h": 10,
+        "fl_x": 9.0,
+        "fl_y": 9.5,
+        "cx": 6,
+        "cy": 5,
+    }
     content["k1"] = -0.1
     for index, frame in enumerate(content["frames"]):
         writer.image(frame["thermal_file_path"].replace(".png", ".PNG"), "L", (12, 10), index)
@@ -120,7 +130,9 @@ def test_two_cameras(writer):
     assert (view.thermal.camera.width, view.thermal.camera.height) == (12, 10)
     assert view.thermal.camera.K[0, 0] == 9.0  # k1 belongs to the RGB camera alone
     assert view.rgb.camera.K[0, 0] != 20.0
-    np.testing.assert_allclose(view.thermal.camera.position - view.rgb.camera.position, [0.25, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        view.thermal.camera.position - view.rgb.camera.position, [0.25, 0, 0], atol=1e-12
+    )
     assert view.thermal.load().values.shape == (10, 12, 1)
 
 
@@ -139,7 +151,11 @@ def test_masks_from_the_file_and_from_the_folder(writer):
     content = writer.thermoscenes()
     mask = np.full((16, 24), 255, dtype=np.uint8)
     mask[:, :6] = 0
-    for name in ("own.png", "masks/frame_train_00001.png", "thermal_masks/frame_train_00001.jpg.png"):
+    for name in (
+        "own.png",
+        "masks/frame_train_00001.png",
+        "thermal_masks/frame_train_00001.jpg.png",
+    ):
         (writer.root / name).parent.mkdir(exist_ok=True)
         Image.fromarray(mask).save(writer.root / name)
     content["frames"][0]["thermal_mask_path"] = "own.png"
@@ -162,7 +178,10 @@ def test_explicit_lists_win_over_names(writer):
     assert any("1 frames are in none" in note for note in scene.notes)
 
 
-PLY = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty "
+    "float z\nend_header\n"
+)
 
 
 @pytest.mark.parametrize("name", ["sparse_pc.ply", "clouds/mine.ply"])
@@ -227,7 +246,10 @@ def put_frame(**values):
         (put(frames=[{}]), "frame 0 has no file_path"),
         (put_frame(file_path=7), "file_path of frame 1 is 7, not a path"),
         (put_frame(file_path="images/none.png"), "'images/none.png' of frame 1 is missing"),
-        (put_frame(thermal_file_path="thermal/none.png"), "'thermal/none.png' of frame 1 is missing"),
+        (
+            put_frame(thermal_file_path="thermal/none.png"),
+            "'thermal/none.png' of frame 1 is missing",
+        ),
         (put_frame(mask_path="none.png"), "'none.png' of frame 1 .* is missing"),
         (put_frame(file_path="/etc/passwd"), "leaves the scene folder"),
         (put_frame(file_path="../outside.png"), "leaves the scene folder"),
@@ -239,7 +261,10 @@ def put_frame(**values):
         (put(ply_file_path=[]), "ply_file_path is \\[\\], not a path"),
         (put_frame(transform_matrix=[[1, 0, 0], [0, 1, 0]]), "not a 3×4 or 4×4 matrix"),
         (put_frame(transform_matrix=None), "not a 3×4 or 4×4 matrix"),
-        (put_frame(transform_matrix=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]), "last row"),
+        (
+            put_frame(transform_matrix=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]),
+            "last row",
+        ),
         (set_pose("1.0"), "not a number"),
         (set_pose(math.nan), "NaN, infinity or a huge number"),
         (set_pose(10**400), "NaN, infinity or a huge number"),

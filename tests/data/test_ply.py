@@ -18,10 +18,19 @@ COLOURED = "property float x\nproperty float y\nproperty double z\n" + "".join(
 
 
 def header(form: str, count: object, properties: str = COLOURED, before: str = "") -> bytes:
-    return f"ply\nformat {form} 1.0\ncomment hello\n{before}element vertex {count}\n{properties}end_header\n".encode()
+    return (
+        f"ply\nformat {form} 1.0\ncomment hello\n{before}element vertex "
+        f"{count}\n{properties}end_header\n"
+    ).encode()
 
 
-@given(arrays(np.float32, st.tuples(st.integers(0, 5), st.just(3)), elements=st.floats(-1e6, 1e6, width=32)))
+@given(
+    arrays(
+        np.float32,
+        st.tuples(st.integers(0, 5), st.just(3)),
+        elements=st.floats(-1e6, 1e6, width=32),
+    )
+)
 def test_all_formats_read_the_same(tmp_path_factory, positions):
     path = tmp_path_factory.mktemp("ply") / "a.ply"
     rows = [tuple(row.tolist()) for row in positions]
@@ -49,7 +58,9 @@ def test_elements_before_the_vertices_are_skipped(tmp_path, form):
 
 
 def test_what_follows_the_vertices_is_ignored(tmp_path):
-    head = header("ascii", 1).replace(b"end_header", b"element face 1\nproperty list uchar int v\nend_header")
+    head = header("ascii", 1).replace(
+        b"end_header", b"element face 1\nproperty list uchar int v\nend_header"
+    )
     (tmp_path / "a.ply").write_bytes(head.replace(b"\n", b"\r\n") + b"1 2 3 0 0 0\r\n3 0 0 0\r\n")
     assert read_ply(tmp_path / "a.ply")[0].tolist() == [[1, 2, 3]]
 
@@ -75,7 +86,10 @@ def test_colours_are_scaled_by_their_type(tmp_path, kind, value):
         (header("ascii", 1, "property quad x\n"), "header line 'property quad x'"),
         (header("ascii", 1, "property float x\n" * 2), "header line 'property float x'"),
         (header("ascii", 1, "property float x\n"), "without x, y and z"),
-        (header("ascii", 1, COLOURED + "property list uchar int v\n") + b"0 0 0 0 0 0 1 0", "has lists"),
+        (
+            header("ascii", 1, COLOURED + "property list uchar int v\n") + b"0 0 0 0 0 0 1 0",
+            "has lists",
+        ),
         (header("ascii", 1).replace(b"vertex", b"point"), "no element vertex"),
         (header("ascii", 2) + b"1 2 3 4 5 6\n", "shorter than the 2 vertices"),
         (header("ascii", 1) + b"1.5555 2.5555 3", "shorter than the 1 vertices"),

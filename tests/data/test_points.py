@@ -14,7 +14,9 @@ K = torch.tensor([[50.0, 0, 32], [0, 50.0, 24], [0, 0, 1]], dtype=torch.float64)
 def looking(position, target) -> Camera:
     position, target = torch.tensor(position).double(), torch.tensor(target).double()
     forward = torch.nn.functional.normalize(target - position, dim=0)
-    right = torch.nn.functional.normalize(torch.linalg.cross(forward, torch.tensor([0.0, 0.1, 1.0]).double()), dim=0)
+    right = torch.nn.functional.normalize(
+        torch.linalg.cross(forward, torch.tensor([0.0, 0.1, 1.0]).double()), dim=0
+    )
     rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ position
@@ -66,4 +68,6 @@ def test_no_points_left():
 
 def test_the_transform_is_applied():
     turn = np.array([[0, 1, 0, 5], [1, 0, 0, 0], [0, 0, -1, 0]], dtype=float)
-    assert point_cloud(np.array([[1.0, 2, 3]]), None, Notes(), turn).positions.tolist() == [[7, 1, -3]]
+    assert point_cloud(np.array([[1.0, 2, 3]]), None, Notes(), turn).positions.tolist() == [
+        [7, 1, -3]
+    ]

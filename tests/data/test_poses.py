@@ -24,11 +24,16 @@ def test_opengl_poses_keep_every_point_in_place(rotation, position, point):
     pose[:3, :3], pose[:3, 3] = rotation, position
     viewmat = viewmat_from_opengl(pose, "pose", FILE).numpy()
     world = rotation @ point + position
-    np.testing.assert_allclose(viewmat[:3, :3] @ world + viewmat[:3, 3], point * [1, -1, -1], atol=1e-9)
+    np.testing.assert_allclose(
+        viewmat[:3, :3] @ world + viewmat[:3, 3], point * [1, -1, -1], atol=1e-9
+    )
     np.testing.assert_array_equal(viewmat[3], [0, 0, 0, 1])
     assert np.linalg.det(viewmat[:3, :3]) > 0
     np.testing.assert_allclose(
-        viewmat_from_opengl(pose[:3], "pose", FILE).numpy(), viewmat, atol=0, err_msg="3×4 and 4×4 mean the same"
+        viewmat_from_opengl(pose[:3], "pose", FILE).numpy(),
+        viewmat,
+        atol=0,
+        err_msg="3×4 and 4×4 mean the same",
     )
 
 
@@ -48,7 +53,8 @@ def test_rounding_is_removed(rotation, noise):
 
 
 @pytest.mark.parametrize(
-    "matrix", [np.diag([1.01, 1, 1]), np.diag([1.0, 1, -1]), np.full((3, 3), np.nan), np.zeros((3, 3))]
+    "matrix",
+    [np.diag([1.01, 1, 1]), np.diag([1.0, 1, -1]), np.full((3, 3), np.nan), np.zeros((3, 3))],
 )
 def test_what_is_no_rotation_is_refused(matrix):
     with pytest.raises(SceneError, match=r"transforms\.json: pose 3 is not a rotation"):

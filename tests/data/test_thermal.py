@@ -43,10 +43,19 @@ def test_swapped_bounds(tmp_path):
     ("content", "message"),
     [
         ({}, "absolute_min_temperature is None, not a number"),
-        ({"absolute_min_temperature": "cold", "absolute_max_temperature": 3}, "is 'cold', not a number"),
+        (
+            {"absolute_min_temperature": "cold", "absolute_max_temperature": 3},
+            "is 'cold', not a number",
+        ),
         ({"absolute_min_temperature": 3, "absolute_max_temperature": 3}, "not a temperature range"),
-        ({"absolute_min_temperature": -300, "absolute_max_temperature": 3}, "not a temperature range"),
-        ({"absolute_min_temperature": 3, "absolute_max_temperature": float("nan")}, "not a plausible number"),
+        (
+            {"absolute_min_temperature": -300, "absolute_max_temperature": 3},
+            "not a temperature range",
+        ),
+        (
+            {"absolute_min_temperature": 3, "absolute_max_temperature": float("nan")},
+            "not a plausible number",
+        ),
     ],
 )
 def test_bounds_that_cannot_be_used(tmp_path, content, message):
@@ -69,7 +78,9 @@ def test_float_images_that_are_not_celsius(tmp_path):
 
 
 def test_celsius_are_mapped_and_not_clamped(tmp_path):
-    values, valid = decode_thermal(celsius(tmp_path / "a.tiff", 10.0, 15.0, 35.0), TemperatureRange(10.0, 30.0))
+    values, valid = decode_thermal(
+        celsius(tmp_path / "a.tiff", 10.0, 15.0, 35.0), TemperatureRange(10.0, 30.0)
+    )
     assert values[..., 0].tolist() == [[0.0, 0.25, 1.25]]
     assert valid is None
     with pytest.raises(SceneError, match="range is not known"):

@@ -9,7 +9,9 @@ from mrgs.data.undistort import pinhole_of, resize, undistort
 
 LENSES = {
     "board thermal": Lens(160, 120, 161.1, 160.8, 76.1, 65.7, (-0.40296695, 0.36920666, 0.0, 0.0)),
-    "thermoscenes": Lens(120, 160, 89.6, 156.9, 61.0, 78.0, (0.05, -0.06, 0.0, 0.0), (-0.003, 0.062)),
+    "thermoscenes": Lens(
+        120, 160, 89.6, 156.9, 61.0, 78.0, (0.05, -0.06, 0.0, 0.0), (-0.003, 0.062)
+    ),
     "pincushion": Lens(160, 120, 150.0, 150.0, 80.0, 60.0, (0.2, 0.0, 0.0, 0.0)),
     "fisheye": Lens(160, 120, 80.0, 80.0, 80.0, 60.0, (0.01, -0.002, 0.0, 0.0), fisheye=True),
     "folding barrel": Lens(160, 120, 110.0, 110.0, 80.0, 60.0, (-0.4, 0.0, 0.0, 0.0)),
@@ -18,7 +20,9 @@ LENSES = {
 
 def pattern(x: np.ndarray, y: np.ndarray) -> torch.Tensor:
     """A smooth function of the ray (x, y, 1)."""
-    return torch.from_numpy(np.stack([np.sin(3 * x) * np.cos(2 * y), x, y], axis=-1).astype(np.float32))
+    return torch.from_numpy(
+        np.stack([np.sin(3 * x) * np.cos(2 * y), x, y], axis=-1).astype(np.float32)
+    )
 
 
 def pixel_centres(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +37,8 @@ def test_an_analytic_pattern_is_put_right(name):
     got, valid = undistort(through_lens, None, lens)
     expected = pattern(*pixel_centres(pinhole_of(lens)))
     seen = torch.ones(got.shape[:2], dtype=torch.bool) if valid is None else valid
-    # A pixel next to the fold is stretched so far that neighbours cannot be interpolated: leave the rim out.
+    # A pixel next to the fold is stretched so far that neighbours cannot be interpolated: leave the
+    # rim out.
     inner = seen if name != "folding barrel" else seen & (expected[..., 1:].norm(dim=-1) < 0.75)
     error = (got - expected).abs()[inner]
     assert error.max() < 3e-3  # a shift by a tenth of a pixel would be seen
@@ -71,7 +76,9 @@ def test_a_pinhole_is_left_alone():
 def test_a_negligible_distortion_changes_next_to_nothing():
     lens = Lens(80, 60, 70.0, 75.0, 41.0, 29.0, (1e-12, 0.0, 0.0, 0.0))
     pinhole = pinhole_of(lens)
-    assert (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy) == pytest.approx((70.0, 75.0, 41.0, 29.0), abs=1e-6)
+    assert (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy) == pytest.approx(
+        (70.0, 75.0, 41.0, 29.0), abs=1e-6
+    )
     values = torch.rand(60, 80, 1, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(undistort(values, None, lens)[0], values, atol=1e-4, rtol=0)
 
@@ -106,14 +113,18 @@ def test_resize_keeps_a_plane_in_place(size):
     u, v = np.meshgrid(np.arange(80) + 0.5, np.arange(60) + 0.5)
     ramp = torch.from_numpy((2 * u + 3 * v).astype(np.float32))[..., None]
     got, valid = resize(ramp, None, width, height)
-    new_u, new_v = np.meshgrid((np.arange(width) + 0.5) * 80 / width, (np.arange(height) + 0.5) * 60 / height)
+    new_u, new_v = np.meshgrid(
+        (np.arange(width) + 0.5) * 80 / width, (np.arange(height) + 0.5) * 60 / height
+    )
     inner = (slice(2, -2), slice(2, -2))
     np.testing.assert_allclose(got[..., 0][inner], (2 * new_u + 3 * new_v)[inner], atol=0.6)
     assert valid is None
 
 
 def test_resize_averages_fine_detail_away():
-    checkers = torch.from_numpy((np.indices((60, 80)).sum(axis=0) % 2).astype(np.float32))[..., None]
+    checkers = torch.from_numpy((np.indices((60, 80)).sum(axis=0) % 2).astype(np.float32))[
+        ..., None
+    ]
     got, _ = resize(checkers, None, 20, 15)
     assert (got - 0.5).abs().max() < 0.02
 

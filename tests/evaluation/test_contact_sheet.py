@@ -20,7 +20,9 @@ MakeView = Callable[..., View]
 Render = Callable[[View], Rendering]
 
 
-def rows_of(views: list[View], render: Render, temperature: TemperatureRange | None) -> tuple[list[SheetRow], Metrics]:
+def rows_of(
+    views: list[View], render: Render, temperature: TemperatureRange | None
+) -> tuple[list[SheetRow], Metrics]:
     rows: list[SheetRow] = []
 
     def visit(view: View, rendering: Rendering, metrics: object) -> None:
@@ -50,7 +52,9 @@ def test_a_model_without_depth_has_no_depth_column(
 ) -> None:
     full = draw([make_view()], render_with_error, celsius)
     shallow = draw(
-        [make_view()], lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None), celsius
+        [make_view()],
+        lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None),
+        celsius,
     )
     assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
 
@@ -105,7 +109,9 @@ def test_the_error_changes_the_picture(
     sheets = [np.asarray(contact_sheet(rows, FACTS, metrics, celsius)) for _ in range(2)]
     np.testing.assert_array_equal(*sheets)
     spoiled = replace(rows[0], thermal=rows[0].thermal + np.linspace(-1, 0, 24, dtype=np.float32))
-    assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, celsius))).any(axis=2).sum() > 1000
+    assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, celsius))).any(
+        axis=2
+    ).sum() > 1000
 
 
 def test_rows_hold_celsius_and_mark_invalid_pixels(
@@ -127,7 +133,9 @@ def test_without_celsius_the_sheet_says_so(make_view: MakeView, render_with_erro
     assert not np.array_equal(sheet[-60:], with_scale[-60:])
 
 
-def test_all_views_of_one_temperature_can_be_drawn(make_view: MakeView, celsius: TemperatureRange) -> None:
+def test_all_views_of_one_temperature_can_be_drawn(
+    make_view: MakeView, celsius: TemperatureRange
+) -> None:
     def perfect(view: View) -> Rendering:
         return Rendering(view.rgb.load().values, None, torch.full((18, 24, 1), 0.5), None)
 

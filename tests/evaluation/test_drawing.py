@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.evaluation.drawing import Scale, draw_text, fit_text, scale_bar, text_width
-from mrgs.evaluation.palette import palette_table
+from mrgs.pictures.drawing import Scale, draw_text, fit_text, scale_bar, text_width
+from mrgs.pictures.palette import palette_table
 
 IRON = Scale("iron", 10.0, 30.0, "°C")
 
@@ -24,7 +24,9 @@ def test_a_vertical_bar_has_its_warm_end_on_top() -> None:
 
 @pytest.mark.parametrize("direction", ["horizontal", "vertical"])
 def test_the_labels_follow_the_limits(direction: str) -> None:
-    bars = [np.asarray(scale_bar(IRON._replace(high=high), 240, direction)) for high in (30.0, 31.5)]
+    bars = [
+        np.asarray(scale_bar(IRON._replace(high=high), 240, direction)) for high in (30.0, 31.5)
+    ]
     assert bars[0].shape != bars[1].shape or not np.array_equal(bars[0], bars[1])
 
 

@@ -12,8 +12,8 @@ from mrgs.evaluation.evaluate import NO_CELSIUS, NO_LPIPS, evaluate, foreground_
 from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES, Missing
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.metrics import otsu_threshold
-from mrgs.evaluation.pictures import write_float_tiff
 from mrgs.evaluation.truth import Truth
+from mrgs.pictures.files import write_float_tiff
 from mrgs.render import Rendering
 from mrgs.scene import Camera, TemperatureRange, View
 
@@ -37,7 +37,9 @@ def perfect(view: View) -> Rendering:
     return Rendering(rgb, None, thermal, None)
 
 
-def test_known_errors(make_view: MakeView, render_with_error: Render, celsius: TemperatureRange) -> None:
+def test_known_errors(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
     metrics = evaluate([make_view("a"), make_view("b")], render_with_error, celsius)
     assert metrics.rgb["psnr"] == pytest.approx(20.0, abs=1e-3)
     assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
@@ -92,7 +94,9 @@ def test_masked_pixels_do_not_count(make_view: MakeView, celsius: TemperatureRan
     assert metrics.thermal["lpips"] == pytest.approx(0.05 * 14 / 24, abs=1e-6)
 
 
-def test_a_view_without_valid_pixels_has_no_figures(make_view: MakeView, celsius: TemperatureRange) -> None:
+def test_a_view_without_valid_pixels_has_no_figures(
+    make_view: MakeView, celsius: TemperatureRange
+) -> None:
     valid = torch.zeros(18, 24, dtype=torch.bool)
     metrics = evaluate([make_view(valid=valid)], perfect, celsius)
     assert set(metrics.thermal.values()) == {Missing("no pixel of the photo is valid")}
@@ -104,7 +108,9 @@ def test_missing_figures_say_why(make_view: MakeView, render_with_error: Render)
     assert metrics.thermal["lpips"] == metrics.rgb["lpips"] == Missing(NO_LPIPS)
 
 
-def test_lpips_of_both_images(make_view: MakeView, render_with_error: Render, celsius: TemperatureRange) -> None:
+def test_lpips_of_both_images(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
     metrics = evaluate([make_view()], render_with_error, celsius, ConstantLpips())
     assert metrics.thermal["lpips"] == pytest.approx(0.05, abs=1e-6)
     assert metrics.rgb["lpips"] == pytest.approx(0.1, abs=1e-2)
@@ -119,7 +125,9 @@ def test_images_too_small_for_lpips(make_view: MakeView, celsius: TemperatureRan
     assert metrics.thermal["lpips"] == Missing("the images are smaller than 16 pixels")
 
 
-def test_a_missing_modality(make_view: MakeView, render_with_error: Render, celsius: TemperatureRange) -> None:
+def test_a_missing_modality(
+    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
+) -> None:
     views = [make_view("both"), make_view("only_thermal", rgb=False)]
     metrics = evaluate(views, render_with_error, celsius)
     assert isinstance(metrics.views[1].rgb["psnr"], Missing)
@@ -137,7 +145,12 @@ def test_a_perfect_model_is_infinite(make_view: MakeView, celsius: TemperatureRa
 def test_the_visitor_sees_each_view_once(make_view: MakeView, render_with_error: Render) -> None:
     seen = []
     views = [make_view("a"), make_view("b")]
-    evaluate(views, render_with_error, None, visit=lambda view, rendering, metrics: seen.append((view, metrics.name)))
+    evaluate(
+        views,
+        render_with_error,
+        None,
+        visit=lambda view, rendering, metrics: seen.append((view, metrics.name)),
+    )
     assert seen == [(views[0], "a"), (views[1], "b")]
 
 
@@ -148,7 +161,9 @@ def test_no_views_is_an_error() -> None:
 
 def test_a_rendering_of_another_size_is_a_mistake_of_the_program(make_view: MakeView) -> None:
     with pytest.raises(ValueError, match="differ in size"):
-        evaluate([make_view()], lambda view: Rendering(torch.zeros(4, 4, 3), None, None, None), None)
+        evaluate(
+            [make_view()], lambda view: Rendering(torch.zeros(4, 4, 3), None, None, None), None
+        )
 
 
 def test_against_the_truth(
@@ -156,7 +171,9 @@ def test_against_the_truth(
 ) -> None:
     view = make_view("a")
     exact_c = celsius.to_celsius(view.thermal.load().values[..., 0]).numpy() - 0.5
-    write_float_tiff(tmp_path / "truth" / "temperature" / "a.tiff", exact_c, "temperature, degrees Celsius")
+    write_float_tiff(
+        tmp_path / "truth" / "temperature" / "a.tiff", exact_c, "temperature, degrees Celsius"
+    )
     write_float_tiff(tmp_path / "truth" / "depth" / "a.tiff", exact_c * 0 + 1.6, "depth, metres")
     metrics = evaluate([view], render_with_error, celsius, truth=Truth.find(tmp_path))
     assert metrics.truth == {
@@ -166,14 +183,20 @@ def test_against_the_truth(
     }
 
 
-def test_photos_are_compared_with_what_the_cameras_would_write(make_view: MakeView, celsius: TemperatureRange) -> None:
+def test_photos_are_compared_with_what_the_cameras_would_write(
+    make_view: MakeView, celsius: TemperatureRange
+) -> None:
     def colder(rendering: Rendering, camera: Camera) -> Rendering:
         assert camera is view.cameras[0]
         return rendering._replace(thermal=rendering.thermal - 0.05)
 
     view, seen = make_view(), []
     metrics = evaluate(
-        [view], perfect, celsius, photograph=colder, visit=lambda _, rendering, metrics: seen.append(rendering)
+        [view],
+        perfect,
+        celsius,
+        photograph=colder,
+        visit=lambda _, rendering, metrics: seen.append(rendering),
     )
     assert metrics.thermal["mae_c"] == pytest.approx(0.05 * celsius.span_c, abs=1e-5)
     assert torch.equal(seen[0].thermal, colder(perfect(view), view.cameras[0]).thermal)

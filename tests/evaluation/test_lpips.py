@@ -13,7 +13,8 @@ from mrgs.evaluation.lpips import Lpips, weight_shapes
 
 @pytest.fixture(scope="module")
 def weights() -> dict[str, Tensor]:
-    """Random weights, scaled so that the activations neither vanish nor explode; heads are positive, as LPIPS's are."""
+    """Random weights, scaled so that the activations neither vanish nor explode; heads are
+    positive, as LPIPS's are."""
     generator = torch.Generator().manual_seed(0)
     tensors = {}
     for name, shape in weight_shapes().items():
@@ -49,11 +50,16 @@ def test_distance_is_zero_for_identical_images_and_grows_with_noise(weights_file
 
 
 def test_distance_of_the_first_layer_by_hand(weights: dict[str, Tensor]) -> None:
-    only_first = {name: torch.zeros_like(w) if name.startswith("lin") else w for name, w in weights.items()}
+    only_first = {
+        name: torch.zeros_like(w) if name.startswith("lin") else w for name, w in weights.items()
+    }
     only_first["lin0.model.1.weight"] = torch.ones(1, 64, 1, 1)
     lpips = Lpips(only_first)
     a, b = random_image(0), random_image(1)
-    units = [layer / layer.norm(dim=1, keepdim=True) for layer in (lpips.features(a)[0], lpips.features(b)[0])]
+    units = [
+        layer / layer.norm(dim=1, keepdim=True)
+        for layer in (lpips.features(a)[0], lpips.features(b)[0])
+    ]
     cosine = (units[0] * units[1]).sum(dim=1).mean().item()
     assert lpips(a, b) == pytest.approx(2 - 2 * cosine, rel=1e-4)
 
@@ -85,10 +91,15 @@ def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     ("tensors", "message"),
     [
         ({}, r"features\.0\.weight is missing; expected is \[64, 3, 3, 3\]"),
-        ({"features.0.weight": torch.zeros(2, 3)}, r"features\.0\.weight is \[2, 3\]; expected is \[64, 3, 3, 3\]"),
+        (
+            {"features.0.weight": torch.zeros(2, 3)},
+            r"features\.0\.weight is \[2, 3\]; expected is \[64, 3, 3, 3\]",
+        ),
     ],
 )
-def test_an_incompatible_file_says_which_tensor(tmp_path: Path, tensors: dict[str, Tensor], message: str) -> None:
+def test_an_incompatible_file_says_which_tensor(
+    tmp_path: Path, tensors: dict[str, Tensor], message: str
+) -> None:
     path = tmp_path / "other.safetensors"
     save_file({"x": torch.zeros(1), **tensors}, path)
     with pytest.raises(RunError, match=message):

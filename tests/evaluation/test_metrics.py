@@ -9,7 +9,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
-from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
+from torchmetrics.functional.image import (
+    peak_signal_noise_ratio,
+    structural_similarity_index_measure,
+)
 
 from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.metrics import (
@@ -57,10 +60,17 @@ def test_matched_psnr_is_that_of_the_least_squares_fit(channels: int) -> None:
     image, target = pair(channels)
     planes = []
     for channel in range(channels):
-        inside, goal = image[..., channel].double().flatten(), target[..., channel].double().flatten()
+        inside, goal = (
+            image[..., channel].double().flatten(),
+            target[..., channel].double().flatten(),
+        )
         design = torch.stack([inside, torch.ones_like(inside)], dim=1)
-        planes.append((design @ torch.linalg.lstsq(design, goal[:, None]).solution).reshape(image.shape[:2]))
-    assert psnr_matched(image, target) == pytest.approx(psnr(torch.stack(planes, dim=2), target), rel=1e-9)
+        planes.append(
+            (design @ torch.linalg.lstsq(design, goal[:, None]).solution).reshape(image.shape[:2])
+        )
+    assert psnr_matched(image, target) == pytest.approx(
+        psnr(torch.stack(planes, dim=2), target), rel=1e-9
+    )
     assert psnr_matched(image, target) > psnr(image, target)
 
 
@@ -73,7 +83,9 @@ def test_matched_psnr_does_not_see_how_a_photo_is_scaled(gain: float, offset: fl
 def test_matched_psnr_of_a_uniform_rendering_is_that_of_the_mean() -> None:
     _, target = pair(1)
     mean = torch.full_like(target, target.double().mean().item())
-    assert psnr_matched(torch.full_like(target, 0.9), target) == pytest.approx(psnr(mean, target), rel=1e-6)
+    assert psnr_matched(torch.full_like(target, 0.9), target) == pytest.approx(
+        psnr(mean, target), rel=1e-6
+    )
 
 
 def test_no_camera_turns_a_photo_into_its_negative() -> None:
@@ -98,14 +110,18 @@ def test_mean_absolute_error_by_hand() -> None:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_ssim_pair_range_is_torchmetrics_default_away_from_the_border(channels: int) -> None:
     image, target = pair(channels)
-    _, similarity = structural_similarity_index_measure(as_batch(image), as_batch(target), return_full_image=True)
+    _, similarity = structural_similarity_index_measure(
+        as_batch(image), as_batch(target), return_full_image=True
+    )
     expected = similarity[..., 5:-5, 5:-5].mean().item()
     assert ssim_pair_range(image, target) == pytest.approx(expected, rel=1e-9)
 
 
 def test_ssim_is_torchmetrics_at_range_one_but_for_the_padding() -> None:
     _, target = pair()
-    image, target = (torch.nn.functional.pad(x, (0, 0, 12, 12, 12, 12)) for x in (target * 0.8, target))  # black frame
+    image, target = (
+        torch.nn.functional.pad(x, (0, 0, 12, 12, 12, 12)) for x in (target * 0.8, target)
+    )  # black frame
     _, similarity = structural_similarity_index_measure(
         as_batch(image), as_batch(target), data_range=1.0, return_full_image=True
     )
@@ -179,7 +195,9 @@ def test_otsu_matches_an_exhaustive_search() -> None:
         return sum(part.size * part.var() for part in classes)
 
     best = min(within_class_variance(edge) for edge in edges[1:-1])
-    assert within_class_variance(otsu_threshold(values)) <= best * 1.001  # the histogram rounds values to bin centres
+    assert (
+        within_class_variance(otsu_threshold(values)) <= best * 1.001
+    )  # the histogram rounds values to bin centres
 
 
 def test_a_uniform_image_has_no_threshold() -> None:
@@ -187,8 +205,12 @@ def test_a_uniform_image_has_no_threshold() -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.integers(0, 255), min_size=2, max_size=60), st.floats(0.1, 50), st.floats(-100, 100))
-def test_otsu_foreground_does_not_depend_on_the_unit(levels: list[int], scale: float, shift: float) -> None:
+@given(
+    st.lists(st.integers(0, 255), min_size=2, max_size=60), st.floats(0.1, 50), st.floats(-100, 100)
+)
+def test_otsu_foreground_does_not_depend_on_the_unit(
+    levels: list[int], scale: float, shift: float
+) -> None:
     values = np.array(levels, dtype=np.float64)
     threshold = otsu_threshold(values)
     if threshold is None:
@@ -196,4 +218,6 @@ def test_otsu_foreground_does_not_depend_on_the_unit(levels: list[int], scale: f
         return
     assert values.min() < threshold <= values.max()
     in_other_unit = otsu_threshold(values * scale + shift)
-    assert in_other_unit == pytest.approx(threshold * scale + shift, abs=scale * (np.ptp(values) / 128 + 1e-6))
+    assert in_other_unit == pytest.approx(
+        threshold * scale + shift, abs=scale * (np.ptp(values) / 128 + 1e-6)
+    )

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.evaluation.palette import (
+from mrgs.pictures.palette import (
     INVALID_COLOR,
     PALETTES,
     PaletteName,
@@ -57,14 +57,20 @@ def test_the_limits_take_the_first_and_the_last_color(name: PaletteName) -> None
 
 
 def test_endpoints_by_value() -> None:
-    assert palette_table("grey")[[0, 128, 255]].tolist() == [[0, 0, 0], [128, 128, 128], [255, 255, 255]]
+    assert palette_table("grey")[[0, 128, 255]].tolist() == [
+        [0, 0, 0],
+        [128, 128, 128],
+        [255, 255, 255],
+    ]
     assert palette_table("inferno")[[0, 255]].tolist() == [[0, 0, 4], [252, 255, 164]]
     assert palette_table("iron")[[0, 255]].tolist() == [[0, 0, 5], [255, 255, 255]]
 
 
 def test_a_reversed_scale_runs_the_other_way() -> None:
     values = np.linspace(0, 1, 11)[None]
-    np.testing.assert_array_equal(colorize(values, 1.0, 0.0, "grey"), colorize(1 - values, 0.0, 1.0, "grey"))
+    np.testing.assert_array_equal(
+        colorize(values, 1.0, 0.0, "grey"), colorize(1 - values, 0.0, 1.0, "grey")
+    )
 
 
 def test_nan_turns_grey() -> None:
@@ -84,7 +90,9 @@ def test_ticks_by_hand() -> None:
 def test_ticks_lie_inside_and_are_evenly_spaced(low: float, span: float, count: int) -> None:
     ticks = round_ticks(low, low + span, count)
     assert 1 <= len(ticks) <= count + 1 or (count == 2 and len(ticks) >= 0)
-    assert all(low - 1e-6 * span - 1e-9 <= tick <= low + span + 1e-6 * span + 1e-9 for tick in ticks)
+    assert all(
+        low - 1e-6 * span - 1e-9 <= tick <= low + span + 1e-6 * span + 1e-9 for tick in ticks
+    )
     steps = np.diff(ticks)
     assert all(math.isclose(step, steps[0], rel_tol=1e-6) for step in steps)
     assert [float(label) for label in tick_labels(ticks)] == pytest.approx(ticks, abs=1e-6)

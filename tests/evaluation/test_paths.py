@@ -9,13 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError
-from mrgs.evaluation.paths import focus_point, orbit
 from mrgs.scene import Camera
+from mrgs.scene.camera_paths import focus_point, orbit
 
 K = torch.tensor([[50.0, 0, 16], [0, 60.0, 12], [0, 0, 1]], dtype=torch.float64)
 
 
-def looking(position: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0, 0, 1)) -> Camera:
+def looking(
+    position: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = (0, 0, 1)
+) -> Camera:
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -35,7 +37,9 @@ def ring(count: int = 12, a: float = 3.0, b: float = 2.0, height: float = 1.0) -
 def assert_orthonormal(cameras: list[Camera]) -> None:
     for camera in cameras:
         rotation = camera.viewmat[:3, :3]
-        torch.testing.assert_close(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0)
+        torch.testing.assert_close(
+            rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-9, rtol=0
+        )
         assert torch.linalg.det(rotation).item() == pytest.approx(1.0)
         assert camera.viewmat[3].tolist() == [0, 0, 0, 1]
         assert (camera.width, camera.height) == (32, 24)
@@ -64,7 +68,9 @@ def test_an_orbit_recovers_the_ellipse_and_looks_at_the_focus() -> None:
     np.testing.assert_allclose(z, 1.0, atol=1e-9)
     for camera in path:
         in_camera = camera.viewmat @ torch.tensor([0.3, 0.1, 0.2, 1.0], dtype=torch.float64)
-        torch.testing.assert_close(in_camera[:2], torch.zeros(2, dtype=torch.float64), atol=1e-9, rtol=0)
+        torch.testing.assert_close(
+            in_camera[:2], torch.zeros(2, dtype=torch.float64), atol=1e-9, rtol=0
+        )
         assert in_camera[2] > 0
         assert camera.viewmat[1, 2] < 0  # the camera's down points to the world's down
 
@@ -87,7 +93,9 @@ def test_parallel_cameras_keep_their_direction(along: tuple[float, float, float]
     direction = np.array(along)
     up = (0, 0, 1) if direction[2] == 0 else (0, 1, 0)
     side = np.linspace(-2, 2, 9)
-    cameras = [looking(np.array([x, 5.0, 5.0]), np.array([x, 5.0, 5.0]) + direction, up) for x in side]
+    cameras = [
+        looking(np.array([x, 5.0, 5.0]), np.array([x, 5.0, 5.0]) + direction, up) for x in side
+    ]
     for camera in orbit(cameras, 12):
         assert camera.forward.numpy() @ direction > 0.8
     assert_orthonormal(orbit(cameras, 12))
@@ -95,7 +103,8 @@ def test_parallel_cameras_keep_their_direction(along: tuple[float, float, float]
 
 def test_outward_views_do_not_take_a_focus_behind_them() -> None:
     cameras = [
-        looking(np.array([np.cos(t), np.sin(t), 0.0]), 5 * np.array([np.cos(t), np.sin(t), 0.0])) for t in (0, 1)
+        looking(np.array([np.cos(t), np.sin(t), 0.0]), 5 * np.array([np.cos(t), np.sin(t), 0.0]))
+        for t in (0, 1)
     ]
     assert all((focus_point(cameras) - c.position.numpy()) @ c.forward.numpy() > 0 for c in cameras)
 
@@ -111,7 +120,9 @@ def test_a_single_camera() -> None:
 @given(st.integers(0, 10_000), st.integers(1, 9), st.integers(1, 20))
 def test_any_capture_gives_finite_rigid_poses(seed: int, count: int, frames: int) -> None:
     generator = np.random.default_rng(seed)
-    cameras = [looking(generator.normal(size=3) * 3, generator.normal(size=3)) for _ in range(count)]
+    cameras = [
+        looking(generator.normal(size=3) * 3, generator.normal(size=3)) for _ in range(count)
+    ]
     assert_orthonormal(orbit(cameras, frames))
 
 

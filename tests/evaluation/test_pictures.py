@@ -10,9 +10,9 @@ import torch
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.evaluation.drawing import Scale
-from mrgs.evaluation.palette import palette_table
-from mrgs.evaluation.pictures import (
+from mrgs.evaluation.truth import read_float_tiff
+from mrgs.pictures.drawing import Scale
+from mrgs.pictures.files import (
     to_rgb8,
     write_depth_png,
     write_float_tiff,
@@ -20,7 +20,7 @@ from mrgs.evaluation.pictures import (
     write_rgb_png,
     write_scaled_png,
 )
-from mrgs.evaluation.truth import read_float_tiff
+from mrgs.pictures.palette import palette_table
 from mrgs.render import Rendering
 from mrgs.scene import Reach, TemperatureRange, View
 
@@ -29,8 +29,13 @@ MakeView = Callable[..., View]
 
 def rendering() -> Rendering:
     generator = torch.Generator().manual_seed(3)
-    rgb, thermal = torch.rand(12, 16, 3, generator=generator), torch.rand(9, 12, 1, generator=generator) * 1.4 - 0.2
-    return Rendering(rgb, torch.full((12, 16), 2.0), thermal, torch.rand(9, 12, generator=generator))
+    rgb, thermal = (
+        torch.rand(12, 16, 3, generator=generator),
+        torch.rand(9, 12, 1, generator=generator) * 1.4 - 0.2,
+    )
+    return Rendering(
+        rgb, torch.full((12, 16), 2.0), thermal, torch.rand(9, 12, generator=generator)
+    )
 
 
 def test_a_float_tiff_returns_every_bit(tmp_path: Path) -> None:
@@ -49,7 +54,9 @@ def test_rgb_is_clamped_and_rounded(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.asarray(image), to_rgb8(colors))
 
 
-def test_all_images_of_a_view_in_celsius(make_view: MakeView, tmp_path: Path, celsius: TemperatureRange) -> None:
+def test_all_images_of_a_view_in_celsius(
+    make_view: MakeView, tmp_path: Path, celsius: TemperatureRange
+) -> None:
     shown = rendering()
     paths = write_rendering(tmp_path, make_view("v1"), shown, celsius)
     names = {str(path.relative_to(tmp_path)) for path in paths}
@@ -78,9 +85,14 @@ def test_without_celsius_the_file_says_so(make_view: MakeView, tmp_path: Path) -
         assert "normalised" in image.tag_v2[270]
 
 
-def test_what_the_model_lacks_is_left_out(make_view: MakeView, tmp_path: Path, celsius: TemperatureRange) -> None:
+def test_what_the_model_lacks_is_left_out(
+    make_view: MakeView, tmp_path: Path, celsius: TemperatureRange
+) -> None:
     paths = write_rendering(
-        tmp_path, make_view("v1"), rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None), celsius
+        tmp_path,
+        make_view("v1"),
+        rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None),
+        celsius,
     )
     assert {path.parent.name for path in paths} == {"temperature_c", "thermal"}
 
@@ -102,7 +114,9 @@ def test_near_is_light_in_a_depth_picture(tmp_path: Path) -> None:
     assert pixels[0, 0] > pixels[-1, -1] + 300
 
 
-def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(make_view: MakeView, tmp_path: Path) -> None:
+def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(
+    make_view: MakeView, tmp_path: Path
+) -> None:
     shown, view = rendering(), make_view("v1")
     shown.depth_rgb[:6] = 900.0
     shown.depth_rgb[6:9] = 2.5

@@ -1,4 +1,5 @@
-"""Another program's renderings of the balls in tests/conftest.py: the photos themselves, or the photos made worse."""
+"""Another program's renderings of the balls in tests/conftest.py: the photos themselves, or the
+photos made worse."""
 
 from __future__ import annotations
 
@@ -14,9 +15,9 @@ from PIL import Image
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.evaluation import evaluate_run, render_run
-from mrgs.evaluation.pictures import write_float_tiff
 from mrgs.evaluation.renders import evaluate_renders
-from mrgs.run import load_run
+from mrgs.pictures.files import write_float_tiff
+from mrgs.runs.open import load_run
 from mrgs.training import make_config, train
 
 NAMES = ("frame_eval_00002", "frame_eval_00006")
@@ -45,20 +46,32 @@ def test_the_photos_themselves_are_perfect(small_scene, renders):
     assert metrics.rgb["psnr"] == metrics.thermal["psnr"] == np.inf
     assert metrics.thermal["mae_c"] == 0
     document = json.loads((renders / "eval" / "metrics.json").read_text())
-    assert (document["method"], document["steps"], document["gaussians"]) == ("other program", None, None)
+    assert (document["method"], document["steps"], document["gaussians"]) == (
+        "other program",
+        None,
+        None,
+    )
     assert "another program" in document["reasons"]["gaussians"]
     assert (renders / "eval" / "metrics.md").is_file()
     assert (renders / "eval" / "contact_sheet.png").is_file()
 
 
-def test_sixteen_bits_and_floats_in_celsius_and_normalised_say_the_same(small_scene, renders, tmp_path):
+def test_sixteen_bits_and_floats_in_celsius_and_normalised_say_the_same(
+    small_scene, renders, tmp_path
+):
     for name in NAMES:
         warmer = photo(small_scene, name) + 0.05
         sixteen = np.rint(warmer.clip(0, 1) * 65535).astype(np.uint16)
         (renders / "thermal" / f"{name}.png").unlink()
         Image.fromarray(sixteen).save(renders / "thermal" / f"{name}.png")
-        write_float_tiff(tmp_path / "celsius" / "thermal" / f"{name}.tif", warmer * SPAN_C + 10, "degrees Celsius")
-        write_float_tiff(tmp_path / "normalised" / "thermal_normalised" / f"{name}.tiff", warmer, "normalised")
+        write_float_tiff(
+            tmp_path / "celsius" / "thermal" / f"{name}.tif",
+            warmer * SPAN_C + 10,
+            "degrees Celsius",
+        )
+        write_float_tiff(
+            tmp_path / "normalised" / "thermal_normalised" / f"{name}.tiff", warmer, "normalised"
+        )
     for folder in (renders, tmp_path / "celsius", tmp_path / "normalised"):
         metrics = evaluate_renders(small_scene, folder)
         assert metrics.thermal["mae_c"] == pytest.approx(0.05 * SPAN_C, abs=1e-3), folder
@@ -81,7 +94,9 @@ def test_grey_saved_in_colour_and_jpeg_are_read(small_scene, renders):
 
 
 def test_what_mrgs_renders_scores_as_its_run(small_scene, tmp_path):
-    run = load_run(train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path)
+    run = load_run(
+        train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path
+    )
     folder = render_run(run, "eval")
     metrics = evaluate_renders(small_scene, folder, name="ours", output=tmp_path / "scores")
     document = json.loads((tmp_path / "scores" / "metrics.json").read_text())
@@ -105,7 +120,11 @@ def test_a_sky_without_depth_is_no_reason_to_refuse_the_images(make_scene, rende
     scene = make_scene()
     for name in NAMES:
         depth = np.full((30, 40), 2.0, np.float32)
-        write_float_tiff(scene / "truth" / "depth" / f"{name}.tiff", np.where(np.eye(30, 40), np.inf, depth), "depth")
+        write_float_tiff(
+            scene / "truth" / "depth" / f"{name}.tiff",
+            np.where(np.eye(30, 40), np.inf, depth),
+            "depth",
+        )
         depth[0], depth[1] = np.inf, np.nan
         write_float_tiff(renders / "depth_thermal" / f"{name}.tiff", depth, "depth")
     metrics = evaluate_renders(scene, renders)
@@ -128,7 +147,9 @@ def test_a_sky_far_away_is_drawn_as_one_without_depth(make_scene, renders):
 
 def test_images_of_other_views_are_left_out_with_a_warning(small_scene, renders):
     Image.new("RGB", (4, 4)).save(renders / "rgb" / "frame_train_00000.png")
-    with pytest.warns(MrgsWarning, match=r"rgb holds 1 images that belong to no eval view \(frame_train_00000\)"):
+    with pytest.warns(
+        MrgsWarning, match=r"rgb holds 1 images that belong to no eval view \(frame_train_00000\)"
+    ):
         evaluate_renders(small_scene, renders)
 
 
@@ -147,7 +168,9 @@ def transparent(folder: Path) -> None:
 def not_finite(folder: Path) -> None:
     for name in NAMES:
         (folder / "thermal" / f"{name}.png").unlink()
-        write_float_tiff(folder / "thermal" / f"{name}.tiff", np.full((30, 40), np.nan, np.float32), "broken")
+        write_float_tiff(
+            folder / "thermal" / f"{name}.tiff", np.full((30, 40), np.nan, np.float32), "broken"
+        )
 
 
 def two_images(folder: Path) -> None:
@@ -174,26 +197,44 @@ def empty(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (resized, rf"rgb/{NAMES[0]}\.png is 20×10 px, but its view is 40×30 px: render at the view's size"),
-        (coloured, r"is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit or 16-bit grey"),
+        (
+            resized,
+            rf"rgb/{NAMES[0]}\.png is 20×10 px, but its view is 40×30 px: render at the view's "
+            rf"size",
+        ),
+        (
+            coloured,
+            r"is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit or "
+            r"16-bit grey",
+        ),
         (transparent, r"has pixels that are transparent: every pixel is scored"),
         (not_finite, r"has pixels that are not finite"),
-        (two_images, rf"several images of the view {NAMES[0]}: keep one of {NAMES[0]}\.jpg, {NAMES[0]}\.png"),
+        (
+            two_images,
+            rf"several images of the view {NAMES[0]}: keep one of {NAMES[0]}\.jpg, {NAMES[0]}\.png",
+        ),
         (float_colours, r"is a float image: save RGB with 8 bits per channel"),
         (no_floats, r"holds no floats: save it as a one-channel float32 TIFF"),
         (
             lambda folder: (folder / "thermal" / f"{NAMES[1]}.png").unlink(),
-            rf"thermal has no image of 1 of 2 eval views \({NAMES[1]}\): add them, named like the views",
+            rf"thermal has no image of 1 of 2 eval views \({NAMES[1]}\): add them, named like the "
+            rf"views",
         ),
         (
             lambda folder: (folder / "rgb" / f"{NAMES[0]}.png").write_bytes(b"no image"),
             rf"{NAMES[0]}\.png: cannot be decoded",
         ),
-        (empty, rf"holds no renderings: put RGB images into .*named like the eval views \({NAMES[0]}, {NAMES[1]}\)"),
+        (
+            empty,
+            rf"holds no renderings: put RGB images into .*named like the eval views \({NAMES[0]}, "
+            rf"{NAMES[1]}\)",
+        ),
         (shutil.rmtree, r"is not a folder: give the folder that holds rgb/ and thermal/"),
     ],
 )
-def test_what_cannot_be_scored_is_one_line(damage: Callable[[Path], object], message, small_scene, renders):
+def test_what_cannot_be_scored_is_one_line(
+    damage: Callable[[Path], object], message, small_scene, renders
+):
     damage(renders)
     with pytest.raises(RunError, match=message) as error:
         evaluate_renders(small_scene, renders)
@@ -205,12 +246,18 @@ def test_celsius_for_a_scene_without_a_range(make_scene, renders):
     scene = make_scene()
     (scene / "temperature_bounds.json").unlink()
     for name in NAMES:
-        write_float_tiff(renders / "temperature_c" / f"{name}.tiff", np.zeros((30, 40), np.float32), "celsius")
+        write_float_tiff(
+            renders / "temperature_c" / f"{name}.tiff", np.zeros((30, 40), np.float32), "celsius"
+        )
     assert load_scene(scene).temperature is None
-    with pytest.raises(RunError, match=r"holds °C, but the scene has no temperature range: put normalised floats"):
+    with pytest.raises(
+        RunError, match=r"holds °C, but the scene has no temperature range: put normalised floats"
+    ):
         evaluate_renders(scene, renders)
 
 
 def test_the_resolution_is_that_of_the_training(small_scene, renders):
-    with pytest.raises(RunError, match=r"is 40×30 px, but its view is 20×15 px: .*choose the --resolution"):
+    with pytest.raises(
+        RunError, match=r"is 40×30 px, but its view is 20×15 px: .*choose the --resolution"
+    ):
         evaluate_renders(small_scene, renders, resolution=20)

@@ -11,9 +11,9 @@ import torch
 from mrgs.errors import RunError
 from mrgs.evaluation.evaluate import Metrics, evaluate
 from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
-from mrgs.evaluation.pictures import write_float_tiff
 from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
 from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
+from mrgs.pictures.files import write_float_tiff
 from mrgs.render import Rendering
 from mrgs.scene import TemperatureRange, View
 
@@ -22,10 +22,13 @@ FACTS = RunFacts("mrgs", "a|b", 1200, 41_000, 63.5, None, "cpu")
 
 @pytest.fixture
 def metrics(make_view: Callable[..., View], celsius: TemperatureRange, tmp_path: Path) -> Metrics:
-    """Three views: identical images (infinite PSNR), a rendering with NaN, and one without an RGB image."""
+    """Three views: identical images (infinite PSNR), a rendering with NaN, and one without an RGB
+    image."""
     views = [make_view("perfect"), make_view("broken"), make_view("no_rgb", rgb=False)]
     exact = celsius.to_celsius(views[0].thermal.load().values[..., 0]).numpy()
-    write_float_tiff(tmp_path / "truth" / "temperature" / "perfect.tiff", exact, "temperature, degrees Celsius")
+    write_float_tiff(
+        tmp_path / "truth" / "temperature" / "perfect.tiff", exact, "temperature, degrees Celsius"
+    )
 
     def render(view: View) -> Rendering:
         rgb = view.rgb.load().values if view.rgb else None
@@ -46,7 +49,11 @@ def strict(text: str) -> Any:
 
 def nulls(node: Any, path: str = "") -> set[str]:
     if isinstance(node, dict):
-        return {found for key, value in node.items() for found in nulls(value, f"{path}.{key}" if path else key)}
+        return {
+            found
+            for key, value in node.items()
+            for found in nulls(value, f"{path}.{key}" if path else key)
+        }
     return {path} if node is None else set()
 
 
@@ -86,7 +93,9 @@ def test_what_json_cannot_hold(metrics: Metrics) -> None:
     assert document["mean"]["rgb"]["ssim"] == pytest.approx(1.0)
 
 
-def test_truth_is_absent_where_the_scene_has_none(make_view: Callable[..., View], render_with_error: Any) -> None:
+def test_truth_is_absent_where_the_scene_has_none(
+    make_view: Callable[..., View], render_with_error: Any
+) -> None:
     document = to_document(FACTS, evaluate([make_view()], render_with_error, None))
     assert "truth" not in document
     assert "truth" not in document["views"][0]
@@ -95,7 +104,10 @@ def test_truth_is_absent_where_the_scene_has_none(make_view: Callable[..., View]
 def test_markdown_tables_are_rectangular_and_explain_dashes(metrics: Metrics) -> None:
     text = to_markdown(FACTS, metrics)
     assert text.startswith("# mrgs on a\\|b\n")
-    assert "1,200 steps, 41,000 Gaussians, training 64 s, peak memory not measured, device cpu." in text
+    assert (
+        "1,200 steps, 41,000 Gaussians, training 64 s, peak memory not measured, device cpu."
+        in text
+    )
     for block in text.split("\n\n"):
         if block.startswith("| |"):
             assert len({line.count("|") for line in block.splitlines()}) == 1

@@ -9,16 +9,18 @@ from PIL import Image
 
 from mrgs.errors import SceneError
 from mrgs.evaluation import evaluate_run, render_run
-from mrgs.evaluation.paths import orbit
-from mrgs.evaluation.pictures import to_rgb8
+from mrgs.pictures.files import to_rgb8
 from mrgs.render import render_view
-from mrgs.run import Run, load_run
+from mrgs.runs.open import Run, load_run
+from mrgs.scene.camera_paths import orbit
 from mrgs.training import make_config, train
 
 
 @pytest.fixture
 def run(small_scene: Path, tmp_path: Path) -> Run:
-    return load_run(train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path)
+    return load_run(
+        train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path
+    )
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -33,7 +35,11 @@ def test_evaluating_writes_scores_and_a_sheet(run):
     folder = run.folder.path / "eval"
     document = json.loads((folder / "metrics.json").read_text())
     assert document["mean"]["thermal"]["psnr"] == pytest.approx(metrics.thermal["psnr"])
-    assert (document["method"], document["steps"], document["gaussians"]) == ("mrgs", 3, len(run.model.gaussians))
+    assert (document["method"], document["steps"], document["gaussians"]) == (
+        "mrgs",
+        3,
+        len(run.model.gaussians),
+    )
     assert document["train_seconds"] > 0
     assert document["peak_memory_bytes"] > 2**20
     assert pixels(folder / "contact_sheet.png").shape[1] > 1000
@@ -45,12 +51,18 @@ def test_rendered_temperatures_are_those_of_the_model(run):
     view = run.load_scene().eval[0]
     expected = run.temperatures_c(render_view(run.model, view)).numpy()
     np.testing.assert_array_equal(pixels(folder / "temperature_c" / f"{view.name}.tiff"), expected)
-    assert pixels(folder / "rgb" / f"{view.name}.png").shape == (view.rgb.camera.height, view.rgb.camera.width, 3)
+    assert pixels(folder / "rgb" / f"{view.name}.png").shape == (
+        view.rgb.camera.height,
+        view.rgb.camera.width,
+        3,
+    )
 
 
 def test_each_modality_has_its_own_frames_along_a_path(run):
     told = []
-    folder = render_run(run, "path", frames=2, progress=lambda done, total: told.append((done, total)))
+    folder = render_run(
+        run, "path", frames=2, progress=lambda done, total: told.append((done, total))
+    )
     assert told == [(1, 2), (2, 2)]  # both modalities are rendered at once
     assert sorted(path.name for path in folder.glob("*.mp4")) == ["rgb.mp4", "thermal.mp4"]
     cameras = orbit(run.load_scene().train_cameras, 2)

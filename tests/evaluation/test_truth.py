@@ -9,21 +9,30 @@ from PIL import Image
 
 from mrgs.errors import SceneError
 from mrgs.evaluation.figures import Figures, Missing
-from mrgs.evaluation.pictures import write_float_tiff
 from mrgs.evaluation.truth import Truth, read_float_tiff
+from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import Pixels, TemperatureRange
 
 RANGE = TemperatureRange(0.0, 100.0)
 
 
 def write(scene: Path, kind: str, values: np.ndarray, name: str = "v") -> Path:
-    return write_float_tiff(scene / "truth" / kind / f"{name}.tiff", values.astype(np.float32), kind)
+    return write_float_tiff(
+        scene / "truth" / kind / f"{name}.tiff", values.astype(np.float32), kind
+    )
 
 
-def score(scene: Path, thermal: torch.Tensor, depth: torch.Tensor | None, valid: torch.Tensor | None = None) -> Figures:
+def score(
+    scene: Path,
+    thermal: torch.Tensor,
+    depth: torch.Tensor | None,
+    valid: torch.Tensor | None = None,
+) -> Figures:
     truth = Truth.find(scene)
     assert truth is not None
-    return truth.score("v", thermal[..., None] / 100, Pixels(thermal[..., None] / 100, valid), depth, RANGE)
+    return truth.score(
+        "v", thermal[..., None] / 100, Pixels(thermal[..., None] / 100, valid), depth, RANGE
+    )
 
 
 def test_a_scene_without_truth(tmp_path: Path) -> None:
@@ -32,7 +41,9 @@ def test_a_scene_without_truth(tmp_path: Path) -> None:
 
 def test_the_sky_has_no_depth(tmp_path: Path) -> None:
     write(tmp_path, "depth", np.array([[2.0, 4.0, np.inf, 0.0, 0.0, -1.0, np.nan, 10.0]]))
-    figures = score(tmp_path, torch.zeros(1, 8), torch.tensor([[2.2, 6.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0]]))
+    figures = score(
+        tmp_path, torch.zeros(1, 8), torch.tensor([[2.2, 6.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0]])
+    )
     assert figures["depth_median_relative_error"] == pytest.approx(0.1, abs=1e-6)
     assert figures["mae_c"] == Missing("there is no truth/temperature/v.tiff")
 
@@ -40,7 +51,9 @@ def test_the_sky_has_no_depth(tmp_path: Path) -> None:
 def test_only_sky_is_missing(tmp_path: Path) -> None:
     write(tmp_path, "depth", np.full((2, 2), np.inf))
     figures = score(tmp_path, torch.zeros(2, 2), torch.ones(2, 2))
-    assert figures["depth_median_relative_error"] == Missing("no pixel of truth/depth/v.tiff has a depth")
+    assert figures["depth_median_relative_error"] == Missing(
+        "no pixel of truth/depth/v.tiff has a depth"
+    )
 
 
 def test_without_temperature_scale_or_depth(tmp_path: Path) -> None:
@@ -96,5 +109,7 @@ def test_a_truncated_file_is_named(tmp_path: Path) -> None:
 def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     path = tmp_path / "v.tiff"
     Image.new("L", (4, 4)).save(path)
-    with pytest.raises(SceneError, match="one-channel float32 TIFF is expected, the file's mode is L"):
+    with pytest.raises(
+        SceneError, match="one-channel float32 TIFF is expected, the file's mode is L"
+    ):
         read_float_tiff(path)

@@ -11,11 +11,14 @@ import pytest
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.evaluation import video
-from mrgs.evaluation.video import frame_writer
+from mrgs.pictures import video
+from mrgs.pictures.video import frame_writer
 
 COLUMNS, ROWS = np.meshgrid(np.arange(65), np.arange(47))
-FRAMES = [np.stack([2 * COLUMNS, 3 * ROWS, 0 * ROWS + 80 * index], axis=2).astype(np.uint8) for index in range(3)]
+FRAMES = [
+    np.stack([2 * COLUMNS, 3 * ROWS, 0 * ROWS + 80 * index], axis=2).astype(np.uint8)
+    for index in range(3)
+]
 
 
 def write(folder: Path, frames: Iterable[np.ndarray]) -> list[str]:
@@ -23,7 +26,9 @@ def write(folder: Path, frames: Iterable[np.ndarray]) -> list[str]:
     with frame_writer(folder, "path_rgb", (65, 47), fps=12) as add:
         for frame in frames:
             add(frame)
-    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return sorted(
+        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()
+    )
 
 
 def test_frames_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,7 +41,16 @@ def test_frames_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def decode(path: Path, width: int, height: int) -> np.ndarray:
     """All frames of a video, [N, height, width, 3]."""
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-i",
+        str(path),
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-",
+    ]
     run = subprocess.run(command, capture_output=True, check=True)
     assert f" {width}x{height}" in run.stderr.decode()
     assert " 12 fps" in run.stderr.decode()
@@ -51,7 +65,9 @@ def test_an_mp4_with_even_sides_where_the_extra_is_installed(tmp_path: Path) -> 
     assert np.abs(found.astype(float) - expected).mean() < 3
 
 
-def test_a_shorter_video_leaves_nothing_of_a_longer_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shorter_video_leaves_nothing_of_a_longer_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(tmp_path, FRAMES)
     (tmp_path / "path_rgb" / "notes.txt").touch()
     monkeypatch.setattr(video, "can_write_mp4", lambda: False)
@@ -70,11 +86,16 @@ def test_a_video_that_breaks_off_has_no_mp4(tmp_path: Path) -> None:
 
 def test_an_old_frame_that_cannot_be_removed_is_named(tmp_path: Path) -> None:
     (tmp_path / "path_rgb" / "00007.png").mkdir(parents=True)
-    with pytest.raises(RunError, match=r"00007\.png of an earlier video cannot be removed \(.*\): remove it by hand"):
+    with pytest.raises(
+        RunError,
+        match=r"00007\.png of an earlier video cannot be removed \(.*\): remove it by hand",
+    ):
         write(tmp_path, FRAMES)
 
 
-def test_an_encoder_that_fails_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_encoder_that_fails_is_told_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", sys.executable)  # which does not know ffmpeg's options
     with pytest.raises(
         RunError, match=r"path_rgb\.mp4 cannot be written \(.+\): free the place or choose another"

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.baked import BakedModel, bake
 from mrgs.export.glb import EXTENSION
 from mrgs.export.splats import Splats
 from mrgs.field.spherical_harmonics import C0
-from mrgs.run import Run, load_run
+from mrgs.runs.baked import BakedModel, bake
+from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, Scene, TemperatureRange
 from mrgs.training import make_config, train
 
@@ -61,7 +61,9 @@ def _splats_from(rows: np.ndarray) -> Splats:
     """The vertices of a 3DGS PLY."""
     bands = sum(name.startswith("f_rest_") for name in rows.dtype.names) // 3
     dc = np.stack([rows[f"f_dc_{c}"] for c in range(3)], axis=1)[:, None]
-    rest = [np.stack([rows[f"f_rest_{c * bands + b}"] for c in range(3)], axis=1) for b in range(bands)]
+    rest = [
+        np.stack([rows[f"f_rest_{c * bands + b}"] for c in range(3)], axis=1) for b in range(bands)
+    ]
     return Splats(
         np.stack([rows[axis] for axis in "xyz"], axis=1),
         np.stack([rows[f"rot_{i}"] for i in range(4)], axis=1),
@@ -89,8 +91,14 @@ def _draw(splats: Splats, camera: Camera) -> torch.Tensor:
     sh = torch.zeros(len(splats), 16, 3)
     sh[:, : splats.sh.shape[1]] = torch.from_numpy(splats.sh)
     opacities = torch.from_numpy(splats.opacities)
-    means, quats, scales = (torch.from_numpy(array) for array in (splats.means, splats.quats, splats.scales))
-    return BakedModel(means, quats, scales, opacities, opacities, sh, opacities, None).render(camera).rgb
+    means, quats, scales = (
+        torch.from_numpy(array) for array in (splats.means, splats.quats, splats.scales)
+    )
+    return (
+        BakedModel(means, quats, scales, opacities, opacities, sh, opacities, None)
+        .render(camera)
+        .rgb
+    )
 
 
 @pytest.fixture(scope="session")
@@ -143,14 +151,17 @@ def make_baked() -> Callable[..., BakedModel]:
         opacities = torch.rand(count, 2, generator=generator) * 0.98 + 0.01
         sh = torch.randn(count, 16, 3, generator=generator) * 0.2
         temperatures = torch.rand(count, generator=generator)
-        return BakedModel(means, quats, scales, opacities[:, 0], opacities[:, 1], sh, temperatures, temperature)
+        return BakedModel(
+            means, quats, scales, opacities[:, 0], opacities[:, 1], sh, temperatures, temperature
+        )
 
     return make
 
 
 @pytest.fixture(scope="session")
 def globe() -> BakedModel:
-    """An opaque sphere of radius 0.5, of small splats: red and warm for z > 0, blue and cold below."""
+    """An opaque sphere of radius 0.5, of small splats: red and warm for z > 0, blue and cold
+    below."""
     count = 6000
     index = torch.arange(count) + 0.5
     polar, around = torch.acos(1 - 2 * index / count), torch.pi * (1 + 5**0.5) * index
@@ -164,7 +175,9 @@ def globe() -> BakedModel:
     opacity = torch.full((count,), 0.95)
     temperatures = torch.where(up, 0.75, 0.25)
     scale = TemperatureRange(10, 30)
-    return BakedModel(means, quats, torch.full((count, 3), 0.012), opacity, opacity, sh, temperatures, scale)
+    return BakedModel(
+        means, quats, torch.full((count, 3), 0.012), opacity, opacity, sh, temperatures, scale
+    )
 
 
 @pytest.fixture
@@ -174,7 +187,9 @@ def wide_scene(scene: Scene) -> Scene:
     def views(flip: bool):
         for view in scene.train:
             camera = view.rgb.camera.resized(160, 120)
-            turn = torch.diag(torch.tensor([1, -1, -1, 1] if flip else [1, 1, 1, 1], dtype=torch.float64))
+            turn = torch.diag(
+                torch.tensor([1, -1, -1, 1] if flip else [1, 1, 1, 1], dtype=torch.float64)
+            )
             camera = Camera(camera.K, camera.viewmat @ turn, camera.width, camera.height)
             yield replace(view, rgb=replace(view.rgb, camera=camera), thermal=None)
 
@@ -183,13 +198,21 @@ def wide_scene(scene: Scene) -> Scene:
 
 @pytest.fixture
 def globe_under_sky(globe: BakedModel, wide_scene: Scene) -> BakedModel:
-    """The same sphere, and cold splats all around it where training puts what lies far behind a scene."""
+    """The same sphere, and cold splats all around it where training puts what lies far behind a
+    scene."""
     ball = wide_scene.reach
-    sky = {name: torch.cat([getattr(globe, name)] * 2) for name in ("quats", "opacity_rgb", "opacity_thermal", "sh")}
+    sky = {
+        name: torch.cat([getattr(globe, name)] * 2)
+        for name in ("quats", "opacity_rgb", "opacity_thermal", "sh")
+    }
     return replace(
         globe,
-        means=torch.cat([globe.means, ball.centre.float() + 2 * ball.background_distance * globe.means]),
-        scales=torch.cat([globe.scales, torch.full_like(globe.scales, 0.05 * ball.background_distance)]),
+        means=torch.cat(
+            [globe.means, ball.centre.float() + 2 * ball.background_distance * globe.means]
+        ),
+        scales=torch.cat(
+            [globe.scales, torch.full_like(globe.scales, 0.05 * ball.background_distance)]
+        ),
         temperatures=torch.cat([globe.temperatures, torch.zeros_like(globe.temperatures)]),
         **sky,
     )
@@ -228,5 +251,7 @@ def require_node(package: Path) -> None:
 
 
 def run_node(script: Path, *arguments: str | Path) -> None:
-    process = subprocess.run(["node", script, *arguments], capture_output=True, text=True, timeout=120)
+    process = subprocess.run(
+        ["node", script, *arguments], capture_output=True, text=True, timeout=120
+    )
     assert process.returncode == 0, process.stdout + process.stderr

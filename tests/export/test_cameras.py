@@ -29,7 +29,9 @@ def same_views(found, expected):
         same_cameras(one.rgb.camera, other.rgb.camera)
         same_cameras(one.thermal.camera, other.thermal.camera)
         torch.testing.assert_close(one.rgb.load().values, other.rgb.load().values)
-        torch.testing.assert_close(one.thermal.load().values, other.thermal.load().values, atol=1e-6, rtol=0)
+        torch.testing.assert_close(
+            one.thermal.load().values, other.thermal.load().values, atol=1e-6, rtol=0
+        )
 
 
 def test_transforms_json_reads_back(tmp_path, original):
@@ -64,7 +66,9 @@ def test_colmap_is_world_to_camera_with_opencv_axes(tmp_path, original):
     write_cameras(tmp_path / "out", original)
     line = (tmp_path / "out" / "sparse" / "0" / "images.txt").read_text().splitlines()[1].split()
     camera = original.train[0].rgb.camera
-    np.testing.assert_allclose([float(word) for word in line[5:8]], camera.viewmat[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(
+        [float(word) for word in line[5:8]], camera.viewmat[:3, 3], atol=1e-12
+    )
     name = f"{original.train[0].name}.png"
     assert line[9] == (name if original.train[0].shares_camera else f"images/{name}")
 
@@ -80,7 +84,9 @@ def test_without_celsius_thermal_images_are_16_bit(tmp_path, original):
 @pytest.mark.parametrize("modality", ["rgb", "thermal"])
 def test_scenes_of_one_modality(tmp_path, original, modality):
     other = {"rgb": "thermal", "thermal": "rgb"}[modality]
-    alone = replace(original, train=tuple(replace(view, **{other: None}) for view in original.train), eval=())
+    alone = replace(
+        original, train=tuple(replace(view, **{other: None}) for view in original.train), eval=()
+    )
     write_cameras(tmp_path / "out", alone)
     for _ in range(2):  # transforms.json, then COLMAP
         found = load_scene(tmp_path / "out")

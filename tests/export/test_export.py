@@ -24,13 +24,19 @@ EXPECTED = {
 @pytest.fixture
 def solid(baked):
     """The small model, opaque enough for points and a mesh."""
-    return replace(baked, opacity_rgb=torch.full_like(baked.opacity_rgb, 0.95), scales=baked.scales.clamp_min(0.1))
+    return replace(
+        baked,
+        opacity_rgb=torch.full_like(baked.opacity_rgb, 0.95),
+        scales=baked.scales.clamp_min(0.1),
+    )
 
 
 @pytest.mark.parametrize("format", EXPECTED)
 def test_each_format_writes_its_files_and_says_what_they_hold(tmp_path, solid, scene, format):
     paths = export(solid, scene, format, tmp_path / "out")
-    assert {path.name for path in paths} == EXPECTED[format] | {f"{name}.json" for name in EXPECTED[format]}
+    assert {path.name for path in paths} == EXPECTED[format] | {
+        f"{name}.json" for name in EXPECTED[format]
+    }
     assert set((tmp_path / "out").iterdir()) == set(paths)
     for path in paths:
         if path.suffix == ".json":
@@ -66,9 +72,13 @@ def test_all_writes_every_format(tmp_path, solid, scene):
 
 def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):
     export(run, scene, "splat", tmp_path)
-    rgb, thermal = (json.loads((tmp_path / f"{name}.splat.json").read_text()) for name in ("rgb", "thermal"))
+    rgb, thermal = (
+        json.loads((tmp_path / f"{name}.splat.json").read_text()) for name in ("rgb", "thermal")
+    )
     assert isinstance(thermal["baking_loss_db"]["rgb"], float)
-    assert rgb["baking_loss_db"]["rgb"] != thermal["baking_loss_db"]["rgb"]  # the one is without view dependence
+    assert (
+        rgb["baking_loss_db"]["rgb"] != thermal["baking_loss_db"]["rgb"]
+    )  # the one is without view dependence
     assert rgb["view_dependence"] == "left out"
 
 
@@ -76,16 +86,23 @@ def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene, read_ply):
     export(baked, scene, "ply", tmp_path, "grey", (15.0, 25.0))
     colors = json.loads((tmp_path / "thermal.ply.json").read_text(encoding="utf-8"))["colors"]
     assert colors == {"palette": "grey", "first": 15.0, "last": 25.0, "unit": "°C"}
-    assert any('"palette": "grey", "first": 15.0' in line for line in read_ply(tmp_path / "thermal.ply")[0])
+    assert any(
+        '"palette": "grey", "first": 15.0' in line for line in read_ply(tmp_path / "thermal.ply")[0]
+    )
 
 
 def test_a_modality_that_the_scene_has_not_is_left_out(tmp_path, baked, scene):
     alone = replace(scene, train=tuple(replace(view, rgb=None) for view in scene.train))
-    assert {path.name for path in export(baked, alone, "spz", tmp_path)} == {"thermal.spz", "thermal.spz.json"}
+    assert {path.name for path in export(baked, alone, "spz", tmp_path)} == {
+        "thermal.spz",
+        "thermal.spz.json",
+    }
 
 
 def test_an_unknown_format_is_named(tmp_path, baked, scene):
-    with pytest.raises(ConfigError, match="unknown export format 'obj': choose one of ply, spz, glb"):
+    with pytest.raises(
+        ConfigError, match="unknown export format 'obj': choose one of ply, spz, glb"
+    ):
         export.__wrapped__(baked, scene, "obj", tmp_path)
 
 
@@ -98,7 +115,9 @@ def test_a_missing_package_is_named_before_anything_is_done(tmp_path, baked, sce
 
 def test_all_goes_on_without_the_package(tmp_path, solid, scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.warns(MrgsWarning, match="points.las is left out: LAS files need the package laspy"):
+    with pytest.warns(
+        MrgsWarning, match="points.las is left out: LAS files need the package laspy"
+    ):
         names = {path.name for path in export(solid, scene, "all", tmp_path)}
     assert "points.las" not in names
     assert "points.ply" in names

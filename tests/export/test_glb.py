@@ -14,20 +14,29 @@ from mrgs.export.splats import rgb_splats, shown_temperatures, thermal_scale, th
 def test_an_independent_reader_finds_every_number(tmp_path, make_baked, read_glb, splats_of):
     baked = make_baked()
     splats = rgb_splats(baked)
-    path = write_glb(tmp_path / "rgb.glb", splats, properties={"temperature_c": shown_temperatures(baked)})
+    path = write_glb(
+        tmp_path / "rgb.glb", splats, properties={"temperature_c": shown_temperatures(baked)}
+    )
     found = read_glb(path)
     back = splats_of(found["attributes"])
     for name in ("means", "quats", "scales", "opacities", "sh"):
         np.testing.assert_allclose(getattr(back, name), getattr(splats, name), rtol=1e-6)
-    np.testing.assert_allclose(np.ravel(found["attributes"]["_TEMPERATURE_C"]), shown_temperatures(baked), rtol=1e-6)
+    np.testing.assert_allclose(
+        np.ravel(found["attributes"]["_TEMPERATURE_C"]), shown_temperatures(baked), rtol=1e-6
+    )
     assert found["mode"] == 0
 
 
 def test_khronos_s_validator_knows_everything_but_the_extension(tmp_path, make_baked, read_glb):
     baked = make_baked()
     for splats in (rgb_splats(baked), thermal_splats(baked, thermal_scale(baked))):
-        issues = read_glb(write_glb(tmp_path / "a.glb", splats, np.array([0.0, 0.0, 1.0]), {"unit": "°C"}))["issues"]
-        assert {issue["code"] for issue in issues} == {"UNSUPPORTED_EXTENSION", "MESH_PRIMITIVE_INVALID_ATTRIBUTE"}
+        issues = read_glb(
+            write_glb(tmp_path / "a.glb", splats, np.array([0.0, 0.0, 1.0]), {"unit": "°C"})
+        )["issues"]
+        assert {issue["code"] for issue in issues} == {
+            "UNSUPPORTED_EXTENSION",
+            "MESH_PRIMITIVE_INVALID_ATTRIBUTE",
+        }
         assert all(EXTENSION in issue["pointer"] + issue["message"] for issue in issues)
 
 
@@ -39,7 +48,9 @@ def document(path):
 
 
 def test_the_extension_is_declared_as_its_specification_wants(tmp_path, make_baked):
-    content = document(write_glb(tmp_path / "a.glb", rgb_splats(make_baked(7)), extras={"scene": "kettle"}))
+    content = document(
+        write_glb(tmp_path / "a.glb", rgb_splats(make_baked(7)), extras={"scene": "kettle"})
+    )
     primitive = content["meshes"][0]["primitives"][0]
     assert content["extensionsUsed"] == [EXTENSION]
     assert content["asset"]["extras"] == {"scene": "kettle"}

@@ -27,9 +27,13 @@ def test_a_sphere_comes_out_with_its_colours_and_temperatures(globe, wide_scene)
 
 
 def test_the_sky_is_no_surface_and_costs_no_resolution(globe_under_sky, globe, wide_scene):
-    mesh, alone = (build_mesh(model, wide_scene, resolution=48) for model in (globe_under_sky, globe))
+    mesh, alone = (
+        build_mesh(model, wide_scene, resolution=48) for model in (globe_under_sky, globe)
+    )
     assert np.linalg.norm(mesh.vertices, axis=1).max() < 1.2 * RADIUS
-    assert len(mesh.vertices) > 0.75 * len(alone.vertices)  # all but the outlines, whose depth is mixed with the sky's
+    assert len(mesh.vertices) > 0.75 * len(
+        alone.vertices
+    )  # all but the outlines, whose depth is mixed with the sky's
 
 
 def test_the_file_holds_a_temperature_per_vertex(tmp_path, globe, wide_scene, read_ply):

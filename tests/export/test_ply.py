@@ -34,7 +34,9 @@ def test_scales_are_logarithms_and_opacities_logits(tmp_path, make_baked, read_p
     rows = read_ply(write_splat_ply(tmp_path / "rgb.ply", rgb_splats(baked)))[1]["vertex"]
     np.testing.assert_allclose(rows["scale_2"], baked.scales[:, 2].log(), rtol=1e-6)
     np.testing.assert_allclose(rows["opacity"], torch.logit(baked.opacity_rgb), atol=1e-5)
-    np.testing.assert_array_equal(rows["rot_0"], torch.nn.functional.normalize(baked.quats, dim=1)[:, 0])
+    np.testing.assert_array_equal(
+        rows["rot_0"], torch.nn.functional.normalize(baked.quats, dim=1)[:, 0]
+    )
 
 
 def test_what_is_read_back_is_what_was_written(tmp_path, make_baked, read_ply, splats_from):
@@ -54,7 +56,9 @@ def test_one_file_holds_both_opacities_and_the_temperature(tmp_path, make_baked,
     baked = make_baked()
     rows = read_ply(write_rgb_thermal_ply(tmp_path / "both.ply", baked))[1]["vertex"]
     np.testing.assert_allclose(rows["temperature_c"], baked.temperatures_c, rtol=1e-6)
-    np.testing.assert_allclose(rows["opacity_thermal"], torch.logit(baked.opacity_thermal), atol=1e-5)
+    np.testing.assert_allclose(
+        rows["opacity_thermal"], torch.logit(baked.opacity_thermal), atol=1e-5
+    )
     np.testing.assert_allclose(rows["opacity"], torch.logit(baked.opacity_rgb), atol=1e-5)
 
 

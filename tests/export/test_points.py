@@ -41,7 +41,10 @@ def test_faint_and_hidden_splats_are_no_points(globe, wide_scene, points):
         means=torch.cat([globe.means, hidden]),
         opacity_rgb=torch.cat([opacity, globe.opacity_rgb]),
         opacity_thermal=torch.cat([opacity, globe.opacity_rgb]),
-        **{name: torch.cat([getattr(globe, name)] * 2) for name in ("quats", "scales", "sh", "temperatures")},
+        **{
+            name: torch.cat([getattr(globe, name)] * 2)
+            for name in ("quats", "scales", "sh", "temperatures")
+        },
     )
     found = temperature_points(model, wide_scene).positions
     assert len(found) < 0.6 * len(points.positions)
@@ -53,7 +56,9 @@ def test_faint_and_hidden_splats_are_no_points(globe, wide_scene, points):
 
 def test_a_model_of_haze_has_no_points(globe, wide_scene):
     haze = torch.full_like(globe.opacity_rgb, 0.01)
-    with pytest.raises(RunError, match=r"no splat has an opacity of 0\.3 or more, so there are no points"):
+    with pytest.raises(
+        RunError, match=r"no splat has an opacity of 0\.3 or more, so there are no points"
+    ):
         temperature_points(replace(globe, opacity_rgb=haze, opacity_thermal=haze), wide_scene)
 
 
@@ -63,7 +68,9 @@ def test_splats_that_no_camera_sees_are_no_points(globe, wide_scene):
     rgb = torch.full_like(globe.opacity_rgb, 0.29)
     thermal[-1] = 0.9
     with pytest.raises(RunError, match="no opaque splat lies on a surface that a camera sees"):
-        temperature_points(replace(globe, means=away, opacity_rgb=rgb, opacity_thermal=thermal), wide_scene)
+        temperature_points(
+            replace(globe, means=away, opacity_rgb=rgb, opacity_thermal=thermal), wide_scene
+        )
 
 
 def test_the_ply_holds_position_colour_temperature_and_opacity(tmp_path, points, read_ply):
@@ -88,10 +95,14 @@ def test_the_las_file_reads_back(tmp_path, points, spread):
     np.testing.assert_allclose(las.xyz, points.positions, atol=1e-6 * max(1, spread / 100))
     np.testing.assert_array_equal(las["temperature_c"], points.temperatures)
     np.testing.assert_array_equal(las["opacity"], points.opacities)
-    np.testing.assert_array_equal(np.stack([las.red, las.green, las.blue], axis=1), points.colors.astype(int) * 257)
+    np.testing.assert_array_equal(
+        np.stack([las.red, las.green, las.blue], axis=1), points.colors.astype(int) * 257
+    )
 
 
 def test_without_laspy_the_extra_is_named(tmp_path, points, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(ConfigError, match=r'LAS files need the package laspy: pip install "mrgs\[export\]"'):
+    with pytest.raises(
+        ConfigError, match=r'LAS files need the package laspy: pip install "mrgs\[export\]"'
+    ):
         write_las(tmp_path / "points.las", points)

@@ -1,4 +1,5 @@
-"""Every splat file, read by an independent program, must look like the model that it was written from."""
+"""Every splat file, read by an independent program, must look like the model that it was written
+from."""
 
 from __future__ import annotations
 
@@ -7,12 +8,12 @@ import pytest
 import torch
 
 from mrgs.evaluation.metrics import psnr
-from mrgs.evaluation.palette import colorize
 from mrgs.export.glb import write_glb
 from mrgs.export.ply import write_splat_ply
 from mrgs.export.splat import write_splat
 from mrgs.export.splats import rgb_splats, thermal_scale, thermal_splats, without_directions
 from mrgs.export.spz import write_spz
+from mrgs.pictures.palette import colorize
 
 TOLERANCE_DB = 0.2
 """Against the photo."""
@@ -33,23 +34,32 @@ def test_rgb(tmp_path, baked, scene, splat_transform, draw, suffix, write):
 
 
 def test_rgb_without_directions(tmp_path, baked, scene, splat_transform, draw):
-    """The format holds no view dependence: it is compared with the model whose colours have none either."""
+    """The format holds no view dependence: it is compared with the model whose colours have none
+    either."""
     flat = without_directions(baked, [view.rgb.camera for view in scene.train])
     back = splat_transform(write_splat(tmp_path / "rgb.splat", flat))
     for view in scene.eval:
-        photo, rendering, drawn = view.rgb.load().values, draw(flat, view.rgb.camera), draw(back, view.rgb.camera)
+        photo, rendering, drawn = (
+            view.rgb.load().values,
+            draw(flat, view.rgb.camera),
+            draw(back, view.rgb.camera),
+        )
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
 
 
-@pytest.mark.parametrize(("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz), ("splat", write_splat)])
+@pytest.mark.parametrize(
+    ("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz), ("splat", write_splat)]
+)
 def test_colour_mapped_temperatures(tmp_path, baked, scene, splat_transform, draw, suffix, write):
     scale = thermal_scale(baked, "iron")
     splats = thermal_splats(baked, scale)
     back = splat_transform(write(tmp_path / f"thermal.{suffix}", splats))
     for view in scene.eval:
         celsius = baked.temperature.to_celsius(view.thermal.load().values[..., 0]).numpy()
-        photo = torch.from_numpy(colorize(celsius, scale.low, scale.high, scale.palette) / np.float32(255))
+        photo = torch.from_numpy(
+            colorize(celsius, scale.low, scale.high, scale.palette) / np.float32(255)
+        )
         rendering, drawn = draw(splats, view.thermal.camera), draw(back, view.thermal.camera)
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB

@@ -15,7 +15,10 @@ from mrgs.scene import Camera
 
 def test_the_facts_say_units_axes_range_and_loss(make_baked, scene):
     facts = facts_of(make_baked(), scene, np.array([0.0, 0.0, 1.0]), BakingLoss(0.12, 0.0))
-    assert facts["temperature"].items() >= {"property": "temperature_c", "unit": "°C", "min": 10.0, "max": 30.0}.items()
+    assert (
+        facts["temperature"].items()
+        >= {"property": "temperature_c", "unit": "°C", "min": 10.0, "max": 30.0}.items()
+    )
     assert facts["baking_loss_db"] == {"rgb": 0.12, "thermal": 0.0}
     assert facts["up"] == [0.0, 0.0, 1.0]
     assert facts["program"].startswith("mrgs ")
@@ -50,9 +53,13 @@ def turned(scene, roll):
         turn = torch.eye(4, dtype=torch.float64)
         turn[:2, :2] = torch.tensor([[cosine, -sine], [sine, cosine]])
         camera = image.camera
-        return replace(image, camera=Camera(camera.K, turn @ camera.viewmat, camera.width, camera.height))
+        return replace(
+            image, camera=Camera(camera.K, turn @ camera.viewmat, camera.width, camera.height)
+        )
 
-    views = (replace(view, rgb=rolled(i, view.rgb), thermal=None) for i, view in enumerate(scene.train))
+    views = (
+        replace(view, rgb=rolled(i, view.rgb), thermal=None) for i, view in enumerate(scene.train)
+    )
     return replace(scene, train=tuple(views))
 
 

@@ -18,4 +18,6 @@ def test_thirty_two_bytes_per_splat_the_largest_first(tmp_path, make_baked):
     packed = np.frombuffer(data, np.uint8).reshape(50, 32)[:, 24:]
     np.testing.assert_array_equal(packed[:, :3], splats.base_colors[order])
     np.testing.assert_array_equal(packed[:, 3], to_bytes(splats.opacities[order]))
-    np.testing.assert_allclose((packed[:, 4:].astype(float) - 128) / 128, splats.quats[order], atol=1 / 128)
+    np.testing.assert_allclose(
+        (packed[:, 4:].astype(float) - 128) / 128, splats.quats[order], atol=1 / 128
+    )

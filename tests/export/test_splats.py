@@ -8,7 +8,6 @@ import torch
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.metrics import psnr
-from mrgs.evaluation.palette import palette_table
 from mrgs.export.splats import (
     require_exportable,
     rgb_splats,
@@ -18,11 +17,14 @@ from mrgs.export.splats import (
     thermal_splats,
     without_directions,
 )
+from mrgs.pictures.palette import palette_table
 
 
 def test_the_colours_are_those_of_the_baked_model(baked, scene, draw):
     camera = scene.eval[0].rgb.camera
-    torch.testing.assert_close(draw(rgb_splats(baked), camera), baked.render(camera).rgb, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        draw(rgb_splats(baked), camera), baked.render(camera).rgb, atol=1e-5, rtol=0
+    )
 
 
 def test_temperatures_get_the_palette_s_colours(make_baked):
@@ -35,17 +37,24 @@ def test_temperatures_get_the_palette_s_colours(make_baked):
 
 def test_the_scale_is_the_scene_s_unless_it_is_given(make_baked):
     assert (thermal_scale(make_baked()).low, thermal_scale(make_baked()).high) == (10.0, 30.0)
-    assert (thermal_scale(make_baked(temperature=None)).low, thermal_scale(make_baked(temperature=None)).high) == (0, 1)
+    assert (
+        thermal_scale(make_baked(temperature=None)).low,
+        thermal_scale(make_baked(temperature=None)).high,
+    ) == (0, 1)
     assert thermal_scale(make_baked(), "grey", (12.5, 20)).low == 12.5
 
 
 def test_celsius_cannot_be_asked_of_a_model_without(make_baked):
-    with pytest.raises(ConfigError, match="a range in °C was given, but the scene has no temperature range"):
+    with pytest.raises(
+        ConfigError, match="a range in °C was given, but the scene has no temperature range"
+    ):
         thermal_scale(make_baked(temperature=None), "inferno", (10.0, 30.0))
     assert temperature_name(make_baked(temperature=None)) == "temperature_normalised"
 
 
-@pytest.mark.parametrize("limits", [(30.0, 10.0), (10.0, 10.0), (float("nan"), 20.0), (0.0, float("inf"))])
+@pytest.mark.parametrize(
+    "limits", [(30.0, 10.0), (10.0, 10.0), (float("nan"), 20.0), (0.0, float("inf"))]
+)
 def test_a_range_ascends(make_baked, limits):
     with pytest.raises(ConfigError, match="is not ascending: give the lower end first"):
         thermal_scale(make_baked(), "inferno", limits)
@@ -61,7 +70,9 @@ def test_an_empty_model_is_refused(make_baked):
         require_exportable(make_baked(0))
 
 
-@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacity_rgb", "opacity_thermal", "sh", "temperatures"])
+@pytest.mark.parametrize(
+    "name", ["means", "quats", "scales", "opacity_rgb", "opacity_thermal", "sh", "temperatures"]
+)
 def test_numbers_that_are_not_finite_are_refused(make_baked, name):
     values = getattr(make_baked(), name).clone()
     values[7] = float("nan")
@@ -87,5 +98,8 @@ def test_colours_without_directions_beat_dropping_the_directions(baked, scene, d
     flat = without_directions(baked, [view.rgb.camera for view in scene.train])
     dropped = replace(rgb_splats(baked), sh=baked.sh[:, :1].numpy())
     photos = [(view.rgb.camera, view.rgb.load().values) for view in scene.eval]
-    scores = [sum(psnr(draw(splats, camera), photo) for camera, photo in photos) for splats in (flat, dropped)]
+    scores = [
+        sum(psnr(draw(splats, camera), photo) for camera, photo in photos)
+        for splats in (flat, dropped)
+    ]
     assert scores[0] > scores[1]

@@ -42,7 +42,9 @@ def test_a_model_with_compensated_opacities_is_flagged(tmp_path, make_baked):
 
 
 def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path, make_baked):
-    version, count, degree, _, body = unpack(write_spz(tmp_path / "rgb.spz", rgb_splats(make_baked())))
+    version, count, degree, _, body = unpack(
+        write_spz(tmp_path / "rgb.spz", rgb_splats(make_baked()))
+    )
     assert (version, count, degree, len(body)) == (3, 50, 3, 50 * (20 + 45))
     baked = make_baked()
     thermal = write_spz(tmp_path / "thermal.spz", thermal_splats(baked, thermal_scale(baked)))
@@ -81,5 +83,8 @@ def test_rotations_are_kept_to_a_third_of_a_degree(tmp_path, make_baked):
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, make_baked):
-    first, second = (write_spz(tmp_path / name, rgb_splats(make_baked())).read_bytes() for name in ("a.spz", "b.spz"))
+    first, second = (
+        write_spz(tmp_path / name, rgb_splats(make_baked())).read_bytes()
+        for name in ("a.spz", "b.spz")
+    )
     assert first == second

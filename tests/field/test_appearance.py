@@ -8,7 +8,9 @@ from mrgs.field.appearance import ColorHead, OrthogonalExtraction, ThermalFeatur
 
 
 @settings(deadline=None)
-@given(seed=st.integers(0, 2**31), width=st.integers(1, 30), scale=st.sampled_from([1e-3, 1.0, 1e3]))
+@given(
+    seed=st.integers(0, 2**31), width=st.integers(1, 30), scale=st.sampled_from([1e-3, 1.0, 1e3])
+)
 def test_rejected_embedding_is_orthogonal_and_the_rest_is_parallel(seed, width, scale):
     generator = torch.Generator().manual_seed(seed)
     embedding = torch.randn(7, width, dtype=torch.float64, generator=generator)
@@ -18,7 +20,9 @@ def test_rejected_embedding_is_orthogonal_and_the_rest_is_parallel(seed, width, 
     orthogonal = reject(embedding, direction)
     unit = direction / scale
     # The 1e-8 beside ‖SH'‖² leaves that share of the projection behind.
-    assert ((orthogonal * unit).sum(dim=1).abs() <= 2e-8 / scale**2 * embedding.norm(dim=1) + 1e-12).all()
+    assert (
+        (orthogonal * unit).sum(dim=1).abs() <= 2e-8 / scale**2 * embedding.norm(dim=1) + 1e-12
+    ).all()
     removed = embedding - orthogonal
     torch.testing.assert_close((removed * unit).sum(dim=1, keepdim=True) * unit, removed)
 
@@ -30,7 +34,10 @@ def test_a_vanishing_direction_removes_nothing():
 
 def test_extraction_is_the_equation():
     extraction = OrthogonalExtraction(24).double()
-    embedding, sh = torch.randn(5, 24, dtype=torch.float64), torch.randn(5, 16, 3, dtype=torch.float64)
+    embedding, sh = (
+        torch.randn(5, 24, dtype=torch.float64),
+        torch.randn(5, 16, 3, dtype=torch.float64),
+    )
     for row, e_t in enumerate(extraction(embedding, sh)):
         direction = extraction.phi_sh.weight @ sh[row].flatten() + extraction.phi_sh.bias
         projection = embedding[row] @ direction / (direction @ direction) * direction
@@ -48,7 +55,10 @@ def test_extraction_gradient():
 def test_color_head_reads_embedding_and_direction_and_starts_small():
     torch.manual_seed(0)
     head = ColorHead(24, 4, 128, 0.01)
-    embedding, directions = torch.randn(20, 24), torch.nn.functional.normalize(torch.randn(20, 3), dim=1)
+    embedding, directions = (
+        torch.randn(20, 24),
+        torch.nn.functional.normalize(torch.randn(20, 3), dim=1),
+    )
     residual = head(embedding, directions)
     assert residual.shape == (20, 3)
     assert residual.abs().max() < 0.02

@@ -11,9 +11,14 @@ from mrgs.field.encoding import fourier_embedding, position_frame, positional_en
 def test_encoding_is_the_papers_concatenation():
     x = torch.tensor([[0.3, -0.7]], dtype=torch.float64)
     expected = [
-        function(2**n * math.pi * value) for n in range(3) for function in (math.sin, math.cos) for value in (0.3, -0.7)
+        function(2**n * math.pi * value)
+        for n in range(3)
+        for function in (math.sin, math.cos)
+        for value in (0.3, -0.7)
     ]
-    torch.testing.assert_close(positional_encoding(x, 3), torch.tensor([expected], dtype=torch.float64))
+    torch.testing.assert_close(
+        positional_encoding(x, 3), torch.tensor([expected], dtype=torch.float64)
+    )
 
 
 def test_encoding_without_frequencies_is_empty():

@@ -68,7 +68,9 @@ def test_temperatures_do_not_depend_on_the_view():
     neighbours = nearest_neighbours(gaussians.means, 8)
     here = field.temperatures(gaussians, neighbours, CAMERA, 3)
     assert torch.equal(here, field.temperatures(gaussians, neighbours, -2 * CAMERA, 0))
-    assert not torch.allclose(field.colors(gaussians, CAMERA, 3), field.colors(gaussians, -2 * CAMERA, 3))
+    assert not torch.allclose(
+        field.colors(gaussians, CAMERA, 3), field.colors(gaussians, -2 * CAMERA, 3)
+    )
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -79,9 +81,13 @@ def test_temperatures_of_a_higher_degree_add_their_harmonics_without_a_clamp(deg
     neighbours = nearest_neighbours(gaussians.means, 8)
     found = field.temperatures(gaussians, neighbours, CAMERA, degree)
     directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
-    harmonics = evaluate_sh(torch.zeros_like(gaussians.temperature_dc), gaussians.temperature_rest, directions, degree)
+    harmonics = evaluate_sh(
+        torch.zeros_like(gaussians.temperature_dc), gaussians.temperature_rest, directions, degree
+    )
     gaussians.temperature_rest = gaussians.temperature_rest[:, :0]
-    torch.testing.assert_close(found, field.temperatures(gaussians, neighbours, CAMERA, degree) + harmonics)
+    torch.testing.assert_close(
+        found, field.temperatures(gaussians, neighbours, CAMERA, degree) + harmonics
+    )
     assert (found < 0).any()
 
 
@@ -90,13 +96,21 @@ def test_baseline_treats_temperature_like_a_colour():
     gaussians = make_gaussians(field, temperature_bands=15)
     directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
     sh = evaluate_sh(gaussians.temperature_dc, gaussians.temperature_rest, directions, 3)
-    torch.testing.assert_close(field.temperatures(gaussians, None, CAMERA, 3), (sh + 0.5).clamp_min(0))
+    torch.testing.assert_close(
+        field.temperatures(gaussians, None, CAMERA, 3), (sh + 0.5).clamp_min(0)
+    )
     assert gaussians.embedding.shape == (40, 0)
     assert not list(field.parameters())
 
 
 @pytest.mark.parametrize(
-    "options", [{"neighbours_n": 3}, {"neighbours_n": 1}, {"neighbours_n": 2, "fourier": False}, {"residuals": False}]
+    "options",
+    [
+        {"neighbours_n": 3},
+        {"neighbours_n": 1},
+        {"neighbours_n": 2, "fourier": False},
+        {"residuals": False},
+    ],
 )
 @pytest.mark.parametrize("bands", [0, 3, 15])
 def test_rows_give_the_same_values_as_all(options, bands):
@@ -105,7 +119,9 @@ def test_rows_give_the_same_values_as_all(options, bands):
     k = field.config.neighbours_k
     neighbours = nearest_neighbours(gaussians.means, k) if k else None
     rows = torch.tensor([7, 3, 39, 20])
-    torch.testing.assert_close(field.colors(gaussians, CAMERA, 3, rows), field.colors(gaussians, CAMERA, 3)[rows])
+    torch.testing.assert_close(
+        field.colors(gaussians, CAMERA, 3, rows), field.colors(gaussians, CAMERA, 3)[rows]
+    )
     torch.testing.assert_close(
         field.temperatures(gaussians, neighbours, CAMERA, 3, rows),
         field.temperatures(gaussians, neighbours, CAMERA, 3)[rows],
@@ -123,7 +139,14 @@ def test_every_parameter_and_the_thermal_inputs_get_a_gradient():
     for name, parameter in field.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.abs().sum() > 0, name
-    for name in ("means", "opacity_thermal_logit", "sh_dc", "sh_rest", "temperature_dc", "embedding"):
+    for name in (
+        "means",
+        "opacity_thermal_logit",
+        "sh_dc",
+        "sh_rest",
+        "temperature_dc",
+        "embedding",
+    ):
         assert getattr(gaussians, name).grad.abs().sum() > 0, name
 
 
@@ -155,7 +178,9 @@ def test_neighbours_of_other_gaussians_are_refused():
     field = make_field()
     gaussians = make_gaussians(field)
     neighbours = nearest_neighbours(gaussians.means, 8)
-    with pytest.raises(ValueError, match=r"neighbours of 40 Gaussians are needed, not of shape \(39, 8\)"):
+    with pytest.raises(
+        ValueError, match=r"neighbours of 40 Gaussians are needed, not of shape \(39, 8\)"
+    ):
         field.temperatures(gaussians, neighbours[1:], CAMERA, 3)
     with pytest.raises(IndexError, match="neighbours must lie in 0 to 39, but reach from 1 to 40"):
         field.temperatures(gaussians, neighbours.clamp_min(1) + (neighbours == 39), CAMERA, 3)
@@ -174,7 +199,13 @@ def test_rows_that_do_not_exist_are_refused(row):
 
 @pytest.mark.parametrize(
     ("options", "k"),
-    [({}, 8), ({"neighbours_n": 1}, 0), ({"neighbours_n": 5}, 24), ({"fourier": False}, 0), ({"residuals": False}, 0)],
+    [
+        ({}, 8),
+        ({"neighbours_n": 1}, 0),
+        ({"neighbours_n": 5}, 24),
+        ({"fourier": False}, 0),
+        ({"residuals": False}, 0),
+    ],
 )
 def test_number_of_neighbours(options, k):
     assert FieldConfig(**options).neighbours_k == k

@@ -1,4 +1,5 @@
-"""The neighbours' Triton kernel against a full search, and the field on a device that the host must not wait for."""
+"""The neighbours' Triton kernel against a full search, and the field on a device that the host must
+not wait for."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from mrgs import gpu
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.scene import Gaussians
+from mrgs.system import gpu
 
 
 def full_search(means: torch.Tensor, k: int) -> torch.Tensor:
@@ -44,7 +45,9 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_neighbours_are_those_of_a_full_search(gpu_device, small_blocks, count, k, seed, kind):
     generator = torch.Generator().manual_seed(seed)
-    means = torch.randint(0, 3 if kind == "lattice" else 1000, (count, 3), generator=generator).float()
+    means = torch.randint(
+        0, 3 if kind == "lattice" else 1000, (count, 3), generator=generator
+    ).float()
     if kind == "one place":
         means = means[:1].expand(count, 3)
     found = nearest_neighbours(means.to(gpu_device), k)
@@ -56,7 +59,9 @@ def test_neighbours_are_those_of_a_full_search(gpu_device, small_blocks, count, 
 def test_a_kd_tree_finds_the_same(gpu_device):
     means = torch.randn(150, 3, generator=torch.Generator().manual_seed(0))
     means[:5] *= 1e4  # far outside
-    expected = torch.from_numpy(cKDTree(means.double().numpy()).query(means.double().numpy(), k=5)[1][:, 1:])
+    expected = torch.from_numpy(
+        cKDTree(means.double().numpy()).query(means.double().numpy(), k=5)[1][:, 1:]
+    )
     assert torch.equal(nearest_neighbours(means.to(gpu_device), 4).cpu(), expected)
 
 
@@ -89,7 +94,9 @@ def test_the_search_does_not_make_the_host_wait(monkeypatch):
     assert nearest_neighbours(torch.empty(100, 3, device="meta"), 8).shape == (100, 8)
 
 
-@pytest.mark.parametrize("config", [FieldConfig(), FieldConfig(fourier=False), FieldConfig(residuals=False)])
+@pytest.mark.parametrize(
+    "config", [FieldConfig(), FieldConfig(fourier=False), FieldConfig(residuals=False)]
+)
 @pytest.mark.parametrize("bands", [0, 15])
 @pytest.mark.parametrize("picks", [False, True])
 def test_the_field_does_not_make_the_host_wait(config, bands, picks):
@@ -107,7 +114,10 @@ def test_the_field_does_not_make_the_host_wait(config, bands, picks):
         "temperature_rest": (bands, 1),
         "embedding": (config.embedding_width if config.residuals else 0,),
     }
-    tensors = {name: torch.empty(count, *shape, device="meta").requires_grad_() for name, shape in shapes.items()}
+    tensors = {
+        name: torch.empty(count, *shape, device="meta").requires_grad_()
+        for name, shape in shapes.items()
+    }
     gaussians, field = Gaussians(**tensors), RadianceField(config).to("meta")
     neighbours = torch.empty(count, config.neighbours_k, dtype=torch.int64, device="meta")
     rows = torch.empty(20, dtype=torch.int64, device="meta") if picks else None
@@ -125,6 +135,8 @@ def test_many_points_and_no_round_trip(telling_of_waits):
     on_device = means.to("cuda")
     with telling_of_waits("error"):
         found = nearest_neighbours(on_device, 8)
-    expected = torch.from_numpy(cKDTree(means.double().numpy()).query(means.double().numpy(), k=9)[0][:, 1:])
+    expected = torch.from_numpy(
+        cKDTree(means.double().numpy()).query(means.double().numpy(), k=9)[0][:, 1:]
+    )
     distances = (means.double()[found.cpu()] - means.double()[:, None]).norm(dim=2)
     torch.testing.assert_close(distances, expected, rtol=1e-6, atol=0)

@@ -55,7 +55,10 @@ def test_readout_is_the_output_layer_behind_forward(k, extra):
 
     def value_and_gradients(result):
         weights = torch.linspace(-1, 2, result.numel(), dtype=torch.float64)
-        return [result, *torch.autograd.grad((result[:, 0] * weights).sum(), tensors, materialize_grads=True)]
+        return [
+            result,
+            *torch.autograd.grad((result[:, 0] * weights).sum(), tensors, materialize_grads=True),
+        ]
 
     fast = value_and_gradients(read_out(heat, features, opacity, neighbours, output))
     literal = value_and_gradients(output(heat(features, opacity, neighbours)))
@@ -66,7 +69,9 @@ def test_gradients():
     heat, features, opacity, neighbours = random_case(count=5)
     output = nn.Linear(4, 1).double()
     assert torch.autograd.gradcheck(lambda f, o: heat(f, o, neighbours), (features, opacity))
-    assert torch.autograd.gradcheck(lambda f, o: read_out(heat, f, o, neighbours, output), (features, opacity))
+    assert torch.autograd.gradcheck(
+        lambda f, o: read_out(heat, f, o, neighbours, output), (features, opacity)
+    )
 
 
 def test_readout_repeats_bit_for_bit():
@@ -103,7 +108,12 @@ def test_renumbering_the_gaussians_renumbers_the_result():
 
 
 @settings(deadline=None)
-@given(count=st.integers(0, 30), k=st.integers(0, 9), seed=st.integers(0, 2**31), coincident=st.booleans())
+@given(
+    count=st.integers(0, 30),
+    k=st.integers(0, 9),
+    seed=st.integers(0, 2**31),
+    coincident=st.booleans(),
+)
 def test_neighbours_are_those_of_a_full_search(count, k, seed, coincident):
     generator = torch.Generator().manual_seed(seed)
     if coincident:  # a 2 × 2 × 2 lattice: many points fall together
@@ -115,7 +125,9 @@ def test_neighbours_are_those_of_a_full_search(count, k, seed, coincident):
     assert neighbours.dtype == torch.int64
 
     found = max(min(k, count - 1), 0)
-    distances = torch.cdist(means.double(), means.double(), compute_mode="donot_use_mm_for_euclid_dist")
+    distances = torch.cdist(
+        means.double(), means.double(), compute_mode="donot_use_mm_for_euclid_dist"
+    )
     distances.fill_diagonal_(torch.inf)
     expected = distances.sort(dim=1).values[:, :found]
     torch.testing.assert_close(distances.gather(1, neighbours[:, :found]), expected)

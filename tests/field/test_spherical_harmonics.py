@@ -27,15 +27,21 @@ def real_harmonic(degree: int, order: int, directions: np.ndarray) -> np.ndarray
 
 def random_directions(count: int) -> torch.Tensor:
     generator = torch.Generator().manual_seed(0)
-    return torch.nn.functional.normalize(torch.randn(count, 3, dtype=torch.float64, generator=generator), dim=1)
+    return torch.nn.functional.normalize(
+        torch.randn(count, 3, dtype=torch.float64, generator=generator), dim=1
+    )
 
 
 def test_basis_agrees_with_scipy():
     directions = random_directions(50)
     expected = [
-        real_harmonic(degree, order, directions.numpy()) for degree in range(4) for order in range(-degree, degree + 1)
+        real_harmonic(degree, order, directions.numpy())
+        for degree in range(4)
+        for order in range(-degree, degree + 1)
     ]
-    np.testing.assert_allclose(basis_values(directions).numpy(), np.stack(expected, axis=1), atol=1e-12)
+    np.testing.assert_allclose(
+        basis_values(directions).numpy(), np.stack(expected, axis=1), atol=1e-12
+    )
 
 
 def test_basis_is_orthonormal():
@@ -46,7 +52,9 @@ def test_basis_is_orthonormal():
     directions = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
     quadrature = torch.from_numpy(np.repeat(weights, 16) * 2 * np.pi / 16)
     basis = basis_values(torch.from_numpy(directions))
-    torch.testing.assert_close(basis.T @ (quadrature[:, None] * basis), torch.eye(16, dtype=torch.float64))
+    torch.testing.assert_close(
+        basis.T @ (quadrature[:, None] * basis), torch.eye(16, dtype=torch.float64)
+    )
 
 
 @pytest.mark.parametrize(("degree", "bands"), [(0, 0), (1, 3), (2, 8), (3, 15)])
@@ -54,7 +62,9 @@ def test_degree_cuts_the_higher_bands(degree, bands):
     dc, rest, directions = torch.randn(6, 1, 3), torch.randn(6, 15, 3), random_directions(6).float()
     cut = rest.clone()
     cut[:, bands:] = 0
-    torch.testing.assert_close(evaluate_sh(dc, rest, directions, degree), evaluate_sh(dc, cut, directions, 3))
+    torch.testing.assert_close(
+        evaluate_sh(dc, rest, directions, degree), evaluate_sh(dc, cut, directions, 3)
+    )
 
 
 def test_missing_bands_count_as_zero():
@@ -63,12 +73,19 @@ def test_missing_bands_count_as_zero():
 
 
 def test_gradient():
-    inputs = [torch.randn(3, *shape, dtype=torch.float64, requires_grad=True) for shape in ((1, 2), (15, 2), (3,))]
-    assert torch.autograd.gradcheck(lambda dc, rest, directions: evaluate_sh(dc, rest, directions, 3), inputs)
+    inputs = [
+        torch.randn(3, *shape, dtype=torch.float64, requires_grad=True)
+        for shape in ((1, 2), (15, 2), (3,))
+    ]
+    assert torch.autograd.gradcheck(
+        lambda dc, rest, directions: evaluate_sh(dc, rest, directions, 3), inputs
+    )
 
 
 def test_coefficients_that_do_not_count_have_a_gradient_of_zero():
     """Adam goes on with its momentum then, whichever code gave the gradient."""
     dc, rest = torch.ones(5, 1, 3, requires_grad=True), torch.ones(5, 15, 3, requires_grad=True)
-    evaluate_sh(dc, rest, torch.nn.functional.normalize(torch.ones(5, 3), dim=1), 0).sum().backward()
+    evaluate_sh(
+        dc, rest, torch.nn.functional.normalize(torch.ones(5, 3), dim=1), 0
+    ).sum().backward()
     assert not rest.grad.any()

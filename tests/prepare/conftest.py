@@ -28,7 +28,9 @@ def flir() -> type:
     return module.FlirPhoto
 
 
-def exif(taken: datetime | None = None, model: str | None = None, orientation: int | None = None) -> Image.Exif:
+def exif(
+    taken: datetime | None = None, model: str | None = None, orientation: int | None = None
+) -> Image.Exif:
     found = Image.Exif()
     if model is not None:
         found[0x010F], found[0x0110] = ("DJI" if model.startswith("DJI") else "Maker"), model
@@ -42,7 +44,8 @@ def exif(taken: datetime | None = None, model: str | None = None, orientation: i
 
 @pytest.fixture(scope="session")
 def photo(flir) -> Callable[..., bytes]:
-    """Writes a photo: ``photo("jpg" | "png" | "celsius" | "flir" | "flir with visible" | "dji", ...)``."""
+    """Writes a photo: ``photo("jpg" | "png" | "celsius" | "flir" | "flir with visible" | "dji",
+    ...)``."""
 
     @cache
     def write(
@@ -67,7 +70,9 @@ def photo(flir) -> Callable[..., bytes]:
         elif kind == "png":
             Image.fromarray((255 * ramp).astype(np.uint8)).save(file, "PNG", exif=facts)
         else:
-            colours = np.stack([255 * ramp, 255 * ramp[::-1], 90 + 0 * ramp], axis=-1).astype(np.uint8)
+            colours = np.stack([255 * ramp, 255 * ramp[::-1], 90 + 0 * ramp], axis=-1).astype(
+                np.uint8
+            )
             Image.fromarray(colours).save(file, "JPEG", exif=facts)
         data = file.getvalue()
         if kind == "dji":  # the camera's signal lies in APP3 segments
@@ -85,7 +90,8 @@ def jpeg(pixels: np.ndarray) -> bytes:
 
 @pytest.fixture
 def photos(tmp_path: Path, photo: Callable[..., bytes]) -> Callable[..., Path]:
-    """Writes a folder of photos: ``photos({"rgb/a.jpg": "jpg", "notes.txt": b"...", "b.jpg": ("jpg", {...})})``."""
+    """Writes a folder of photos: ``photos({"rgb/a.jpg": "jpg", "notes.txt": b"...", "b.jpg":
+    ("jpg", {...})})``."""
 
     def write(files: dict[str, object], name: str = "card") -> Path:
         root = tmp_path / name

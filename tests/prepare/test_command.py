@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from mrgs import terminal
-from mrgs.cli import main
+from mrgs.app import terminal
+from mrgs.app.cli import main
+from mrgs.check import Problem, SceneCheck
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import SceneError
-from mrgs.prepare import KnownDistance, LeftOut, Preparation, PrepareOptions, SceneCheck, StageReport
-from mrgs.prepare.check import Problem
+from mrgs.prepare import KnownDistance, LeftOut, Preparation, PrepareOptions, StageReport
 
 
 @pytest.fixture
@@ -60,8 +60,10 @@ def test_stages_are_said_and_what_to_do_next(asked, capsys):
 
 
 def test_every_option_arrives(asked):
-    line = """--pairs names --tolerance 3 --poses poses --emissivity 0.9 --reflected -5 --distance 10 --atmospheric 4
-    --humidity 0.4 --window 21 --window-transmission 0.8 --unit kelvin*100 --thermal-fov 57 --thermal-camera camera.json
+    line = """--pairs names --tolerance 3 --poses poses --emissivity 0.9 --reflected -5
+    --distance 10 --atmospheric 4
+    --humidity 0.4 --window 21 --window-transmission 0.8 --unit kelvin*100 --thermal-fov 57
+    --thermal-camera camera.json
     --known-distance a:1,2 a:3,4 0.5 --eval-every 5"""
     assert run("photos", "scene", *line.split()) == 0
     assert asked[0][2] == PrepareOptions(
@@ -74,7 +76,21 @@ def test_every_option_arrives(asked):
         known_distance=KnownDistance("a", (1.0, 2.0), (3.0, 4.0), 0.5),
         eval_every=5,
     )
-    assert run("photos", "scene", "--pair-table", "pairs.csv", "--bounds", -10, 40, "--target", "7x6", 0.05) == 0
+    assert (
+        run(
+            "photos",
+            "scene",
+            "--pair-table",
+            "pairs.csv",
+            "--bounds",
+            -10,
+            40,
+            "--target",
+            "7x6",
+            0.05,
+        )
+        == 0
+    )
     options = asked[1][2]
     assert (options.pair_table, options.overrides.bounds_c) == (Path("pairs.csv"), (-10.0, 40.0))
     assert (options.target.inner, options.target.square_m) == ((7, 6), 0.05)
@@ -86,10 +102,16 @@ def test_every_option_arrives(asked):
     ("arguments", "message"),
     [
         (("photos",), "name two folders, the photos' and the scene's: mrgs prepare PHOTOS SCENE"),
-        (("--check", "photos", "scene"), "--check takes one folder, the scene's: mrgs prepare --check SCENE"),
+        (
+            ("--check", "photos", "scene"),
+            "--check takes one folder, the scene's: mrgs prepare --check SCENE",
+        ),
         (("photos", "scene", "--emissivity", 2), r"emissivity = 2 is not between 0\.01 and 1"),
         (("photos", "scene", "--target", "7", 0.05), "--target 7: write the inner corners"),
-        (("photos", "scene", "--eval-every", 1), "cannot be held out; give 2 or more, or 0 for none"),
+        (
+            ("photos", "scene", "--eval-every", 1),
+            "cannot be held out; give 2 or more, or 0 for none",
+        ),
     ],
 )
 def test_a_bad_option_is_one_line(arguments, message, asked, capsys):
@@ -102,7 +124,9 @@ def test_a_bad_option_is_one_line(arguments, message, asked, capsys):
 
 def test_a_missing_folder_is_one_line_and_nothing_is_made(tmp_path, capsys):
     assert run(tmp_path / "nowhere", tmp_path / "scene") == 2
-    assert re.fullmatch(r"mrgs: error: .*nowhere: is not a folder; give the folder.*\n", capsys.readouterr().err)
+    assert re.fullmatch(
+        r"mrgs: error: .*nowhere: is not a folder; give the folder.*\n", capsys.readouterr().err
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -149,10 +173,12 @@ def test_on_a_terminal_one_line_follows_the_step(monkeypatch, capsys):
 def test_check_lists_what_is_wrong_and_tells_by_its_exit_code(severity, code, monkeypatch, capsys):
     def check_scene(scene, progress) -> SceneCheck:
         progress("looking at images", 1, 8)
-        problems = (Problem(severity, "Half of the points lie behind the cameras.", "Turn the poses."),)
+        problems = (
+            Problem(severity, "Half of the points lie behind the cameras.", "Turn the poses."),
+        )
         return SceneCheck(problems, ("8 views.",), scene / "check.html")
 
-    monkeypatch.setattr("mrgs.prepare.check.check_scene", check_scene)
+    monkeypatch.setattr("mrgs.check.check_scene", check_scene)
     assert run("--check", "scene") == code
     assert capsys.readouterr().out.splitlines() == [
         "8 views.",

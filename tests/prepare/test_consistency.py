@@ -18,7 +18,9 @@ RAMP = np.tile(np.linspace(10.0, 30.0, 64), (48, 1))
 
 def points(count: int = 200) -> PointCloud:
     """Points of a wall at depth 3, all inside the image."""
-    places = torch.rand(count, 2, generator=torch.Generator().manual_seed(0)) * torch.tensor([2.8, 2.0])
+    places = torch.rand(count, 2, generator=torch.Generator().manual_seed(0)) * torch.tensor(
+        [2.8, 2.0]
+    )
     positions = torch.cat([places - torch.tensor([1.4, 1.0]), torch.full((count, 1), 3.0)], dim=1)
     return PointCloud(positions, torch.zeros(count, 3))
 

@@ -47,13 +47,21 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_a_flir_photo_and_its_visible_photo(made, scene, photos):
     found = made({"FLIR1.jpg": ("flir with visible", {"taken": NOON, "model": "E60"})})
     (view,) = found.views
-    assert (view.name, view.rgb, view.thermal) == ("FLIR1", "images/FLIR1.jpg", "thermal/FLIR1.tiff")
+    assert (view.name, view.rgb, view.thermal) == (
+        "FLIR1",
+        "images/FLIR1.jpg",
+        "thermal/FLIR1.tiff",
+    )
     truth = read_thermal_photo(photos({}) / "FLIR1.jpg")
     written = pixels(scene / view.thermal)
     assert written.dtype == np.float32
@@ -75,7 +83,11 @@ def test_pixels_without_temperature_are_nan(made, scene, flir):
 
 
 def test_upright_photos_keep_their_bytes(made, scene, photos):
-    files = {"rgb/a.JPG": ("jpg", {"taken": NOON, "model": "X100"}), "rgb/b.jpeg": "jpg", "thermal/a.tif": "celsius"}
+    files = {
+        "rgb/a.JPG": ("jpg", {"taken": NOON, "model": "X100"}),
+        "rgb/b.jpeg": "jpg",
+        "thermal/a.tif": "celsius",
+    }
     found = made({**files, "thermal/b.tif": "celsius"})
     root = photos({})
     assert [view.rgb for view in found.views] == ["images/a.jpg", "images/b.jpg"]
@@ -183,9 +195,12 @@ def test_images_with_given_poses_stay_as_they_are_stored(photos, scene, orientat
 
 
 def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
-    root = photos({"rgb/a.jpg": ("jpg", {"size": (32, 16), "orientation": 6}), "thermal/a.tif": "celsius"})
+    root = photos(
+        {"rgb/a.jpg": ("jpg", {"size": (32, 16), "orientation": 6}), "thermal/a.tif": "celsius"}
+    )
     found, given = (
-        pipeline.photos(root, find_pairs(root), scene, PrepareOptions(poses=poses)) for poses in (None, scene)
+        pipeline.photos(root, find_pairs(root), scene, PrepareOptions(poses=poses))
+        for poses in (None, scene)
     )
     assert found.depends != given.depends
     for stage, shape in ((found, (32, 16, 3)), (given, (16, 32, 3))):
@@ -195,24 +210,35 @@ def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
 
 def test_all_photos_are_turned_as_most_of_them(made, scene):
     """Photos of one camera keep one lens, whichever way it was held."""
-    rgb = {f"rgb/{i}.jpg": ("jpg", {"size": (32, 16), "orientation": (1, 6, 6)[i]}) for i in range(3)}
+    rgb = {
+        f"rgb/{i}.jpg": ("jpg", {"size": (32, 16), "orientation": (1, 6, 6)[i]}) for i in range(3)
+    }
     found = made(rgb | {f"thermal/{i}.tif": "celsius" for i in range(3)})
     assert {pixels(scene / view.rgb).shape for view in found.views} == {(32, 16, 3)}
 
 
 def test_thermal_photos_are_turned_too(made, scene):
-    (view,) = made({"a_t.png": ("png", {"size": (32, 16), "orientation": 6}), "a_rgb.jpg": "jpg"}).views
-    np.testing.assert_array_equal(pixels(scene / view.thermal), np.rot90(pixels(scene.parent / "card/a_t.png"), -1))
+    (view,) = made(
+        {"a_t.png": ("png", {"size": (32, 16), "orientation": 6}), "a_rgb.jpg": "jpg"}
+    ).views
+    np.testing.assert_array_equal(
+        pixels(scene / view.thermal), np.rot90(pixels(scene.parent / "card/a_t.png"), -1)
+    )
 
 
 def test_photos_without_temperatures_still_train(made, scene):
     found = made({"rgb/a.jpg": "jpg", "thermal/a.png": "png"})
     (view,) = found.views
     assert (view.thermal, view.range_c) == ("thermal/a.png", None)
-    np.testing.assert_array_equal(pixels(scene / view.thermal), pixels(scene.parent / "card/thermal/a.png"))
+    np.testing.assert_array_equal(
+        pixels(scene / view.thermal), pixels(scene.parent / "card/thermal/a.png")
+    )
     assert found.warnings == ()
     (warning,) = view.warnings
-    assert "relative values from 0 to 1 are used, and °C cannot be had from it without --bounds" in warning
+    assert (
+        "relative values from 0 to 1 are used, and °C cannot be had from it without --bounds"
+        in warning
+    )
 
 
 def test_bounds_make_temperatures_of_grey(made, scene):
@@ -249,18 +275,25 @@ def test_photos_with_and_without_temperatures_are_not_mixed(made, scene):
 def test_parameters_that_differ_are_told(made, flir):
     parameters = flir().parameters
     content = {
-        f"{i}.jpg": flir(parameters={**parameters, "emissivity": value, "window_c": 20.0 + i}).jpeg()
+        f"{i}.jpg": flir(
+            parameters={**parameters, "emissivity": value, "window_c": 20.0 + i}
+        ).jpeg()
         for i, value in enumerate((0.9, 0.95))
     }
     assert made(content).warnings == (
-        "emissivity differs between the photos (0.9 to 0.95): one surface then has several temperatures. "
+        "emissivity differs between the photos (0.9 to 0.95): one surface then has several "
+        "temperatures. "
         "Give one value for all.",
     )
     assert made(content, Overrides(emissivity=0.9)).warnings == ()
 
 
 def test_a_bad_photo_is_left_out(made, photo, scene):
-    files = {f"{i}_{mark}": kind for i in range(4) for mark, kind in (("t.tif", "celsius"), ("rgb.jpg", "jpg"))}
+    files = {
+        f"{i}_{mark}": kind
+        for i in range(4)
+        for mark, kind in (("t.tif", "celsius"), ("rgb.jpg", "jpg"))
+    }
     files["1_rgb.jpg"] = photo("jpg", size=(16, 12))[:-30]
     files["2_t.tif"] = photo("celsius")[:300]
     found = made(files)
@@ -273,9 +306,16 @@ def test_a_bad_photo_is_left_out(made, photo, scene):
 
 def test_no_photo_that_can_be_used(made):
     with pytest.raises(
-        SceneError, match=r"none of the 2 pairs can be used; the first: .*1_T\.JPG: is a DJI R-JPEG, who"
+        SceneError,
+        match=r"none of the 2 pairs can be used; the first: .*1_T\.JPG: is a DJI R-JPEG, who",
     ):
-        made({f"DJI_{i}_{m}.JPG": ("dji" if m == "T" else "jpg", {"model": "DJI M3T"}) for i in (1, 2) for m in "TW"})
+        made(
+            {
+                f"DJI_{i}_{m}.JPG": ("dji" if m == "T" else "jpg", {"model": "DJI M3T"})
+                for i in (1, 2)
+                for m in "TW"
+            }
+        )
 
 
 def test_no_pairs(scene):
@@ -286,7 +326,8 @@ def test_no_pairs(scene):
 def test_thermal_photos_of_two_sizes(made, flir):
     content = {f"{i}.jpg": flir(raw=flir().raw[: 24 - i // 2, :]).jpeg() for i in range(3)}
     with pytest.raises(
-        SceneError, match=r"2\.jpg: its thermal image has 32 x 23 pixels, while 2 such as 0\.jpg have 32 x"
+        SceneError,
+        match=r"2\.jpg: its thermal image has 32 x 23 pixels, while 2 such as 0\.jpg have 32 x",
     ):
         made(content)
 
@@ -294,7 +335,8 @@ def test_thermal_photos_of_two_sizes(made, flir):
 def test_visible_photos_of_two_sizes(made, photo, flir):
     content = {f"{i}.jpg": flir(visible=photo("jpg", size=(16, 12 + i))).jpeg() for i in range(2)}
     with pytest.raises(
-        SceneError, match=r"1\.jpg: its RGB image has 16 x 13 pixels, while 1 such as 0\.jpg have 16 x 12"
+        SceneError,
+        match=r"1\.jpg: its RGB image has 16 x 13 pixels, while 1 such as 0\.jpg have 16 x 12",
     ):
         made(content)
 
@@ -302,19 +344,28 @@ def test_visible_photos_of_two_sizes(made, photo, flir):
 def test_photos_in_the_scene_s_own_folders(photos, tmp_path):
     root = photos({"images/a.jpg": "jpg", "thermal/a.tif": "celsius"})
     before = contents(root)
-    with pytest.raises(SceneError, match=r"a\.jpg: lies where the images of .* are written; choose another folder for"):
+    with pytest.raises(
+        SceneError,
+        match=r"a\.jpg: lies where the images of .* are written; choose another folder for",
+    ):
         develop(find_pairs(root), root, Overrides(), quiet)
     assert contents(root) == before
 
 
-SET = {f"{i}_{mark}": kind for i in range(3) for mark, kind in (("t.tif", "celsius"), ("rgb.jpg", "jpg"))}
+SET = {
+    f"{i}_{mark}": kind
+    for i in range(3)
+    for mark, kind in (("t.tif", "celsius"), ("rgb.jpg", "jpg"))
+}
 
 
 def test_nothing_is_done_twice(made, monkeypatch, photo, photos):
     first = made(SET)
     read = []
     original = developing.read_rgb
-    monkeypatch.setattr(developing, "read_rgb", lambda path, turn: read.append(path.name) or original(path, turn))
+    monkeypatch.setattr(
+        developing, "read_rgb", lambda path, turn: read.append(path.name) or original(path, turn)
+    )
     assert made({}) == first
     assert read == []
     os.utime(photos({"1_rgb.jpg": photo("jpg", taken=NOON)}) / "1_rgb.jpg", ns=(1, 1))
@@ -390,7 +441,10 @@ def test_a_full_disk(made, monkeypatch, scene):
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        with pytest.raises(RunError, match=r"1\.jpg cannot be written \(No space left on device\): free the place or"):
+        with pytest.raises(
+            RunError,
+            match=r"1\.jpg cannot be written \(No space left on device\): free the place or",
+        ):
             made(SET)
     assert sorted(contents(scene / "images")) == ["0.jpg"]
     stamp = (scene / "images/0.jpg").stat().st_mtime_ns
@@ -401,15 +455,26 @@ def test_a_full_disk(made, monkeypatch, scene):
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(RunError, match=r"a\.jpg cannot be written"):
-        develop(find_pairs(photos({"a_t.tif": "celsius", "a_rgb.jpg": "jpg"})), tmp_path / "file", Overrides(), quiet)
+        develop(
+            find_pairs(photos({"a_t.tif": "celsius", "a_rgb.jpg": "jpg"})),
+            tmp_path / "file",
+            Overrides(),
+            quiet,
+        )
 
 
 def test_a_photo_that_says_it_holds_another(photos, scene):
     root = photos({"a.jpg": "flir"})
     with pytest.raises(
-        SceneError, match=r"a\.jpg: holds no visible photo, while others do; leave it out, or add its RGB"
+        SceneError,
+        match=r"a\.jpg: holds no visible photo, while others do; leave it out, or add its RGB",
     ):
-        develop(Pairing((PhotoPair("a", None, root / "a.jpg", True),), (), ""), scene, Overrides(), quiet)
+        develop(
+            Pairing((PhotoPair("a", None, root / "a.jpg", True),), (), ""),
+            scene,
+            Overrides(),
+            quiet,
+        )
 
 
 def test_progress_is_told(photos, scene):

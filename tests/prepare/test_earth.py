@@ -14,8 +14,11 @@ def test_ecef_on_the_axes():
 
 
 def test_ecef_of_a_published_place():
-    """Zugspitze: latitude 47.421111, longitude 10.985278, height 2962 m; coordinates by the closed formula in PROJ."""
-    assert np.linalg.norm(ecef(GpsPosition(47.421111, 10.985278, 2962.0))) == pytest.approx(6369.5e3, rel=2e-4)
+    """Zugspitze: latitude 47.421111, longitude 10.985278, height 2962 m; coordinates by the closed
+    formula in PROJ."""
+    assert np.linalg.norm(ecef(GpsPosition(47.421111, 10.985278, 2962.0))) == pytest.approx(
+        6369.5e3, rel=2e-4
+    )
 
 
 def test_enu_counts_metres_east_north_and_up():
@@ -23,7 +26,8 @@ def test_enu_counts_metres_east_north_and_up():
     north = GpsPosition(48.0 + 1e-4, 11.0, 500.0)
     east = GpsPosition(48.0, 11.0 + 1e-4, 500.0)
     up = GpsPosition(48.0, 11.0, 507.0)
-    # A degree on the ellipsoid at 48° is 111.200 km northward and 74.630 km eastward (500 m up: 8e-5 more).
+    # A degree on the ellipsoid at 48° is 111.200 km northward and 74.630 km eastward (500 m up:
+    # 8e-5 more).
     expected = [[0, 11.120, 0], [7.463, 0, 0], [0, 0, 7.0]]
     assert enu([north, east, up], origin) == pytest.approx(np.array(expected), abs=3e-3)
 

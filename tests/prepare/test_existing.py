@@ -25,7 +25,9 @@ def photos(folder: Path, names: list[str], size: tuple[int, int] = (40, 30)) -> 
 def write_colmap(folder: Path, names: list[str], points: bool = True) -> None:
     folder.mkdir(parents=True)
     (folder / "cameras.txt").write_text("1 SIMPLE_RADIAL 40 30 35 20 15 0.01\n")
-    lines = [f"{index + 1} 1 0 0 0 {0.1 * index} 0 3 1 {name}\n\n" for index, name in enumerate(names)]
+    lines = [
+        f"{index + 1} 1 0 0 0 {0.1 * index} 0 3 1 {name}\n\n" for index, name in enumerate(names)
+    ]
     (folder / "images.txt").write_text("".join(lines))
     if points:
         (folder / "points3D.txt").write_text("1 0.5 -0.25 0.125 255 0 51 0.5 1 0 2 3\n")
@@ -40,11 +42,16 @@ def test_transforms(small_scene, tmp_path):
         assert viewmat.numpy() == pytest.approx(truth[name].numpy())
     assert len(found.points.positions) == 25
     assert found.visible is None
-    assert found.source == f"The poses of {len(truth)} of {len(truth) + 1} photos are those of transforms.json."
+    assert (
+        found.source
+        == f"The poses of {len(truth)} of {len(truth) + 1} photos are those of transforms.json."
+    )
     assert [(left.name, left.reason) for left in found.failed] == [
         ("another", "transforms.json has no pose of this name")
     ]
-    by_file = existing_poses(small_scene / "transforms.json", photos(tmp_path / "photos", list(truth)))
+    by_file = existing_poses(
+        small_scene / "transforms.json", photos(tmp_path / "photos", list(truth))
+    )
     assert by_file.viewmats.keys() == truth.keys()
 
 
@@ -62,14 +69,18 @@ def test_colmap(tmp_path, folder):
 def test_a_view_is_not_given_the_pose_of_another_photo_that_its_file_is_named_after(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
     files = photos(tmp_path / "photos", ["a", "b", "c", "d"])
-    found = existing_poses(tmp_path / "model", {**{name: files[name] for name in "abc"}, "other": files["d"]})
+    found = existing_poses(
+        tmp_path / "model", {**{name: files[name] for name in "abc"}, "other": files["d"]}
+    )
     assert list(found.viewmats) == ["a", "b", "c"]
     assert [left.name for left in found.failed] == ["other"]
 
 
 def test_larger_photos_scale_the_lens(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"])
-    lens = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"], (80, 60))).lenses["a"]
+    lens = existing_poses(
+        tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"], (80, 60))
+    ).lenses["a"]
     assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (80, 60, 70, 70, 40, 30)
     assert lens.radial[0] == 0.01
 
@@ -79,7 +90,8 @@ def test_without_points(tmp_path):
     found = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
     assert found.points.positions.shape == (0, 3)
     assert found.warnings == (
-        "images.txt has no points: the thermal camera cannot be found from the photos without them.",
+        "images.txt has no points: the thermal camera cannot be found from the photos without "
+        "them.",
     )
 
 
@@ -89,7 +101,8 @@ def test_cropped_photos(tmp_path):
     with pytest.raises(SceneError) as error:
         existing_poses(tmp_path / "model", images)
     assert str(error.value) == (
-        f"{images['a']} is 40×20 px, but its pose is for 40×30 px; give the photos as they were when the poses were "
+        f"{images['a']} is 40×20 px, but its pose is for 40×30 px; give the photos as they were "
+        f"when the poses were "
         "made, not cropped"
     )
 
@@ -99,19 +112,25 @@ def test_other_names(tmp_path):
     with pytest.raises(SceneError) as error:
         existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "x", "y"]))
     assert str(error.value) == (
-        f"{tmp_path / 'model'}: 1 of 3 photos have a pose of their name there, and 3 are needed; the names there are "
+        f"{tmp_path / 'model'}: 1 of 3 photos have a pose of their name there, and 3 are needed; "
+        f"the names there are "
         "like a, b, c: give the poses of these photos"
     )
 
 
 def test_names_that_stand_for_two_images(tmp_path):
     write_colmap(tmp_path / "model", ["one/a.jpg", "two/a.jpg", "c.jpg", "d.jpg"])
-    with pytest.raises(SceneError, match="has several poses named a; give each photo a name of its own in it"):
+    with pytest.raises(
+        SceneError, match="has several poses named a; give each photo a name of its own in it"
+    ):
         existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "c", "d"]))
 
 
 def test_a_folder_without_poses(tmp_path):
-    with pytest.raises(SceneError, match=r"holds no poses; looked for transforms.json, sparse/0/cameras.bin or .txt, "):
+    with pytest.raises(
+        SceneError,
+        match=r"holds no poses; looked for transforms.json, sparse/0/cameras.bin or .txt, ",
+    ):
         existing_poses(tmp_path, {})
     with pytest.raises(SceneError, match="missing: is not a folder; give the one with the poses"):
         existing_poses(tmp_path / "missing", {})
@@ -122,5 +141,7 @@ def test_a_damaged_file_is_named(small_scene, tmp_path):
     content = json.loads((tmp_path / "scene" / "transforms.json").read_text())
     content["frames"][3]["transform_matrix"][0][0] = None
     (tmp_path / "scene" / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(SceneError, match=r"transforms.json: transform_matrix of frame 3 .* not a number"):
+    with pytest.raises(
+        SceneError, match=r"transforms.json: transform_matrix of frame 3 .* not a number"
+    ):
         existing_poses(tmp_path / "scene", {})

@@ -47,7 +47,10 @@ def reconstruction_of(positions: np.ndarray, points: np.ndarray | None = None) -
         points = np.random.default_rng(0).uniform(-3, 3, (400, 3))
     names = [f"view_{index}" for index in range(len(positions))]
     cloud = PointCloud(torch.from_numpy(points).float(), torch.full((len(points), 3), 0.5))
-    viewmats = {name: look_at(position, np.zeros(3)) for name, position in zip(names, positions, strict=True)}
+    viewmats = {
+        name: look_at(position, np.zeros(3))
+        for name, position in zip(names, positions, strict=True)
+    }
     visible = {name: torch.arange(len(points)) for name in names}
     return Reconstruction(viewmats, dict.fromkeys(names, LENS), cloud, visible, (), None, "made up")
 
@@ -59,19 +62,29 @@ def displaced(truth: Reconstruction, seed: int) -> Reconstruction:
     rng = np.random.default_rng(seed)
     turn = Rotation.random(random_state=rng).as_matrix()
     scale, shift = float(rng.uniform(0.05, 2)), torch.from_numpy(rng.normal(0, 3, 3))
-    return apply(Georeference(scale, torch.from_numpy(turn), shift, False, False, None, None, ""), truth)
+    return apply(
+        Georeference(scale, torch.from_numpy(turn), shift, False, False, None, None, ""), truth
+    )
 
 
 def gps_of(positions: np.ndarray, height: bool = True) -> dict[str, GpsPosition]:
-    """EXIF positions of cameras whose places are given in metres about ``PLACE``, to about a millimetre near it."""
+    """EXIF positions of cameras whose places are given in metres about ``PLACE``, to about a
+    millimetre near it."""
     east_scale = METRES_PER_DEGREE * math.cos(math.radians(PLACE.latitude_deg))
     places = {}
     for index, (east, north, up) in enumerate(positions):
-        guess = np.array([PLACE.latitude_deg + north / METRES_PER_DEGREE, PLACE.longitude_deg + east / east_scale])
+        guess = np.array(
+            [
+                PLACE.latitude_deg + north / METRES_PER_DEGREE,
+                PLACE.longitude_deg + east / east_scale,
+            ]
+        )
         for _ in range(3):  # the ellipsoid is no sphere
             miss = enu([GpsPosition(*guess, 520.0 + up)], PLACE)[0] - [east, north, up]
             guess -= [miss[1] / METRES_PER_DEGREE, miss[0] / east_scale]
-        places[f"view_{index}"] = GpsPosition(float(guess[0]), float(guess[1]), 520.0 + float(up) if height else None)
+        places[f"view_{index}"] = GpsPosition(
+            float(guess[0]), float(guess[1]), 520.0 + float(up) if height else None
+        )
     return places
 
 
@@ -124,7 +137,8 @@ def test_without_heights_the_cameras_tell_the_vertical():
     found = georeference(displaced(truth, 5), gps_of(around(), height=False))
     assert found.north
     assert found.warnings == (
-        "The vertical is guessed from how the cameras were held: the GPS positions have no heights.",
+        "The vertical is guessed from how the cameras were held: the GPS positions have no "
+        "heights.",
     )
     assert shape_of(apply(found, displaced(truth, 5))) == pytest.approx(shape_of(truth), abs=0.1)
 
@@ -134,7 +148,10 @@ def test_on_a_line_the_cameras_tell_the_vertical():
     truth = reconstruction_of(positions)
     noisy = positions + np.random.default_rng(0).normal(0, 0.3, positions.shape)
     found = georeference(displaced(truth, 5), gps_of(noisy))
-    assert any("stand on a line, about which GPS leaves the rotation open" in text for text in found.warnings)
+    assert any(
+        "stand on a line, about which GPS leaves the rotation open" in text
+        for text in found.warnings
+    )
     assert shape_of(apply(found, displaced(truth, 5))) == pytest.approx(shape_of(truth), abs=1.5)
 
 
@@ -153,7 +170,8 @@ def test_cameras_closer_together_than_the_noise_are_not_placed():
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10_000))
 def test_a_scale_that_is_accepted_is_true_within_its_limit(seed):
-    """Whatever the noise: either it is refused, or the scale is right to three times the stated limit."""
+    """Whatever the noise: either it is refused, or the scale is right to three times the stated
+    limit."""
     rng = np.random.default_rng(seed)
     positions = around(radius=float(rng.uniform(2, 30)), count=int(rng.integers(4, 20)))
     noisy = positions + rng.normal(0, float(rng.uniform(0.1, 5)), positions.shape)
@@ -183,7 +201,9 @@ def test_without_gps_the_scale_is_arbitrary_and_up_is_guessed():
     truth = reconstruction_of(around())
     found = georeference(displaced(truth, 4), {"elsewhere": PLACE})
     assert (found.scale, found.metric, found.north, found.warnings) == (1.0, False, False, ())
-    assert found.text == ("The scale is arbitrary. North is not known; up is guessed from how the cameras were held.")
+    assert found.text == (
+        "The scale is arbitrary. North is not known; up is guessed from how the cameras were held."
+    )
     heights = centres(apply(found, displaced(truth, 4)), truth.viewmats)[:, 2]
     true = centres(truth, truth.viewmats)[:, 2]
     assert np.corrcoef(heights, true)[0, 1] == pytest.approx(1, abs=1e-3)
@@ -251,7 +271,9 @@ def test_a_known_distance_decides_against_gps():
     assert placed.text.startswith(
         "The scale is that of the known distance. The GPS positions of 12 photos give the axes"
     )
-    assert placed.warnings == ("The known distance makes the scene 2 times as large as GPS does; check it.",)
+    assert placed.warnings == (
+        "The known distance makes the scene 2 times as large as GPS does; check it.",
+    )
     assert shape_of(apply(placed, found)) == pytest.approx(2 * shape_of(truth), abs=0.2)
 
 
@@ -265,10 +287,14 @@ def test_given_poses_stay():
 @pytest.mark.parametrize(
     ("known", "message"),
     [
-        (KnownDistance("view_1", (100, 100), (200, 100), 0.0), "the known distance is 0 m; it must be longer than 0 m"),
+        (
+            KnownDistance("view_1", (100, 100), (200, 100), 0.0),
+            "the known distance is 0 m; it must be longer than 0 m",
+        ),
         (
             KnownDistance("other", (100, 100), (200, 100), 1.0),
-            "the known distance is given in other, which has no pose; give it in another: view_0, view_1, "
+            "the known distance is given in other, which has no pose; give it in another: view_0, "
+            "view_1, "
             "view_10, view_11, view_2, …",
         ),
         (
@@ -277,7 +303,8 @@ def test_given_poses_stay():
         ),
         (
             KnownDistance("view_1", (200, 100), (390, 290), 1.0),
-            "pixel (390, 290) of view_1 has no reconstructed points near it; choose one on a surface with more detail",
+            "pixel (390, 290) of view_1 has no reconstructed points near it; choose one on a "
+            "surface with more detail",
         ),
         (
             KnownDistance("view_1", (200, 150), (200, 150), 1.0),
@@ -299,5 +326,7 @@ def test_a_known_distance_that_ends_at_an_edge():
     cloud = PointCloud(points, flat.points.colors)
     stepped = Reconstruction(flat.viewmats, flat.lenses, cloud, flat.visible, (), None, "")
     a, b = pixel_of(flat, "view_1", [-1.0, 0, 0]), pixel_of(flat, "view_1", [0.125, 0, 0])
-    with pytest.raises(SceneError, match="lies where near and far surfaces meet; choose one that is well inside"):
+    with pytest.raises(
+        SceneError, match="lies where near and far surfaces meet; choose one that is well inside"
+    ):
         georeference(stepped, {}, KnownDistance("view_1", a, b, 1.0))

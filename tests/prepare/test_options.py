@@ -12,13 +12,25 @@ from mrgs.prepare.rig import ChessboardTarget
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"thermal_fov_deg": 0.5}, "field of view of 0.5° is not between 1° and 150°; take it from"),
+        (
+            {"thermal_fov_deg": 0.5},
+            "field of view of 0.5° is not between 1° and 150°; take it from",
+        ),
         ({"thermal_fov_deg": float("nan")}, "field of view of nan°"),
         ({"eval_every": 1}, "one in 1 views cannot be held out; give 2 or more, or 0 for none"),
         ({"eval_every": -3}, "give 2 or more, or 0"),
-        ({"one_camera": True, "target": ChessboardTarget((7, 6))}, "--one-camera and --target exclude each other"),
-        ({"one_camera": True, "thermal_camera": Path("x")}, "--one-camera and --thermal-camera exclude each other"),
-        ({"one_camera": True, "thermal_fov_deg": 50.0}, "--one-camera and --thermal-fov exclude each other"),
+        (
+            {"one_camera": True, "target": ChessboardTarget((7, 6))},
+            "--one-camera and --target exclude each other",
+        ),
+        (
+            {"one_camera": True, "thermal_camera": Path("x")},
+            "--one-camera and --thermal-camera exclude each other",
+        ),
+        (
+            {"one_camera": True, "thermal_fov_deg": 50.0},
+            "--one-camera and --thermal-fov exclude each other",
+        ),
     ],
 )
 def test_what_cannot_be_is_told(options, message):
@@ -34,7 +46,11 @@ def test_distances_are_written_as_the_page_shows_them():
 @pytest.mark.parametrize(
     ("first", "second", "message"),
     [
-        ("IR_0001", "IR_0001:1,2", "--known-distance IR_0001: write NAME:X,Y, for instance IR_0001:120,85"),
+        (
+            "IR_0001",
+            "IR_0001:1,2",
+            "--known-distance IR_0001: write NAME:X,Y, for instance IR_0001:120,85",
+        ),
         ("IR_0001:1,2", "IR_0001:1;2", "--known-distance IR_0001:1;2: write NAME:X,Y"),
         ("a:1,2", "b:1,2", "both pixels must be of one view, not of a and b"),
     ],
@@ -48,5 +64,8 @@ def test_targets_are_counted_in_inner_corners():
     target = parse_target("7x6", 0.05)
     assert (target.inner, target.square_m) == ((7, 6), 0.05)
     for text in ("7", "7-6", "ax6", "7x6x5"):
-        with pytest.raises(ConfigError, match=rf"--target {text}: write the inner corners along and across, for ins"):
+        with pytest.raises(
+            ConfigError,
+            match=rf"--target {text}: write the inner corners along and across, for ins",
+        ):
             parse_target(text, 0.05)

@@ -1,4 +1,5 @@
-"""The whole way from photos to a scene; only what takes long, or needs sharper images, is replaced."""
+"""The whole way from photos to a scene; only what takes long, or needs sharper images, is
+replaced."""
 
 from __future__ import annotations
 
@@ -65,7 +66,9 @@ class Fakes:
         views = tuple(RigView(pair.name, pose, 5, 0.1, 0.2) for pair in pairs)
         pose = pose.clone()
         pose[0, 3] = -0.03
-        return RigCalibration(Lens(40, 30, 41.0, 41.0, 20.0, 15.0), pose, views, (0.1, 0.2), 0.3, 0.1, ())
+        return RigCalibration(
+            Lens(40, 30, 41.0, 41.0, 20.0, 15.0), pose, views, (0.1, 0.2), 0.3, 0.1, ()
+        )
 
 
 def short_page(scene: Path, stages, *arguments, **options) -> Path:
@@ -120,7 +123,9 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
         assert torch.equal(view.rgb.load().values, true[view.name].rgb.load().values)
         # The same pictures through the same lenses; the world may have been turned upright.
         assert torch.allclose(view.rgb.camera.K, true[view.name].rgb.camera.K)
-        assert torch.allclose(view.thermal.load().values, true[view.name].thermal.load().values, atol=1e-6)
+        assert torch.allclose(
+            view.thermal.load().values, true[view.name].thermal.load().values, atol=1e-6
+        )
 
 
 def test_the_thermal_camera_comes_into_the_scene(photos, fakes, tmp_path):
@@ -128,7 +133,9 @@ def test_the_thermal_camera_comes_into_the_scene(photos, fakes, tmp_path):
     assert fakes.calls == ["poses", "thermal camera"]
     view = load_scene(tmp_path / "scene").train[0]
     between = view.thermal.camera.viewmat @ torch.linalg.inv(view.rgb.camera.viewmat)
-    assert torch.allclose(between[:3, 3], torch.tensor([-0.03, 0.0, 0.0], dtype=torch.float64), atol=1e-9)
+    assert torch.allclose(
+        between[:3, 3], torch.tensor([-0.03, 0.0, 0.0], dtype=torch.float64), atol=1e-9
+    )
     assert view.thermal.camera.K[0, 0] == 41.0
 
 
@@ -145,28 +152,37 @@ CHANGES: dict[str, tuple[Callable[[Path, Path], object], PrepareOptions, list[st
     "nothing": (lambda photos, scene: None, PrepareOptions(), []),
     "other file": (lambda photos, scene: touch(photos / "notes.txt"), PrepareOptions(), ["pairs"]),
     "same photo, copied again": (
-        lambda photos, scene: touch(photos / "rgb" / "shot_02.png"), PrepareOptions(), ["pairs", "photos", "scene"],
+        lambda photos, scene: touch(photos / "rgb" / "shot_02.png"), PrepareOptions(), ["pairs",
+        "photos", "scene"],
     ),
     "other photo": (lambda photos, scene: repaint(photos / "rgb" / "shot_02.png"), PrepareOptions(),
                     ["pairs", "photos", "poses", "thermal camera", "scene", "page"]),
     "other temperatures": (
-        lambda photos, scene: None, PrepareOptions(overrides=BOUNDS), ["photos", "thermal camera", "scene", "page"],
+        lambda photos, scene: None, PrepareOptions(overrides=BOUNDS), ["photos", "thermal camera",
+        "scene", "page"],
     ),
     "split": (lambda photos, scene: None, PrepareOptions(eval_every=3), ["scene", "page"]),
-    "field of view": (lambda photos, scene: None, PrepareOptions(thermal_fov_deg=50), ["thermal camera"]),
+    "field of view": (lambda photos, scene: None, PrepareOptions(thermal_fov_deg=50),
+    ["thermal camera"]),
     "one camera": (
-        lambda photos, scene: None, PrepareOptions(one_camera=True), ["thermal camera", "scene", "page"],
+        lambda photos, scene: None, PrepareOptions(one_camera=True), ["thermal camera", "scene",
+        "page"],
     ),
     "image removed": (
-        lambda photos, scene: (scene / "thermal" / "shot_01.png").unlink(), PrepareOptions(), ["photos", "scene"],
+        lambda photos, scene: (scene / "thermal" / "shot_01.png").unlink(), PrepareOptions(),
+        ["photos", "scene"],
     ),
-    "scene removed": (lambda photos, scene: (scene / "transforms.json").unlink(), PrepareOptions(), ["scene"]),
-    "page removed": (lambda photos, scene: (scene / "prepare.html").unlink(), PrepareOptions(), ["page"]),
+    "scene removed": (lambda photos, scene: (scene / "transforms.json").unlink(), PrepareOptions(),
+    ["scene"]),
+    "page removed": (lambda photos, scene: (scene / "prepare.html").unlink(), PrepareOptions(),
+    ["page"]),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(("change", "options", "expected"), CHANGES.values(), ids=CHANGES)
-def test_only_what_follows_from_a_change_is_done_again(change, options, expected, photos, fakes, tmp_path):
+def test_only_what_follows_from_a_change_is_done_again(
+    change, options, expected, photos, fakes, tmp_path
+):
     scene = tmp_path / "scene"
     prepare(photos, scene)
     change(photos, scene)
@@ -224,16 +240,21 @@ BAD_FOLDERS: dict[str, tuple[Callable[[Path], tuple[Path, Path]], type[Exception
     "no photos": (lambda root: (root / "nowhere", root / "scene"), SceneError,
                   "nowhere: is not a folder; give the folder that holds the photos"),
     "scene in photos": (lambda root: (root / "photos", root / "photos" / "scene"), RunError,
-                        "scene and the photos lie in one another: choose a folder beside the photos"),
+                        "scene and the photos lie in one another: choose a folder beside the "
+                        "photos"),
     "photos in scene": (lambda root: (root / "photos", root), RunError, "lie in one another"),
     "something else": (lambda root: (root / "photos", root / "posed"), RunError,
-                       "posed holds something that `mrgs prepare` did not make: choose a new folder"),
-    "a file": (lambda root: (root / "photos", root / "photos.txt"), RunError, r"photos\.txt.* cannot be written"),
+                       "posed holds something that `mrgs prepare` did not make: choose a new "
+                       "folder"),
+    "a file": (lambda root: (root / "photos", root / "photos.txt"), RunError,
+    r"photos\.txt.* cannot be written"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(("folders", "kind", "message"), BAD_FOLDERS.values(), ids=BAD_FOLDERS)
-def test_a_folder_that_cannot_be_used_is_named_and_left_alone(folders, kind, message, photos, fakes, tmp_path):
+def test_a_folder_that_cannot_be_used_is_named_and_left_alone(
+    folders, kind, message, photos, fakes, tmp_path
+):
     (tmp_path / "photos.txt").write_text("mine")
     before = stamps(tmp_path)
     with pytest.raises(kind, match=message):
@@ -248,7 +269,9 @@ def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path, monkeypatch):
     prepare(photos, tmp_path / "scene")
     with monkeypatch.context() as patch:
         patch.setattr(thermal_camera, "calibrate_rig", fails)
-        with pytest.raises(SceneError, match=r"placed: noise; .*prepare\.html shows what was understood"):
+        with pytest.raises(
+            SceneError, match=r"placed: noise; .*prepare\.html shows what was understood"
+        ):
             prepare(photos, tmp_path / "scene", PrepareOptions(thermal_fov_deg=50))
     shown = (tmp_path / "scene" / "prepare.html").read_text(encoding="utf-8")
     assert "The poses of 8 of 8 photos are those of transforms.json." in shown
@@ -265,15 +288,21 @@ def test_a_target_gives_metres(photos, fakes, tmp_path, monkeypatch):
 
     before = load_scene(prepare(photos, tmp_path / "scene").scene)
     monkeypatch.setattr(thermal_camera, "calibrate_rig", calibrate)
-    made = prepare(photos, tmp_path / "scene", PrepareOptions(target=ChessboardTarget((7, 6), 0.05)))
+    made = prepare(
+        photos, tmp_path / "scene", PrepareOptions(target=ChessboardTarget((7, 6), 0.05))
+    )
     assert made.stages[4].lines[-1] == "The target gives the scale: the scene is in metres."
     after = load_scene(made.scene)
     for old, new in zip(before.train, after.train, strict=True):
         assert torch.allclose(2 * old.rgb.camera.position, new.rgb.camera.position, atol=1e-9)
-        assert torch.allclose(2 * old.thermal.camera.position, new.thermal.camera.position, atol=1e-9)
+        assert torch.allclose(
+            2 * old.thermal.camera.position, new.thermal.camera.position, atol=1e-9
+        )
         assert torch.allclose(old.rgb.camera.viewmat[:3, :3], new.rgb.camera.viewmat[:3, :3])
     assert torch.allclose(2 * before.points.positions, after.points.positions, atol=1e-5)
-    camera = thermal_camera.read_thermal_camera(made.scene / "transforms.json")  # for other scenes of this camera
+    camera = thermal_camera.read_thermal_camera(
+        made.scene / "transforms.json"
+    )  # for other scenes of this camera
     assert camera.lens.fx == 41.0
     assert camera.thermal_from_rgb[0, 3] == pytest.approx(-0.06)
 
@@ -310,7 +339,10 @@ def test_a_folder_of_the_user_s_that_is_called_prepare_is_left_alone(photos, fak
     own = tmp_path / "scene" / "prepare" / "notes.txt"
     own.parent.mkdir(parents=True)
     own.write_text("mine")
-    with pytest.raises(RunError, match="scene holds something that `mrgs prepare` did not make: choose a new folder"):
+    with pytest.raises(
+        RunError,
+        match="scene holds something that `mrgs prepare` did not make: choose a new folder",
+    ):
         prepare(photos, tmp_path / "scene")
     assert [path.name for path in (tmp_path / "scene").rglob("*")] == ["prepare", "notes.txt"]
 
@@ -319,7 +351,9 @@ def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, mon
     told = []
 
     def fails(*arguments, **options):
-        raise TooFewPosesError("only 2 of 8 photos could be placed", (LeftOut("view_3", "too little texture"),))
+        raise TooFewPosesError(
+            "only 2 of 8 photos could be placed", (LeftOut("view_3", "too little texture"),)
+        )
 
     def page(scene, *arguments, left_out):
         told.extend(left_out)
@@ -327,7 +361,9 @@ def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, mon
 
     monkeypatch.setattr(pipeline, "reconstruct", fails)
     monkeypatch.setattr(run_module, "write_page", page)
-    with pytest.raises(SceneError, match=r"only 2 of 8 photos could be placed; .*prepare\.html shows"):
+    with pytest.raises(
+        SceneError, match=r"only 2 of 8 photos could be placed; .*prepare\.html shows"
+    ):
         prepare(photos, tmp_path / "scene")
     assert told == [LeftOut("notes.txt", told[0].reason), LeftOut("view_3", "too little texture")]
 
@@ -347,13 +383,19 @@ def test_a_page_that_cannot_be_written_hides_no_error(photos, fakes, tmp_path, m
 
 def test_two_at_once_are_refused(photos, fakes, tmp_path):
     prepare(photos, tmp_path / "scene")
-    with FileLock(tmp_path / "scene" / "prepare" / ".lock"), pytest.raises(RunError, match="by another run: wait"):
+    with (
+        FileLock(tmp_path / "scene" / "prepare" / ".lock"),
+        pytest.raises(RunError, match="by another run: wait"),
+    ):
         prepare(photos, tmp_path / "scene")
 
 
 def test_a_full_disk_is_told_and_the_rest_is_kept(photos, fakes, tmp_path, monkeypatch):
     def full(*arguments, **options):
-        raise RunError("transforms.json cannot be written (No space left on device): free the place or choose another")
+        raise RunError(
+            "transforms.json cannot be written (No space left on device): free the place or "
+            "choose another"
+        )
 
     with monkeypatch.context() as patch:
         patch.setattr(pipeline, "write_scene", full)

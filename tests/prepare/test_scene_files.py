@@ -26,39 +26,61 @@ RGB = Lens(32, 24, 30.0, 31.0, 15.0, 12.5, (-0.05, 0.01, 0.002, 0.0), (0.001, -0
 OTHER_RGB = Lens(32, 24, 28.0, 28.0, 16.0, 12.0)
 FISHEYE = Lens(32, 24, 20.0, 20.0, 16.0, 12.0, (0.01, 0.002, 0.001, 0.0005), fisheye=True)
 THERMAL = Lens(16, 12, 14.0, 14.2, 8.0, 6.0, (-0.1, 0.0, 0.0, 0.0))
-OFFSET = torch.tensor([[1.0, 0, 0, 0.05], [0, 1, 0, -0.01], [0, 0, 1, 0.002], [0, 0, 0, 1]], dtype=torch.float64)
+OFFSET = torch.tensor(
+    [[1.0, 0, 0, 0.05], [0, 1, 0, -0.01], [0, 0, 1, 0.002], [0, 0, 0, 1]], dtype=torch.float64
+)
 METRIC = Georeference(
-    1.0, torch.eye(3).double(), torch.zeros(3).double(), True, True, GpsPosition(48.1, 11.5, 520.0), 0.8, "By GPS."
+    1.0,
+    torch.eye(3).double(),
+    torch.zeros(3).double(),
+    True,
+    True,
+    GpsPosition(48.1, 11.5, 520.0),
+    0.8,
+    "By GPS.",
 )
 
 
 def viewmat(index: int) -> torch.Tensor:
     turn, matrix = 0.2 * index, torch.eye(4, dtype=torch.float64)
     matrix[:3, :3] = torch.tensor(
-        [[math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)]], dtype=torch.float64
+        [[math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)]],
+        dtype=torch.float64,
     )
     matrix[:3, 3] = torch.tensor([0.1 * index, -0.3, 2.0])
     return matrix
 
 
-def develop(scene: Path, count: int, celsius: bool = True, thermal_size: tuple[int, int] = (16, 12)) -> Development:
+def develop(
+    scene: Path, count: int, celsius: bool = True, thermal_size: tuple[int, int] = (16, 12)
+) -> Development:
     """Images of a set whose temperatures are 10.4 + i to 20.2 + i °C."""
     views = []
     for folder in ("images", "thermal"):
         (scene / folder).mkdir(parents=True)
     for i in range(count):
         name = f"shot_{i}"
-        Image.fromarray(np.full((24, 32, 3), 9 * i, dtype=np.uint8)).save(scene / "images" / f"{name}.png")
-        ramp = np.linspace(0, 1, thermal_size[0] * thermal_size[1], dtype=np.float32).reshape(thermal_size[::-1])
+        Image.fromarray(np.full((24, 32, 3), 9 * i, dtype=np.uint8)).save(
+            scene / "images" / f"{name}.png"
+        )
+        ramp = np.linspace(0, 1, thermal_size[0] * thermal_size[1], dtype=np.float32).reshape(
+            thermal_size[::-1]
+        )
         thermal = f"thermal/{name}.{'tiff' if celsius else 'png'}"
-        Image.fromarray(10.4 + i + 9.8 * ramp if celsius else (255 * ramp).astype(np.uint8)).save(scene / thermal)
+        Image.fromarray(10.4 + i + 9.8 * ramp if celsius else (255 * ramp).astype(np.uint8)).save(
+            scene / thermal
+        )
         range_c = (10.4 + i, 20.2 + i) if celsius else None
-        views.append(DevelopedView(name, f"images/{name}.png", thermal, ExifFacts(), range_c=range_c))
+        views.append(
+            DevelopedView(name, f"images/{name}.png", thermal, ExifFacts(), range_c=range_c)
+        )
     return Development(tuple(views), ())
 
 
 def reconstruct(names: list[str], lens: Lens = RGB) -> Reconstruction:
-    points = PointCloud(torch.tensor([[0.0, 1, 2], [0.5, -0.25, 4]]), torch.tensor([[0.0, 0.2, 1], [1, 0.4, 0]]))
+    points = PointCloud(
+        torch.tensor([[0.0, 1, 2], [0.5, -0.25, 4]]), torch.tensor([[0.0, 0.2, 1], [1, 0.4, 0]])
+    )
     viewmats = {name: viewmat(int(name.rpartition("_")[2])) for name in names}
     return Reconstruction(viewmats, dict.fromkeys(names, lens), points, None, (), 0.5, "by hand")
 
@@ -95,7 +117,9 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
         assert_camera(views[name].rgb.camera, RGB, own)
         assert_camera(views[name].thermal.camera, THERMAL, rig.viewmat(index, own))
     torch.testing.assert_close(scene.points.positions, reconstruct(names).points.positions)
-    torch.testing.assert_close(scene.points.colors, reconstruct(names).points.colors, atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        scene.points.colors, reconstruct(names).points.colors, atol=1e-6, rtol=0
+    )
     assert (scene.temperature.min_c, scene.temperature.max_c) == (10.0, 30.0)
     content = json.loads((tmp_path / "transforms.json").read_text())
     assert content["georeference"]["units"] == "metres"
@@ -107,12 +131,19 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
 def test_one_camera_serves_both_images_whatever_the_size_of_the_thermal_ones(tmp_path, lens):
     development = develop(tmp_path, 3)
     names = [view.name for view in development.views]
-    write_scene(tmp_path, development, reconstruct(names, lens), None, None, eval_every=0, bounds=None)
+    write_scene(
+        tmp_path, development, reconstruct(names, lens), None, None, eval_every=0, bounds=None
+    )
     scene = load_scene(tmp_path)
     assert scene.eval == ()
     view = scene.train[1]
     assert_camera(view.rgb.camera, lens, viewmat(1))
-    half = replace(lens, width=16, height=12, **{key: getattr(lens, key) / 2 for key in ("fx", "fy", "cx", "cy")})
+    half = replace(
+        lens,
+        width=16,
+        height=12,
+        **{key: getattr(lens, key) / 2 for key in ("fx", "fy", "cx", "cy")},
+    )
     assert_camera(view.thermal.camera, half, viewmat(1))
 
 
@@ -121,7 +152,9 @@ def test_each_view_may_have_a_lens_of_its_own(tmp_path):
     names = [view.name for view in development.views]
     reconstruction = reconstruct(names)
     reconstruction = replace(reconstruction, lenses={**reconstruction.lenses, "shot_2": OTHER_RGB})
-    write_scene(tmp_path, development, reconstruction, rig_of(names), None, eval_every=0, bounds=None)
+    write_scene(
+        tmp_path, development, reconstruction, rig_of(names), None, eval_every=0, bounds=None
+    )
     lenses = [view.rgb.camera for view in load_scene(tmp_path).train]
     assert_camera(lenses[1], RGB, viewmat(1))
     assert_camera(lenses[2], OTHER_RGB, viewmat(2))
@@ -138,18 +171,30 @@ def test_a_thermal_only_set_has_poses_of_the_thermal_images(tmp_path):
     assert_camera(scene.train[0].thermal.camera, THERMAL, viewmat(1))
 
 
-@pytest.mark.parametrize(("count", "held_out"), [(1, []), (2, ["shot_0"]), (7, ["shot_0"]), (9, ["shot_0", "shot_8"])])
+@pytest.mark.parametrize(
+    ("count", "held_out"), [(1, []), (2, ["shot_0"]), (7, ["shot_0"]), (9, ["shot_0", "shot_8"])]
+)
 def test_every_eighth_view_is_held_out(tmp_path, count, held_out):
     development = develop(tmp_path, count)
     names = [view.name for view in development.views]
-    write_scene(tmp_path, development, reconstruct(names), rig_of(names), None, eval_every=8, bounds=None)
+    write_scene(
+        tmp_path, development, reconstruct(names), rig_of(names), None, eval_every=8, bounds=None
+    )
     assert [view.name for view in load_scene(tmp_path).eval] == held_out
 
 
 def test_given_bounds_win(tmp_path):
     development = develop(tmp_path, 3)
     names = [view.name for view in development.views]
-    write_scene(tmp_path, development, reconstruct(names), rig_of(names), None, eval_every=0, bounds=(-5.5, 90.0))
+    write_scene(
+        tmp_path,
+        development,
+        reconstruct(names),
+        rig_of(names),
+        None,
+        eval_every=0,
+        bounds=(-5.5, 90.0),
+    )
     temperature = load_scene(tmp_path).temperature
     assert (temperature.min_c, temperature.max_c) == (-5.5, 90.0)
 
@@ -158,7 +203,9 @@ def test_what_an_earlier_call_left_is_taken_away(tmp_path):
     development = develop(tmp_path, 3, celsius=False)
     names = [view.name for view in development.views]
     reconstruction = reconstruct(names)
-    write_scene(tmp_path, development, reconstruction, rig_of(names), None, eval_every=0, bounds=(0.0, 50.0))
+    write_scene(
+        tmp_path, development, reconstruction, rig_of(names), None, eval_every=0, bounds=(0.0, 50.0)
+    )
     assert load_scene(tmp_path).temperature is not None
     empty = replace(reconstruction, points=PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)))
     write_scene(tmp_path, development, empty, rig_of(names), None, eval_every=0, bounds=None)
@@ -169,20 +216,42 @@ def test_what_an_earlier_call_left_is_taken_away(tmp_path):
 
 @pytest.mark.parametrize("eval_every", [1, -2])
 def test_holding_every_view_out_is_refused(tmp_path, eval_every):
-    with pytest.raises(ConfigError, match="leaves no view to train on; give 0 for none, or 2 or more"):
-        write_scene(tmp_path, Development((), ()), reconstruct([]), None, None, eval_every=eval_every, bounds=None)
+    with pytest.raises(
+        ConfigError, match="leaves no view to train on; give 0 for none, or 2 or more"
+    ):
+        write_scene(
+            tmp_path,
+            Development((), ()),
+            reconstruct([]),
+            None,
+            None,
+            eval_every=eval_every,
+            bounds=None,
+        )
 
 
 def test_a_set_without_poses_is_no_scene(tmp_path):
     with pytest.raises(SceneError, match="no view has a pose"):
-        write_scene(tmp_path, develop(tmp_path, 2), reconstruct([]), None, None, eval_every=8, bounds=None)
+        write_scene(
+            tmp_path, develop(tmp_path, 2), reconstruct([]), None, None, eval_every=8, bounds=None
+        )
 
 
 def test_a_view_without_thermal_camera_is_told(tmp_path):
     development = develop(tmp_path, 3)
     names = [view.name for view in development.views]
-    with pytest.raises(SceneError, match="shot_2 has a pose but is not in the thermal camera's calibration"):
-        write_scene(tmp_path, development, reconstruct(names), rig_of(names[:2]), None, eval_every=0, bounds=None)
+    with pytest.raises(
+        SceneError, match="shot_2 has a pose but is not in the thermal camera's calibration"
+    ):
+        write_scene(
+            tmp_path,
+            development,
+            reconstruct(names),
+            rig_of(names[:2]),
+            None,
+            eval_every=0,
+            bounds=None,
+        )
 
 
 def test_a_folder_that_cannot_be_written_leaves_no_transforms(tmp_path):
@@ -190,7 +259,15 @@ def test_a_folder_that_cannot_be_written_leaves_no_transforms(tmp_path):
     names = [view.name for view in development.views]
     (tmp_path / "temperature_bounds.json").mkdir()
     with pytest.raises(RunError, match=r"temperature_bounds\.json cannot be written"):
-        write_scene(tmp_path, development, reconstruct(names), rig_of(names), None, eval_every=0, bounds=None)
+        write_scene(
+            tmp_path,
+            development,
+            reconstruct(names),
+            rig_of(names),
+            None,
+            eval_every=0,
+            bounds=None,
+        )
     assert not (tmp_path / "transforms.json").exists()
 
 
@@ -199,4 +276,12 @@ def test_what_cannot_be_taken_away_is_told(tmp_path):
     names = [view.name for view in development.views]
     (tmp_path / "temperature_bounds.json").mkdir()
     with pytest.raises(RunError, match=r"temperature_bounds\.json cannot be removed"):
-        write_scene(tmp_path, development, reconstruct(names), rig_of(names), None, eval_every=0, bounds=None)
+        write_scene(
+            tmp_path,
+            development,
+            reconstruct(names),
+            rig_of(names),
+            None,
+            eval_every=0,
+            bounds=None,
+        )

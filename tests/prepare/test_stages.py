@@ -16,7 +16,9 @@ class Counted:
 
     def __init__(self, *depends: object, result: str = "found", file: Path | None = None) -> None:
         self.times = 0
-        self.stage = Stage("first stage", str, depends, self.make, self.tell, lambda _: [file] if file else [])
+        self.stage = Stage(
+            "first stage", str, depends, self.make, self.tell, lambda _: [file] if file else []
+        )
         self.result = result
 
     def make(self, progress) -> str:
@@ -115,7 +117,10 @@ def test_stamps_leave_hidden_files_out_and_follow_links(tmp_path):
     before = stamps(tmp_path / "photos")
     assert [name for name, *_ in before] == ["a.jpg", "gone.jpg"]
     photo.write_text("12")
-    assert [a == b for a, b in zip(stamps(tmp_path / "photos"), before, strict=True)] == [False, True]
+    assert [a == b for a, b in zip(stamps(tmp_path / "photos"), before, strict=True)] == [
+        False,
+        True,
+    ]
 
 
 def test_a_folder_that_cannot_be_listed_is_named(tmp_path):

@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition
 from mrgs.errors import RunError
-from mrgs.prepare.contract import DevelopedView, Development, LeftOut, Pairing, PhotoPair, Reconstruction
+from mrgs.prepare.contract import (
+    DevelopedView,
+    Development,
+    LeftOut,
+    Pairing,
+    PhotoPair,
+    Reconstruction,
+)
 from mrgs.prepare.rig import RigCalibration, RigView
 from mrgs.prepare.store import fingerprint, load, save
 from mrgs.scene import PointCloud
@@ -23,13 +30,20 @@ EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosit
 names = st.text(string.ascii_letters + "ä _", min_size=1, max_size=8)
 paths = names.map(Path)
 contents = st.tuples(
-    st.lists(st.tuples(names, st.none() | paths, paths, st.booleans())), st.lists(st.tuples(names, names)), names
+    st.lists(st.tuples(names, st.none() | paths, paths, st.booleans())),
+    st.lists(st.tuples(names, names)),
+    names,
 )
 
 
 def pairing_of(content) -> Pairing:
     pairs, left_out, rule = content
-    return Pairing(tuple(PhotoPair(*pair) for pair in pairs), tuple(LeftOut(*item) for item in left_out), rule, (rule,))
+    return Pairing(
+        tuple(PhotoPair(*pair) for pair in pairs),
+        tuple(LeftOut(*item) for item in left_out),
+        rule,
+        (rule,),
+    )
 
 
 def stored_and_read(folder: Path, value, kind):
@@ -47,7 +61,16 @@ def test_what_is_stored_comes_back(tmp_path_factory, content):
 
 def test_times_places_and_missing_values_come_back(tmp_path):
     views = (
-        DevelopedView("a", "images/a.jpg", "thermal/a.tiff", EXIF, "E60", (-3.5, 41.0), ("note",), ("warning",)),
+        DevelopedView(
+            "a",
+            "images/a.jpg",
+            "thermal/a.tiff",
+            EXIF,
+            "E60",
+            (-3.5, 41.0),
+            ("note",),
+            ("warning",),
+        ),
         DevelopedView("b", None, "thermal/b.png", ExifFacts()),
     )
     development = Development(views, (LeftOut("c", "is cut off"),))
@@ -121,7 +144,11 @@ def test_fingerprints_tell_values_apart(a, b):
 def test_fingerprints_tell_tensors_apart():
     zeros = torch.zeros(4)
     assert fingerprint(zeros) == fingerprint(torch.zeros(4))
-    others = [torch.zeros(2, 2), torch.zeros(4, dtype=torch.float64), torch.tensor([0.0, 0.0, 0.0, 1e-30])]
+    others = [
+        torch.zeros(2, 2),
+        torch.zeros(4, dtype=torch.float64),
+        torch.tensor([0.0, 0.0, 0.0, 1e-30]),
+    ]
     assert len({fingerprint(value) for value in (zeros, *others)}) == 4
 
 

@@ -7,26 +7,44 @@ import torch
 
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts
-from mrgs.prepare.contract import DevelopedView, Development, LeftOut, Pairing, PhotoPair, Reconstruction
+from mrgs.prepare.contract import (
+    DevelopedView,
+    Development,
+    LeftOut,
+    Pairing,
+    PhotoPair,
+    Reconstruction,
+)
 from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
 from mrgs.prepare.tell import tell_pairs, tell_photos, tell_poses, tell_thermal_camera
 from mrgs.scene import PointCloud
 
 VIEW = DevelopedView(
-    "a", "images/a.jpg", "thermal/a.tiff", ExifFacts(), "FLIR E60", (-3.04, 41.26), (), ("It is old.",)
+    "a",
+    "images/a.jpg",
+    "thermal/a.tiff",
+    ExifFacts(),
+    "FLIR E60",
+    (-3.04, 41.26),
+    (),
+    ("It is old.",),
 )
 
 
 def test_pairs_are_counted(tmp_path):
     pairs = (PhotoPair("a", None, tmp_path / "a.jpg"),)
-    told = tell_pairs(Pairing(pairs, (LeftOut("b", "is cut off"),), "By their names.", ("The clocks differ.",)))
+    told = tell_pairs(
+        Pairing(pairs, (LeftOut("b", "is cut off"),), "By their names.", ("The clocks differ.",))
+    )
     assert told.lines == ("1 pair. By their names.", "1 file left out.")
     assert told.warnings == ("The clocks differ.",)
 
 
 def test_warnings_of_photos_are_said_once(tmp_path):
     other = replace(VIEW, name="b", warnings=("It is old.", "It is blurred."))
-    told = tell_photos(Development((VIEW, other), (LeftOut("c", "is cut off"),), ("The distances differ.",)))
+    told = tell_photos(
+        Development((VIEW, other), (LeftOut("c", "is cut off"),), ("The distances differ.",))
+    )
     assert told.lines == ("2 views, FLIR E60, -3.0 °C to 41.3 °C.", "1 pair left out.")
     assert told.warnings == ("The distances differ.", "2 photos: It is old.", "b: It is blurred.")
 
@@ -40,10 +58,17 @@ def test_photos_without_temperatures_are_said():
 
 
 def test_poses_say_how_well_they_fit():
-    found = Reconstruction({}, {}, PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), None, (), None, "Found.")
+    found = Reconstruction(
+        {}, {}, PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), None, (), None, "Found."
+    )
     assert tell_poses(found).lines == ("Found.",)
-    failed = replace(found, reprojection_px=0.456, failed=(LeftOut("a", "blurred"), LeftOut("b", "blurred")))
-    assert tell_poses(failed).lines == ("Found. Reprojection error 0.46 px.", "2 images without a pose.")
+    failed = replace(
+        found, reprojection_px=0.456, failed=(LeftOut("a", "blurred"), LeftOut("b", "blurred"))
+    )
+    assert tell_poses(failed).lines == (
+        "Found. Reprojection error 0.46 px.",
+        "2 images without a pose.",
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,17 +86,28 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
     pose[0, 3] = 0.03
     views = (RigView("a", pose, 5, 0.1, 0.2),)
     rig = RigCalibration(
-        Lens(640, 480, 640.0, 640.0, 320.0, 240.0), pose, views, (0.28, 0.5), 0.36, 0.1, ("Hold still.",)
+        Lens(640, 480, 640.0, 640.0, 320.0, 240.0),
+        pose,
+        views,
+        (0.28, 0.5),
+        0.36,
+        0.1,
+        ("Hold still.",),
     )
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
         more = ("The target is in 5 pairs; 0.10 px residual.", *more)
     told = tell_thermal_camera(rig, False, metric)
-    assert told.lines == (f"53.1° wide, {offset} from the RGB camera; 0.28 px residual, 0.36 px uncertain.", *more)
+    assert told.lines == (
+        f"53.1° wide, {offset} from the RGB camera; 0.28 px residual, 0.36 px uncertain.",
+        *more,
+    )
     contradicts = metric and per_unit == 2.0
     assert told.warnings[0] == "Hold still."
     assert len(told.warnings) == 1 + contradicts
-    assert not contradicts or told.warnings[1].startswith("The target's squares say that the scene is 2.00 times")
+    assert not contradicts or told.warnings[1].startswith(
+        "The target's squares say that the scene is 2.00 times"
+    )
 
 
 def test_without_a_second_camera_that_is_said():

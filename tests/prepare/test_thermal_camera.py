@@ -18,7 +18,16 @@ from mrgs.prepare.contract import DevelopedView, Development, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
 from mrgs.scene import PointCloud
 
-LENS = {"camera_model": "OPENCV", "w": 32, "h": 24, "fl_x": 40.0, "cx": 16.0, "cy": 12.0, "k1": -0.3, "k2": 0.1}
+LENS = {
+    "camera_model": "OPENCV",
+    "w": 32,
+    "h": 24,
+    "fl_x": 40.0,
+    "cx": 16.0,
+    "cy": 12.0,
+    "k1": -0.3,
+    "k2": 0.1,
+}
 MOTION = [[0.0, -1.0, 0.0, 0.03], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 
 
@@ -47,8 +56,13 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
     for folder, size in (("images", (40, 30)), ("thermal", (32, 24))):
         (tmp_path / folder).mkdir()
         for name in "ab":
-            Image.fromarray(np.full(size[::-1], 100, np.uint8)).save(tmp_path / folder / f"{name}.png")
-    views = tuple(DevelopedView(name, f"images/{name}.png", f"thermal/{name}.png", ExifFacts()) for name in "ab")
+            Image.fromarray(np.full(size[::-1], 100, np.uint8)).save(
+                tmp_path / folder / f"{name}.png"
+            )
+    views = tuple(
+        DevelopedView(name, f"images/{name}.png", f"thermal/{name}.png", ExifFacts())
+        for name in "ab"
+    )
     found = Reconstruction(
         {"b": torch.eye(4, dtype=torch.float64)},
         {"b": Lens(40, 30, 40.0, 40.0, 20.0, 15.0)},
@@ -62,7 +76,12 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
     def called(metric: bool = True, images: str = "rgb", **options: object) -> object:
         development, reconstruction = Development(views, ()), replace(found, images=images)
         return calibrate_thermal_camera(
-            tmp_path, development, reconstruction, metric, PrepareOptions(**options), lambda step, done, total: None
+            tmp_path,
+            development,
+            reconstruction,
+            metric,
+            PrepareOptions(**options),
+            lambda step, done, total: None,
         )
 
     return called
@@ -75,7 +94,11 @@ def test_views_with_poses_are_calibrated(calibrate, asked):
     assert pairs[0].rgb.load().values.shape == (30, 40, 3)
     assert pairs[0].load_thermal().values.shape == (24, 32, 1)
     assert len(points.positions) == 3
-    assert (options.field_of_view_deg, options.thermal_lens, options.thermal_from_rgb) == (50.0, None, None)
+    assert (options.field_of_view_deg, options.thermal_lens, options.thermal_from_rgb) == (
+        50.0,
+        None,
+        None,
+    )
 
 
 def test_one_camera_needs_no_calibration(calibrate, asked):
@@ -86,7 +109,8 @@ def test_one_camera_needs_no_calibration(calibrate, asked):
 def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
     Image.fromarray(np.full((20, 32), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
     with pytest.raises(
-        SceneError, match=r"b: its RGB image has 40×30 px and its thermal image 32×20: they cannot show"
+        SceneError,
+        match=r"b: its RGB image has 40×30 px and its thermal image 32×20: they cannot show",
     ):
         calibrate(one_camera=True)
 
@@ -94,7 +118,10 @@ def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
 @pytest.mark.parametrize("options", [{"one_camera": True}, {"thermal_fov_deg": 40.0}])
 def test_thermal_images_alone_have_no_second_camera(calibrate, asked, options):
     assert calibrate(images="thermal") is None
-    with pytest.raises(ConfigError, match=r"there are thermal images alone, so that --thermal-fov, .* leave them out"):
+    with pytest.raises(
+        ConfigError,
+        match=r"there are thermal images alone, so that --thermal-fov, .* leave them out",
+    ):
         calibrate(images="thermal", **options)
     assert asked == []
 
@@ -110,14 +137,18 @@ def test_without_metres_the_lens_alone_is_taken(calibrate, asked, write):
     calibrate(False, thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
     assert asked[0][2].thermal_lens is not None
     assert asked[0][2].thermal_from_rgb is None
-    with pytest.raises(SceneError, match="offset is in metres, and these photos have no scale; add --known-distance"):
+    with pytest.raises(
+        SceneError,
+        match="offset is in metres, and these photos have no scale; add --known-distance",
+    ):
         calibrate(False, thermal_camera=write(thermal_from_rgb_m=MOTION))
 
 
 def test_a_camera_of_other_images_is_told(calibrate, asked, write):
     file = write(thermal_camera={**LENS, "w": 64, "h": 48})
     with pytest.raises(
-        SceneError, match=r"is for images of 64×48 px, but b\.png has 32×24 px; give the camera that took"
+        SceneError,
+        match=r"is for images of 64×48 px, but b\.png has 32×24 px; give the camera that took",
     ):
         calibrate(thermal_camera=file)
 
@@ -127,13 +158,28 @@ def test_a_camera_of_other_images_is_told(calibrate, asked, write):
     [
         ({"frames": []}, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them"),
         ({"thermal_camera": 5}, "thermal_camera is 5, not an object; correct it"),
-        ({"thermal_camera": {**LENS, "fl_x": None}}, "fl_x of thermal_camera is None, not a number"),
+        (
+            {"thermal_camera": {**LENS, "fl_x": None}},
+            "fl_x of thermal_camera is None, not a number",
+        ),
         ({"thermal_camera": {**LENS, "fl_x": -4}}, "the focal length of thermal_camera is -4"),
         ({"thermal_camera": {**LENS, "w": None}}, "w of thermal_camera is None, not a number"),
-        ({"thermal_camera": {**LENS, "p1": 0.01}}, "distorted by more than k1 and k2; calibrate it with these alone"),
-        ({"thermal_camera": {**LENS, "camera_model": "OPENCV_FISHEYE"}}, "distorted by more than k1 and k2"),
-        ({"thermal_from_rgb_m": [[1, 0], [0, 1]]}, "thermal_from_rgb_m is .*, not a 3×4 or 4×4 matrix"),
-        ({"thermal_from_rgb_m": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, "is not a rotation and a translation"),
+        (
+            {"thermal_camera": {**LENS, "p1": 0.01}},
+            "distorted by more than k1 and k2; calibrate it with these alone",
+        ),
+        (
+            {"thermal_camera": {**LENS, "camera_model": "OPENCV_FISHEYE"}},
+            "distorted by more than k1 and k2",
+        ),
+        (
+            {"thermal_from_rgb_m": [[1, 0], [0, 1]]},
+            "thermal_from_rgb_m is .*, not a 3×4 or 4×4 matrix",
+        ),
+        (
+            {"thermal_from_rgb_m": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]},
+            "is not a rotation and a translation",
+        ),
     ],
 )
 def test_a_bad_file_is_named(content, message, write):

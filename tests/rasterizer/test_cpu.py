@@ -27,11 +27,14 @@ def rasterize():
 
 
 def scene_of(random_scene: Callable, seed: int):
-    """3 to 60 Gaussians, so that the background shows through some scenes and others are opaque throughout."""
+    """3 to 60 Gaussians, so that the background shows through some scenes and others are opaque
+    throughout."""
     return random_scene(seed, n=3 + 57 * (seed % 10) // 9, dtype=torch.float32)
 
 
-def worst_errors(rasterize: Callable, random_scene: Callable, compare: Callable, seeds: Iterable[int] = SCENES):
+def worst_errors(
+    rasterize: Callable, random_scene: Callable, compare: Callable, seeds: Iterable[int] = SCENES
+):
     """The largest of each of the errors that ``errors_against_oracle`` names, over the scenes."""
     worst: dict[str, float] = {}
     for seed in seeds:
@@ -44,21 +47,33 @@ def worst_errors(rasterize: Callable, random_scene: Callable, compare: Callable,
 
 
 @pytest.mark.parametrize("seed", SCENES)
-def test_images_and_gradients_of_random_scenes(rasterize, random_scene, compare_with_oracle, seed, assert_small):
+def test_images_and_gradients_of_random_scenes(
+    rasterize, random_scene, compare_with_oracle, seed, assert_small
+):
     assert_small(worst_errors(rasterize, random_scene, compare_with_oracle, [seed]))
 
 
 @pytest.mark.parametrize("seed", SCENES[:30])
-def test_anti_aliased_images_and_gradients(rasterize, random_scene, compare_with_oracle, seed, assert_small):
-    assert_small(compare_with_oracle(rasterize, replace(scene_of(random_scene, seed), antialiased=True), seed=seed))
+def test_anti_aliased_images_and_gradients(
+    rasterize, random_scene, compare_with_oracle, seed, assert_small
+):
+    assert_small(
+        compare_with_oracle(
+            rasterize, replace(scene_of(random_scene, seed), antialiased=True), seed=seed
+        )
+    )
 
 
 def test_few_pixels_are_left_out_of_the_comparison(random_scene):
-    left_out = [scene_of(random_scene, seed).to(torch.float64).pixels_near_a_threshold() for seed in SCENES]
+    left_out = [
+        scene_of(random_scene, seed).to(torch.float64).pixels_near_a_threshold() for seed in SCENES
+    ]
     assert torch.stack(left_out).double().mean() < 0.005
 
 
-@pytest.mark.parametrize(("width", "height", "n"), [(1, 1, 4), (3, 50, 30), (64, 48, 60), (101, 75, 700)])
+@pytest.mark.parametrize(
+    ("width", "height", "n"), [(1, 1, 4), (3, 50, 30), (64, 48, 60), (101, 75, 700)]
+)
 def test_other_image_sizes_and_a_crowded_scene(
     rasterize, random_scene, compare_with_oracle, width, height, n, assert_small
 ):
@@ -93,7 +108,10 @@ def test_equal_depths_are_blended_in_the_order_of_their_index(
 ):
     scene = random_scene(4, dtype=torch.float32)
     camera_z = torch.tensor([[0.0, 0.0, 2.0]])
-    wall = torch.cat([torch.rand(60, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(60, 1)], dim=1)
+    wall = torch.cat(
+        [torch.rand(60, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(60, 1)],
+        dim=1,
+    )
     scene = replace(scene, viewmat=torch.eye(4), tensors=scene.tensors | {"means": wall + camera_z})
     assert_small(compare_with_oracle(rasterize, scene))
 
@@ -102,13 +120,17 @@ def test_equal_depths_are_blended_in_the_order_of_their_index(
 def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
     rasterize, random_scene, compare_with_oracle, seed, assert_small
 ):
-    """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this is rare.
+    """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this
+    is rare.
 
-    The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that ignores the clamp
-    misses it in every one of these scenes.
+    The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that
+    ignores the clamp misses it in every one of these scenes.
     """
     scene = random_scene(seed, n=12, dtype=torch.float32)
-    wide_and_opaque = {"scales": 15 * scene.tensors["scales"], "rgb.opacities": torch.full((12,), 0.99999)}
+    wide_and_opaque = {
+        "scales": 15 * scene.tensors["scales"],
+        "rgb.opacities": torch.full((12,), 0.99999),
+    }
     errors = compare_with_oracle(rasterize, replace(scene, tensors=scene.tensors | wide_and_opaque))
     assert_small(errors, gradient_error_max=1e-3)
 
@@ -117,7 +139,9 @@ def test_no_offset_is_an_offset_of_zero(rasterize, random_scene, images_of):
     scene = random_scene(6, dtype=torch.float32)
     zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(60, 2)})
     none = replace(scene, tensors=scene.tensors | {"means2d_offset": None})
-    for image, image_of_none in zip(images_of(zero.render(rasterize)), images_of(none.render(rasterize)), strict=True):
+    for image, image_of_none in zip(
+        images_of(zero.render(rasterize)), images_of(none.render(rasterize)), strict=True
+    ):
         assert torch.equal(image, image_of_none)
 
 
@@ -125,7 +149,9 @@ def test_no_offset_is_an_offset_of_zero(rasterize, random_scene, images_of):
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(rasterize, random_scene, n, assert_shows_the_background):
+def test_an_empty_view_shows_the_background(
+    rasterize, random_scene, n, assert_shows_the_background
+):
     scene = random_scene(0, n=n, dtype=torch.float32)
     assert_shows_the_background(rasterize, scene)
 
@@ -133,9 +159,13 @@ def test_an_empty_view_shows_the_background(rasterize, random_scene, n, assert_s
 # --- the same bits on every run
 
 
-def test_repeated_calls_give_the_same_bits(rasterize, random_scene, render_and_differentiate, assert_same_bits):
+def test_repeated_calls_give_the_same_bits(
+    rasterize, random_scene, render_and_differentiate, assert_same_bits
+):
     scene = random_scene(8, 300, 101, 75, torch.float32)
-    assert_same_bits(render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene))
+    assert_same_bits(
+        render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene)
+    )
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
@@ -154,26 +184,38 @@ def test_the_number_of_threads_does_not_change_a_bit(
     assert_same_bits(*results)
 
 
-def test_two_views_can_be_in_flight(rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits):
-    """Buffers may be kept between calls, but not those that an earlier result or its backward still needs."""
+def test_two_views_can_be_in_flight(
+    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
+):
+    """Buffers may be kept between calls, but not those that an earlier result or its backward still
+    needs."""
     first, second = (random_scene(seed, dtype=torch.float32).with_leaves() for seed in (12, 13))
-    expected = render_and_differentiate(rasterize, first), render_and_differentiate(rasterize, second)
+    expected = (
+        render_and_differentiate(rasterize, first),
+        render_and_differentiate(rasterize, second),
+    )
     rasters = [scene.render(rasterize) for scene in (first, second)]
     for raster in rasters:
         sum(image.square().sum() for image in images_of(raster)).backward()
     for scene, raster, result in zip((first, second), rasters, expected, strict=True):
         outputs = [*images_of(raster), raster.radii]
-        assert_same_bits((outputs, {name: tensor.grad for name, tensor in scene.tensors.items()}), result)
+        assert_same_bits(
+            (outputs, {name: tensor.grad for name, tensor in scene.tensors.items()}), result
+        )
 
 
 # --- the tensors that callers hand over
 
 
-def test_non_contiguous_inputs(rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits):
+def test_non_contiguous_inputs(
+    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
+):
     scene = random_scene(14, dtype=torch.float32)
     strided = replace(
         scene,
-        tensors={name: torch.stack([t, t - 1], dim=-1)[..., 0] for name, t in scene.tensors.items()},
+        tensors={
+            name: torch.stack([t, t - 1], dim=-1)[..., 0] for name, t in scene.tensors.items()
+        },
         viewmat=scene.viewmat.T.contiguous().T,
         K=scene.K.T.contiguous().T,
     )
@@ -184,16 +226,24 @@ def test_non_contiguous_inputs(rasterize, random_scene, images_of, render_and_di
     raster = strided.render(rasterize)
     sum(image.square().sum() for image in images_of(raster)).backward()
     grads = {name: tensor.grad for name, tensor in strided.tensors.items()}
-    assert_same_bits(([*images_of(raster), raster.radii], grads), render_and_differentiate(rasterize, scene))
+    assert_same_bits(
+        ([*images_of(raster), raster.radii], grads), render_and_differentiate(rasterize, scene)
+    )
 
 
-def test_non_contiguous_cotangents(rasterize, random_scene, render_and_differentiate, assert_same_bits):
+def test_non_contiguous_cotangents(
+    rasterize, random_scene, render_and_differentiate, assert_same_bits
+):
     scene = random_scene(15, dtype=torch.float32)
     dense = render_and_differentiate(
         rasterize, scene, lambda images: sum((i * torch.ones_like(i)).sum() for i in images)
     )
-    expanded = render_and_differentiate(rasterize, scene, lambda images: sum(i.sum() for i in images))
-    transposed = render_and_differentiate(rasterize, scene, lambda images: sum(i.transpose(0, 1).sum() for i in images))
+    expanded = render_and_differentiate(
+        rasterize, scene, lambda images: sum(i.sum() for i in images)
+    )
+    transposed = render_and_differentiate(
+        rasterize, scene, lambda images: sum(i.transpose(0, 1).sum() for i in images)
+    )
     assert_same_bits(dense, expanded)
     assert_same_bits(dense, transposed)
 
@@ -201,17 +251,25 @@ def test_non_contiguous_cotangents(rasterize, random_scene, render_and_different
 @pytest.mark.parametrize("used", range(6))
 def test_a_loss_on_one_image_only(rasterize, random_scene, used, render_and_differentiate):
     scene = random_scene(16, dtype=torch.float32)
-    _, grads = render_and_differentiate(rasterize, scene, lambda images: images[used].square().sum())
+    _, grads = render_and_differentiate(
+        rasterize, scene, lambda images: images[used].square().sum()
+    )
     _, padded = render_and_differentiate(
-        rasterize, scene, lambda images: sum((i.square() * (k == used)).sum() for k, i in enumerate(images))
+        rasterize,
+        scene,
+        lambda images: sum((i.square() * (k == used)).sum() for k, i in enumerate(images)),
     )
     other = "thermal" if used < 3 else "rgb"
     for name, gradient in padded.items():
-        assert torch.equal(gradient, torch.zeros_like(gradient) if grads[name] is None else grads[name]), name
+        assert torch.equal(
+            gradient, torch.zeros_like(gradient) if grads[name] is None else grads[name]
+        ), name
         assert not (name.startswith(other) and gradient.any()), name
 
 
-def test_gradients_flow_only_into_what_requires_them(rasterize, random_scene, images_of, render_and_differentiate):
+def test_gradients_flow_only_into_what_requires_them(
+    rasterize, random_scene, images_of, render_and_differentiate
+):
     scene = random_scene(17, dtype=torch.float32)
     _, all_grads = render_and_differentiate(rasterize, scene)
     for name in scene.tensors:
@@ -234,12 +292,15 @@ if __name__ == "__main__":
     from conftest import errors_against_oracle, make_random_scene
     from mrgs.rasterizer.cpu import rasterize as kernel
 
-    for error_name, largest in worst_errors(kernel, make_random_scene, errors_against_oracle).items():
+    for error_name, largest in worst_errors(
+        kernel, make_random_scene, errors_against_oracle
+    ).items():
         print(f"{error_name:26s} {largest:.1e}")
 
 
 def needles(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
-    """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels in float32."""
+    """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels
+    in float32."""
     angle = 0.32
     means = torch.tensor([[0.0, 0.0, 1.0], [0.01, 0.0, 1.2], [0.0, 0.02, 1.4]], dtype=dtype)
     quats = torch.tensor([[math.cos(angle), 0.0, 0.0, math.sin(angle)]], dtype=dtype).repeat(3, 1)
@@ -250,7 +311,9 @@ def needles(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
 def test_needles_keep_their_alpha(rasterize) -> None:
     alphas = []
     for function, dtype in ((rasterize, torch.float32), (reference.rasterize, torch.float64)):
-        layer = Layer(*(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3)))
+        layer = Layer(
+            *(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3))
+        )
         K = torch.tensor([[600.0, 0, 50], [0, 600, 40], [0, 0, 1]], dtype=dtype)
         raster = function(*needles(dtype), [layer], torch.eye(4, dtype=dtype), K, 100, 80)
         alphas.append(raster.blends[0].alpha.double())
@@ -272,7 +335,9 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
     means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
     plain = inspect.unwrap(rasterize)
-    with pytest.raises(ValueError, match=r"matching sizes; got torch.float32 \(1, 4\) on cpu where \(4, 4\)"):
+    with pytest.raises(
+        ValueError, match=r"matching sizes; got torch.float32 \(1, 4\) on cpu where \(4, 4\)"
+    ):
         plain(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
     with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
         plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
@@ -282,7 +347,9 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> 
     means = torch.tensor([[0.0, 0.0, 1.0]], requires_grad=True)
     layer = Layer(torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
-    raster = rasterize(means, torch.ones(1, 4), torch.full((1, 3), 0.1), [layer], torch.eye(4), K, 10, 8)
+    raster = rasterize(
+        means, torch.ones(1, 4), torch.full((1, 3), 0.1), [layer], torch.eye(4), K, 10, 8
+    )
     raster.blends[0].image.mul_(2)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         raster.blends[0].image.sum().backward()

@@ -1,7 +1,7 @@
 """The Triton kernels against the oracle (float64) on the same numbers.
 
-Without a CUDA device they are interpreted, which takes milliseconds for every step of a program: the scenes are tiny.
-What a GPU alone can do, larger scenes, is marked ``gpu``.
+Without a CUDA device they are interpreted, which takes milliseconds for every step of a program:
+the scenes are tiny. What a GPU alone can do, larger scenes, is marked ``gpu``.
 """
 
 from __future__ import annotations
@@ -22,14 +22,28 @@ from mrgs.rasterizer import Layer, reference
 
 @pytest.fixture
 def rasterize(gpu_device: str) -> Callable:
-    """The kernels; tensors go to their device and images come back from it, as the comparison expects."""
+    """The kernels; tensors go to their device and images come back from it, as the comparison
+    expects."""
     from mrgs.rasterizer import gpu
 
-    def on_device(means, quats, scales, layers, viewmat, K, width, height, means2d_offset=None, antialiased=False):
+    def on_device(
+        means,
+        quats,
+        scales,
+        layers,
+        viewmat,
+        K,
+        width,
+        height,
+        means2d_offset=None,
+        antialiased=False,
+    ):
         layers = [Layer(*(tensor.to(gpu_device) for tensor in layer)) for layer in layers]
         means, quats, scales = (tensor.to(gpu_device) for tensor in (means, quats, scales))
         offset = None if means2d_offset is None else means2d_offset.to(gpu_device)
-        raster = gpu.rasterize(means, quats, scales, layers, viewmat, K, width, height, offset, antialiased)
+        raster = gpu.rasterize(
+            means, quats, scales, layers, viewmat, K, width, height, offset, antialiased
+        )
         blends = tuple(type(blend)(*(image.cpu() for image in blend)) for blend in raster.blends)
         return type(raster)(blends, raster.radii.cpu())
 
@@ -39,7 +53,9 @@ def rasterize(gpu_device: str) -> Callable:
 # --- against the oracle
 
 
-@pytest.mark.parametrize(("seed", "n", "antialiased"), [(0, 3, False), (1, 12, True), (2, 25, False), (3, 18, True)])
+@pytest.mark.parametrize(
+    ("seed", "n", "antialiased"), [(0, 3, False), (1, 12, True), (2, 25, False), (3, 18, True)]
+)
 def test_images_and_gradients_of_random_scenes(
     rasterize, random_scene, compare_with_oracle, seed, n, antialiased, assert_small
 ):
@@ -55,8 +71,12 @@ def test_one_layer_and_layers_in_the_other_order(
     assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
 
 
-@pytest.mark.parametrize(("width", "height", "n"), [(1, 1, 4), (1, 20, 10), (33, 3, 10), (32, 16, 10)])
-def test_other_image_sizes(rasterize, random_scene, compare_with_oracle, width, height, n, assert_small):
+@pytest.mark.parametrize(
+    ("width", "height", "n"), [(1, 1, 4), (1, 20, 10), (33, 3, 10), (32, 16, 10)]
+)
+def test_other_image_sizes(
+    rasterize, random_scene, compare_with_oracle, width, height, n, assert_small
+):
     assert_small(compare_with_oracle(rasterize, random_scene(1, n, width, height, torch.float32)))
 
 
@@ -67,22 +87,32 @@ def test_pixels_that_are_finished_early(rasterize, random_scene, compare_with_or
     camera = scene.viewmat
     wall = torch.tensor([[0.0, 0.0, 0.5]]).repeat(5, 1) - camera[:3, 3]
     tensors["means"] = torch.cat([wall @ camera[:3, :3], tensors["means"][5:]])
-    tensors["scales"] = torch.cat([torch.tensor([[2.0, 1.5, 1.0]]).repeat(5, 1), tensors["scales"][5:]])
+    tensors["scales"] = torch.cat(
+        [torch.tensor([[2.0, 1.5, 1.0]]).repeat(5, 1), tensors["scales"][5:]]
+    )
     for modality in ("rgb", "thermal"):
-        tensors[f"{modality}.opacities"] = torch.cat([torch.full((5,), 0.95), tensors[f"{modality}.opacities"][5:]])
+        tensors[f"{modality}.opacities"] = torch.cat(
+            [torch.full((5,), 0.95), tensors[f"{modality}.opacities"][5:]]
+        )
     scene = replace(scene, tensors=tensors)
     assert scene.render(rasterize).blends[0].alpha.min() > 0.9999
     assert_small(compare_with_oracle(rasterize, scene))
 
 
-def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, random_scene, compare_with_oracle, assert_small):
-    """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this is rare.
+def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
+    rasterize, random_scene, compare_with_oracle, assert_small
+):
+    """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this
+    is rare.
 
-    The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that ignores the clamp
-    misses it.
+    The bound is wider, for 1 / (1 − α) multiplies float32's rounding by a thousand; a gradient that
+    ignores the clamp misses it.
     """
     scene = random_scene(0, 12, 20, 12, dtype=torch.float32)
-    wide_and_opaque = {"scales": 15 * scene.tensors["scales"], "rgb.opacities": torch.full((12,), 0.99999)}
+    wide_and_opaque = {
+        "scales": 15 * scene.tensors["scales"],
+        "rgb.opacities": torch.full((12,), 0.99999),
+    }
     errors = compare_with_oracle(rasterize, replace(scene, tensors=scene.tensors | wide_and_opaque))
     assert_small(errors, gradient_error_max=1e-3)
 
@@ -92,31 +122,43 @@ def test_equal_depths_are_blended_in_the_order_of_their_index(
 ):
     scene = random_scene(4, 20, 20, 12, dtype=torch.float32)
     camera_z = torch.tensor([[0.0, 0.0, 2.0]])
-    wall = torch.cat([torch.rand(20, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(20, 1)], dim=1)
+    wall = torch.cat(
+        [torch.rand(20, 2, generator=torch.Generator().manual_seed(0)) - 0.5, torch.zeros(20, 1)],
+        dim=1,
+    )
     scene = replace(scene, viewmat=torch.eye(4), tensors=scene.tensors | {"means": wall + camera_z})
     assert_small(compare_with_oracle(rasterize, scene))
 
 
 def test_needles_keep_their_alpha(rasterize) -> None:
-    """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels in float32."""
+    """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels
+    in float32."""
     alphas = []
     for function, dtype in ((rasterize, torch.float32), (reference.rasterize, torch.float64)):
         means = torch.tensor([[0.0, 0.0, 1.0], [0.01, 0.0, 1.2], [0.0, 0.02, 1.4]], dtype=dtype)
         quats = torch.tensor([[math.cos(0.32), 0.0, 0.0, math.sin(0.32)]], dtype=dtype).repeat(3, 1)
-        scales = torch.tensor([[30.0, 1e-4, 1e-4], [1.0, 1e-4, 1e-4], [5.0, 1e-4, 1e-4]], dtype=dtype)
-        layer = Layer(*(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3)))
+        scales = torch.tensor(
+            [[30.0, 1e-4, 1e-4], [1.0, 1e-4, 1e-4], [5.0, 1e-4, 1e-4]], dtype=dtype
+        )
+        layer = Layer(
+            *(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3))
+        )
         K = torch.tensor([[600.0, 0, 25], [0, 600, 20], [0, 0, 1]], dtype=dtype)
         raster = function(means, quats, scales, [layer], torch.eye(4, dtype=dtype), K, 50, 40)
         alphas.append(raster.blends[0].alpha.double())
     assert alphas[1].max() > 0.8
-    assert (alphas[0] - alphas[1]).abs().max() < 3e-5  # coordinates of 50 pixels have an error of 4e-6
+    assert (
+        alphas[0] - alphas[1]
+    ).abs().max() < 3e-5  # coordinates of 50 pixels have an error of 4e-6
 
 
 # --- nothing to see
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(rasterize, random_scene, n, assert_shows_the_background):
+def test_an_empty_view_shows_the_background(
+    rasterize, random_scene, n, assert_shows_the_background
+):
     scene = random_scene(0, n, 20, 12, dtype=torch.float32)
     assert_shows_the_background(rasterize, scene)
 
@@ -138,14 +180,21 @@ def test_a_gaussian_without_a_usable_size_is_left_out(rasterize, size: float) ->
 def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(
     rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
 ):
-    first, second = (random_scene(seed, 6, 20, 12, torch.float32).with_leaves() for seed in (12, 13))
-    expected = render_and_differentiate(rasterize, first), render_and_differentiate(rasterize, second)
+    first, second = (
+        random_scene(seed, 6, 20, 12, torch.float32).with_leaves() for seed in (12, 13)
+    )
+    expected = (
+        render_and_differentiate(rasterize, first),
+        render_and_differentiate(rasterize, second),
+    )
     rasters = [scene.render(rasterize) for scene in (first, second)]
     for raster in rasters:
         sum(image.square().sum() for image in images_of(raster)).backward()
     for scene, raster, result in zip((first, second), rasters, expected, strict=True):
         outputs = [*images_of(raster), raster.radii]
-        assert_same_bits((outputs, {name: tensor.grad for name, tensor in scene.tensors.items()}), result)
+        assert_same_bits(
+            (outputs, {name: tensor.grad for name, tensor in scene.tensors.items()}), result
+        )
 
 
 def test_non_contiguous_inputs_and_cotangents(
@@ -154,7 +203,9 @@ def test_non_contiguous_inputs_and_cotangents(
     scene = random_scene(14, 10, 20, 12, torch.float32)
     strided = replace(
         scene,
-        tensors={name: torch.stack([t, t - 1], dim=-1)[..., 0] for name, t in scene.tensors.items()},
+        tensors={
+            name: torch.stack([t, t - 1], dim=-1)[..., 0] for name, t in scene.tensors.items()
+        },
         viewmat=scene.viewmat.T.contiguous().T,
         K=scene.K.T.contiguous().T,
     )
@@ -164,7 +215,9 @@ def test_non_contiguous_inputs_and_cotangents(
     raster = strided.render(rasterize)
     sum(image.transpose(0, 1).sum() for image in images_of(raster)).backward()
     grads = {name: tensor.grad for name, tensor in strided.tensors.items()}
-    dense = render_and_differentiate(rasterize, scene, lambda images: sum(image.sum() for image in images))
+    dense = render_and_differentiate(
+        rasterize, scene, lambda images: sum(image.sum() for image in images)
+    )
     assert_same_bits(([*images_of(raster), raster.radii], grads), dense)
 
 
@@ -175,11 +228,17 @@ def test_a_loss_on_one_image_only(rasterize, random_scene, render_and_differenti
     assert not any(gradient.any() for name, gradient in grads.items() if name.startswith("rgb"))
 
 
-def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(rasterize, random_scene, images_of):
+def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(
+    rasterize, random_scene, images_of
+):
     scene = random_scene(6, 10, 20, 12, torch.float32)
     zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(10, 2)})
-    none = replace(scene, tensors=scene.tensors | {"means2d_offset": None}, viewmat=scene.viewmat.double())
-    for image, image_of_none in zip(images_of(zero.render(rasterize)), images_of(none.render(rasterize)), strict=True):
+    none = replace(
+        scene, tensors=scene.tensors | {"means2d_offset": None}, viewmat=scene.viewmat.double()
+    )
+    for image, image_of_none in zip(
+        images_of(zero.render(rasterize)), images_of(none.render(rasterize)), strict=True
+    ):
         assert torch.equal(image, image_of_none)
 
 
@@ -198,14 +257,19 @@ def test_too_many_pairs_are_refused(rasterize, random_scene, monkeypatch):
     from mrgs.rasterizer.gpu import rasterize as function
 
     monkeypatch.setattr(inspect.getmodule(function), "_MOST_PAIRS", 3)
-    with pytest.raises(MrgsError, match=r"the Gaussians reach \d+ tiles of the image together, and at most 3 can be"):
+    with pytest.raises(
+        MrgsError,
+        match=r"the Gaussians reach \d+ tiles of the image together, and at most 3 can be",
+    ):
         random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
 
 
 def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
     means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
-    with pytest.raises(ValueError, match=r"on one device; got torch.float32 \(1, 4\) on \w+(:0)? where \(4, 4\)"):
+    with pytest.raises(
+        ValueError, match=r"on one device; got torch.float32 \(1, 4\) on \w+(:0)? where \(4, 4\)"
+    ):
         rasterize(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
     with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
         rasterize(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
@@ -218,7 +282,12 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) ->
 
     means = torch.tensor([[0.0, 0.0, 1.0]], device=gpu_device, requires_grad=True)
     quats, scales = torch.ones(1, 4, device=gpu_device), torch.full((1, 3), 0.1, device=gpu_device)
-    layer = Layer(*(tensor.to(gpu_device) for tensor in (torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))))
+    layer = Layer(
+        *(
+            tensor.to(gpu_device)
+            for tensor in (torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
+        )
+    )
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
     raster = rasterize(means, quats, scales, [layer], torch.eye(4), K, 10, 8)
     raster.blends[0].image.mul_(2)
@@ -226,15 +295,21 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) ->
         raster.blends[0].image.sum().backward()
 
 
-def test_the_room_hands_what_the_kernels_take_to_the_kernels(gpu_device, random_scene, monkeypatch) -> None:
+def test_the_room_hands_what_the_kernels_take_to_the_kernels(
+    gpu_device, random_scene, monkeypatch
+) -> None:
     from mrgs.rasterizer import gpu
 
     called = []
     monkeypatch.setattr(gpu, "rasterize", lambda *arguments: called.append(arguments) or "raster")
     scene = random_scene(0, 3, dtype=torch.float32)
-    scene = replace(scene, tensors={name: tensor.to(gpu_device) for name, tensor in scene.tensors.items()})
+    scene = replace(
+        scene, tensors={name: tensor.to(gpu_device) for name, tensor in scene.tensors.items()}
+    )
     assert scene.render(inspect.unwrap(mrgs.rasterizer.rasterize)) == "raster"
-    scene = replace(scene, tensors={name: tensor.double() for name, tensor in scene.tensors.items()})
+    scene = replace(
+        scene, tensors={name: tensor.double() for name, tensor in scene.tensors.items()}
+    )
     scene.render(mrgs.rasterizer.rasterize)
     assert len(called) == 1
 
@@ -256,7 +331,9 @@ def test_crowded_scenes(rasterize, random_scene, compare_with_oracle, modalities
 @pytest.mark.gpu
 @pytest.mark.parametrize("seed", range(20))
 def test_more_random_scenes(rasterize, random_scene, compare_with_oracle, seed, assert_small):
-    assert_small(compare_with_oracle(rasterize, random_scene(seed, 60, dtype=torch.float32), seed=seed))
+    assert_small(
+        compare_with_oracle(rasterize, random_scene(seed, 60, dtype=torch.float32), seed=seed)
+    )
 
 
 @pytest.mark.gpu
@@ -265,4 +342,6 @@ def test_many_gaussians_give_the_same_bits_on_every_run(
 ):
     scene = random_scene(8, 50_000, 1280, 720, torch.float32)
     scene = replace(scene, tensors=scene.tensors | {"scales": 0.05 * scene.tensors["scales"]})
-    assert_same_bits(render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene))
+    assert_same_bits(
+        render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene)
+    )

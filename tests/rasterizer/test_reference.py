@@ -1,4 +1,5 @@
-"""The oracle against closed forms, plain Python loops, its own symmetries and finite differences."""
+"""The oracle against closed forms, plain Python loops, its own symmetries and finite
+differences."""
 
 from __future__ import annotations
 
@@ -20,7 +21,12 @@ from mrgs.rasterizer.reference import rasterize
 WIDTH, HEIGHT = 21, 15
 FX, FY, CX, CY = 20.0, 24.0, 10.5, 7.5  # the principal point is the centre of the pixel (10, 7)
 CENTRE = (7, 10)
-CAMERA = (torch.eye(4).double(), torch.tensor([[FX, 0, CX], [0, FY, CY], [0, 0, 1]]).double(), WIDTH, HEIGHT)
+CAMERA = (
+    torch.eye(4).double(),
+    torch.tensor([[FX, 0, CX], [0, FY, CY], [0, 0, 1]]).double(),
+    WIDTH,
+    HEIGHT,
+)
 
 
 def tensor(*values):
@@ -30,7 +36,11 @@ def tensor(*values):
 def isotropic(means, sigma):
     """means, quats (not normalised) and scales of round Gaussians."""
     n = len(means)
-    return means, tensor(0.4, -1.0, 0.3, 2.0).expand(n, 4), torch.full((n, 3), sigma, dtype=torch.float64)
+    return (
+        means,
+        tensor(0.4, -1.0, 0.3, 2.0).expand(n, 4),
+        torch.full((n, 3), sigma, dtype=torch.float64),
+    )
 
 
 def grey(opacities, features, background=0.0):
@@ -52,10 +62,14 @@ def at_centre(raster):
 
 
 def test_an_anti_aliased_gaussian_weighs_the_same_at_any_distance():
-    """Thinner than a pixel, it covers Σ α = o · 2π det(Σ' − 0.3 I)^½ px², as the Gaussian without the dilation does."""
+    """Thinner than a pixel, it covers Σ α = o · 2π det(Σ' − 0.3 I)^½ px², as the Gaussian without
+    the dilation does."""
     K = torch.tensor([[100.0, 0, 20], [0, 100.0, 20], [0, 0, 1]], dtype=torch.float64)
     for depth, sigma_px in ((5.0, 0.4), (8.0, 0.25)):
-        means, scales = torch.tensor([[0.0, 0.0, depth]]).double(), torch.full((1, 3), 0.02).double()
+        means, scales = (
+            torch.tensor([[0.0, 0.0, depth]]).double(),
+            torch.full((1, 3), 0.02).double(),
+        )
         quats, ones = torch.tensor([[1.0, 0, 0, 0]]).double(), torch.ones(1).double()
         layer = Layer(0.9 * ones, ones[:, None], 0 * ones)
         raster = reference.rasterize(
@@ -85,7 +99,9 @@ def test_the_nearer_gaussian_is_blended_first(depths):
     image, depth, alpha = at_centre(on_axis(depths, grey([0.5, 0.8], [1.0, 0.25], background=0.4)))
     (z1, o1, f1), (z2, o2, f2) = sorted(zip(depths, (0.5, 0.8), (1.0, 0.25), strict=True))
     w1, w2, passed = o1, (1 - o1) * o2, (1 - o1) * (1 - o2)
-    assert (image, depth, alpha) == pytest.approx((w1 * f1 + w2 * f2 + passed * 0.4, w1 * z1 + w2 * z2, 1 - passed))
+    assert (image, depth, alpha) == pytest.approx(
+        (w1 * f1 + w2 * f2 + passed * 0.4, w1 * z1 + w2 * z2, 1 - passed)
+    )
 
 
 def test_equal_depths_are_blended_in_the_order_of_their_index():
@@ -98,7 +114,9 @@ def test_equal_depths_are_blended_in_the_order_of_their_index():
 
 
 def test_the_gaussian_that_ends_the_pixel_counts_and_no_later_one_does():
-    image, _, alpha = at_centre(on_axis([1, 2, 3, 4], grey([0.98, 0.98, 0.9, 0.9], [0, 0, 1, 1], background=0.5)))
+    image, _, alpha = at_centre(
+        on_axis([1, 2, 3, 4], grey([0.98, 0.98, 0.9, 0.9], [0, 0, 1, 1], background=0.5))
+    )
     passed = 0.02 * 0.02 * 0.1  # 4e-4 before the third, 4e-5 after it
     assert alpha == pytest.approx(1 - passed, abs=1e-15)
     assert image == pytest.approx(0.02 * 0.02 * 0.9 + passed * 0.5)
@@ -136,12 +154,15 @@ def test_the_near_plane():
 
 @pytest.mark.parametrize("direction", [(0.3, -0.2), (0.72, 0.1), (-0.1, -0.55), (3.0, -2.0)])
 def test_projection_off_the_axis(direction):
-    """Σ' of a round Gaussian is σ² J Jᵀ + 0.3 I, with u and v clamped 0.3 half fields of view outside the image."""
+    """Σ' of a round Gaussian is σ² J Jᵀ + 0.3 I, with u and v clamped 0.3 half fields of view
+    outside the image."""
     sigma, z, cx, cy = 0.9, 3.0, 6.0, 9.0
     K = tensor([FX, 0, cx], [0, FY, cy], [0, 0, 1])
     x, y = direction
     u = min(max(x, -cx / FX - 0.3 * WIDTH / (2 * FX)), (WIDTH - cx) / FX + 0.3 * WIDTH / (2 * FX))
-    v = min(max(y, -cy / FY - 0.3 * HEIGHT / (2 * FY)), (HEIGHT - cy) / FY + 0.3 * HEIGHT / (2 * FY))
+    v = min(
+        max(y, -cy / FY - 0.3 * HEIGHT / (2 * FY)), (HEIGHT - cy) / FY + 0.3 * HEIGHT / (2 * FY)
+    )
     J = np.array([[FX / z, 0, -FX * u / z], [0, FY / z, -FY * v / z]])
     means, quats, scales = isotropic(tensor([x * z, y * z, z]), sigma)
     splats = reference.project(means, quats, scales, torch.eye(4).double(), K, WIDTH, HEIGHT)
@@ -203,8 +224,14 @@ def walk_pixel(scene, modality, column, row):
         u, v = np.clip((x, y), lowest, highest)
         N = np.array([[fx / z, 0, -fx * u / z], [0, fy / z, -fy * v / z]]) @ viewmat[:3, :3]
         N = N @ Rotation.from_quat(np.roll(t["quats"][i], -1)).as_matrix() @ np.diag(t["scales"][i])
-        d = np.array([column + 0.5, row + 0.5]) - (fx * x + cx, fy * y + cy) - t["means2d_offset"][i]
-        alpha = t[f"{modality}.opacities"][i] * np.exp(-0.5 * d @ np.linalg.inv(N @ N.T + 0.3 * np.eye(2)) @ d)
+        d = (
+            np.array([column + 0.5, row + 0.5])
+            - (fx * x + cx, fy * y + cy)
+            - t["means2d_offset"][i]
+        )
+        alpha = t[f"{modality}.opacities"][i] * np.exp(
+            -0.5 * d @ np.linalg.inv(N @ N.T + 0.3 * np.eye(2)) @ d
+        )
         alpha = min(0.999, alpha)
         if alpha < 1 / 255:
             continue
@@ -219,7 +246,9 @@ def test_random_scenes_against_plain_loops(random_scene, seed):
     scene = random_scene(seed)
     raster = scene.render(rasterize)
     rng = np.random.default_rng(seed)
-    for column, row in zip(rng.integers(0, scene.width, 12), rng.integers(0, scene.height, 12), strict=True):
+    for column, row in zip(
+        rng.integers(0, scene.width, 12), rng.integers(0, scene.height, 12), strict=True
+    ):
         for modality, blend in zip(("rgb", "thermal"), raster.blends, strict=True):
             image, depth, alpha = walk_pixel(scene, modality, column, row)
             np.testing.assert_allclose(blend.image[row, column], image, atol=1e-12)
@@ -245,10 +274,13 @@ def test_moving_world_and_camera_together_changes_nothing(random_scene, seed, ax
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = turn.as_matrix(), shift
     means = torch.from_numpy(turn.apply(scene.tensors["means"].numpy()) + shift)
-    quats = (turn * Rotation.from_quat(np.roll(scene.tensors["quats"].numpy(), -1, axis=1))).as_quat()
+    quats = (
+        turn * Rotation.from_quat(np.roll(scene.tensors["quats"].numpy(), -1, axis=1))
+    ).as_quat()
     moved = replace(
         scene,
-        tensors=scene.tensors | {"means": means, "quats": torch.from_numpy(np.roll(quats, 1, axis=1))},
+        tensors=scene.tensors
+        | {"means": means, "quats": torch.from_numpy(np.roll(quats, 1, axis=1))},
         viewmat=scene.viewmat @ torch.from_numpy(np.linalg.inv(motion)),
     )
     raster, moved_raster = scene.render(rasterize), moved.render(rasterize)
@@ -261,7 +293,10 @@ def test_moving_world_and_camera_together_changes_nothing(random_scene, seed, ax
 def test_the_order_of_rows_does_not_matter_when_depths_differ(random_scene, seed, order):
     scene = random_scene(seed, n=20)
     shuffled = {k: v if "background" in k else v[list(order)] for k, v in scene.tensors.items()}
-    raster, shuffled_raster = scene.render(rasterize), replace(scene, tensors=shuffled).render(rasterize)
+    raster, shuffled_raster = (
+        scene.render(rasterize),
+        replace(scene, tensors=shuffled).render(rasterize),
+    )
     assert_same_images(raster, shuffled_raster, atol=1e-12)
     torch.testing.assert_close(raster.radii[list(order)], shuffled_raster.radii)
 
@@ -271,7 +306,9 @@ def test_the_order_of_rows_does_not_matter_when_depths_differ(random_scene, seed
 def test_only_the_direction_of_a_quaternion_matters(random_scene, seed, factor):
     scene = random_scene(seed, n=20)
     for sign in (-1, 1):
-        scaled = replace(scene, tensors=scene.tensors | {"quats": scene.tensors["quats"] * sign * factor})
+        scaled = replace(
+            scene, tensors=scene.tensors | {"quats": scene.tensors["quats"] * sign * factor}
+        )
         assert_same_images(scene.render(rasterize), scaled.render(rasterize))
 
 
@@ -303,7 +340,9 @@ def test_nothing_visible_shows_the_background(random_scene, n):
     scene = replace(scene, tensors=scene.tensors | {"means": behind.requires_grad_()})
     raster = scene.render(rasterize)
     for modality, blend in zip(("rgb", "thermal"), raster.blends, strict=True):
-        assert torch.equal(blend.image, scene.tensors[f"{modality}.background"].expand_as(blend.image))
+        assert torch.equal(
+            blend.image, scene.tensors[f"{modality}.background"].expand_as(blend.image)
+        )
         assert not blend.depth.any()
         assert not blend.alpha.any()
     assert raster.radii.tolist() == [0.0] * n
@@ -314,16 +353,22 @@ def test_nothing_visible_shows_the_background(random_scene, n):
 
 # --- programmer errors
 
-unchecked_rasterize = unwrap(rasterize)  # a checker of the annotations, if the tests install one, would speak first
+unchecked_rasterize = unwrap(
+    rasterize
+)  # a checker of the annotations, if the tests install one, would speak first
 
 
 @pytest.mark.parametrize(
-    ("name", "shape"), [("means", (20, 2)), ("quats", (20, 3)), ("scales", (19, 3)), ("means2d_offset", (20, 3))]
+    ("name", "shape"),
+    [("means", (20, 2)), ("quats", (20, 3)), ("scales", (19, 3)), ("means2d_offset", (20, 3))],
 )
 def test_wrong_shapes_are_named(random_scene, name, shape):
     scene = random_scene(0, n=20)
     broken = replace(scene, tensors=scene.tensors | {name: torch.zeros(shape, dtype=torch.float64)})
-    with pytest.raises(ValueError, match=rf"^{name} must have the shape \[20, \d\], got \[{shape[0]}, {shape[1]}\]$"):
+    with pytest.raises(
+        ValueError,
+        match=rf"^{name} must have the shape \[20, \d\], got \[{shape[0]}, {shape[1]}\]$",
+    ):
         broken.render(unchecked_rasterize)
 
 
@@ -331,12 +376,18 @@ def test_wrong_layers_cameras_and_sizes_are_named(random_scene):
     scene = random_scene(0, n=20)
     with pytest.raises(ValueError, match="one layer or two, got 0"):
         scene.render(unchecked_rasterize, ())
-    with pytest.raises(ValueError, match=r"layers\[0\].opacities must have the shape \[20\], got \[3\]"):
-        replace(scene, tensors=scene.tensors | {"rgb.opacities": tensor(0.1, 0.2, 0.3)}).render(unchecked_rasterize)
-    with pytest.raises(ValueError, match=r"layers\[1\].background must have the shape \[1\], got \[3\]"):
-        replace(scene, tensors=scene.tensors | {"thermal.background": tensor(0.1, 0.2, 0.3)}).render(
+    with pytest.raises(
+        ValueError, match=r"layers\[0\].opacities must have the shape \[20\], got \[3\]"
+    ):
+        replace(scene, tensors=scene.tensors | {"rgb.opacities": tensor(0.1, 0.2, 0.3)}).render(
             unchecked_rasterize
         )
+    with pytest.raises(
+        ValueError, match=r"layers\[1\].background must have the shape \[1\], got \[3\]"
+    ):
+        replace(
+            scene, tensors=scene.tensors | {"thermal.background": tensor(0.1, 0.2, 0.3)}
+        ).render(unchecked_rasterize)
     with pytest.raises(ValueError, match=r"viewmat must have the shape \[4, 4\], got \[3, 4\]"):
         replace(scene, viewmat=scene.viewmat[:3]).render(unchecked_rasterize)
     with pytest.raises(ValueError, match="at least 1 pixel, got 0 x 29"):

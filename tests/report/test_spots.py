@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.baked import BakedModel
 from mrgs.report.spots import find_spots
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, Pixels, PosedImage, Reach, TemperatureRange, View
 
 HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
@@ -17,7 +17,9 @@ WARM = 0.5
 
 
 def camera_at(angle: float) -> Camera:
-    position = torch.tensor([1.2 * math.cos(angle), 1.2 * math.sin(angle), 2.0], dtype=torch.float64)
+    position = torch.tensor(
+        [1.2 * math.cos(angle), 1.2 * math.sin(angle), 2.0], dtype=torch.float64
+    )
     forward = -position / position.norm()
     right = torch.linalg.cross(forward, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     right = right / right.norm()
@@ -32,12 +34,14 @@ def views(count: int = 8, thermal: bool = True) -> list[View]:
     cameras = [camera_at(2 * math.pi * i / count) for i in range(count)]
     images = [PosedImage(camera, lambda: Pixels(torch.zeros(120, 160, 1))) for camera in cameras]
     return [
-        View(f"view_{i}", image if not thermal else None, image if thermal else None) for i, image in enumerate(images)
+        View(f"view_{i}", image if not thermal else None, image if thermal else None)
+        for i, image in enumerate(images)
     ]
 
 
 def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedModel:  # noqa: B006
-    """An opaque plane of 81 × 81 flat splats with a hot and a cold patch, and extra balls (place, temperature)."""
+    """An opaque plane of 81 × 81 flat splats with a hot and a cold patch, and extra balls (place,
+    temperature)."""
     grid = torch.linspace(-0.8, 0.8, 81)
     x, y = (axis.flatten() for axis in torch.meshgrid(grid, grid, indexing="ij"))
     means = torch.stack([x, y, torch.zeros_like(x)], dim=1)
@@ -52,7 +56,14 @@ def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedMo
     n = len(means)
     opacity, quats = torch.full((n,), 0.98), torch.tensor([1.0, 0, 0, 0]).repeat(n, 1)
     return BakedModel(
-        means, quats, scales, opacity, opacity, torch.zeros(n, 16, 3), temperatures, TemperatureRange(0.0, 100.0)
+        means,
+        quats,
+        scales,
+        opacity,
+        opacity,
+        torch.zeros(n, 16, 3),
+        temperatures,
+        TemperatureRange(0.0, 100.0),
     )
 
 
@@ -78,7 +89,9 @@ def test_what_lies_far_behind_the_scene_is_no_spot():
 
 def test_spots_of_a_list_keep_their_distance():
     hottest, _ = find_spots(views(), plane().render)
-    assert [spot.value for spot in hottest] == sorted((spot.value for spot in hottest), reverse=True)
+    assert [spot.value for spot in hottest] == sorted(
+        (spot.value for spot in hottest), reverse=True
+    )
     for i, spot in enumerate(hottest):
         assert all(np.linalg.norm(spot.position - other.position) > 0.15 for other in hottest[:i])
 

@@ -11,14 +11,17 @@ import torch
 from PIL import Image
 
 from mrgs.errors import RunError
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
-from mrgs.run import Run, load_run
+from mrgs.runs.open import Run, load_run
 from mrgs.training import make_config, train
-from mrgs.training.image_model import ImageModel, ImageModelConfig
 
 METRICS = {
     "steps": 60,
-    "mean": {"thermal": {"psnr": 41.239, "mae_c": 0.25, "lpips": None}, "rgb": {"psnr": 27.4, "ssim": 0.84}},
+    "mean": {
+        "thermal": {"psnr": 41.239, "mae_c": 0.25, "lpips": None},
+        "rgb": {"psnr": 27.4, "ssim": 0.84},
+    },
 }
 
 
@@ -69,7 +72,8 @@ def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     for words in (
         "Hottest and coldest spots", "H1", "C1", "position x, y, z",
-        "6 to learn from, 2 held out", "8, 40 × 30 pixels", "10 °C to 30 °C", "not in the scene's files",
+        "6 to learn from, 2 held "
+        "out", "8, 40 × 30 pixels", "10 °C to 30 °C", "not in the scene's files",
         "60 of 60", "Emissivity", "Reflections", "Where no photo looked", "The thermal photo reads",
     ):  # fmt: skip
         assert words in page.text
@@ -103,7 +107,9 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
 
 
 def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
-    (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS | {"steps": 30}), encoding="utf-8")
+    (run.folder.path / "eval" / "metrics.json").write_text(
+        json.dumps(METRICS | {"steps": 30}), encoding="utf-8"
+    )
     text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
     assert "Scored at step 30, but the model is now at step 60" in text
 
@@ -113,14 +119,18 @@ def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
 )
 def test_foreign_metrics_are_named(run, tmp_path, content):
     (run.folder.path / "eval" / "metrics.json").write_text(content, encoding="utf-8")
-    with pytest.raises(RunError, match=r"metrics\.json is not what `mrgs eval` writes .*; run `mrgs eval` again"):
+    with pytest.raises(
+        RunError, match=r"metrics\.json is not what `mrgs eval` writes .*; run `mrgs eval` again"
+    ):
         write_report(run, run.load_scene(), tmp_path / "report.html")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_broken_contact_sheet_is_named(run, tmp_path):
     (run.folder.path / "eval" / "contact_sheet.png").write_bytes(b"not a picture")
-    with pytest.raises(RunError, match=r"contact_sheet\.png cannot be read .*; make it anew with `mrgs eval`"):
+    with pytest.raises(
+        RunError, match=r"contact_sheet\.png cannot be read .*; make it anew with `mrgs eval`"
+    ):
         write_report(run, run.load_scene(), tmp_path / "report.html")
 
 
@@ -128,7 +138,10 @@ def test_names_from_files_are_escaped(run, tmp_path):
     scene = run.load_scene()
     evil = "<script>alert(1)</script>"
     scene = replace(
-        scene, name=evil, notes=(evil,), train=tuple(replace(view, name=evil + view.name) for view in scene.train)
+        scene,
+        name=evil,
+        notes=(evil,),
+        train=tuple(replace(view, name=evil + view.name) for view in scene.train),
     )
     page = Page(write_report(run, scene, tmp_path / "report.html"))
     assert "script" not in page.tags
@@ -152,11 +165,15 @@ def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, tmp_path):
         image_model=ImageModel(ImageModelConfig(thermal_gain=True), capture),
     )
     assert "mean scale" in Page(write_report(unknown, scene, tmp_path / "report.html")).text
-    assert "mean scale" not in Page(write_report(run, run.load_scene(), tmp_path / "other.html")).text
+    assert (
+        "mean scale" not in Page(write_report(run, run.load_scene(), tmp_path / "other.html")).text
+    )
 
 
 def test_temperatures_that_depend_on_the_view_are_spoken_of(run, tmp_path):
-    gaussians = replace(run.model.gaussians, temperature_rest=torch.zeros(len(run.model.gaussians), 15, 1))
+    gaussians = replace(
+        run.model.gaussians, temperature_rest=torch.zeros(len(run.model.gaussians), 15, 1)
+    )
     changing = replace(run, model=replace(run.model, gaussians=gaussians))
     scene = run.load_scene()
     assert "Viewpoint" in Page(write_report(changing, scene, tmp_path / "report.html")).text
@@ -167,10 +184,18 @@ def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):
     run = load_run(trained)
     with torch.no_grad():
         run.model.gaussians.opacity_thermal_logit.fill_(-4)
-    assert "No surface is seen by enough views" in Page(write_report(run, run.load_scene(), tmp_path / "r.html")).text
+    assert (
+        "No surface is seen by enough views"
+        in Page(write_report(run, run.load_scene(), tmp_path / "r.html")).text
+    )
 
 
 def test_a_scene_without_thermal_photos_has_no_spots(make_scene, tmp_path):
-    folder = train(make_scene(thermal=False), tmp_path / "run", make_config(max_steps=2, max_gaussians=60))
+    folder = train(
+        make_scene(thermal=False), tmp_path / "run", make_config(max_steps=2, max_gaussians=60)
+    )
     run = load_run(folder.path)
-    assert "no thermal photos" in Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    assert (
+        "no thermal photos"
+        in Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    )

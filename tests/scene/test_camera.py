@@ -77,15 +77,21 @@ def test_projecting_is_the_pinhole_equation(place):
 def test_what_is_not_before_the_camera_appears_nowhere():
     original = camera()
     beside = original.position + original.viewmat[0, :3]
-    pixels, depth = original.project(torch.stack([original.position - original.forward, beside, original.position]))
+    pixels, depth = original.project(
+        torch.stack([original.position - original.forward, beside, original.position])
+    )
     assert pixels.isnan().all()
-    torch.testing.assert_close(depth, torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64), rtol=0, atol=1e-12)
+    torch.testing.assert_close(
+        depth, torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64), rtol=0, atol=1e-12
+    )
     assert not original.contains(pixels).any()
 
 
 def test_an_image_contains_its_upper_and_left_border_but_not_the_others():
     inside = torch.tensor([[0.0, 0.0], [39.99, 29.99]])
-    outside = torch.tensor([[40.0, 5.0], [5.0, 30.0], [-0.01, 5.0], [5.0, -0.01], [float("nan"), 5.0]])
+    outside = torch.tensor(
+        [[40.0, 5.0], [5.0, 30.0], [-0.01, 5.0], [5.0, -0.01], [float("nan"), 5.0]]
+    )
     assert camera().contains(inside).all()
     assert not camera().contains(outside).any()
 
@@ -101,7 +107,10 @@ def test_position_and_forward_are_the_axes_of_the_camera():
     original = camera()
     at_centre = original.viewmat[:3, :3] @ original.position + original.viewmat[:3, 3]
     torch.testing.assert_close(at_centre, torch.zeros(3, dtype=torch.float64))
-    ahead = original.viewmat[:3, :3] @ (original.position + 2 * original.forward) + original.viewmat[:3, 3]
+    ahead = (
+        original.viewmat[:3, :3] @ (original.position + 2 * original.forward)
+        + original.viewmat[:3, 3]
+    )
     torch.testing.assert_close(ahead, torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64))
 
 

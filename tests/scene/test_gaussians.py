@@ -34,7 +34,9 @@ def test_scales_and_opacities_are_read_through_their_logarithms():
     assert len(gaussians) == 7
     torch.testing.assert_close(gaussians.scales.log(), gaussians.log_scales)
     torch.testing.assert_close(gaussians.opacity_rgb.logit(), gaussians.opacity_rgb_logit[:, 0])
-    torch.testing.assert_close(gaussians.opacity_thermal.logit(), gaussians.opacity_thermal_logit[:, 0])
+    torch.testing.assert_close(
+        gaussians.opacity_thermal.logit(), gaussians.opacity_thermal_logit[:, 0]
+    )
     assert not torch.equal(gaussians.opacity_rgb, gaussians.opacity_thermal)
 
 

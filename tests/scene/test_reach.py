@@ -28,14 +28,23 @@ def test_a_few_stray_points_do_not_count():
 
 
 def test_the_cameras_are_inside():
-    assert reach(shell(100, 0.1), [camera_at(-5.0, 0, 0), camera_at(5.0, 0, 0)]).radius == pytest.approx(5)
+    assert reach(
+        shell(100, 0.1), [camera_at(-5.0, 0, 0), camera_at(5.0, 0, 0)]
+    ).radius == pytest.approx(5)
 
 
 def test_what_is_nearer_to_the_background_than_to_the_scene_belongs_to_it():
     ball = reach(shell(100, 2.0), [camera_at(0.0, 0, 0)])
     assert ball.background_distance == pytest.approx(2 * TIMES_AS_FAR)
     distances = torch.tensor(
-        [0.0, 2.0, 0.9 * (1 + TIMES_AS_FAR), 1.1 * (1 + TIMES_AS_FAR), ball.background_distance, torch.nan]
+        [
+            0.0,
+            2.0,
+            0.9 * (1 + TIMES_AS_FAR),
+            1.1 * (1 + TIMES_AS_FAR),
+            ball.background_distance,
+            torch.nan,
+        ]
     )
     points = distances[:, None] * torch.tensor([0.0, 0.6, 0.8])
     assert ball.is_background(points).tolist() == [False, False, False, True, True, False]

@@ -38,12 +38,17 @@ def test_one_camera_serves_a_view_only_if_both_images_have_it():
 
 
 def test_extent_is_the_radius_of_all_training_cameras():
-    rgb_alone, both = View("a", image_at(4, 5, 6), None), View("b", image_at(0, 5, 6), image_at(2, 5, 6))
+    rgb_alone, both = (
+        View("a", image_at(4, 5, 6), None),
+        View("b", image_at(0, 5, 6), image_at(2, 5, 6)),
+    )
     assert scene_of(rgb_alone, both).extent == pytest.approx(1.1 * 2)
 
 
 def test_extent_of_cameras_that_stand_still_is_the_distance_of_the_points():
-    points = PointCloud(torch.tensor([[1.0, 2.0, 5.0], [1.0, 2.0, 7.0], [1.0, 2.0, 90.0]]), torch.zeros(3, 3))
+    points = PointCloud(
+        torch.tensor([[1.0, 2.0, 5.0], [1.0, 2.0, 7.0], [1.0, 2.0, 90.0]]), torch.zeros(3, 3)
+    )
     still, moved = View("a", image_at(1, 2, 3), None), View("b", image_at(1, 2, 3.0001), None)
     for views in ((still,), (still, moved)):
         assert Scene("scene", views, (), points, None).extent == pytest.approx(4, rel=1e-4)

@@ -37,7 +37,14 @@ def test_whole_images_are_converted(make):
 
 @pytest.mark.parametrize(
     ("low", "high"),
-    [(20.0, 20.0), (30.0, 10.0), (-300.0, 10.0), (float("nan"), 1.0), (0.0, float("nan")), (0.0, float("inf"))],
+    [
+        (20.0, 20.0),
+        (30.0, 10.0),
+        (-300.0, 10.0),
+        (float("nan"), 1.0),
+        (0.0, float("nan")),
+        (0.0, float("inf")),
+    ],
 )
 def test_what_is_no_range_is_refused(low, high):
     with pytest.raises(ValueError, match="not a temperature range in °C"):

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.synth.cameras import CameraArc
-from mrgs.synth.electronics import electronics
-from mrgs.synth.facade import facade
-from mrgs.synth.shapes import box
-from mrgs.synth.stage import Lamp, Material, Solid, Stage, constant
-from mrgs.synth.tabletop import tabletop
+from mrgs_synth.cameras import CameraArc
+from mrgs_synth.electronics import electronics
+from mrgs_synth.facade import facade
+from mrgs_synth.shapes import box
+from mrgs_synth.stage import Lamp, Material, Solid, Stage, constant
+from mrgs_synth.tabletop import tabletop
 
 
 @pytest.fixture(scope="session")
@@ -33,8 +33,21 @@ def two_boxes() -> Stage:
     red = Material(np.full((4, 4, 3), (220, 20, 20), dtype=np.uint8))
     return Stage(
         solids=(
-            Solid("slab", box(40.0, 40.0, 0.1), grey, lambda p: np.full(len(p), 20.0), (0.0, 0.0, -0.1)),
-            Solid("box", box(0.3, 0.2, 0.2), red, lambda p: 50.0 + 10.0 * p[:, 2], (0.1, 0.0, 0.0), 30.0),
+            Solid(
+                "slab",
+                box(40.0, 40.0, 0.1),
+                grey,
+                lambda p: np.full(len(p), 20.0),
+                (0.0, 0.0, -0.1),
+            ),
+            Solid(
+                "box",
+                box(0.3, 0.2, 0.2),
+                red,
+                lambda p: 50.0 + 10.0 * p[:, 2],
+                (0.1, 0.0, 0.0),
+                30.0,
+            ),
         ),
         lamps=(Lamp((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), (2.0, 2.0), (4.0, 4.0, 4.0)),),
         sky=(0.5, 0.5, 0.5),

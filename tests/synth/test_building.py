@@ -5,8 +5,18 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from mrgs.synth.building import Opening, beam, frustum, pane, pierced_wall, prism, reveal, rod, window_frame
-from mrgs.synth.shapes import Mesh
+from mrgs_synth.building import (
+    Opening,
+    beam,
+    frustum,
+    pane,
+    pierced_wall,
+    prism,
+    reveal,
+    rod,
+    window_frame,
+)
+from mrgs_synth.shapes import Mesh
 
 WINDOW = Opening("window", 0.5, 0.8, 1.0, 1.4)
 DOOR = Opening("door", -1.0, 0.0, 0.9, 2.0)
@@ -30,7 +40,9 @@ def volume(mesh: Mesh) -> float:
 
 def faces_along_normals(mesh: Mesh) -> bool:
     a, b, c = corners(mesh)
-    return bool((np.einsum("fd,fd->f", np.cross(b - a, c - a), mesh.normals[mesh.faces[:, 0]]) > 0.0).all())
+    return bool(
+        (np.einsum("fd,fd->f", np.cross(b - a, c - a), mesh.normals[mesh.faces[:, 0]]) > 0.0).all()
+    )
 
 
 @pytest.mark.parametrize(
@@ -49,7 +61,9 @@ def test_solids_are_closed_and_point_outwards(mesh: Mesh, expected: float) -> No
     assert faces_along_normals(mesh)
     _, welded = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = welded.ravel()[mesh.faces]
-    edges = Counter(map(tuple, np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist()))
+    edges = Counter(
+        map(tuple, np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist())
+    )
     assert all(edges[(b, a)] == count for (a, b), count in list(edges.items()))
 
 
@@ -77,7 +91,9 @@ def test_a_reveal_and_a_pane_close_an_opening() -> None:
     assert area(sides) == pytest.approx(0.2 * 2 * (1.0 + 1.4))
     assert faces_along_normals(sides)
     middle = np.array([WINDOW.x, 0.1, WINDOW.z + 0.7])
-    assert (np.einsum("vd,vd->v", middle - sides.vertices, sides.normals) > 0.0).all()  # seen from within
+    assert (
+        np.einsum("vd,vd->v", middle - sides.vertices, sides.normals) > 0.0
+    ).all()  # seen from within
     glass = pane(WINDOW, 0.2)
     assert area(glass) == pytest.approx(1.4)
     np.testing.assert_allclose(glass.vertices[:, 1], 0.2)

@@ -12,11 +12,11 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from mrgs.scene import Camera, TemperatureRange
-from mrgs.synth.generate import RAYS_PER_SIDE
-from mrgs.synth.hits import Triangles, exact_temperature, first_hits
-from mrgs.synth.sensor import ThermalSensor, quantise
-from mrgs.synth.stage import Stage
-from mrgs.synth.tracer import PathTracer
+from mrgs_synth.generate import RAYS_PER_SIDE
+from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.sensor import ThermalSensor, quantise
+from mrgs_synth.stage import Stage
+from mrgs_synth.tracer import PathTracer
 
 SCENE = Path(__file__).parents[2] / "examples" / "tabletop"
 EVAL_NAMES = [f"frame_eval_{number:05d}" for number in range(1, 9)]
@@ -48,17 +48,24 @@ def test_thermal_images_agree_with_the_exact_temperatures(name: str) -> None:
     low, high = bounds["absolute_min_temperature"], bounds["absolute_max_temperature"]
     celsius = low + read(SCENE / f"thermal/{name}.png") / 255.0 * (high - low)
     exact = read(SCENE / f"truth/temperature/{name}.tiff")
-    assert np.median(np.abs(celsius - exact)) < 0.2  # noise and rounding; the blur of outlines is in the mean
+    assert (
+        np.median(np.abs(celsius - exact)) < 0.2
+    )  # noise and rounding; the blur of outlines is in the mean
     assert 0.1 < np.abs(celsius - exact).mean() < 0.6
 
 
 def test_depths_of_neighbouring_views_agree(transforms: dict) -> None:
-    """A surface point found through one view's depth lies where another view's depth says, unless it is hidden."""
-    poses = {Path(f["file_path"]).stem: np.array(f["transform_matrix"]) for f in transforms["frames"]}
+    """A surface point found through one view's depth lies where another view's depth says, unless
+    it is hidden."""
+    poses = {
+        Path(f["file_path"]).stem: np.array(f["transform_matrix"]) for f in transforms["frames"]
+    }
     v, u = np.mgrid[0:240, 0:320] + 0.5
     focal = np.array([transforms["fl_x"], transforms["fl_y"]])
     centre = np.array([transforms["cx"], transforms["cy"]])
-    rays = np.concatenate([(np.stack([u, v], axis=-1) - centre) / focal, np.ones((240, 320, 1))], axis=-1)
+    rays = np.concatenate(
+        [(np.stack([u, v], axis=-1) - centre) / focal, np.ones((240, 320, 1))], axis=-1
+    )
     for first, second in pairwise(EVAL_NAMES):
         to_world, to_second = poses[first], np.linalg.inv(poses[second])
         opencv = np.diag([1.0, -1.0, -1.0])
@@ -71,7 +78,9 @@ def test_depths_of_neighbouring_views_agree(transforms: dict) -> None:
         error = (seen[inside, 2] - depth) / depth
         assert inside.mean() > 0.4
         assert np.median(np.abs(error)) < 0.005
-        assert np.mean(error < -0.03) < 0.02  # nothing stands before what the second view sees first
+        assert (
+            np.mean(error < -0.03) < 0.02
+        )  # nothing stands before what the second view sees first
 
 
 def third_eval_camera(table: Stage) -> Camera:
@@ -94,12 +103,18 @@ def test_the_generator_still_makes_this_scene(table: Stage, transforms: dict) ->
     grey = quantise(thermal, TemperatureRange(low, high)).astype(int)
     assert np.mean(grey != read(SCENE / f"thermal/{EVAL_NAMES[2]}.png")) < 1e-3
     # Another processor may round a ray to the other side of an outline.
-    assert np.mean(np.abs(exact_c - read(SCENE / f"truth/temperature/{EVAL_NAMES[2]}.tiff")) > 0.01) < 1e-3
-    assert np.mean(np.abs(depth_m - read(SCENE / f"truth/depth/{EVAL_NAMES[2]}.tiff")) > 0.001) < 1e-3
+    assert (
+        np.mean(np.abs(exact_c - read(SCENE / f"truth/temperature/{EVAL_NAMES[2]}.tiff")) > 0.01)
+        < 1e-3
+    )
+    assert (
+        np.mean(np.abs(depth_m - read(SCENE / f"truth/depth/{EVAL_NAMES[2]}.tiff")) > 0.001) < 1e-3
+    )
 
 
 def test_the_generator_still_paints_this_scene(tmp_path: Path, table: Stage) -> None:
-    """With fewer paths the photo is noisier than the bundled one, but nothing in it has another colour or place."""
+    """With fewer paths the photo is noisier than the bundled one, but nothing in it has another
+    colour or place."""
     pytest.importorskip("mitsuba", reason="the extra synth is not installed")
     photo = PathTracer(table, tmp_path).photograph(third_eval_camera(table), samples=4, seed=0)
     bundled = read(SCENE / f"images/{EVAL_NAMES[2]}.jpg")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from mrgs.synth.cameras import CameraArc, look_at, pinhole
+from mrgs_synth.cameras import CameraArc, look_at, pinhole
 
 coordinate = st.floats(-5.0, 5.0)
 point = st.tuples(coordinate, coordinate, coordinate).map(np.array)
@@ -32,7 +32,9 @@ def test_pinhole_has_the_field_of_view() -> None:
     assert K[:2, 2].tolist() == [160.0, 120.0]
 
 
-STILL = CameraArc((0.1, 0.2, 0.3), (-100.0, 80.0), ((20.0, 1.0), (40.0, 1.2), (60.0, 0.9)), jitter_m=0.0)
+STILL = CameraArc(
+    (0.1, 0.2, 0.3), (-100.0, 80.0), ((20.0, 1.0), (40.0, 1.2), (60.0, 0.9)), jitter_m=0.0
+)
 
 
 def azimuth_deg(camera, target: tuple[float, float, float]) -> float:
@@ -52,7 +54,10 @@ def test_train_cameras_are_even_and_alternate_in_height() -> None:
 def test_eval_cameras_lie_between_neighbours(train_count: int, count: int) -> None:
     rng = np.random.default_rng(0)
     train = [azimuth_deg(camera, STILL.target) for camera in STILL.train(train_count, 32, 24, rng)]
-    held_out = [azimuth_deg(camera, STILL.target) for camera in STILL.between(count, train_count, 32, 24, rng)]
+    held_out = [
+        azimuth_deg(camera, STILL.target)
+        for camera in STILL.between(count, train_count, 32, 24, rng)
+    ]
     spacing = 180.0 / train_count
     for angle in held_out:
         nearest = np.sort(np.abs(np.array(train) - angle))

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mrgs.synth import circuit
-from mrgs.synth.circuit import PIXELS_PER_MM, Footprint
+from mrgs_synth import circuit
+from mrgs_synth.circuit import PIXELS_PER_MM, Footprint
 
 RNG = np.random.Generator
 PARTS = [

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.synth import facade as scene
-from mrgs.synth.hits import Triangles, exact_temperature, first_hits
-from mrgs.synth.stage import Solid, Stage
+from mrgs_synth import facade as scene
+from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.stage import Solid, Stage
 
 OUTSIDE = ("yard", "fields", "hills")
 
@@ -39,7 +39,9 @@ def test_cameras_stand_in_the_yard_in_front_of_the_house(house: Stage) -> None:
     for solid in house.solids:
         if solid.name not in OUTSIDE:
             vertices = solid.world_mesh().vertices
-            inside = ((positions > vertices.min(axis=0) - 0.2) & (positions < vertices.max(axis=0) + 0.2)).all(axis=1)
+            inside = (
+                (positions > vertices.min(axis=0) - 0.2) & (positions < vertices.max(axis=0) + 0.2)
+            ).all(axis=1)
             assert not inside.any(), solid.name
 
 
@@ -49,7 +51,12 @@ def test_no_camera_sees_below_the_ground_or_into_the_house(house: Stage) -> None
         hits = first_hits(camera, triangles)
         points = hits.points[hits.solid >= 0]
         assert points[:, 2].min() > -0.15
-        in_house = (np.abs(points[:, 0]) < 5.9) & (points[:, 1] > 0.3) & (points[:, 1] < 7.9) & (points[:, 2] < 6.7)
+        in_house = (
+            (np.abs(points[:, 0]) < 5.9)
+            & (points[:, 1] > 0.3)
+            & (points[:, 1] < 7.9)
+            & (points[:, 2] < 6.7)
+        )
         assert not in_house.any()
 
 
@@ -69,7 +76,11 @@ def test_what_shows_in_thermal_images_alone_is_not_painted_on_the_wall(house: St
     rows = slice(round(height * (1 - 6.0 / 7.0)), round(height * (1 - 4.6 / 7.0)))
 
     def brightness(left: float, right: float) -> float:
-        return float(texture[rows, round((left / 12 + 0.5) * width) : round((right / 12 + 0.5) * width)].mean())
+        return float(
+            texture[
+                rows, round((left / 12 + 0.5) * width) : round((right / 12 + 0.5) * width)
+            ].mean()
+        )
 
     assert brightness(-3.4, -2.6) == pytest.approx(brightness(2.4, 3.2), abs=8.0)
 
@@ -94,5 +105,9 @@ def test_sky_snow_and_bonnet_are_in_view(house: Stage) -> None:
     celsius = exact_temperature(camera, house, triangles, 2)
     assert celsius.min() < -25.0
     assert celsius.max() > 8.0
-    names = {house.solids[index].name for index in np.unique(first_hits(camera, triangles).solid) if index >= 0}
+    names = {
+        house.solids[index].name
+        for index in np.unique(first_hits(camera, triangles).solid)
+        if index >= 0
+    }
     assert {"wall", "roof", "yard", "car_body"} <= names

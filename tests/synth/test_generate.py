@@ -9,19 +9,25 @@ import pytest
 from PIL import Image
 
 from mrgs.errors import ConfigError
-from mrgs.synth import SceneKind, synthesize
+from mrgs_synth import SceneKind, synthesize
 
 SMALL = {"width": 32, "height": 24, "train_views": 2, "eval_views": 1, "samples": 2}
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_a_scene_from_end_to_end_twice_the_same(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba", reason="the extra synth is not installed")
     calls: list[tuple[int, int]] = []
-    synthesize(tmp_path / "a", seed=5, progress=lambda done, total: calls.append((done, total)), **SMALL)
+    synthesize(
+        tmp_path / "a", seed=5, progress=lambda done, total: calls.append((done, total)), **SMALL
+    )
     synthesize(tmp_path / "b", seed=5, **SMALL)
     written = files(tmp_path / "a")
     assert calls == [(1, 3), (2, 3), (3, 3)]

@@ -7,13 +7,15 @@ import pytest
 import torch
 
 from mrgs.scene import Camera
-from mrgs.synth.cameras import look_at, pinhole
-from mrgs.synth.hits import Triangles, exact_temperature, first_hits
-from mrgs.synth.shapes import sphere
-from mrgs.synth.stage import Solid, Stage
+from mrgs_synth.cameras import look_at, pinhole
+from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.shapes import sphere
+from mrgs_synth.stage import Solid, Stage
 
 
-def camera_at(position: list[float], target: list[float], width: int = 64, height: int = 48) -> Camera:
+def camera_at(
+    position: list[float], target: list[float], width: int = 64, height: int = 48
+) -> Camera:
     viewmat = torch.from_numpy(look_at(np.array(position), np.array(target)))
     return Camera(pinhole(55.0, width, height), viewmat, width, height)
 
@@ -42,7 +44,9 @@ def test_nearest_surface_wins(two_boxes: Stage) -> None:
 
 
 def test_sphere_depth(two_boxes: Stage) -> None:
-    ball = dataclasses.replace(two_boxes.solids[0], mesh=sphere(0.5, segments=256), position=(0.0, 0.0, -0.5))
+    ball = dataclasses.replace(
+        two_boxes.solids[0], mesh=sphere(0.5, segments=256), position=(0.0, 0.0, -0.5)
+    )
     camera = camera_at([2.0, 0.0, 0.0], [0.0, 0.0, 0.0], 65, 49)
     hits = first_hits(camera, Triangles.of([ball]))
     hit = hits.solid == 0

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mrgs.synth import outdoor
-from mrgs.synth.outdoor import SnowCover
+from mrgs_synth import outdoor
+from mrgs_synth.outdoor import SnowCover
 
 RNG = np.random.Generator
 TEXTURES: dict[str, Callable[[RNG], np.ndarray]] = {

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrgs.synth.hits import Triangles, first_hits
-from mrgs.synth.points import sparse_points, visible
-from mrgs.synth.stage import Stage
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.points import sparse_points, visible
+from mrgs_synth.stage import Stage
 
 
 def test_points_lie_on_surfaces_that_two_cameras_see(two_boxes: Stage) -> None:
@@ -21,7 +21,10 @@ def test_points_lie_on_surfaces_that_two_cameras_see(two_boxes: Stage) -> None:
     assert np.abs(positions[~red, 2]).max() < 0.012  # the floor, six standard deviations
     assert positions[red, 2].min() > -0.012
     assert positions[red, 2].max() < 0.212
-    seen = sum(visible(positions, camera, hit).astype(int) for camera, hit in zip(cameras, hits, strict=True))
+    seen = sum(
+        visible(positions, camera, hit).astype(int)
+        for camera, hit in zip(cameras, hits, strict=True)
+    )
     assert np.mean(seen >= 2) > 0.95  # the noise moves a few across an outline
 
 

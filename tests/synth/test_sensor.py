@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrgs.scene import TemperatureRange
-from mrgs.synth.sensor import ThermalSensor, quantise, rounded_range
+from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
 
 NOISELESS = ThermalSensor(netd_c=0.0, column_noise_c=0.0)
 
@@ -22,7 +22,8 @@ def test_uniform_stays_uniform() -> None:
 
 @pytest.mark.parametrize("spread", [1.0, 1.2, 2.0])
 def test_point_spread(spread: float) -> None:
-    """The variance of a point's image, averaged over the four positions of a point on a detector pixel."""
+    """The variance of a point's image, averaged over the four positions of a point on a detector
+    pixel."""
     sensor = ThermalSensor(point_spread_px=spread, netd_c=0.0, column_noise_c=0.0)
     coordinate = np.arange(64)
     variances = []

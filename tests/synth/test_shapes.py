@@ -7,14 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.synth.shapes import Mesh, box, lathe, merge, sphere, tube
+from mrgs_synth.shapes import Mesh, box, lathe, merge, sphere, tube
 
 
 def is_closed(mesh: Mesh) -> bool:
     """Each edge is walked once in each direction, once the seams are welded."""
     _, welded = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = welded.ravel()[mesh.faces]
-    edges = Counter(map(tuple, np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist()))
+    edges = Counter(
+        map(tuple, np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist())
+    )
     return all(count == 1 and edges[(b, a)] == 1 for (a, b), count in list(edges.items()))
 
 
@@ -33,7 +35,11 @@ def normal_agreement(mesh: Mesh) -> float:
 
 
 def cylinder(radius: float, height: float) -> Mesh:
-    return lathe([(0.0, 0.0), (radius, 0.0)], [(radius, 0.0), (radius, height)], [(radius, height), (0.0, height)])
+    return lathe(
+        [(0.0, 0.0), (radius, 0.0)],
+        [(radius, 0.0), (radius, height)],
+        [(radius, height), (0.0, height)],
+    )
 
 
 BEND = np.linspace(0.0, 2.0, 30)
@@ -67,7 +73,9 @@ def test_placing_keeps_shape(x: float, y: float, z: float, yaw_deg: float) -> No
     placed = mesh.placed(x, y, z, yaw_deg)
     assert volume(placed) == pytest.approx(volume(mesh), rel=1e-6)
     assert normal_agreement(placed) == pytest.approx(normal_agreement(mesh), abs=1e-9)
-    np.testing.assert_allclose(placed.vertices.mean(axis=0) - mesh.vertices.mean(axis=0), [x, y, z], atol=0.05)
+    np.testing.assert_allclose(
+        placed.vertices.mean(axis=0) - mesh.vertices.mean(axis=0), [x, y, z], atol=0.05
+    )
 
 
 def test_yaw_is_counter_clockwise_from_above() -> None:

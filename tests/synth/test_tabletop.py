@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrgs.synth import tabletop as scene
-from mrgs.synth.hits import Triangles, exact_temperature, first_hits
-from mrgs.synth.stage import Stage
+from mrgs_synth import tabletop as scene
+from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.stage import Stage
 
 ROOM = ("floor", "wall")
 
@@ -25,16 +25,22 @@ def test_cameras_are_inside_the_room_and_outside_everything_else(table: Stage) -
     for solid in table.solids:
         if not solid.name.startswith(ROOM):
             vertices = solid.world_mesh().vertices
-            inside = ((positions > vertices.min(axis=0) - 0.1) & (positions < vertices.max(axis=0) + 0.1)).all(axis=1)
+            inside = (
+                (positions > vertices.min(axis=0) - 0.1) & (positions < vertices.max(axis=0) + 0.1)
+            ).all(axis=1)
             assert not inside.any(), solid.name
-    room = np.concatenate([s.world_mesh().vertices for s in table.solids if s.name.startswith(ROOM)])
+    room = np.concatenate(
+        [s.world_mesh().vertices for s in table.solids if s.name.startswith(ROOM)]
+    )
     assert (positions > room.min(axis=0) + 0.05).all()
     assert (positions < room.max(axis=0) - 0.05).all()
 
 
 def test_every_ray_meets_a_surface_and_no_camera_sees_a_lamp(table: Stage) -> None:
     triangles = Triangles.of(table.solids)
-    lowest_lamp = min(lamp.position[2] - max(lamp.size_m) / 2 for lamp in table.lamps if lamp.size_m[0] < 2.0)
+    lowest_lamp = min(
+        lamp.position[2] - max(lamp.size_m) / 2 for lamp in table.lamps if lamp.size_m[0] < 2.0
+    )
     for camera in table.cameras.train(10, 48, 36, np.random.default_rng(0)):
         hits = first_hits(camera, triangles)
         assert (hits.solid >= 0).all()
@@ -59,7 +65,9 @@ def test_cloth_has_the_temperature_of_the_table_under_it(table: Stage) -> None:
     points = by_name["cloth"].world_mesh().vertices
     points = points[points[:, 2] > 0.001]
     np.testing.assert_allclose(
-        by_name["cloth"].temperature_at(points), by_name["table_top"].temperature_at(points), atol=1e-6
+        by_name["cloth"].temperature_at(points),
+        by_name["table_top"].temperature_at(points),
+        atol=1e-6,
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mrgs.synth import textures
+from mrgs_synth import textures
 
 RNG = np.random.Generator
 PALETTE = [(214, 120, 70), (250, 220, 160), (60, 90, 110)]
@@ -18,7 +18,9 @@ TEXTURES: dict[str, Callable[[RNG], np.ndarray]] = {
     "title_page": lambda rng: textures.title_page(140, 100, PALETTE, rng),
     "pages": lambda rng: textures.pages(40, 120, rng),
     "bands": lambda rng: textures.bands(64, 80, [(0.5, PALETTE[0]), (1.0, PALETTE[1])], rng),
-    "speckles": lambda rng: textures.speckles(textures.plain((0, 0, 90), rng), PALETTE[1], 40, 3.0, rng),
+    "speckles": lambda rng: textures.speckles(
+        textures.plain((0, 0, 90), rng), PALETTE[1], 40, 3.0, rng
+    ),
     "weave": lambda rng: textures.weave(80, 120, PALETTE[:2], PALETTE[1:], 8),
     "instrument_panel": lambda rng: textures.instrument_panel(80, 120, rng),
 }
@@ -35,7 +37,9 @@ def test_textures_are_seeded_and_never_flat(name: str) -> None:
 
 
 def test_bands_follow_their_limits() -> None:
-    texture = textures.bands(100, 20, [(0.25, (255, 0, 0)), (1.0, (0, 255, 0))], np.random.default_rng(0))
+    texture = textures.bands(
+        100, 20, [(0.25, (255, 0, 0)), (1.0, (0, 255, 0))], np.random.default_rng(0)
+    )
     assert (texture[:25, :, 0] > 200).all()
     assert (texture[25:, :, 0] == 0).all()
     assert (texture[25:, :, 1] > 200).all()

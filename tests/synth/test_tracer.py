@@ -10,15 +10,22 @@ import torch
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
-from mrgs.synth.cameras import look_at, pinhole
-from mrgs.synth.hits import Triangles, first_hits
-from mrgs.synth.shapes import box
-from mrgs.synth.stage import Stage
-from mrgs.synth.tracer import PathTracer, load_mitsuba, to_srgb
+from mrgs_synth.cameras import look_at, pinhole
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.shapes import box
+from mrgs_synth.stage import Stage
+from mrgs_synth.tracer import PathTracer, load_mitsuba, to_srgb
 
 
 def test_srgb_curve() -> None:
-    assert to_srgb(np.array([-1.0, 0.0, 0.002, 0.2140, 1.0, 7.0])).tolist() == [0, 0, 7, 127, 255, 255]
+    assert to_srgb(np.array([-1.0, 0.0, 0.002, 0.2140, 1.0, 7.0])).tolist() == [
+        0,
+        0,
+        7,
+        127,
+        255,
+        255,
+    ]
 
 
 def test_missing_mitsuba_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,11 +49,19 @@ def test_photos_and_first_hits_see_the_same_outlines(tmp_path: Path, two_boxes: 
 def test_a_panorama_is_seen_where_it_should_be(tmp_path: Path, two_boxes: Stage) -> None:
     pytest.importorskip("mitsuba", reason="the extra synth is not installed")
     sky = np.zeros((64, 128, 3))
-    sky[:8], sky[24:32, 28:36], sky[24:32, 60:68] = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    sky[:8], sky[24:32, 28:36], sky[24:32, 60:68] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     stage = dataclasses.replace(two_boxes, lamps=(), sky=sky)
     tracer = PathTracer(stage, tmp_path)
     above = np.tan(np.radians(11.25))  # the elevation of the rows 24 to 32
-    for direction, colour in (((0.0, 0.01, 1.0), 0), ((1.0, 0.0, above), 1), ((0.0, -1.0, above), 2)):
+    for direction, colour in (
+        ((0.0, 0.01, 1.0), 0),
+        ((1.0, 0.0, above), 1),
+        ((0.0, -1.0, above), 2),
+    ):
         position = np.array([0.0, 0.0, 5.0])
         viewmat = torch.from_numpy(look_at(position, position + np.array(direction)))
         camera = Camera(pinhole(6.0, 32, 24), viewmat, 32, 24)
@@ -68,10 +83,16 @@ def test_texture_stands_upright(tmp_path: Path, two_boxes: Stage) -> None:
     )
     stage = dataclasses.replace(two_boxes, solids=(wall,), lamps=())
     camera = dataclasses.replace(
-        stage.cameras, rings=((5.0, 1.0),), azimuth_deg=(0.0, 0.0), jitter_m=0.0, target=(0.0, 0.0, 0.2)
+        stage.cameras,
+        rings=((5.0, 1.0),),
+        azimuth_deg=(0.0, 0.0),
+        jitter_m=0.0,
+        target=(0.0, 0.0, 0.2),
     )
     photo = (
-        PathTracer(stage, tmp_path).photograph(camera.train(1, 64, 48, np.random.default_rng(0))[0], 4, 0).astype(int)
+        PathTracer(stage, tmp_path)
+        .photograph(camera.train(1, 64, 48, np.random.default_rng(0))[0], 4, 0)
+        .astype(int)
     )
     upper_left, lower_right = photo[18, 26], photo[30, 38]
     assert upper_left[0] > 100

@@ -9,13 +9,15 @@ from PIL import Image
 
 from mrgs.errors import ConfigError
 from mrgs.scene import TemperatureRange
-from mrgs.synth.stage import Stage
-from mrgs.synth.write import SceneFolder, opengl_camera_to_world, write_float_tiff
+from mrgs_synth.stage import Stage
+from mrgs_synth.write import SceneFolder, opengl_camera_to_world, write_float_tiff
 
 
 def test_transforms_follow_nerfstudio(tmp_path: Path, two_boxes: Stage) -> None:
     cameras = two_boxes.cameras.train(2, 32, 24, np.random.default_rng(0))
-    SceneFolder.create(tmp_path).transforms({"frame_train_00001": cameras[0], "frame_eval_00001": cameras[1]})
+    SceneFolder.create(tmp_path).transforms(
+        {"frame_train_00001": cameras[0], "frame_eval_00001": cameras[1]}
+    )
     written = json.loads((tmp_path / "transforms.json").read_text())
     assert (written["w"], written["h"], written["cx"], written["cy"]) == (32, 24, 16.0, 12.0)
     assert written["camera_model"] == "OPENCV"
@@ -63,7 +65,10 @@ def test_images_bounds_and_points(tmp_path: Path) -> None:
     folder.thermal("frame_train_00001", grey)
     folder.rgb("frame_train_00001", np.repeat(np.full_like(grey, 90)[..., None], 3, axis=2))
     folder.temperature_bounds(TemperatureRange(-1.0, 83.0))
-    folder.points(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), np.array([[1, 2, 3], [4, 5, 6]], dtype=np.uint8))
+    folder.points(
+        np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+        np.array([[1, 2, 3], [4, 5, 6]], dtype=np.uint8),
+    )
     with Image.open(tmp_path / "thermal/frame_train_00001.png") as image:
         assert image.mode == "L"
         np.testing.assert_array_equal(np.asarray(image), grey)

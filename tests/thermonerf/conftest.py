@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 import torch
 
-from mrgs.thermonerf import ThermoNerfConfig
-from mrgs.thermonerf.field import FieldConfig
-from mrgs.thermonerf.frame import Frame
-from mrgs.thermonerf.hash_grid import HashGridConfig
-from mrgs.thermonerf.sampling import SamplingConfig
+from mrgs.baselines.thermonerf import ThermoNerfConfig
+from mrgs.baselines.thermonerf.field import FieldConfig
+from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.hash_grid import HashGridConfig
+from mrgs.baselines.thermonerf.sampling import SamplingConfig
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
+from mrgs.baselines.thermonerf import ThermoNerfConfig, from_yaml, make_config
+from mrgs.baselines.thermonerf.config import is_thermonerf, to_yaml
 from mrgs.errors import ConfigError
-from mrgs.thermonerf import ThermoNerfConfig, from_yaml, make_config
-from mrgs.thermonerf.config import is_thermonerf, to_yaml
-from mrgs.training import config as training_config
+from mrgs.method import config as training_config
 
 
 def test_what_is_written_is_read_back(make_small_config):
@@ -43,7 +43,8 @@ def test_the_learning_rate_decays_from_one_end_to_the_other():
         ("resolution: 3", "x.yaml: resolution must be at least 16 px, not 3"),
         (
             "learning_rate_final: 1",
-            "x.yaml: learning_rate_final must be positive and not above learning_rate, not 1.0 with 0.01",
+            "x.yaml: learning_rate_final must be positive and not above learning_rate, not 1.0 "
+            "with 0.01",
         ),
         ("method: mrgs", "x.yaml: method must be one of thermonerf, not 'mrgs'"),
         ("sampling: {field: 1}", "x.yaml: sampling: a ray needs at least 2 samples, not 1"),
@@ -62,8 +63,15 @@ def test_text_that_is_not_yaml_is_named():
 
 def test_a_preset_sets_steps_and_rays():
     config = make_config("paper", resolution=320, seed=3)
-    assert (config.max_steps, config.rays_per_batch, config.resolution, config.seed) == (30_000, 4_096, 320, 3)
+    assert (config.max_steps, config.rays_per_batch, config.resolution, config.seed) == (
+        30_000,
+        4_096,
+        320,
+        3,
+    )
     assert make_config("fast", max_steps=7).max_steps == 7
     assert make_config() == ThermoNerfConfig()
-    with pytest.raises(ConfigError, match="there is no preset 'slow': choose one of fast, default, paper"):
+    with pytest.raises(
+        ConfigError, match="there is no preset 'slow': choose one of fast, default, paper"
+    ):
         make_config("slow")

@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
+from mrgs.baselines.thermonerf.field import Field, FieldConfig, density_of, harmonics_of
+from mrgs.baselines.thermonerf.hash_grid import HashGridConfig
 from mrgs.errors import ConfigError
-from mrgs.thermonerf.field import Field, FieldConfig, density_of, harmonics_of
-from mrgs.thermonerf.hash_grid import HashGridConfig
 
 
 def test_densities_are_positive_and_finite():
@@ -29,7 +29,9 @@ def test_colour_depends_on_the_view_and_temperature_cannot():
     field = Field(FieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
     densities, features = field.density(torch.rand(5, 3))
     assert densities.shape == (5,)
-    toward = [harmonics_of(torch.tensor([axis]).expand(5, 3)) for axis in ([1.0, 0, 0], [0, 0, 1.0])]
+    toward = [
+        harmonics_of(torch.tensor([axis]).expand(5, 3)) for axis in ([1.0, 0, 0], [0, 0, 1.0])
+    ]
     colors = [field.color(features, harmonics) for harmonics in toward]
     assert (colors[0] - colors[1]).abs().min() > 1e-4
     temperatures = field.temperature(features)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from mrgs.baselines.thermonerf.hash_grid import INITIAL_RANGE, HashGrid, HashGridConfig
 from mrgs.errors import ConfigError
-from mrgs.thermonerf.hash_grid import INITIAL_RANGE, HashGrid, HashGridConfig
 
 
 def test_resolutions_grow_geometrically_between_the_two_ends():
@@ -24,7 +24,10 @@ def test_a_level_has_an_entry_per_corner_or_the_most_there_may_be():
     ("values", "message"),
     [
         ((0, 4, 8, 10), "levels must be at least 1, not 0"),
-        ((2, 8, 4, 10), "a grid's resolutions must be 1 <= coarsest <= finest <= 1048576, not 8, 4"),
+        (
+            (2, 8, 4, 10),
+            "a grid's resolutions must be 1 <= coarsest <= finest <= 1048576, not 8, 4",
+        ),
         ((2, 4, 8, 30), "log2_entries must be from 4 to 24, not 30"),
     ],
 )

@@ -5,8 +5,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrgs.baselines.thermonerf.losses import (
+    LossConfig,
+    distortion_loss,
+    interlevel_loss,
+    squared_error,
+)
 from mrgs.errors import ConfigError
-from mrgs.thermonerf.losses import LossConfig, distortion_loss, interlevel_loss, squared_error
 
 
 def random_edges(rays: int, count: int, seed: int) -> torch.Tensor:
@@ -16,7 +21,10 @@ def random_edges(rays: int, count: int, seed: int) -> torch.Tensor:
 
 
 def random_weights(rays: int, count: int, seed: int) -> torch.Tensor:
-    values = torch.rand(rays, count, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) + 0.01
+    values = (
+        torch.rand(rays, count, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        + 0.01
+    )
     return values / values.sum(dim=1, keepdim=True)
 
 
@@ -30,7 +38,8 @@ def test_interlevel_loss_is_that_of_the_loop(seed):
             bound = sum(
                 proposal_weights[ray, j].item()
                 for j in range(9)
-                if proposal_edges[ray, j] < edges[ray, i + 1] and proposal_edges[ray, j + 1] > edges[ray, i]
+                if proposal_edges[ray, j] < edges[ray, i + 1]
+                and proposal_edges[ray, j + 1] > edges[ray, i]
             )
             weight = weights[ray, i].item()
             expected += max(0.0, weight - bound) ** 2 / (weight + 1e-7) / 2
@@ -45,12 +54,16 @@ def test_a_proposal_that_covers_the_field_costs_nothing():
 
 def test_interlevel_gradients_reach_the_proposals_alone():
     edges, weights = random_edges(2, 6, 0), random_weights(2, 6, 1).requires_grad_()
-    proposal_edges, proposal_weights = random_edges(2, 9, 2), (0.3 * random_weights(2, 9, 3)).requires_grad_()
+    proposal_edges, proposal_weights = (
+        random_edges(2, 9, 2),
+        (0.3 * random_weights(2, 9, 3)).requires_grad_(),
+    )
     interlevel_loss(edges, weights, proposal_edges, proposal_weights).backward()
     assert weights.grad is None
     assert proposal_weights.grad.abs().max() > 0
     assert torch.autograd.gradcheck(
-        lambda proposals: interlevel_loss(edges, weights, proposal_edges, proposals), proposal_weights
+        lambda proposals: interlevel_loss(edges, weights, proposal_edges, proposals),
+        proposal_weights,
     )
 
 

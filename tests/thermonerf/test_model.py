@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import torch
 
+from mrgs.baselines.thermonerf import model as model_module
+from mrgs.baselines.thermonerf.frame import frame_of
+from mrgs.baselines.thermonerf.step import new_model
 from mrgs.data import load_scene
-from mrgs.thermonerf import model as model_module
-from mrgs.thermonerf.frame import frame_of
-from mrgs.thermonerf.step import new_model
 
 
 def test_a_view_is_rendered_from_each_of_its_cameras(small_scene, make_small_config):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import torch
 
+from mrgs.baselines.thermonerf.frame import frame_of
+from mrgs.baselines.thermonerf.pixels import PixelPool
 from mrgs.data import load_scene
 from mrgs.scene import Pixels, PosedImage
-from mrgs.thermonerf.frame import frame_of
-from mrgs.thermonerf.pixels import PixelPool
 
 
 def drawn(scene, count=64, seed=0):

@@ -7,8 +7,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrgs.baselines.thermonerf.sampling import SamplingConfig, Spacing, even_edges, resample
 from mrgs.errors import ConfigError
-from mrgs.thermonerf.sampling import SamplingConfig, Spacing, even_edges, resample
 
 weights = st.lists(st.floats(0, 1, width=32), min_size=2, max_size=20)
 
@@ -49,7 +49,9 @@ def test_each_new_interval_holds_the_same_share_of_the_weight(values):
     found = resample(edges, padded, count, None)[0]
     share = (padded[0] + 0.01 / len(values)) / (padded[0] + 0.01 / len(values)).sum()
     for low, high in pairwise(found):
-        overlap = (torch.minimum(high, edges[0, 1:]) - torch.maximum(low, edges[0, :-1])).clamp(min=0)
+        overlap = (torch.minimum(high, edges[0, 1:]) - torch.maximum(low, edges[0, :-1])).clamp(
+            min=0
+        )
         held = (share * overlap / (edges[0, 1:] - edges[0, :-1])).sum().item()
         assert held == pytest.approx(1 / count, abs=1e-9)
 

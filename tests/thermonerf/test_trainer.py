@@ -8,11 +8,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from mrgs.baselines.thermonerf import step as step_module
+from mrgs.baselines.thermonerf import train_thermonerf
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
-from mrgs.run import ThermoNerfRun, load_run, open_run
-from mrgs.thermonerf import step as step_module
-from mrgs.thermonerf import train_thermonerf
+from mrgs.runs.open import ThermoNerfRun, load_run, open_run
 from mrgs.training import make_config, train
 from mrgs.training.checkpoint import load_facts, write
 from mrgs.training.run_folder import RunFolder
@@ -31,16 +31,23 @@ def spoil(monkeypatch, steps):
 
 def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path, make_small_config):
     seen = []
-    train_thermonerf(small_scene, tmp_path / "run", make_small_config(80), on_step=lambda s: seen.append(s.terms))
+    train_thermonerf(
+        small_scene, tmp_path / "run", make_small_config(80), on_step=lambda s: seen.append(s.terms)
+    )
     for name, factor in (("rgb", 0.5), ("thermal", 0.5)):
         first, last = (sum(terms[name] for terms in part) / 10 for part in (seen[:10], seen[-10:]))
         assert last < factor * first
 
 
 def test_the_folder_holds_what_every_run_has(small_scene, tmp_path, make_small_config):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=5))
+    folder = train_thermonerf(
+        small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=5)
+    )
     assert "method: thermonerf" in folder.config_file.read_text()
-    assert [path.name for path in folder.checkpoints()] == ["step_000015.safetensors", "step_000020.safetensors"]
+    assert [path.name for path in folder.checkpoints()] == [
+        "step_000015.safetensors",
+        "step_000020.safetensors",
+    ]
     entries = [json.loads(line) for line in folder.log_file.read_text().splitlines()]
     assert [entry["step"] for entry in entries] == [10, 20]
     assert {"loss", "loss_rgb", "loss_thermal", "thermal_error_c", "seconds"} <= set(entries[0])
@@ -68,7 +75,9 @@ def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path, m
     for threads in (1, 2):
         torch.set_num_threads(threads)
         numba.set_num_threads(threads)
-        folder = train_thermonerf(small_scene, tmp_path / f"{threads}", make_small_config(6, rays_per_batch=1024))
+        folder = train_thermonerf(
+            small_scene, tmp_path / f"{threads}", make_small_config(6, rays_per_batch=1024)
+        )
         results.append(load_file(folder.newest_checkpoint()))
     torch.set_num_threads(1)
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
@@ -107,10 +116,15 @@ def test_what_needs_gaussians_refuses(small_scene, tmp_path, make_small_config):
     )
 
 
-def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene, tmp_path, make_small_config):
+def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(
+    small_scene, tmp_path, make_small_config
+):
     folder = train(small_scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
     assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
-    with pytest.raises(RunError, match="is not a ThermoNeRF run: resume it with the --method that it was trained with"):
+    with pytest.raises(
+        RunError,
+        match="is not a ThermoNeRF run: resume it with the --method that it was trained with",
+    ):
         train_thermonerf(small_scene, folder.path, make_small_config(), resume=True)
 
 
@@ -120,7 +134,9 @@ def test_a_run_is_never_overwritten(small_scene, tmp_path, make_small_config):
         train_thermonerf(small_scene, folder.path, make_small_config(1))
 
 
-def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(small_scene, tmp_path, make_small_config):
+def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(
+    small_scene, tmp_path, make_small_config
+):
     folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
     folder.newest_checkpoint().unlink()
     again = train_thermonerf(small_scene, folder.path, make_small_config(2))
@@ -133,14 +149,18 @@ def test_somebody_elses_configuration_is_kept(small_scene, tmp_path, make_small_
         train_thermonerf(small_scene, tmp_path, make_small_config(1))
 
 
-def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp_path, make_small_config):
+def test_a_damaged_checkpoint_or_another_configuration_is_named(
+    small_scene, tmp_path, make_small_config
+):
     folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(2))
     text = folder.config_file.read_text()
     folder.config_file.write_text(text.replace("hidden_width: 16", "hidden_width: 32"))
     with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
         open_run(folder.path)
     folder.config_file.write_text(text + "colour: red\n")
-    with pytest.raises(RunError, match=r"there is no field 'colour'.*; mend the file or train anew"):
+    with pytest.raises(
+        RunError, match=r"there is no field 'colour'.*; mend the file or train anew"
+    ):
         open_run(folder.path)
     folder.config_file.write_text(text)
     path = folder.newest_checkpoint()
@@ -151,12 +171,19 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp
 
 def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path, make_small_config):
     path = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1)).newest_checkpoint()
-    write(path, {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, load_facts(path), skipped_in_a_row=0)
+    write(
+        path,
+        {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)},
+        load_facts(path),
+        skipped_in_a_row=0,
+    )
     with pytest.raises(RunError, match="does not fit"):
         open_run(path.parents[1])
 
 
-def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, make_small_config, monkeypatch):
+def test_three_skipped_steps_in_a_row_end_the_run(
+    small_scene, tmp_path, make_small_config, monkeypatch
+):
     spoil(monkeypatch, {2, 4, 5, 6})
     with pytest.raises(TrainingError) as caught:
         train_thermonerf(small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=3))
@@ -171,7 +198,9 @@ def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, make_sm
 
 
 def test_stopping_leaves_a_checkpoint(small_scene, tmp_path, make_small_config):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(20), on_step=lambda s: s.step == 4)
+    folder = train_thermonerf(
+        small_scene, tmp_path / "run", make_small_config(20), on_step=lambda s: s.step == 4
+    )
     assert load_facts(folder.newest_checkpoint()).step == 4
 
 
@@ -189,7 +218,9 @@ def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path,
     assert torch.equal(torch.rand(4), expected)
 
 
-def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(small_scene, tmp_path, make_small_config):
+def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(
+    small_scene, tmp_path, make_small_config
+):
     def interrupt(*_):
         raise KeyboardInterrupt
 

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.thermonerf.volume import composite, median_distance, render_weights
+from mrgs.baselines.thermonerf.volume import composite, median_distance, render_weights
 
 
 def random(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -33,9 +33,14 @@ def test_weights_are_shares_of_one(densities):
 
 
 def test_gradients_of_volume_rendering_are_those_of_finite_differences():
-    densities, values = (4 * random(2, 6)).requires_grad_(), random(2, 6, 3, seed=1).requires_grad_()
+    densities, values = (
+        (4 * random(2, 6)).requires_grad_(),
+        random(2, 6, 3, seed=1).requires_grad_(),
+    )
     lengths = random(2, 6, seed=2)
-    assert torch.autograd.gradcheck(lambda d, v: composite(render_weights(d, lengths), v), (densities, values))
+    assert torch.autograd.gradcheck(
+        lambda d, v: composite(render_weights(d, lengths), v), (densities, values)
+    )
 
 
 def test_a_uniform_medium_absorbs_exponentially():
@@ -45,6 +50,10 @@ def test_a_uniform_medium_absorbs_exponentially():
 
 def test_the_median_distance_has_half_of_the_weight_before_it():
     distances = torch.tensor([[1.0, 2, 4, 5, 1000]])
-    torch.testing.assert_close(median_distance(torch.tensor([[0.2, 0.5, 0.1, 0.0]]), distances), torch.tensor([2.8]))
-    torch.testing.assert_close(median_distance(torch.tensor([[0.0, 0.0, 1.0, 0.0]]), distances), torch.tensor([4.5]))
+    torch.testing.assert_close(
+        median_distance(torch.tensor([[0.2, 0.5, 0.1, 0.0]]), distances), torch.tensor([2.8])
+    )
+    torch.testing.assert_close(
+        median_distance(torch.tensor([[0.0, 0.0, 1.0, 0.0]]), distances), torch.tensor([4.5])
+    )
     assert median_distance(torch.zeros(1, 4), distances).isfinite().all()

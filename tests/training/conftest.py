@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
+from mrgs.method.config import TrainConfig, make_config
+from mrgs.method.optimizer import OptimizerConfig
 from mrgs.scene import Gaussians
-from mrgs.training.config import TrainConfig, make_config
-from mrgs.training.optimizer import OptimizerConfig
 from mrgs.training.step import TrainingState
 from mrgs.training.trainer import initial_state
 
@@ -28,14 +28,26 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> TrainConfig:
-    """Fast learning rates, and nothing but optimization: no densification, no reset within the run."""
+    """Fast learning rates, and nothing but optimization: no densification, no reset within the
+    run."""
     config = make_config(method, "fast", max_steps=max_steps, max_gaussians=200)
-    rates = replace(OptimizerConfig(), means=2e-3, means_final=5e-4, log_scales=0.02, sh_dc=0.03, temperature_dc=0.03)
-    schedule = replace(config.densification, start=max_steps, stop=max_steps, every=1_000, reset_every=1_000)
+    rates = replace(
+        OptimizerConfig(),
+        means=2e-3,
+        means_final=5e-4,
+        log_scales=0.02,
+        sh_dc=0.03,
+        temperature_dc=0.03,
+    )
+    schedule = replace(
+        config.densification, start=max_steps, stop=max_steps, every=1_000, reset_every=1_000
+    )
     return replace(config, optimizer=rates, densification=schedule, **changes)
 
 
-def random_gaussians(count: int, shares_opacity: bool = False, bands: int = 0, seed: int = 0) -> Gaussians:
+def random_gaussians(
+    count: int, shares_opacity: bool = False, bands: int = 0, seed: int = 0
+) -> Gaussians:
     """Gaussians without meaning; no embedding."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -58,9 +70,13 @@ def random_gaussians(count: int, shares_opacity: bool = False, bands: int = 0, s
 
 def tensors_of(state: TrainingState) -> dict[str, torch.Tensor]:
     """Copies of everything that a step may change, by name."""
-    tensors = {f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()}
+    tensors = {
+        f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()
+    }
     tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
-    tensors |= {f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()}
+    tensors |= {
+        f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()
+    }
     for place, moments in state.layer_optimizer.state_dict()["state"].items():
         tensors |= {f"layer_optimizer.{place}.{key}": value for key, value in moments.items()}
     tensors["statistics.gradient_sum"] = state.statistics.gradient_sum

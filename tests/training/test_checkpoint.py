@@ -11,13 +11,13 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from mrgs.errors import RunError
+from mrgs.method.camera_model.exposure import Look
+from mrgs.method.camera_model.image_model import Capture
+from mrgs.method.losses.terms import Photos, SceneScale
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
-from mrgs.training.exposure import Look
-from mrgs.training.image_model import Capture
 from mrgs.training.step import TrainingState
-from mrgs.training.terms import Photos, SceneScale
 
 LOOK = Look((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
 FACTS = CheckpointFacts(
@@ -50,7 +50,9 @@ def state(make_start, config) -> TrainingState:
         number = state.sampler.next()
         view = scene.train[number]
         photos = Photos(view.rgb.load(), view.thermal.load())
-        step.training_step(state, view, number, photos, config, SceneScale(scene.extent, scene.temperature))
+        step.training_step(
+            state, view, number, photos, config, SceneScale(scene.extent, scene.temperature)
+        )
     return state
 
 
@@ -86,7 +88,9 @@ def test_everything_comes_back(state, path, config, snapshot):
 
 
 def test_the_model_comes_back(state, path, config):
-    model, facts, _ = load_model(path, replace(config, sh_every=1, background_rgb=0.5, antialiased=True))
+    model, facts, _ = load_model(
+        path, replace(config, sh_every=1, background_rgb=0.5, antialiased=True)
+    )
     assert facts == FACTS
     assert (model.sh_degree, model.background_rgb, model.background_thermal) == (2, 0.5, 0.0)
     assert model.antialiased
@@ -102,12 +106,17 @@ def test_no_known_temperatures_stay_unknown(state, path):
 @pytest.mark.parametrize("keep", [0, 7, 500, -1])
 def test_a_truncated_checkpoint_is_named(keep, path, config):
     path.write_bytes(path.read_bytes()[:keep])
-    for load in (load_facts, lambda path: load_model(path, config), lambda path: load_state(path, config)):
+    for load in (
+        load_facts,
+        lambda path: load_model(path, config),
+        lambda path: load_state(path, config),
+    ):
         with pytest.raises(RunError) as caught:
             load(path)
         assert (
             str(caught.value)
-            == f"{path} is not a whole checkpoint: delete it, and the one before it is used; without one, train anew"
+            == f"{path} is not a whole checkpoint: delete it, and the one before it is used; "
+            f"without one, train anew"
         )
 
 
@@ -123,7 +132,12 @@ def test_a_file_of_something_else_is_named(header, path):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"capture": "removed"}, {"capture": {"views": 6}}, {"temperature": [30.0, 10.0]}, {"temperature": [1.0]}],
+    [
+        {"capture": "removed"},
+        {"capture": {"views": 6}},
+        {"temperature": [30.0, 10.0]},
+        {"temperature": [1.0]},
+    ],
 )
 def test_a_header_that_lacks_facts_is_named(changes, path):
     change_header(path, **changes)
@@ -144,7 +158,8 @@ def test_another_configuration_is_named(path, config):
         with pytest.raises(RunError) as caught:
             load(path, other)
         assert str(caught.value) == (
-            f"{path} does not fit the run's config.yaml: restore the configuration it was trained with"
+            f"{path} does not fit the run's config.yaml: restore the configuration it was trained "
+            f"with"
         )
 
 
@@ -152,7 +167,11 @@ def test_missing_tensors_are_named(path, config):
     tensors = load_file(path)
     with safe_open(path, framework="pt") as file:
         header = file.metadata()
-    save_file({name: tensor for name, tensor in tensors.items() if name != "gaussians.quats"}, path, header)
+    save_file(
+        {name: tensor for name, tensor in tensors.items() if name != "gaussians.quats"},
+        path,
+        header,
+    )
     with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
         load_model(path, config)
 
@@ -173,6 +192,9 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(state, path
         patch.setattr(os, "replace", full)
         with pytest.raises(RunError) as caught:
             save(path, state, FACTS._replace(step=3))
-    assert str(caught.value) == f"{path} cannot be written (No space left on device): free the place or choose another"
+    assert (
+        str(caught.value)
+        == f"{path} cannot be written (No space left on device): free the place or choose another"
+    )
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
-from mrgs.training.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config, to_yaml
-from mrgs.training.densification import DensificationConfig
-from mrgs.training.image_model import ImageModelConfig
-from mrgs.training.losses import LossConfig
-from mrgs.training.optimizer import OptimizerConfig
-from mrgs.training.radiation import RadiationConfig
-from mrgs.training.relocation import RelocationConfig
+from mrgs.method.camera_model.image_model import ImageModelConfig
+from mrgs.method.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config, to_yaml
+from mrgs.method.density.densification import DensificationConfig
+from mrgs.method.density.relocation import RelocationConfig
+from mrgs.method.losses.photometric import LossConfig
+from mrgs.method.losses.radiation import RadiationConfig
+from mrgs.method.optimizer import OptimizerConfig
 
 COUNTS = st.integers(1, 10**9)
 WEIGHTS = st.floats(0, 1e6, allow_subnormal=True)
@@ -32,13 +32,18 @@ CONFIGS = st.builds(
     sh_every=COUNTS,
     shares_opacity=st.booleans(),
     background_rgb=st.floats(allow_nan=False, allow_infinity=False),
-    field=st.builds(FieldConfig, fourier=st.booleans(), neighbours_n=st.integers(1, 9), anchor_weight=WEIGHTS),
+    field=st.builds(
+        FieldConfig, fourier=st.booleans(), neighbours_n=st.integers(1, 9), anchor_weight=WEIGHTS
+    ),
     loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS, edge_aware=st.booleans()),
-    radiation=st.none() | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
+    radiation=st.none()
+    | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
     optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=WEIGHTS),
     image_model=st.builds(ImageModelConfig, point_spread=st.booleans(), exposure_rate=WEIGHTS),
     relocation=st.none() | st.builds(RelocationConfig, start=st.integers(0, 24_999), noise=WEIGHTS),
-    densification=st.builds(DensificationConfig, every=COUNTS, max_gaussians=COUNTS, gradient_threshold=WEIGHTS),
+    densification=st.builds(
+        DensificationConfig, every=COUNTS, max_gaussians=COUNTS, gradient_threshold=WEIGHTS
+    ),
 )
 
 
@@ -57,8 +62,14 @@ def test_yaml_shows_every_field():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("max_stepps: 5", "config.yaml: there is no field 'max_stepps'; known are method, preset, max_steps"),
-        ("loss: {smoth: 1.0}", "config.yaml: loss: there is no field 'smoth'; known are dssim, smooth"),
+        (
+            "max_stepps: 5",
+            "config.yaml: there is no field 'max_stepps'; known are method, preset, max_steps",
+        ),
+        (
+            "loss: {smoth: 1.0}",
+            "config.yaml: loss: there is no field 'smoth'; known are dssim, smooth",
+        ),
         ("max_steps: many", "config.yaml: max_steps must be of type int, not 'many'"),
         ("max_steps: 5.5", "config.yaml: max_steps must be of type int, not 5.5"),
         ("max_steps: true", "config.yaml: max_steps must be of type int, not True"),
@@ -66,7 +77,10 @@ def test_yaml_shows_every_field():
         ("loss: {dssim: [1]}", r"config.yaml: loss: dssim must be of type float, not \[1\]"),
         ("loss: 3", "config.yaml: loss must hold the fields of a configuration"),
         ("method: nerf", "config.yaml: method must be one of mrgs, mrgs-base, .*, not 'nerf'"),
-        ("preset: [fast]", r"config.yaml: preset must be one of fast, default, paper, not \['fast'\]"),
+        (
+            "preset: [fast]",
+            r"config.yaml: preset must be one of fast, default, paper, not \['fast'\]",
+        ),
         ("max_steps: 0", "config.yaml: max_steps must be at least 1, not 0"),
         ("loss: {dssim: 2}", "config.yaml: loss: dssim must lie between 0 and 1, not 2.0"),
         ("- a\n- b", "config.yaml must hold the fields of a configuration"),
@@ -82,7 +96,10 @@ def test_what_cannot_be_used_is_named(text, message):
 
 
 @given(
-    st.text() | st.recursive(st.none() | st.integers() | st.text(), lambda s: st.dictionaries(st.text(), s)).map(str)
+    st.text()
+    | st.recursive(
+        st.none() | st.integers() | st.text(), lambda s: st.dictionaries(st.text(), s)
+    ).map(str)
 )
 def test_any_text_gives_a_configuration_or_a_config_error(text):
     with suppress(ConfigError):
@@ -92,7 +109,10 @@ def test_any_text_gives_a_configuration_or_a_config_error(text):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "nerf"}, "there is no method 'nerf': choose one of mrgs, mrgs-base, mrgs-fourier"),
+        (
+            {"method": "nerf"},
+            "there is no method 'nerf': choose one of mrgs, mrgs-base, mrgs-fourier",
+        ),
         ({"preset": "slow"}, "there is no preset 'slow': choose one of fast, default, paper"),
         ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
         ({"resolution": 8}, "resolution must be at least 16 px, not 8"),
@@ -129,7 +149,11 @@ def test_every_method_and_preset_is_valid(method, preset):
 def test_methods_are_the_rows_of_the_ablation_table():
     rows = {method: make_config(method) for method in METHODS}
     table = {
-        method: (config.field.residuals, config.field.neighbours_k > 0, config.radiation is not None)
+        method: (
+            config.field.residuals,
+            config.field.neighbours_k > 0,
+            config.radiation is not None,
+        )
         for method, config in rows.items()
     }
     assert table == {
@@ -141,17 +165,34 @@ def test_methods_are_the_rows_of_the_ablation_table():
         "mrgs-plus": (True, True, True),
     }
     baseline = rows.pop("3dgs-rgbt")
-    assert (baseline.shares_opacity, baseline.temperature_sh_degree, baseline.loss.smooth) == (True, 3, 0.0)
+    assert (baseline.shares_opacity, baseline.temperature_sh_degree, baseline.loss.smooth) == (
+        True,
+        3,
+        0.0,
+    )
     assert rows.pop("mrgs-plus").temperature_sh_degree is None
-    assert all((config.shares_opacity, config.temperature_sh_degree) == (False, 0) for config in rows.values())
+    assert all(
+        (config.shares_opacity, config.temperature_sh_degree) == (False, 0)
+        for config in rows.values()
+    )
 
 
 def test_paper_is_the_published_schedule():
     config = make_config(preset="paper")
     schedule, radiation = config.densification, config.radiation
     assert (config.max_steps, config.sh_every) == (30_000, 1_000)
-    assert (schedule.start, schedule.stop, schedule.every, schedule.reset_every) == (500, 15_000, 100, 3_000)
-    assert (radiation.start, radiation.end, radiation.decay_from, radiation.decay_until) == (0.05, 0.01, 500, 15_000)
+    assert (schedule.start, schedule.stop, schedule.every, schedule.reset_every) == (
+        500,
+        15_000,
+        100,
+        3_000,
+    )
+    assert (radiation.start, radiation.end, radiation.decay_from, radiation.decay_until) == (
+        0.05,
+        0.01,
+        500,
+        15_000,
+    )
     assert config.loss.smooth == 0.6
 
 
@@ -160,7 +201,10 @@ def test_max_steps_scales_the_schedule():
     schedule, radiation = config.densification, config.radiation
     assert (config.max_steps, config.sh_every) == (3_000, 100)
     assert (schedule.start, schedule.stop) == (50, 1_500)
-    assert (schedule.every, schedule.reset_every) == (100, 3_000)  # opacities need these steps to recover
+    assert (schedule.every, schedule.reset_every) == (
+        100,
+        3_000,
+    )  # opacities need these steps to recover
     assert (radiation.decay_from, radiation.decay_until) == (50, 1_500)
 
 
@@ -172,13 +216,23 @@ def test_any_number_of_steps_gives_a_valid_schedule(method, steps):
 
 def test_degrees_come_one_by_one():
     config = replace(TrainConfig(), sh_every=10)
-    assert [config.sh_degree_at(step) for step in (0, 9, 10, 19, 20, 30, 1_000)] == [0, 0, 1, 1, 2, 3, 3]
+    assert [config.sh_degree_at(step) for step in (0, 9, 10, 19, 20, 30, 1_000)] == [
+        0,
+        0,
+        1,
+        1,
+        2,
+        3,
+        3,
+    ]
 
 
 def test_a_part_of_a_configuration_goes_over_another():
     base = make_config("mrgs", "fast")
     changed = from_yaml("field: {neighbours_n: 5}\nradiation: null\nseed: 7\n", "my.yaml", base)
-    assert changed == replace(base, field=replace(base.field, neighbours_n=5), radiation=None, seed=7)
+    assert changed == replace(
+        base, field=replace(base.field, neighbours_n=5), radiation=None, seed=7
+    )
 
 
 def test_a_part_can_bring_back_what_the_method_left_out():

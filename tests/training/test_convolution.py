@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.training.convolution import convolve
+from mrgs.method.losses.convolution import convolve
 
 
 def random(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
@@ -18,10 +18,16 @@ def test_it_is_a_convolution_with_zeros_beyond_the_border(shape, dtype):
         random(3, 3, seed=1, dtype=dtype),
         random(1, seed=2, dtype=dtype),
     )
-    expected = torch.nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[0, 0]
+    expected = torch.nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[
+        0, 0
+    ]
     torch.testing.assert_close(convolve(plane, weights, bias), expected)
 
 
 def test_gradients():
-    inputs = (random(6, 7).requires_grad_(), random(3, 3, seed=1).requires_grad_(), random(1, seed=2).requires_grad_())
+    inputs = (
+        random(6, 7).requires_grad_(),
+        random(3, 3, seed=1).requires_grad_(),
+        random(1, seed=2).requires_grad_(),
+    )
     assert torch.autograd.gradcheck(convolve, inputs)

@@ -7,14 +7,21 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
+from mrgs.method.density.densification import (
+    DensificationConfig,
+    DensificationCounts,
+    ScreenStatistics,
+    densify,
+)
+from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig
 from mrgs.rasterizer.reference import rotation_matrices
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
-from mrgs.training.densification import DensificationConfig, DensificationCounts, ScreenStatistics, densify
-from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig
 
 EXTENT = 10.0
-CONFIG = DensificationConfig(gradient_threshold=1.0, clone_below=0.01, prune_above=0.5, max_gaussians=1_000)
+CONFIG = DensificationConfig(
+    gradient_threshold=1.0, clone_below=0.01, prune_above=0.5, max_gaussians=1_000
+)
 SMALL, LARGE, HUGE = 0.05, 0.5, 6.0
 """Sizes below and above ``clone_below``, and above ``prune_above``, at this extent."""
 
@@ -23,10 +30,14 @@ def logit(opacity: float) -> float:
     return math.log(opacity / (1 - opacity))
 
 
-def build(make_gaussians, sizes, opacities_rgb=None, opacities_thermal=None, shares_opacity=False) -> GaussianOptimizer:
+def build(
+    make_gaussians, sizes, opacities_rgb=None, opacities_thermal=None, shares_opacity=False
+) -> GaussianOptimizer:
     gaussians = make_gaussians(len(sizes), shares_opacity)
     gaussians.log_scales = torch.tensor(sizes).log()[:, None] + torch.tensor([0.0, -0.5, -2.0])
-    gaussians.opacity_rgb_logit = torch.tensor([logit(o) for o in opacities_rgb or [0.5] * len(sizes)])[:, None]
+    gaussians.opacity_rgb_logit = torch.tensor(
+        [logit(o) for o in opacities_rgb or [0.5] * len(sizes)]
+    )[:, None]
     if not shares_opacity:
         thermal = torch.tensor([logit(o) for o in opacities_thermal or [0.5] * len(sizes)])
         gaussians.opacity_thermal_logit = thermal[:, None]
@@ -38,7 +49,9 @@ def statistics_of(gradients: list[float]) -> ScreenStatistics:
     return ScreenStatistics(2 * torch.tensor(gradients), torch.full((len(gradients),), 2.0))
 
 
-def run(optimizer, gradients, config=CONFIG, prunes_large=False, seed=0) -> tuple[DensificationCounts, Gaussians]:
+def run(
+    optimizer, gradients, config=CONFIG, prunes_large=False, seed=0
+) -> tuple[DensificationCounts, Gaussians]:
     generator = torch.Generator().manual_seed(seed)
     counts = densify(optimizer, statistics_of(gradients), config, EXTENT, prunes_large, generator)
     return counts, optimizer.gaussians
@@ -46,7 +59,9 @@ def run(optimizer, gradients, config=CONFIG, prunes_large=False, seed=0) -> tupl
 
 def test_a_small_one_with_a_large_gradient_is_cloned(make_gaussians):
     optimizer = build(make_gaussians, [SMALL, SMALL, SMALL])
-    before = {name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()}
+    before = {
+        name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()
+    }
     counts, after = run(optimizer, [0.5, 1.5, 0.99])
     assert counts == DensificationCounts(cloned=1, split=0, pruned=0)
     for name, tensor in after.tensors().items():
@@ -55,11 +70,15 @@ def test_a_small_one_with_a_large_gradient_is_cloned(make_gaussians):
 
 def test_a_large_one_with_a_large_gradient_is_split_into_two_smaller_ones_within_it(make_gaussians):
     optimizer = build(make_gaussians, [SMALL, LARGE, LARGE])
-    before = {name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()}
+    before = {
+        name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()
+    }
     counts, after = run(optimizer, [0.5, 1.5, 0.5])
     assert counts == DensificationCounts(cloned=0, split=1, pruned=0)
     assert len(after) == 4
-    torch.testing.assert_close(after.log_scales[2:].exp(), (before["log_scales"][[1, 1]].exp() / 1.6))
+    torch.testing.assert_close(
+        after.log_scales[2:].exp(), (before["log_scales"][[1, 1]].exp() / 1.6)
+    )
     rotation = rotation_matrices(before["quats"][1:2])[0]
     in_sigmas = (after.means[2:] - before["means"][1]) @ rotation / before["log_scales"][1].exp()
     assert (in_sigmas.norm(dim=1) < 4).all()
@@ -75,7 +94,12 @@ def test_halves_are_drawn_from_the_rotated_gaussian(make_gaussians):
     optimizer = build(make_gaussians, [LARGE])
     one = optimizer.gaussians
     optimizer = GaussianOptimizer(
-        Gaussians(**{name: tensor.detach().repeat_interleave(count, 0) for name, tensor in one.tensors().items()}),
+        Gaussians(
+            **{
+                name: tensor.detach().repeat_interleave(count, 0)
+                for name, tensor in one.tensors().items()
+            }
+        ),
         OptimizerConfig(),
         EXTENT,
     )
@@ -103,7 +127,12 @@ def test_transparent_in_both_modalities_is_pruned(make_gaussians):
 
 
 def test_a_shared_opacity_decides_alone(make_gaussians):
-    optimizer = build(make_gaussians, [SMALL, LARGE, SMALL], opacities_rgb=[0.004, 0.5, 0.006], shares_opacity=True)
+    optimizer = build(
+        make_gaussians,
+        [SMALL, LARGE, SMALL],
+        opacities_rgb=[0.004, 0.5, 0.006],
+        shares_opacity=True,
+    )
     before = optimizer.gaussians.means.detach().clone()
     counts, after = run(optimizer, [0.0, 2.0, 0.0])
     assert counts == DensificationCounts(cloned=0, split=1, pruned=1)
@@ -119,7 +148,9 @@ def test_huge_ones_are_pruned_once_that_is_asked_for(prunes_large, left, make_ga
 
 
 def test_transparent_clones_and_halves_do_not_stay(make_gaussians):
-    optimizer = build(make_gaussians, [SMALL, LARGE, SMALL], [0.001, 0.001, 0.5], [0.001, 0.001, 0.5])
+    optimizer = build(
+        make_gaussians, [SMALL, LARGE, SMALL], [0.001, 0.001, 0.5], [0.001, 0.001, 0.5]
+    )
     _, after = run(optimizer, [2.0, 2.0, 0.0])
     assert len(after) == 1
 
@@ -159,7 +190,9 @@ def test_statistics_are_means_over_the_views_that_drew():
     statistics.add([screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0])])
     assert statistics.views.tolist() == [2, 1, 0]
     # in units of half the image: 20 px wide, 15 px high
-    torch.testing.assert_close(statistics.mean(), torch.tensor([(0.3 + 0.1) * 20 / 2, 0.2 * 15, 0.0]))
+    torch.testing.assert_close(
+        statistics.mean(), torch.tensor([(0.3 + 0.1) * 20 / 2, 0.2 * 15, 0.0])
+    )
 
 
 def test_two_passes_of_a_view_add_up_and_count_once():
@@ -173,7 +206,14 @@ def test_two_passes_of_a_view_add_up_and_count_once():
 
 def test_the_schedule():
     config = DensificationConfig(start=100, stop=400, every=50, reset_every=150)
-    assert [step for step in range(1, 1_000) if config.densifies_at(step)] == [150, 200, 250, 300, 350, 400]
+    assert [step for step in range(1, 1_000) if config.densifies_at(step)] == [
+        150,
+        200,
+        250,
+        300,
+        350,
+        400,
+    ]
     assert [step for step in range(1, 1_000) if config.resets_at(step)] == [150, 300]
 
 
@@ -181,7 +221,10 @@ def test_the_schedule():
     ("options", "message"),
     [
         ({"every": 0}, "densification: every, reset_every and max_gaussians must be at least 1"),
-        ({"max_gaussians": 0}, "densification: every, reset_every and max_gaussians must be at least 1"),
+        (
+            {"max_gaussians": 0},
+            "densification: every, reset_every and max_gaussians must be at least 1",
+        ),
         ({"prune_opacity": 0.5}, "densification: 0 < prune_opacity < reset_opacity < 1 must hold"),
     ],
 )

@@ -1,6 +1,7 @@
 """The step on a GPU: the same numbers as on the CPU, and no waiting for the device.
 
-Without one, kernels are interpreted on CPU tensors, and what the host of a real GPU would wait for is an error.
+Without one, kernels are interpreted on CPU tensors, and what the host of a real GPU would wait for
+is an error.
 """
 
 from __future__ import annotations
@@ -14,30 +15,33 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from mrgs import gpu
 from mrgs import render as render_module
 from mrgs.data import load_scene
 from mrgs.field import cpu as field_cpu
 from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
+from mrgs.method.camera_model.image_model import ImageModelConfig
+from mrgs.method.config import TrainConfig
+from mrgs.method.density import densification
+from mrgs.method.density.relocation import RelocationConfig
+from mrgs.method.losses import dissimilarity, radiation
+from mrgs.method.losses.terms import Photos, SceneScale
 from mrgs.rasterizer import Blend, Raster
 from mrgs.scene import Pixels
-from mrgs.training import densification, dissimilarity, radiation
+from mrgs.system import gpu
 from mrgs.training import step as step_module
-from mrgs.training.config import TrainConfig
-from mrgs.training.image_model import ImageModelConfig
-from mrgs.training.relocation import RelocationConfig
 from mrgs.training.step import explore_means, training_step
-from mrgs.training.terms import Photos, SceneScale
 from mrgs.training.trainer import initial_state
 
 aten = torch.ops.aten
 
 WAITED_FOR = {
-    aten._local_scalar_dense, aten.nonzero, aten.masked_select, aten.repeat_interleave, aten.bincount, aten.unique_dim,
+    aten._local_scalar_dense, aten.nonzero, aten.masked_select, aten.repeat_interleave,
+    aten.bincount, aten.unique_dim,
     aten._unique, aten._unique2, aten.unique_consecutive,
 }  # fmt: skip
-"""What reads numbers or sizes from the device: ``item``, ``bool``, ``float`` and the like all end in the first."""
+"""What reads numbers or sizes from the device: ``item``, ``bool``, ``float`` and the like all end
+in the first."""
 
 
 INDEXING = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
@@ -49,13 +53,16 @@ class RoundTripError(Exception):
 
 
 class NoRoundTrips(TorchDispatchMode):
-    """Every tensor counts as one on a device, but for constants and cameras, which are of float64."""
+    """Every tensor counts as one on a device, but for constants and cameras, which are of
+    float64."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         packet = func.overloadpacket
         if packet in WAITED_FOR and func is not aten.repeat_interleave.self_int:
             raise RoundTripError(f"{func} reads from the device")
-        if packet in INDEXING and any(place is not None and place.dtype in MASKS for place in args[1]):
+        if packet in INDEXING and any(
+            place is not None and place.dtype in MASKS for place in args[1]
+        ):
             raise RoundTripError(f"{func} counts the places of a mask")
         if packet is aten.lift_fresh or (packet is aten._to_copy and _is_a_camera(args[0])):
             raise RoundTripError(f"{func} copies from the host")
@@ -71,7 +78,8 @@ def _is_a_camera(tensor: torch.Tensor) -> bool:
 
 @contextmanager
 def no_round_trips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Within this block. Kernels are not run, so numbers mean nothing: a GPU's host does not see them either."""
+    """Within this block. Kernels are not run, so numbers mean nothing: a GPU's host does not see
+    them either."""
     from triton.runtime.interpreter import GridExecutor
 
     def refused(name: str) -> Callable[..., Any]:
@@ -92,8 +100,11 @@ def no_round_trips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             yield
 
 
-def flat_raster(means, quats, scales, layers, viewmat, K, width, height, offset, antialiased) -> Raster:
-    """Stands in for the rasterizer, which may read one number: images that depend on every parameter."""
+def flat_raster(
+    means, quats, scales, layers, viewmat, K, width, height, offset, antialiased
+) -> Raster:
+    """Stands in for the rasterizer, which may read one number: images that depend on every
+    parameter."""
     ramp = torch.linspace(0.5, 1, height * width, device=means.device).view(height, width)
     turn = sum(0.01 * tensor.square().mean() for tensor in (means, quats, scales, offset + 1))
     blends = []
@@ -112,37 +123,50 @@ def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     check, convolve = field_module._check_places, radiation.convolve
 
-    def plain_convolve(plane: torch.Tensor, weights: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    def plain_convolve(
+        plane: torch.Tensor, weights: torch.Tensor, bias: torch.Tensor
+    ) -> torch.Tensor:
         if not gpu.serves(plane):
             return convolve(plane, weights, bias)
-        return torch.nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[0, 0]
+        return torch.nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[
+            0, 0
+        ]
 
     monkeypatch.setattr(radiation, "convolve", plain_convolve)
     monkeypatch.setattr(field_cpu, "serves", lambda tensor: not gpu.serves(tensor))
     monkeypatch.setattr(
-        field_module, "_check_places", lambda *args: None if gpu.serves(torch.empty(0)) else check(*args)
+        field_module,
+        "_check_places",
+        lambda *args: None if gpu.serves(torch.empty(0)) else check(*args),
     )
 
 
 def harmonic(config: TrainConfig) -> TrainConfig:
     """As in scenes without °C, where ``mrgs-plus`` has harmonics of the temperature too."""
-    return replace(config, temperature_sh_degree=3) if config.temperature_sh_degree is None else config
+    return (
+        replace(config, temperature_sh_degree=3) if config.temperature_sh_degree is None else config
+    )
 
 
 @pytest.fixture
 def start(small_scene, make_short_config):
-    """Ten Gaussians, images of 8×6, and a step on them; the neighbours are known, and the first camera is copied."""
+    """Ten Gaussians, images of 8×6, and a step on them; the neighbours are known, and the first
+    camera is copied."""
 
     def make(method: str, **changes: Any):
         config = harmonic(make_short_config(method, sh_every=1, **changes))
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
         scene = load_scene(small_scene, resolution=8)
         state = initial_state(scene, config)
-        with torch.no_grad():  # balls have no gradient by their rotation but noise, and Adam would follow it
+        with (
+            torch.no_grad()
+        ):  # balls have no gradient by their rotation but noise, and Adam would follow it
             state.model.gaussians.log_scales += torch.tensor([0.0, 0.4, -0.4])
         scale = SceneScale(scene.extent, scene.temperature)
         if config.field.neighbours_k > 0:
-            state.model.neighbours = nearest_neighbours(state.model.gaussians.means.double(), config.field.neighbours_k)
+            state.model.neighbours = nearest_neighbours(
+                state.model.gaussians.means.double(), config.field.neighbours_k
+            )
         for dtype in (torch.float32, torch.float64):
             scene.train[0].rgb.camera.tensors(gpu.HOST, dtype)
         densification._half((8, 6), gpu.HOST)
@@ -156,7 +180,9 @@ def start(small_scene, make_short_config):
                 rgb, thermal = (replace(pixels, valid=valid) for pixels in (rgb, thermal))
 
             def step() -> step_module.StepStatistics:
-                statistics = training_step(state, view, number, Photos(rgb, thermal, True), config, scale)
+                statistics = training_step(
+                    state, view, number, Photos(rgb, thermal, True), config, scale
+                )
                 explore_means(state, config, scale.extent)
                 return statistics
 
@@ -174,13 +200,16 @@ METHODS = ["mrgs", "mrgs-plus", "3dgs-rgbt"]
 
 
 @pytest.mark.parametrize(
-    ("method", "masked"), [("mrgs", False), ("mrgs-plus", False), ("3dgs-rgbt", False), ("3dgs-rgbt", True)]
+    ("method", "masked"),
+    [("mrgs", False), ("mrgs-plus", False), ("3dgs-rgbt", False), ("3dgs-rgbt", True)],
 )
 def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch):
     if gpu_device != "cpu":
         pytest.skip("where there is a GPU, the next test asks it")
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
-    _, take = start(method, relocation=RelocationConfig() if masked else None, image_model=EVERY_PART)
+    _, take = start(
+        method, relocation=RelocationConfig() if masked else None, image_model=EVERY_PART
+    )
     steps = [take(0, masked), take(0, masked)]
     with no_round_trips(monkeypatch):
         statistics = [step() for step in steps]
@@ -189,18 +218,26 @@ def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("method", METHODS)
-def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, make_short_config, telling_of_waits):
+def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(
+    method, small_scene, make_short_config, telling_of_waits
+):
     """The length of the rasterizer's list, and nothing else."""
     device = torch.device("cuda")
     config = harmonic(make_short_config(method, sh_every=1))
     scene = load_scene(small_scene)
     state = initial_state(scene, config, device)
     view = scene.train[0]
-    pixels = (replace(image.load(), values=image.load().values.to(device)) for image in (view.rgb, view.thermal))
+    pixels = (
+        replace(image.load(), values=image.load().values.to(device))
+        for image in (view.rgb, view.thermal)
+    )
     photos, scale = Photos(*pixels, True), SceneScale(scene.extent, scene.temperature)
     for _ in range(2):
         training_step(state, view, 0, photos, config, scale)
-    with telling_of_waits("warn"), pytest.warns(UserWarning, match="called a synchronizing") as caught:
+    with (
+        telling_of_waits("warn"),
+        pytest.warns(UserWarning, match="called a synchronizing") as caught,
+    ):
         training_step(state, view, 0, photos, config, scale)
     assert len([each for each in caught if "called a synchronizing" in str(each.message)]) == 1
 
@@ -238,7 +275,9 @@ def test_the_check_can_fail(reader, start, gpu_device, monkeypatch):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_all_of_a_step_is_on_one_device(method, small_scene, make_short_config, snapshot, gpu_device, monkeypatch):
+def test_all_of_a_step_is_on_one_device(
+    method, small_scene, make_short_config, snapshot, gpu_device, monkeypatch
+):
     """Tensors without contents tell which device they are on, and refuse those of another."""
     if gpu_device != "cpu":
         pytest.skip("where there is a GPU, a step on it tells the same")
@@ -262,11 +301,15 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, make_short_config, 
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
     device = torch.device("meta")
-    config = harmonic(make_short_config(method, sh_every=1, relocation=RelocationConfig(), image_model=EVERY_PART))
+    config = harmonic(
+        make_short_config(method, sh_every=1, relocation=RelocationConfig(), image_model=EVERY_PART)
+    )
     scene = load_scene(small_scene, resolution=8)
     state = initial_state(scene, config, device)
     if config.field.neighbours_k > 0:
-        state.model.neighbours = torch.zeros(25, config.field.neighbours_k, dtype=torch.int64, device=device)
+        state.model.neighbours = torch.zeros(
+            25, config.field.neighbours_k, dtype=torch.int64, device=device
+        )
     view = scene.train[0]
     rgb, thermal = (
         Pixels(image.load().values.to(device), torch.ones(6, 8, dtype=torch.bool, device=device))
@@ -284,14 +327,18 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, make_short_config, 
 
 @pytest.mark.parametrize("method", ["mrgs-plus", "3dgs-rgbt"])
 def test_the_kernels_train_as_the_cpu_does(method, start, snapshot):
-    """Two steps with every kernel of a GPU against two with those of the CPU, all on CPU tensors."""
+    """Two steps with every kernel of a GPU against two with those of the CPU, all on CPU
+    tensors."""
     pytest.importorskip("triton")
     if torch.cuda.is_available():
         pytest.skip("the kernels are not interpreted")
     found, by_gpu = start(method)
     found.model.neighbours = None
     expected, by_cpu = start(method)
-    for tolerance in (1e-4, 1e-2):  # Adam's step is as long as the rate, whatever the gradient: so noise grows
+    for tolerance in (
+        1e-4,
+        1e-2,
+    ):  # Adam's step is as long as the rate, whatever the gradient: so noise grows
         with gpu.interpreted():
             on_gpu = by_gpu()()
         on_cpu = by_cpu()()
@@ -300,7 +347,9 @@ def test_the_kernels_train_as_the_cpu_does(method, start, snapshot):
         assert on_gpu.loss == pytest.approx(on_cpu.loss, rel=tolerance)
         assert on_gpu.terms == pytest.approx(on_cpu.terms, rel=10 * tolerance)
         assert on_gpu.thermal_error == pytest.approx(on_cpu.thermal_error, rel=tolerance)
-    assert found.model.neighbours is None or torch.equal(found.model.neighbours, expected.model.neighbours)
+    assert found.model.neighbours is None or torch.equal(
+        found.model.neighbours, expected.model.neighbours
+    )
     assert set(moments_on_gpu) == set(moments_on_cpu)
     for name, here in moments_on_cpu.items():
         if name.endswith("exp_avg") or name == "statistics.gradient_sum":

@@ -13,7 +13,9 @@ def test_photos_that_fit_stay_on_the_device(counting_image):
     photos = DevicePhotos(CPU, limit_bytes=300)
     kept = [photos.load(image.posed) for image in images]
     assert [image.reads for image in images] == [1, 1, 1]
-    assert all(photos.load(image.posed) is pixels for image, pixels in zip(images, kept, strict=True))
+    assert all(
+        photos.load(image.posed) is pixels for image, pixels in zip(images, kept, strict=True)
+    )
 
 
 def test_photos_that_do_not_fit_are_read_once_and_copied_anew(counting_image):
@@ -24,7 +26,10 @@ def test_photos_that_do_not_fit_are_read_once_and_copied_anew(counting_image):
         assert torch.equal(photos.load(image.posed).values, torch.full((4, 5, 1), 0.5))
     assert photos.load(images[0].posed) is first[0]
     assert images[0].reads == 1
-    assert [image.reads for image in images[1:]] == [2, 1]  # the second showed that there is no more room
+    assert [image.reads for image in images[1:]] == [
+        2,
+        1,
+    ]  # the second showed that there is no more room
 
 
 def test_what_is_fetched_is_there_when_its_turn_comes(counting_image):

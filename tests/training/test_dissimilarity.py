@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.training.dissimilarity import l1_dssim, structural_dissimilarity
-from mrgs.training.ssim import ssim_map, structural_similarity
+from mrgs.method.losses.dissimilarity import l1_dssim, structural_dissimilarity
+from mrgs.method.losses.ssim import ssim_map, structural_similarity
 
 
 def image(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
@@ -18,12 +18,16 @@ def as_planes(x: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     return torch.where(weights[:, :, None] > 0, x, 0).permute(2, 0, 1)
 
 
-def plain_l1_dssim(x: torch.Tensor, y: torch.Tensor, weights: torch.Tensor, dssim: float) -> torch.Tensor:
+def plain_l1_dssim(
+    x: torch.Tensor, y: torch.Tensor, weights: torch.Tensor, dssim: float
+) -> torch.Tensor:
     x, y = as_planes(x, weights), as_planes(y, weights)
     return (weights * ((1 - dssim) * (x - y).abs() + dssim * (1 - ssim_map(x, y)))).sum()
 
 
-def holed_weights(height: int, width: int, seed: int = 2, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+def holed_weights(
+    height: int, width: int, seed: int = 2, dtype: torch.dtype = torch.float64
+) -> torch.Tensor:
     weights = image(height, width, seed=seed, dtype=dtype)
     return torch.where(weights > 0.2, weights, 0)
 
@@ -71,7 +75,9 @@ def test_structural_dissimilarity_is_that_of_plain_torch():
 
 def test_one_row_of_weights_stands_for_all():
     x, y, row = image(65, 12, 2).requires_grad_(), image(65, 12, 2, seed=1), holed_weights(1, 12)
-    result, expected = (l1_dssim(x, y, weights, 0.2) for weights in (row, row.expand(65, 12).contiguous()))
+    result, expected = (
+        l1_dssim(x, y, weights, 0.2) for weights in (row, row.expand(65, 12).contiguous())
+    )
     assert result.total == expected.total
     assert torch.equal(result.grad_x, expected.grad_x)
 
@@ -84,7 +90,10 @@ def test_gradients_are_made_for_what_asks_for_them():
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one thread")
 def test_the_number_of_threads_changes_no_bit():
-    x, y = image(200, 90, 3, dtype=torch.float32).requires_grad_(), image(200, 90, 3, seed=1, dtype=torch.float32)
+    x, y = (
+        image(200, 90, 3, dtype=torch.float32).requires_grad_(),
+        image(200, 90, 3, seed=1, dtype=torch.float32),
+    )
     weights = holed_weights(200, 90, dtype=torch.float32)
     results = []
     for threads in (1, 2):

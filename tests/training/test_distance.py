@@ -6,13 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from mrgs.method.start.distant_points import SPACING_RAD, distant_points
 from mrgs.scene import Camera
 from mrgs.scene.reach import TIMES_AS_FAR
-from mrgs.training.distance import SPACING_RAD, distant_points
 
 
 def camera_towards(angle: float, distance: float = 0.0) -> Camera:
-    """Looks outwards along a horizontal direction, from a place ``distance`` behind the origin; 90° across."""
+    """Looks outwards along a horizontal direction, from a place ``distance`` behind the origin; 90°
+    across."""
     forward = torch.tensor([math.cos(angle), math.sin(angle), 0.0], dtype=torch.float64)
     down = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
     viewmat = torch.eye(4, dtype=torch.float64)
@@ -24,7 +25,9 @@ def camera_towards(angle: float, distance: float = 0.0) -> Camera:
 
 def wall_of(camera: Camera, rows: range, depth: float = 3.0) -> Tensor:
     """A point in the middle of each of 24 × 18 cells of the photo, in some rows."""
-    column, row = torch.meshgrid(torch.arange(24.0), torch.tensor([float(row) for row in rows]), indexing="xy")
+    column, row = torch.meshgrid(
+        torch.arange(24.0), torch.tensor([float(row) for row in rows]), indexing="xy"
+    )
     pixels = torch.stack([4 * column.flatten() + 2, 4 * row.flatten() + 2], dim=1).double()
     return camera.unproject(pixels, torch.full((len(pixels),), depth).double()).float()
 
@@ -46,7 +49,10 @@ def test_the_sky_above_a_wall_gets_points_far_away():
     assert 0.7 * solid_angle < len(sky) * SPACING_RAD**2 < 1.5 * solid_angle
     farthest = points.norm(dim=1).max().item()
     torch.testing.assert_close(
-        sky.norm(dim=1), torch.full((len(sky),), TIMES_AS_FAR * farthest).double(), rtol=0.05, atol=0
+        sky.norm(dim=1),
+        torch.full((len(sky),), TIMES_AS_FAR * farthest).double(),
+        rtol=0.05,
+        atol=0,
     )
 
 
@@ -63,13 +69,18 @@ def test_what_several_photos_see_becomes_one_point():
     cameras = [camera_towards(0.3), camera_towards(0.3, distance=0.01)]
     points = wall_of(cameras[0], range(9, 18))
     one, two = (distant_points(points, cameras[:count]).positions for count in (1, 2))
-    nearest = torch.cdist(two / two.norm(dim=1, keepdim=True), one / one.norm(dim=1, keepdim=True)).min(dim=1).values
+    nearest = (
+        torch.cdist(two / two.norm(dim=1, keepdim=True), one / one.norm(dim=1, keepdim=True))
+        .min(dim=1)
+        .values
+    )
     assert (nearest < 2 * SPACING_RAD).all()
     assert len(two) < 1.5 * len(one)
 
 
 def test_cameras_outside_the_points_are_inside_the_sphere():
-    """As around a thing on a table: the points lie within the ring of cameras, which look inwards."""
+    """As around a thing on a table: the points lie within the ring of cameras, which look
+    inwards."""
     cameras = [camera_towards(angle, distance=5.0) for angle in (0.0, 2.0, 4.0)]
     points = 0.1 * torch.randn(300, 3, generator=torch.Generator().manual_seed(0))
     found = distant_points(points, cameras).positions.double()

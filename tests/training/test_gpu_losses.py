@@ -1,4 +1,5 @@
-"""The losses' Triton kernels against plain torch in float64; tiny, because they are interpreted where no GPU is."""
+"""The losses' Triton kernels against plain torch in float64; tiny, because they are interpreted
+where no GPU is."""
 
 from __future__ import annotations
 
@@ -8,16 +9,24 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs import gpu
+from mrgs.method.camera_model import point_spread
+from mrgs.method.camera_model.exposure import Look
+from mrgs.method.camera_model.image_model import (
+    Capture,
+    ImageModel,
+    ImageModelConfig,
+    _exponential,
+    _rotation,
+)
+from mrgs.method.config import make_config
+from mrgs.method.losses import photometric as losses
+from mrgs.method.losses import radiation
+from mrgs.method.losses.photometric import DifferenceWeights, difference_weights, total_loss
+from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.losses.terms import Photos, SceneScale, loss_terms, loss_weights
 from mrgs.render import Rendering
 from mrgs.scene import Pixels, TemperatureRange
-from mrgs.training import losses, point_spread, radiation
-from mrgs.training.config import make_config
-from mrgs.training.exposure import Look
-from mrgs.training.image_model import Capture, ImageModel, ImageModelConfig, _exponential, _rotation
-from mrgs.training.losses import DifferenceWeights, difference_weights, total_loss
-from mrgs.training.radiation import DepthUncertainty
-from mrgs.training.terms import Photos, SceneScale, loss_terms, loss_weights
+from mrgs.system import gpu
 
 
 def image(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -31,7 +40,8 @@ def assert_same(
     device: str,
     tolerance: float = 3e-6,
 ) -> None:
-    """A loss in float32 on the device agrees with a definition in float64, and so do the gradients by the inputs."""
+    """A loss in float32 on the device agrees with a definition in float64, and so do the gradients
+    by the inputs."""
     exact = [tensor.double().requires_grad_() for tensor in inputs]
     found = [tensor.to(device, torch.float32).requires_grad_() for tensor in inputs]
     expected, value = plain(*exact), loss(*found)
@@ -49,19 +59,25 @@ def assert_same(
 def small_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Strips of four rows and blocks of 32 values, so that tiny images fill several."""
     pytest.importorskip("triton")
-    from mrgs.training.gpu import dissimilarity as compared
+    from mrgs.method.gpu import dissimilarity as compared
 
     monkeypatch.setattr(compared, "STRIP_ROWS", 4)
     monkeypatch.setattr(compared, "BLOCK", 32)
 
 
 @pytest.mark.parametrize(
-    ("shape", "masked", "dssim"), [((5, 8, 3), False, 0.2), ((3, 40, 1), True, 0.2), ((3, 2, 2), True, 0.0)]
+    ("shape", "masked", "dssim"),
+    [((5, 8, 3), False, 0.2), ((3, 40, 1), True, 0.2), ((3, 2, 2), True, 0.0)],
 )
-def test_the_photometric_loss_is_that_of_plain_torch(gpu_device, small_programs, shape, masked, dssim):
+def test_the_photometric_loss_is_that_of_plain_torch(
+    gpu_device, small_programs, shape, masked, dssim
+):
     target = image(*shape, seed=1)
     valid = image(*shape[:2], seed=2) > 0.3 if masked else None
-    on_device = (target.to(gpu_device, torch.float32), None if valid is None else valid.to(gpu_device))
+    on_device = (
+        target.to(gpu_device, torch.float32),
+        None if valid is None else valid.to(gpu_device),
+    )
     assert_same(
         lambda render: losses.photometric_loss(render, *on_device, dssim),
         lambda render: losses._photometric_loss(render, target, valid, dssim),
@@ -93,7 +109,9 @@ def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked, edge_aw
 
     def to_device(counted: int, weight: torch.Tensor | None) -> DifferenceWeights:
         count = torch.tensor(counted, device=gpu_device) if masked else counted
-        return DifferenceWeights(count, None if weight is None else weight.to(gpu_device, torch.float32))
+        return DifferenceWeights(
+            count, None if weight is None else weight.to(gpu_device, torch.float32)
+        )
 
     on_device = [to_device(*axis) for axis in weights]
     assert_same(
@@ -104,7 +122,9 @@ def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked, edge_aw
     )
 
 
-@pytest.mark.parametrize(("shape", "sigma_px"), [((7, 9), 1.1), ((2, 30), 0.3), ((1, 4), 2.5), ((20, 17), 0.8)])
+@pytest.mark.parametrize(
+    ("shape", "sigma_px"), [((7, 9), 1.1), ((2, 30), 0.3), ((1, 4), 2.5), ((20, 17), 0.8)]
+)
 def test_the_blur_is_that_of_plain_torch(gpu_device, shape, sigma_px):
     assert_same(
         point_spread.spread_points,
@@ -132,12 +152,13 @@ class NoKernel:
 
 @pytest.fixture(params=["plain torch", "kernels"])
 def without_values(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A device whose tensors have no values: what asks for one fails, as on a GPU it would make the host wait."""
+    """A device whose tensors have no values: what asks for one fails, as on a GPU it would make the
+    host wait."""
     if request.param == "kernels":
         pytest.importorskip("triton")
-        from mrgs.training.gpu import dissimilarity as compared
-        from mrgs.training.gpu import point_spread as spread
-        from mrgs.training.gpu import variation
+        from mrgs.method.gpu import dissimilarity as compared
+        from mrgs.method.gpu import point_spread as spread
+        from mrgs.method.gpu import variation
 
         monkeypatch.setattr(gpu, "serves", lambda tensor: tensor.dtype == torch.float32)
         for module, names in (
@@ -157,7 +178,9 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
         point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
     )
     size, looks = (30, 20), (Look((0, 0, 0), (0, 0, 1)),) * 4
-    image_model = ImageModel(parts, Capture(looks, looks, size, 2.0, has_celsius=False)).to(without_values)
+    image_model = ImageModel(parts, Capture(looks, looks, size, 2.0, has_celsius=False)).to(
+        without_values
+    )
     uncertainty = DepthUncertainty().to(without_values)
 
     def plane(*channels: int) -> torch.Tensor:
@@ -169,7 +192,9 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
     rendering = Rendering(*(plane(*c).requires_grad_() for c in ((3,), (), (1,), (), (), ())))
     photographed = image_model(rendering, 1)
     for edge_aware in (False, True):
-        changed = replace(config, loss=replace(config.loss, edge_aware=edge_aware, opaque=0.1, smooth_depth=1.0))
+        changed = replace(
+            config, loss=replace(config.loss, edge_aware=edge_aware, opaque=0.1, smooth_depth=1.0)
+        )
         terms = loss_terms(
             rendering,
             photographed,
@@ -183,7 +208,9 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
     motion = image_model.thermal_motion(1)
     assert motion is not None
     motion.sum().backward()
-    assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == ["alpha_rgb"]
+    assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == [
+        "alpha_rgb"
+    ]
     assert all(parameter.grad is not None for parameter in uncertainty.parameters())
 
 
@@ -202,7 +229,9 @@ def test_rodrigues_formula_is_the_matrix_exponential(angle):
     expected = _rotation(vector)
     torch.testing.assert_close(result, expected, rtol=0, atol=1e-9)
     weights = torch.arange(9, dtype=torch.float64).view(3, 3)
-    gradients = [torch.autograd.grad((weights * matrix).sum(), vector)[0] for matrix in (result, expected)]
+    gradients = [
+        torch.autograd.grad((weights * matrix).sum(), vector)[0] for matrix in (result, expected)
+    ]
     torch.testing.assert_close(*gradients, rtol=0, atol=1e-6)
 
 
@@ -215,7 +244,9 @@ def test_large_images_and_the_same_bits_again(telling_of_waits):
     def loss(render: torch.Tensor) -> torch.Tensor:
         return losses.photometric_loss(render, *on_device, 0.2)
 
-    assert_same(loss, lambda render: losses._photometric_loss(render, target, valid, 0.2), [render], "cuda")
+    assert_same(
+        loss, lambda render: losses._photometric_loss(render, target, valid, 0.2), [render], "cuda"
+    )
     found = render.to("cuda", torch.float32).requires_grad_()
     with telling_of_waits("error"):
         gradients = [torch.autograd.grad(loss(found), found)[0] for _ in range(2)]

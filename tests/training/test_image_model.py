@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.render import Rendering
-from mrgs.scene import Camera
-from mrgs.training.exposure import Look
-from mrgs.training.image_model import (
+from mrgs.method.camera_model.exposure import Look
+from mrgs.method.camera_model.image_model import (
     Capture,
     FixedPattern,
     ImageModel,
@@ -18,10 +16,14 @@ from mrgs.training.image_model import (
     PointSpread,
     ThermalPoses,
 )
+from mrgs.render import Rendering
+from mrgs.scene import Camera
 
 LOOKS = tuple(Look((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(3))
 CAPTURE = Capture(LOOKS, (*LOOKS[:2], None), thermal_size=(12, 9), extent=2.0, has_celsius=False)
-ALL = ImageModelConfig(point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True)
+ALL = ImageModelConfig(
+    point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
+)
 
 
 JSON = json.loads(json.dumps(CAPTURE._asdict()))
@@ -35,7 +37,10 @@ def camera_at(x: float) -> Camera:
 
 def rendering(seed: int = 0) -> Rendering:
     generator = torch.Generator().manual_seed(seed)
-    return Rendering(rgb=torch.rand(9, 12, 3, generator=generator), thermal=torch.rand(9, 12, 1, generator=generator))
+    return Rendering(
+        rgb=torch.rand(9, 12, 3, generator=generator),
+        thermal=torch.rand(9, 12, 1, generator=generator),
+    )
 
 
 def point_spread(sigma_px: float) -> PointSpread:
@@ -88,7 +93,10 @@ def test_at_the_start_only_the_spread_changes_anything():
 
 def test_a_photo_that_was_not_learned_from_is_exposed_like_those_beside_it():
     looks = tuple(Look((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(20))
-    model, seen = ImageModel(ALL, CAPTURE._replace(rgb_looks=looks, thermal_looks=looks)), rendering()
+    model, seen = (
+        ImageModel(ALL, CAPTURE._replace(rgb_looks=looks, thermal_looks=looks)),
+        rendering(),
+    )
     model.exposure.offsets.data[10:] = 0.2
     model.thermal_gain.offsets.data[10:] = 0.2
     model.fixed_pattern.columns.data += torch.arange(12)
@@ -127,17 +135,27 @@ def test_a_modality_that_is_not_there_stays_away():
 def test_every_parameter_has_a_learning_rate():
     model = ImageModel(ALL, CAPTURE)
     grouped = [parameter for group in model.parameter_groups() for parameter in group["params"]]
-    assert {id(parameter) for parameter in grouped} == {id(parameter) for parameter in model.parameters()}
+    assert {id(parameter) for parameter in grouped} == {
+        id(parameter) for parameter in model.parameters()
+    }
     assert [group["lr"] for group in model.parameter_groups()] == [5e-3, 1e-4, 1e-3, 1e-3, 5e-4]
 
 
 def test_a_rate_that_is_no_rate_is_named():
-    with pytest.raises(ConfigError, match="the learning rate exposure_rate must be 0 or more, not -1"):
+    with pytest.raises(
+        ConfigError, match="the learning rate exposure_rate must be 0 or more, not -1"
+    ):
         ImageModelConfig(exposure_rate=-1.0)
 
 
 @pytest.mark.parametrize(
-    "values", [{}, JSON | {"thermal_size": [1]}, JSON | {"rgb_looks": [[[0, 0], [0, 0, 1]]]}, JSON | {"rgb_looks": [1]}]
+    "values",
+    [
+        {},
+        JSON | {"thermal_size": [1]},
+        JSON | {"rgb_looks": [[[0, 0], [0, 0, 1]]]},
+        JSON | {"rgb_looks": [1]},
+    ],
 )
 def test_what_is_no_capture_is_refused(values):
     with pytest.raises((KeyError, TypeError, ValueError)):

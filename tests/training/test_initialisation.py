@@ -5,9 +5,9 @@ import torch
 from torch import Tensor
 
 from mrgs.field import FieldConfig, RadianceField
+from mrgs.method.start.initialisation import SMALLEST_DISTANCE, initial_gaussians
+from mrgs.method.start.start_points import StartPoints
 from mrgs.scene import Gaussians
-from mrgs.training.initialisation import SMALLEST_DISTANCE, initial_gaussians
-from mrgs.training.start_points import StartPoints
 
 
 def points_at(positions: Tensor) -> StartPoints:
@@ -16,16 +16,22 @@ def points_at(positions: Tensor) -> StartPoints:
     colors = torch.rand(len(positions), 3, generator=generator)
     temperatures = torch.rand(len(positions), generator=generator)
     opacities = 0.1 + 0.8 * torch.rand(2, len(positions), generator=generator)
-    return StartPoints(positions, colors, temperatures, *opacities, torch.full_like(temperatures, torch.inf))
+    return StartPoints(
+        positions, colors, temperatures, *opacities, torch.full_like(temperatures, torch.inf)
+    )
 
 
 def cloud(count: int) -> StartPoints:
     return points_at(torch.randn(count, 3, generator=torch.Generator().manual_seed(0)))
 
 
-def start(points: StartPoints, shares_opacity=False, degree=0, cap=1_000, seed=0, **field) -> Gaussians:
+def start(
+    points: StartPoints, shares_opacity=False, degree=0, cap=1_000, seed=0, **field
+) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
-    return initial_gaussians(points, RadianceField(FieldConfig(**field)), shares_opacity, degree, cap, generator)
+    return initial_gaussians(
+        points, RadianceField(FieldConfig(**field)), shares_opacity, degree, cap, generator
+    )
 
 
 @pytest.mark.parametrize("degree", [0, 3])
@@ -36,7 +42,9 @@ def test_one_gaussian_per_point_with_its_colour_temperature_and_opacity(degree):
     field = RadianceField(FieldConfig(residuals=False))
     anywhere = torch.zeros(3).double()
     torch.testing.assert_close(field.colors(gaussians, anywhere, 3), points.colors)
-    torch.testing.assert_close(field.temperatures(gaussians, None, anywhere, degree)[:, 0], points.temperatures)
+    torch.testing.assert_close(
+        field.temperatures(gaussians, None, anywhere, degree)[:, 0], points.temperatures
+    )
     torch.testing.assert_close(gaussians.opacity_rgb, points.opacities_rgb)
     torch.testing.assert_close(gaussians.opacity_thermal, points.opacities_thermal)
     torch.testing.assert_close(gaussians.quats, torch.tensor([1.0, 0, 0, 0]).expand(30, 4))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.training.known_gradient import with_gradients
+from mrgs.method.losses.known_gradient import with_gradients
 
 
 def test_the_gradients_are_those_given_times_the_losses_weight():
@@ -22,6 +22,8 @@ def test_nothing_to_differentiate():
 
 def test_it_is_differentiable_once():
     x, weight = torch.ones(2, requires_grad=True), torch.tensor(2.0, requires_grad=True)
-    (gradient,) = torch.autograd.grad(weight * with_gradients(5.0, (x,), (torch.ones(2),)), x, create_graph=True)
+    (gradient,) = torch.autograd.grad(
+        weight * with_gradients(5.0, (x,), (torch.ones(2),)), x, create_graph=True
+    )
     with pytest.raises(RuntimeError, match="once_differentiable"):
         gradient.sum().backward()

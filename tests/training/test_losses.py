@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.training.losses import (
+from mrgs.method.losses.photometric import (
     LossConfig,
     _photometric_loss,
     _total_variation,
@@ -17,11 +17,13 @@ from mrgs.training.losses import (
     total_loss,
     total_variation,
 )
-from mrgs.training.ssim import ssim_map
+from mrgs.method.losses.ssim import ssim_map
 
 
 def image(height: int, width: int, channels: int, seed: int = 0) -> torch.Tensor:
-    return torch.rand(height, width, channels, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    return torch.rand(
+        height, width, channels, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    )
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -30,7 +32,9 @@ def test_photometric_loss_is_l1_and_dssim(channels):
     dissimilarity = 1 - ssim_map(render.permute(2, 0, 1), target.permute(2, 0, 1)).mean()
     expected = 0.8 * (render - target).abs().mean() + 0.2 * dissimilarity
     torch.testing.assert_close(photometric_loss(render, target, None, 0.2), expected)
-    torch.testing.assert_close(photometric_loss(render, target, None, 0.0), (render - target).abs().mean())
+    torch.testing.assert_close(
+        photometric_loss(render, target, None, 0.0), (render - target).abs().mean()
+    )
 
 
 def test_equal_images_cost_nothing():
@@ -42,7 +46,8 @@ def test_all_pixels_valid_is_the_same_as_no_mask():
     render, target = image(20, 25, 3), image(20, 25, 3, seed=1)
     everywhere = torch.ones(20, 25, dtype=torch.bool)
     torch.testing.assert_close(
-        photometric_loss(render, target, everywhere, 0.2), photometric_loss(render, target, None, 0.2)
+        photometric_loss(render, target, everywhere, 0.2),
+        photometric_loss(render, target, None, 0.2),
     )
 
 
@@ -50,7 +55,9 @@ def test_invalid_pixels_neither_cost_nor_pull():
     target = image(20, 25, 3, seed=1)
     valid = torch.zeros(20, 25, dtype=torch.bool)
     valid[:, :10] = True
-    render = torch.where(valid[:, :, None], target, torch.tensor(9.0, dtype=torch.float64)).requires_grad_()
+    render = torch.where(
+        valid[:, :, None], target, torch.tensor(9.0, dtype=torch.float64)
+    ).requires_grad_()
     loss = photometric_loss(render, target, valid, 0.2)
     assert loss.abs() < 1e-12
 
@@ -62,7 +69,9 @@ def test_invalid_pixels_neither_cost_nor_pull():
 
 def test_nothing_valid_costs_nothing():
     render = image(12, 12, 1).requires_grad_()
-    loss = photometric_loss(render, image(12, 12, 1, seed=1), torch.zeros(12, 12, dtype=torch.bool), 0.2)
+    loss = photometric_loss(
+        render, image(12, 12, 1, seed=1), torch.zeros(12, 12, dtype=torch.bool), 0.2
+    )
     assert loss == 0
     (gradient,) = torch.autograd.grad(loss, render)
     assert (gradient == 0).all()
@@ -70,7 +79,9 @@ def test_nothing_valid_costs_nothing():
 
 def test_photometric_gradient():
     render, target = image(6, 7, 2).requires_grad_(), image(6, 7, 2, seed=1)
-    assert torch.autograd.gradcheck(lambda render: photometric_loss(render, target, None, 0.2), render)
+    assert torch.autograd.gradcheck(
+        lambda render: photometric_loss(render, target, None, 0.2), render
+    )
 
 
 def test_constants_are_smooth():
@@ -91,7 +102,9 @@ def test_edges_of_the_photo_cut_the_weight():
     step[:, 2:] = 1.0
     depth = step[:, :, 0]
     plain = smoothness_loss(step, depth, step, None, 1.0, 1.0, LossConfig())
-    aware = smoothness_loss(step, depth, step, None, 1.0, 1.0, LossConfig(edge_aware=True, beta=3.0))
+    aware = smoothness_loss(
+        step, depth, step, None, 1.0, 1.0, LossConfig(edge_aware=True, beta=3.0)
+    )
     assert aware.item() == pytest.approx(plain.item() * math.exp(-3.0))
 
 
@@ -114,7 +127,9 @@ def test_the_variation_is_that_of_plain_torch(shape, masked, edge_aware):
 def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim):
     render, target = image(70, 25, 3).requires_grad_(), image(70, 25, 3, seed=1)
     valid = image(70, 25, 1, seed=2)[..., 0] > 0.3 if masked else None
-    loss, expected = (f(render, target, valid, dssim) for f in (photometric_loss, _photometric_loss))
+    loss, expected = (
+        f(render, target, valid, dssim) for f in (photometric_loss, _photometric_loss)
+    )
     torch.testing.assert_close(loss, expected)
     gradients = [torch.autograd.grad(value, render)[0] for value in (loss, expected)]
     torch.testing.assert_close(*gradients)
@@ -170,9 +185,19 @@ def test_smoothness_ignores_pixels_that_do_not_count(edge_aware):
     valid = torch.rand(8, 9, generator=generator) > 0.3
     losses = []
     for value in (0.0, 7.0):
-        filled = [torch.where(valid[:, :, None], tensor, value) for tensor in (image, depth, target)]
+        filled = [
+            torch.where(valid[:, :, None], tensor, value) for tensor in (image, depth, target)
+        ]
         losses.append(
-            smoothness_loss(filled[0], filled[1][..., 0], filled[2], valid, 1.0, 1.0, LossConfig(edge_aware=edge_aware))
+            smoothness_loss(
+                filled[0],
+                filled[1][..., 0],
+                filled[2],
+                valid,
+                1.0,
+                1.0,
+                LossConfig(edge_aware=edge_aware),
+            )
         )
     assert losses[0] == losses[1]
     assert losses[0] > 0
@@ -180,8 +205,12 @@ def test_smoothness_ignores_pixels_that_do_not_count(edge_aware):
 
 def opaqueness(alpha_thermal, alpha_rgb, depth_thermal, depth_rgb):
     """L_opaque of a row of pixels, and its gradients in the thermal blend."""
-    heat, heat_depth = (torch.tensor([values], requires_grad=True) for values in (alpha_thermal, depth_thermal))
-    light, light_depth = (torch.tensor([values], requires_grad=True) for values in (alpha_rgb, depth_rgb))
+    heat, heat_depth = (
+        torch.tensor([values], requires_grad=True) for values in (alpha_thermal, depth_thermal)
+    )
+    light, light_depth = (
+        torch.tensor([values], requires_grad=True) for values in (alpha_rgb, depth_rgb)
+    )
     loss = opaqueness_loss(heat, light, heat_depth, light_depth)
     loss.backward()
     assert light.grad is None
@@ -190,14 +219,17 @@ def opaqueness(alpha_thermal, alpha_rgb, depth_thermal, depth_rgb):
 
 
 def test_heat_is_blocked_where_light_is():
-    loss, by_alpha, by_depth = opaqueness([0.6, 1.0, 0.9], [1.0, 0.2, 0.9], [1.2, 2.0, 1.8], [2.0, 0.4, 1.8])
+    loss, by_alpha, by_depth = opaqueness(
+        [0.6, 1.0, 0.9], [1.0, 0.2, 0.9], [1.2, 2.0, 1.8], [2.0, 0.4, 1.8]
+    )
     assert loss == pytest.approx(0.4 / 3)
     assert by_alpha == pytest.approx([-1 / 3, 0, 0])
     assert by_depth == [0, 0, 0]
 
 
 def test_heat_does_not_come_from_behind_what_light_shows():
-    """A wall at 2, seen by heat at 2.5 behind it, at 1.5 before it, far behind it, and where light is not blocked."""
+    """A wall at 2, seen by heat at 2.5 behind it, at 1.5 before it, far behind it, and where light
+    is not blocked."""
     loss, _, by_depth = opaqueness(
         [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.4], [2.5, 1.5, 8.0, 9.0], [2.0, 2.0, 2.0, 0.8]
     )

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from mrgs.data import load_scene
-from mrgs.training.config import make_config
+from mrgs.method.config import make_config
 from mrgs.training.memory import estimate_bytes, peak_memory_bytes
 
 
@@ -17,7 +17,9 @@ def test_estimate_grows_with_the_gaussians_and_the_resolution(method, small_scen
 
 def test_the_baseline_needs_less(small_scene):
     scene = load_scene(small_scene)
-    baseline, full = (estimate_bytes(scene, make_config(method), 10_000) for method in ("3dgs-rgbt", "mrgs"))
+    baseline, full = (
+        estimate_bytes(scene, make_config(method), 10_000) for method in ("3dgs-rgbt", "mrgs")
+    )
     assert baseline < full
 
 

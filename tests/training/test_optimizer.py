@@ -7,14 +7,15 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
+from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig, are_finite, set_rates
 from mrgs.scene import Gaussians
-from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig, are_finite, set_rates
 
 EXTENT = 2.0
 
 
 def give_gradients(gaussians: Gaussians, rows: torch.Tensor, seed: int) -> None:
-    """Gradients that depend on the row's number in ``rows`` alone, so that a row can be followed."""
+    """Gradients that depend on the row's number in ``rows`` alone, so that a row can be
+    followed."""
     for name, tensor in gaussians.tensors().items():
         generator = torch.Generator().manual_seed(seed)
         everything = torch.randn(100, *tensor.shape[1:], generator=generator)
@@ -22,7 +23,9 @@ def give_gradients(gaussians: Gaussians, rows: torch.Tensor, seed: int) -> None:
 
 
 def rows_of(gaussians: Gaussians, rows: torch.Tensor) -> Gaussians:
-    return Gaussians(**{name: tensor.detach()[rows].clone() for name, tensor in gaussians.tensors().items()})
+    return Gaussians(
+        **{name: tensor.detach()[rows].clone() for name, tensor in gaussians.tensors().items()}
+    )
 
 
 def test_a_step_is_adams(make_gaussians):
@@ -58,7 +61,9 @@ def test_kept_rows_go_on_as_if_the_others_had_never_been(make_gaussians):
     assert set(state) == set(expected)
     for name, tensor in expected.items():
         found = state[name] if tensor.ndim == 0 else state[name][:3]
-        torch.testing.assert_close(found, tensor, rtol=1e-6, atol=1e-7, msg=name)  # a row's place decides the rounding
+        torch.testing.assert_close(
+            found, tensor, rtol=1e-6, atol=1e-7, msg=name
+        )  # a row's place decides the rounding
 
 
 def test_new_rows_start_without_moments(make_gaussians):
@@ -79,7 +84,8 @@ def test_new_rows_start_without_moments(make_gaussians):
 
 @pytest.mark.parametrize("steps_before", [0, 2])
 def test_empty_columns_survive(steps_before, make_gaussians):
-    """3DGS_RGB-T has no thermal opacity of its own and no embedding, MrGS no higher degrees of the temperature."""
+    """3DGS_RGB-T has no thermal opacity of its own and no embedding, MrGS no higher degrees of the
+    temperature."""
     optimizer = GaussianOptimizer(make_gaussians(5, shares_opacity=True), OptimizerConfig(), EXTENT)
     for seed in range(steps_before):
         give_gradients(optimizer.gaussians, torch.arange(5), seed)
@@ -124,7 +130,9 @@ def test_the_state_goes_on_exactly(make_gaussians):
     whole = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(6)).state()
     part = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(3)).state()
     saved = {name: tensor.clone() for name, tensor in part.items()}
-    gaussians = Gaussians(**{name: tensor for name, tensor in saved.items() if not name.startswith("adam.")})
+    gaussians = Gaussians(
+        **{name: tensor for name, tensor in saved.items() if not name.startswith("adam.")}
+    )
     second = GaussianOptimizer(gaussians, OptimizerConfig(), EXTENT)
     second.load_moments(saved)
     found = steps(second, range(3, 6)).state()
@@ -148,7 +156,9 @@ def test_values_that_are_not_finite_are_found(value, make_gaussians):
 
 def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_bits(make_gaussians):
     """Before the first step too, when there are no moments."""
-    optimizer, plain = (GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT) for _ in range(2))
+    optimizer, plain = (
+        GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT) for _ in range(2)
+    )
     good = torch.tensor(True)
     for seed in range(3):
         before = {name: tensor.clone() for name, tensor in optimizer.gaussians.tensors().items()}
@@ -166,7 +176,9 @@ def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_b
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
 
-def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(make_gaussians, monkeypatch):
+def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(
+    make_gaussians, monkeypatch
+):
     optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
     give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
     optimizer.step(0.5)
@@ -215,20 +227,27 @@ def test_impossible_learning_rates_are_named(options, message):
 
 def test_rates_fall_at_the_end_alone(make_gaussians):
     config = OptimizerConfig(slowdown_from=0.5, slowdown_to=0.01)
-    assert [config.slowdown_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == pytest.approx([1, 1, 0.1, 0.01])
+    assert [config.slowdown_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == pytest.approx(
+        [1, 1, 0.1, 0.01]
+    )
     assert OptimizerConfig().slowdown_at(1.0) == 1.0
     optimizer = GaussianOptimizer(make_gaussians(6), config, EXTENT)
     give_gradients(optimizer.gaussians, torch.arange(6), seed=0)
     before = optimizer.gaussians.quats.detach().clone()
     optimizer.step(1.0)
     moved = (optimizer.gaussians.quats.detach() - before).abs()
-    torch.testing.assert_close(moved, torch.full_like(moved, 0.01 * config.quats), rtol=0.02, atol=1e-8)
+    torch.testing.assert_close(
+        moved, torch.full_like(moved, 0.01 * config.quats), rtol=0.02, atol=1e-8
+    )
 
 
 def test_all_groups_are_slowed_alike():
     weights = [torch.zeros(1, requires_grad=True), torch.zeros(1, requires_grad=True)]
     adam = torch.optim.Adam(
-        [{"params": [w], "lr": r, "initial_lr": r} for w, r in zip(weights, (1.0, 4.0), strict=True)]
+        [
+            {"params": [w], "lr": r, "initial_lr": r}
+            for w, r in zip(weights, (1.0, 4.0), strict=True)
+        ]
     )
     for factor in (0.5, 0.25):
         set_rates(adam, factor)

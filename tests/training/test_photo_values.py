@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from mrgs.method.start.photo_values import PHOTOS, photo_values
 from mrgs.scene import Camera, Pixels, PosedImage
-from mrgs.training.photo_values import PHOTOS, photo_values
 
 WIDTH, HEIGHT = 12, 8
 
@@ -21,7 +21,9 @@ def photo(values: Tensor, valid: Tensor | None = None, x: float = 0.0) -> PosedI
     K = torch.tensor([[10.0, 0, WIDTH / 2], [0, 10.0, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64)
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[0, 3] = -x
-    return PosedImage(Camera(K, viewmat, WIDTH, HEIGHT), lambda: Pixels(values.float()[..., None], valid))
+    return PosedImage(
+        Camera(K, viewmat, WIDTH, HEIGHT), lambda: Pixels(values.float()[..., None], valid)
+    )
 
 
 def constant(value: float, x: float = 0.0) -> PosedImage:
@@ -44,7 +46,9 @@ def test_a_point_gets_the_value_of_its_own_pixel():
 def test_colours_are_medians_channel_by_channel():
     camera = constant(0.0).camera
     colors = torch.tensor([[0.1, 0.5, 0.9], [0.2, 0.4, 0.8], [0.3, 0.6, 0.7]])
-    photos = [PosedImage(camera, lambda c=c: Pixels(c.expand(HEIGHT, WIDTH, 3).clone())) for c in colors]
+    photos = [
+        PosedImage(camera, lambda c=c: Pixels(c.expand(HEIGHT, WIDTH, 3).clone())) for c in colors
+    ]
     found = photo_values(torch.tensor([[0.0, 0.0, 1.0]]), photos, 3)
     torch.testing.assert_close(found, torch.tensor([[0.2, 0.5, 0.8]]))
 
@@ -56,7 +60,9 @@ def test_the_median_leaves_out_the_photo_where_something_stands_before_the_point
 
 def test_photos_that_show_something_nearer_do_not_count():
     """Of three photos two show a wall before the point, and so its temperature."""
-    wall = torch.cartesian_prod(torch.arange(-0.6, 0.6, 0.02), torch.arange(-0.4, 0.4, 0.02), torch.ones(1))
+    wall = torch.cartesian_prod(
+        torch.arange(-0.6, 0.6, 0.02), torch.arange(-0.4, 0.4, 0.02), torch.ones(1)
+    )
     point = torch.tensor([[0.02, 0.02, 5.0]])
     photos = [constant(0.9), constant(0.9, 0.1), constant(0.2, 2.5)]
     hidden_in_two = torch.cat([point, wall])
@@ -79,7 +85,9 @@ def test_invalid_pixels_do_not_count():
     valid = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
     valid[3, 4] = False
     points = torch.tensor([in_pixel(3, 4), in_pixel(3, 5)])
-    assert temperatures(points, [photo(values, valid)]).tolist() == pytest.approx([math.nan, 0.9], nan_ok=True)
+    assert temperatures(points, [photo(values, valid)]).tolist() == pytest.approx(
+        [math.nan, 0.9], nan_ok=True
+    )
 
 
 def test_without_photos_all_are_in_the_middle_of_the_range():

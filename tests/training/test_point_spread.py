@@ -6,11 +6,15 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from mrgs.training.point_spread import _spread_points, spread_points
+from mrgs.method.camera_model.point_spread import _spread_points, spread_points
 
 
-def plane(height: int, width: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> torch.Tensor:
-    return torch.rand(height, width, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
+def plane(
+    height: int, width: int, seed: int = 0, dtype: torch.dtype = torch.float64
+) -> torch.Tensor:
+    return torch.rand(
+        height, width, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    ).to(dtype)
 
 
 def sigma(value: float) -> torch.Tensor:
@@ -23,7 +27,9 @@ def test_far_from_the_frame_it_is_a_gaussian_filter(sigma_px):
     expected = gaussian_filter(image.numpy(), sigma_px, truncate=10.0)
     margin = math.ceil(6 * sigma_px)
     inner = (slice(margin, -margin), slice(margin, -margin))
-    assert spread_points(image, sigma(sigma_px)).numpy()[inner] == pytest.approx(expected[inner], abs=1e-3)
+    assert spread_points(image, sigma(sigma_px)).numpy()[inner] == pytest.approx(
+        expected[inner], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("shape", [(9, 12), (1, 1), (3, 40)])
@@ -39,7 +45,9 @@ def test_it_is_that_of_plain_torch(shape, sigma_px):
     results = [f(image, width) for f in (spread_points, _spread_points)]
     torch.testing.assert_close(*results)
     weights = plane(*shape, seed=1)
-    gradients = [torch.autograd.grad((weights * result).sum(), (image, width)) for result in results]
+    gradients = [
+        torch.autograd.grad((weights * result).sum(), (image, width)) for result in results
+    ]
     for found, expected in zip(*gradients, strict=True):
         torch.testing.assert_close(found, expected)
 

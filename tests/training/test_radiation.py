@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.scene import TemperatureRange
-from mrgs.training.radiation import (
+from mrgs.method.losses.radiation import (
     STEFAN_BOLTZMANN,
     DepthUncertainty,
     RadiationConfig,
@@ -17,26 +16,34 @@ from mrgs.training.radiation import (
     normalise_radiation,
     thermal_radiation,
 )
+from mrgs.scene import TemperatureRange
 
 RANGE = TemperatureRange(min_c=-10.0, max_c=50.0)
 
 
 def plane(height: int = 14, width: int = 16, seed: int = 0) -> torch.Tensor:
-    return torch.rand(height, width, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    return torch.rand(
+        height, width, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    )
 
 
 def test_radiation_is_that_of_a_black_body_seen_from_a_distance():
     target = torch.tensor([[0.5]], dtype=torch.float64)
     depth = torch.tensor([[2.0]], dtype=torch.float64)
     kelvin = 20 + 273.15
-    assert thermal_radiation(target, depth, 1.0, RANGE).item() == pytest.approx(5.670374419e-8 * kelvin**4 / 4)
-    assert thermal_radiation(target, depth, 1.0, None).item() == pytest.approx(STEFAN_BOLTZMANN * 0.5**4 / 4)
+    assert thermal_radiation(target, depth, 1.0, RANGE).item() == pytest.approx(
+        5.670374419e-8 * kelvin**4 / 4
+    )
+    assert thermal_radiation(target, depth, 1.0, None).item() == pytest.approx(
+        STEFAN_BOLTZMANN * 0.5**4 / 4
+    )
 
 
 def test_depth_has_a_floor():
     target, depth = plane(2, 2), torch.zeros(2, 2, dtype=torch.float64)
     assert torch.equal(
-        thermal_radiation(target, depth, 4.0, RANGE), thermal_radiation(target, depth + 0.004, 4.0, RANGE)
+        thermal_radiation(target, depth, 4.0, RANGE),
+        thermal_radiation(target, depth + 0.004, 4.0, RANGE),
     )
 
 
@@ -45,7 +52,9 @@ def test_gradients():
     radiation = thermal_radiation(target, depth, 1.0, RANGE).detach().requires_grad_()
     uncertainty = plane(seed=2).requires_grad_()
     thermal = plane(seed=3).requires_grad_()
-    assert torch.autograd.gradcheck(lambda depth: thermal_radiation(target, depth, 1.0, RANGE), depth)
+    assert torch.autograd.gradcheck(
+        lambda depth: thermal_radiation(target, depth, 1.0, RANGE), depth
+    )
     scaled = normalise_radiation(radiation).detach().requires_grad_()
     assert torch.autograd.gradcheck(boltzmann_loss, (thermal, scaled, uncertainty))
 
@@ -75,7 +84,9 @@ def test_nothing_is_gained_by_multiplying_all_depths(masked):
 def test_gradient_of_the_normalisation(masked):
     valid = plane(seed=3) > 0.3 if masked else None
     radiation = (1 + plane()).requires_grad_()
-    assert torch.autograd.gradcheck(lambda radiation: normalise_radiation(radiation, valid), radiation)
+    assert torch.autograd.gradcheck(
+        lambda radiation: normalise_radiation(radiation, valid), radiation
+    )
 
 
 def test_normalisation_looks_at_valid_pixels_alone():
@@ -95,7 +106,9 @@ def test_without_a_valid_pixel_the_normalised_radiation_and_its_gradient_are_zer
 
 
 @pytest.mark.parametrize("temperature", [RANGE, None])
-@pytest.mark.parametrize("depth", [torch.zeros(12, 12), torch.full((12, 12), 3.0)], ids=["no depth", "flat depth"])
+@pytest.mark.parametrize(
+    "depth", [torch.zeros(12, 12), torch.full((12, 12), 3.0)], ids=["no depth", "flat depth"]
+)
 @pytest.mark.parametrize("level", [0.0, 0.5])
 def test_degenerate_inputs_have_finite_values_and_gradients(temperature, depth, level):
     torch.manual_seed(0)
@@ -112,7 +125,9 @@ def test_uncertainty_is_a_convolution_of_the_scaled_depth():
     torch.manual_seed(0)
     module = DepthUncertainty().double()
     depth = plane(9, 10)
-    expected = torch.nn.functional.conv2d(depth[None, None] / 3, module.psi.weight, module.psi.bias, padding=1)
+    expected = torch.nn.functional.conv2d(
+        depth[None, None] / 3, module.psi.weight, module.psi.bias, padding=1
+    )
     torch.testing.assert_close(module(depth, 3.0), expected[0, 0].sigmoid())
 
 
@@ -122,7 +137,9 @@ def test_the_loss_is_that_of_plain_torch(masked):
     valid = plane(70, 20, seed=3) > 0.3 if masked else None
     loss, expected = (f(*inputs, valid) for f in (boltzmann_loss, _boltzmann_loss))
     torch.testing.assert_close(loss, expected)
-    torch.testing.assert_close(torch.autograd.grad(loss, inputs), torch.autograd.grad(expected, inputs))
+    torch.testing.assert_close(
+        torch.autograd.grad(loss, inputs), torch.autograd.grad(expected, inputs)
+    )
 
 
 def test_agreement_costs_the_uncertainty_alone():
@@ -144,18 +161,27 @@ def test_invalid_pixels_do_not_count():
     valid = plane(seed=3) > 0.3
     spoilt = torch.where(valid, radiation, 1e6)
     torch.testing.assert_close(
-        boltzmann_loss(thermal, spoilt, uncertainty, valid), boltzmann_loss(thermal, radiation, uncertainty, valid)
+        boltzmann_loss(thermal, spoilt, uncertainty, valid),
+        boltzmann_loss(thermal, radiation, uncertainty, valid),
     )
 
 
 def test_weight_decays_between_its_ends():
     config = RadiationConfig()
-    for step, weight in ((0, 0.05), (500, 0.05), (7750, math.sqrt(0.05 * 0.01)), (15_000, 0.01), (30_000, 0.01)):
+    for step, weight in (
+        (0, 0.05),
+        (500, 0.05),
+        (7750, math.sqrt(0.05 * 0.01)),
+        (15_000, 0.01),
+        (30_000, 0.01),
+    ):
         assert boltzmann_weight(step, config) == pytest.approx(weight)
 
 
 def test_impossible_schedules_are_named():
-    with pytest.raises(ConfigError, match=r"the weights of L_boltz must be positive, not 0\.0 and 0\.01"):
+    with pytest.raises(
+        ConfigError, match=r"the weights of L_boltz must be positive, not 0\.0 and 0\.01"
+    ):
         RadiationConfig(start=0.0)
     with pytest.raises(ConfigError, match="L_boltz cannot decay from step 500 to step 500"):
         RadiationConfig(decay_until=500)

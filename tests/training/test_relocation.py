@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError
-from mrgs.rasterizer.reference import rotation_matrices
-from mrgs.training.optimizer import GaussianOptimizer, OptimizerConfig
-from mrgs.training.relocation import (
+from mrgs.method.density.relocation import (
     RelocationConfig,
     explore,
     relocate,
@@ -18,15 +16,21 @@ from mrgs.training.relocation import (
     shrinkage,
     sparsity_loss,
 )
+from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig
+from mrgs.rasterizer.reference import rotation_matrices
 
 CONFIG = RelocationConfig(start=0, stop=100, every=10)
 
 
-def build(make_gaussians, opacities_rgb, opacities_thermal=None, shares_opacity=False) -> GaussianOptimizer:
+def build(
+    make_gaussians, opacities_rgb, opacities_thermal=None, shares_opacity=False
+) -> GaussianOptimizer:
     gaussians = make_gaussians(len(opacities_rgb), shares_opacity)
     gaussians.opacity_rgb_logit = torch.tensor(opacities_rgb)[:, None].logit()
     if not shares_opacity:
-        gaussians.opacity_thermal_logit = torch.tensor(opacities_thermal or opacities_rgb)[:, None].logit()
+        gaussians.opacity_thermal_logit = torch.tensor(opacities_thermal or opacities_rgb)[
+            :, None
+        ].logit()
     return GaussianOptimizer(gaussians, OptimizerConfig(), 10.0)
 
 
@@ -65,7 +69,9 @@ def test_copies_keep_the_integral_of_the_blend():
 
 def test_dead_ones_become_copies_of_live_ones(make_gaussians):
     optimizer = build(make_gaussians, [0.5, 0.001, 0.001])
-    before = {name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()}
+    before = {
+        name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()
+    }
     counts = run(optimizer, budget=3)
     after = optimizer.gaussians
     assert (counts.moved, counts.added, len(after)) == (2, 0, 3)
@@ -113,7 +119,9 @@ def test_noise_has_the_shape_of_the_gaussian_and_spares_the_opaque(make_gaussian
     count = 20_000
     optimizer = build(make_gaussians, [0.005] * count)
     one = {name: tensor.detach()[:1] for name, tensor in optimizer.gaussians.tensors().items()}
-    gaussians = type(optimizer.gaussians)(**{name: tensor.repeat_interleave(count, 0) for name, tensor in one.items()})
+    gaussians = type(optimizer.gaussians)(
+        **{name: tensor.repeat_interleave(count, 0) for name, tensor in one.items()}
+    )
     explore(gaussians, 1e-5, CONFIG, torch.Generator().manual_seed(0))
     moved = gaussians.means - one["means"]
     rotation = rotation_matrices(one["quats"])[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.training.config import TrainConfig, make_config
+from mrgs.method.config import TrainConfig, make_config
 from mrgs.training.run_folder import RunFolder
 
 
@@ -35,7 +35,8 @@ def test_a_new_run_keeps_its_configuration(tmp_path):
 def test_a_run_is_not_started_twice(folder):
     touch_checkpoints(folder, 10)
     with pytest.raises(
-        RunError, match="run already holds a run: continue it with --resume, or choose another --output"
+        RunError,
+        match="run already holds a run: continue it with --resume, or choose another --output",
     ):
         folder.start(TrainConfig())
 
@@ -50,14 +51,19 @@ def test_a_run_that_died_before_its_first_checkpoint_is_started_anew(folder):
 @pytest.mark.parametrize("name", ["config.yaml", "log.jsonl"])
 def test_a_folder_of_something_else_is_left_alone(name, tmp_path):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(RunError, match=rf"holds a {name} that is not a run's: choose another --output"):
+    with pytest.raises(
+        RunError, match=rf"holds a {name} that is not a run's: choose another --output"
+    ):
         RunFolder(tmp_path).start(TrainConfig())
     assert (tmp_path / name).read_text() == "mine"
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(RunError, match=r"file/run cannot be written \(.+\): free the place or choose another --output"):
+    with pytest.raises(
+        RunError,
+        match=r"file/run cannot be written \(.+\): free the place or choose another --output",
+    ):
         RunFolder(tmp_path / "file" / "run").locked().__enter__()
 
 
@@ -65,7 +71,10 @@ def test_checkpoints_are_sorted_by_step_and_the_newest_two_are_kept(folder):
     touch_checkpoints(folder, 2_000_000, 1_000, 999_999)
     assert folder.newest_checkpoint() == folder.checkpoint_file(2_000_000)
     folder.drop_old_checkpoints()
-    assert folder.checkpoints() == [folder.checkpoint_file(999_999), folder.checkpoint_file(2_000_000)]
+    assert folder.checkpoints() == [
+        folder.checkpoint_file(999_999),
+        folder.checkpoint_file(2_000_000),
+    ]
     folder.drop_old_checkpoints()
     assert len(folder.checkpoints()) == 2
 
@@ -79,11 +88,18 @@ def test_other_files_are_no_checkpoints(folder):
 
 def test_what_is_not_a_run_is_named(tmp_path, folder):
     empty = RunFolder(tmp_path)
-    with pytest.raises(RunError, match=r"is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote"):
+    with pytest.raises(
+        RunError,
+        match=r"is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote",
+    ):
         empty.newest_checkpoint()
-    with pytest.raises(RunError, match=r"is not a run: its config\.yaml cannot be read; name a folder that"):
+    with pytest.raises(
+        RunError, match=r"is not a run: its config\.yaml cannot be read; name a folder that"
+    ):
         empty.read_config()
-    with pytest.raises(RunError, match="run has no checkpoint yet: train it first, without --resume"):
+    with pytest.raises(
+        RunError, match="run has no checkpoint yet: train it first, without --resume"
+    ):
         folder.newest_checkpoint()
 
 
@@ -91,7 +107,10 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
     ("content", "message"),
     [
         (b"\xff\xfe", r"its config\.yaml cannot be read"),
-        (b"max_steps: 0", r"config\.yaml: max_steps must be at least 1, not 0; mend the file or train anew"),
+        (
+            b"max_steps: 0",
+            r"config\.yaml: max_steps must be at least 1, not 0; mend the file or train anew",
+        ),
         (b"steps: 7", r"config\.yaml: there is no field 'steps'; .*; mend the file or train anew"),
     ],
 )
@@ -115,7 +134,10 @@ def test_the_log_is_cut_behind_a_step(folder):
 
 
 def test_a_lock_is_held_and_given_back(folder):
-    with folder.locked(), pytest.raises(RunError, match=r"in use by another run: wait for it, or choose another"):
+    with (
+        folder.locked(),
+        pytest.raises(RunError, match=r"in use by another run: wait for it, or choose another"),
+    ):
         RunFolder(folder.path).locked().__enter__()
     with RunFolder(folder.path).locked():
         pass

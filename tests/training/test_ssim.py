@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torchmetrics.functional.image import structural_similarity_index_measure
 
-from mrgs.training.ssim import (
+from mrgs.method.losses.ssim import (
     WEIGHTS,
     local_statistics,
     ssim_map,
@@ -23,11 +23,18 @@ def naive_window_mean(planes: torch.Tensor) -> torch.Tensor:
     """One two-dimensional convolution with an explicit 11 × 11 kernel."""
     offsets = torch.arange(-5, 6, dtype=planes.dtype)
     kernel = torch.exp(-(offsets[:, None] ** 2 + offsets**2) / (2 * 1.5**2))
-    return torch.nn.functional.conv2d(planes[:, None], (kernel / kernel.sum())[None, None], padding=5)[:, 0]
+    return torch.nn.functional.conv2d(
+        planes[:, None], (kernel / kernel.sum())[None, None], padding=5
+    )[:, 0]
 
 
 @settings(deadline=None, max_examples=30)
-@given(channels=st.integers(0, 4), height=st.integers(1, 25), width=st.integers(1, 25), double=st.booleans())
+@given(
+    channels=st.integers(0, 4),
+    height=st.integers(1, 25),
+    width=st.integers(1, 25),
+    double=st.booleans(),
+)
 def test_window_mean_is_a_convolution(channels, height, width, double):
     planes = image(channels, height, width, dtype=torch.float64 if double else torch.float32)
     result = window_mean(planes)
@@ -72,9 +79,15 @@ def test_ssim_agrees_with_torchmetrics(channels, data_range):
     our_range = data_range or torch.maximum(x.max() - x.min(), y.max() - y.min())
 
     interior = (slice(None), slice(5, -5), slice(5, -5))
-    torch.testing.assert_close(ssim_map(x, y, our_range)[interior], their_map[0][interior], atol=1e-5, rtol=0)
-    reflected = [torch.nn.functional.pad(planes[None], (5, 5, 5, 5), mode="reflect")[0] for planes in (x, y)]
-    torch.testing.assert_close(ssim_map(*reflected, our_range)[interior].mean(), theirs, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        ssim_map(x, y, our_range)[interior], their_map[0][interior], atol=1e-5, rtol=0
+    )
+    reflected = [
+        torch.nn.functional.pad(planes[None], (5, 5, 5, 5), mode="reflect")[0] for planes in (x, y)
+    ]
+    torch.testing.assert_close(
+        ssim_map(*reflected, our_range)[interior].mean(), theirs, atol=1e-5, rtol=0
+    )
 
 
 def test_structural_similarity_is_the_papers_formula():

@@ -6,10 +6,16 @@ import pytest
 import torch
 from torch import Tensor
 
+from mrgs.method.config import make_config
+from mrgs.method.start.distant_points import distant_points
+from mrgs.method.start.start_points import (
+    DISTANT_OPACITY,
+    OPACITY,
+    THERMAL_OPACITY,
+    UNSEEN,
+    start_points,
+)
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage, Scene, View
-from mrgs.training.config import make_config
-from mrgs.training.distance import distant_points
-from mrgs.training.start_points import DISTANT_OPACITY, OPACITY, THERMAL_OPACITY, UNSEEN, start_points
 
 WIDTH, HEIGHT = 48, 36
 WALL_C, SKY_C = 0.8, 0.1
@@ -19,12 +25,18 @@ SKY = torch.tensor([0.3, 0.5, 0.9])
 def image(above: Tensor, below: Tensor, camera: Camera) -> PosedImage:
     """One value above the horizon, another below it."""
     upper = torch.arange(HEIGHT)[:, None, None] < HEIGHT // 2
-    return PosedImage(camera, lambda: Pixels(torch.where(upper, above, below).expand(HEIGHT, WIDTH, -1).contiguous()))
+    return PosedImage(
+        camera,
+        lambda: Pixels(torch.where(upper, above, below).expand(HEIGHT, WIDTH, -1).contiguous()),
+    )
 
 
 def wall_under_sky(has_rgb: bool = True, has_thermal: bool = True) -> Scene:
-    """A wall of grey points fills the lower half of the only photo, from 3 units before the camera."""
-    K = torch.tensor([[WIDTH, 0, WIDTH / 2], [0, WIDTH, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64)
+    """A wall of grey points fills the lower half of the only photo, from 3 units before the
+    camera."""
+    K = torch.tensor(
+        [[WIDTH, 0, WIDTH / 2], [0, WIDTH, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64
+    )
     camera = Camera(K, torch.eye(4, dtype=torch.float64), WIDTH, HEIGHT)
     rows, columns = torch.arange(HEIGHT // 2, HEIGHT), torch.arange(WIDTH)
     pixels = torch.cartesian_prod(columns, rows).double() + 0.5
@@ -41,7 +53,9 @@ def test_the_scenes_own_points_keep_their_colours_and_get_temperatures():
     own = slice(len(scene.points.positions))
     assert torch.equal(found.positions[own], scene.points.positions)
     assert torch.equal(found.colors[own], scene.points.colors)
-    torch.testing.assert_close(found.temperatures[own], torch.full_like(found.temperatures[own], WALL_C))
+    torch.testing.assert_close(
+        found.temperatures[own], torch.full_like(found.temperatures[own], WALL_C)
+    )
     assert (found.opacities_rgb[own] == OPACITY).all()
     assert (found.opacities_thermal[own] == THERMAL_OPACITY).all()
 
@@ -53,7 +67,9 @@ def test_the_sky_is_opaque_and_as_the_photos_show_it():
     assert len(found.positions) > count + 30
     assert (found.opacities_rgb[count:] == DISTANT_OPACITY).all()
     assert (found.opacities_thermal[count:] == DISTANT_OPACITY).all()
-    torch.testing.assert_close(found.temperatures[count:], torch.full_like(found.temperatures[count:], SKY_C))
+    torch.testing.assert_close(
+        found.temperatures[count:], torch.full_like(found.temperatures[count:], SKY_C)
+    )
     torch.testing.assert_close(found.colors[count:], SKY.expand(len(found.positions) - count, 3))
 
 
@@ -63,7 +79,9 @@ def test_only_the_sky_is_limited_in_size():
     found = start_points(scene, make_config("mrgs", "fast"))
     assert found.max_scales[:count].isinf().all()
     spacing = distant_points(scene.points.positions, scene.train_cameras).spacing
-    torch.testing.assert_close(found.max_scales[count:], torch.full_like(found.max_scales[count:], 2 * spacing))
+    torch.testing.assert_close(
+        found.max_scales[count:], torch.full_like(found.max_scales[count:], 2 * spacing)
+    )
 
 
 @pytest.mark.parametrize(("has_rgb", "has_thermal"), [(True, False), (False, True)])

@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from mrgs.method.losses import terms as terms_module
+from mrgs.method.losses.photometric import LossConfig, photometric_loss
+from mrgs.method.losses.terms import Photos, SceneScale
 from mrgs.scene import Pixels
-from mrgs.training import terms as terms_module
-from mrgs.training.losses import LossConfig, photometric_loss
 from mrgs.training.step import control_density, training_step
-from mrgs.training.terms import Photos, SceneScale
 
 
 def photos_of(view) -> Photos:
@@ -20,21 +20,36 @@ def photos_of(view) -> Photos:
 def take(state, scene, config, number: int = 0, photos: Photos | None = None):
     view = scene.train[number]
     return training_step(
-        state, view, number, photos or photos_of(view), config, SceneScale(scene.extent, scene.temperature)
+        state,
+        view,
+        number,
+        photos or photos_of(view),
+        config,
+        SceneScale(scene.extent, scene.temperature),
     )
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
-def test_a_step_moves_every_parameter_that_the_method_has(method, make_start, make_short_config, snapshot):
+def test_a_step_moves_every_parameter_that_the_method_has(
+    method, make_start, make_short_config, snapshot
+):
     config = make_short_config(method, sh_every=1)
     scene, state = make_start(config)
     before = snapshot(state)
     for number in range(3):
         statistics = take(state, scene, config, number)
-        assert (statistics.step, statistics.gaussians, statistics.skipped) == (number + 1, 25, False)
+        assert (statistics.step, statistics.gaussians, statistics.skipped) == (
+            number + 1,
+            25,
+            False,
+        )
     assert state.step == 3
     after = snapshot(state)
-    frame = ("field.center", "field.scale", "uncertainty") if method == "3dgs-rgbt" else ("field.center", "field.scale")
+    frame = (
+        ("field.center", "field.scale", "uncertainty")
+        if method == "3dgs-rgbt"
+        else ("field.center", "field.scale")
+    )
     for name, tensor in before.items():
         if tensor.numel() > 0 and not name.startswith(frame):
             assert not torch.equal(after[name], tensor), name
@@ -51,7 +66,9 @@ def test_the_loss_is_the_weighted_sum_of_its_terms(make_start, make_short_config
 
 def poison_loss(monkeypatch, photos: Photos) -> Photos:
     """A loss that is NaN."""
-    monkeypatch.setattr(terms_module, "photometric_loss", lambda *args: photometric_loss(*args) * float("nan"))
+    monkeypatch.setattr(
+        terms_module, "photometric_loss", lambda *args: photometric_loss(*args) * float("nan")
+    )
     return photos
 
 
@@ -73,7 +90,9 @@ def poison_photo(monkeypatch, photos: Photos) -> Photos:
 
 
 @pytest.mark.parametrize("poison", [poison_loss, poison_gradient, poison_photo])
-def test_a_step_that_is_not_finite_changes_nothing(poison, make_start, make_short_config, snapshot, monkeypatch):
+def test_a_step_that_is_not_finite_changes_nothing(
+    poison, make_start, make_short_config, snapshot, monkeypatch
+):
     config = make_short_config()
     scene, state = make_start(config)
     for number in range(2):
@@ -95,7 +114,8 @@ def test_a_step_that_is_not_finite_changes_nothing(poison, make_start, make_shor
 
 
 def test_ignored_pixels_do_not_matter(make_start, make_short_config, snapshot):
-    """Whatever stands in them, the same parameters come out, but for SSIM's windows that reach into them."""
+    """Whatever stands in them, the same parameters come out, but for SSIM's windows that reach into
+    them."""
     config = make_short_config(loss=LossConfig(dssim=0.0))
 
     def after(value: float) -> dict[str, torch.Tensor]:
@@ -104,7 +124,8 @@ def test_ignored_pixels_do_not_matter(make_start, make_short_config, snapshot):
         valid = torch.ones(30, 40, dtype=torch.bool)
         valid[5:20, 10:20] = False
         hidden = [
-            Pixels(torch.where(valid[..., None], photo.values, torch.tensor(value)), valid) for photo in photos[:2]
+            Pixels(torch.where(valid[..., None], photo.values, torch.tensor(value)), valid)
+            for photo in photos[:2]
         ]
         statistics = take(state, scene, config, photos=Photos(*hidden))
         assert not statistics.skipped
@@ -124,7 +145,9 @@ def test_the_harmonics_follow_the_schedule(make_start, make_short_config):
     assert degrees == [0, 1, 1, 2, 2, 3]
 
 
-@pytest.mark.parametrize(("method", "moves"), [("mrgs", [True, False, True]), ("3dgs-rgbt", [True, True, True])])
+@pytest.mark.parametrize(
+    ("method", "moves"), [("mrgs", [True, False, True]), ("3dgs-rgbt", [True, True, True])]
+)
 def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
     method, moves, make_start, make_short_config
 ):
@@ -138,7 +161,9 @@ def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
     assert gradients == moves
 
 
-def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_start, make_short_config):
+def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(
+    make_start, make_short_config
+):
     config = make_short_config(neighbours_every=3)
     schedule = replace(config.densification, start=0, every=4, stop=100, gradient_threshold=0.0)
     config = replace(config, densification=schedule)
@@ -156,10 +181,14 @@ def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_star
 
 
 @pytest.mark.parametrize("distant_points", [False, True])
-def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(distant_points, make_start, make_short_config):
+def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(
+    distant_points, make_start, make_short_config
+):
     config = make_short_config(distant_points=distant_points)
     scene, state = make_start(config)
-    schedule = replace(config.densification, start=0, stop=9, every=4, reset_every=2, gradient_threshold=1e9)
+    schedule = replace(
+        config.densification, start=0, stop=9, every=4, reset_every=2, gradient_threshold=1e9
+    )
     config = replace(config, densification=schedule)
     with torch.no_grad():
         state.model.gaussians.log_scales[:] = math.log(0.5 * schedule.prune_above * scene.extent)
@@ -169,9 +198,13 @@ def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(distant_
     assert count - len(state.model.gaussians) == (0 if distant_points else 3)
 
 
-def test_density_control_starts_the_statistics_anew_and_resets_opacities(make_start, make_short_config):
+def test_density_control_starts_the_statistics_anew_and_resets_opacities(
+    make_start, make_short_config
+):
     config = make_short_config()
-    schedule = replace(config.densification, start=0, every=2, stop=4, reset_every=3, gradient_threshold=0.0)
+    schedule = replace(
+        config.densification, start=0, every=2, stop=4, reset_every=3, gradient_threshold=0.0
+    )
     config = replace(config, densification=schedule)
     scene, state = make_start(config)
     take(state, scene, config, 0)

@@ -9,14 +9,14 @@ from safetensors.torch import load_file
 
 from mrgs.data import load_scene
 from mrgs.errors import DeviceError, RunError, SceneError, TrainingError
+from mrgs.method.density import relocation as relocation_module
+from mrgs.method.density.densification import ScreenStatistics
+from mrgs.method.density.relocation import RelocationConfig
+from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import render_view
-from mrgs.run import load_run
+from mrgs.runs.open import load_run
 from mrgs.training import METHODS, driver, step, train
-from mrgs.training import relocation as relocation_module
 from mrgs.training.checkpoint import load_facts, load_model
-from mrgs.training.densification import ScreenStatistics
-from mrgs.training.optimizer import GaussianOptimizer
-from mrgs.training.relocation import RelocationConfig
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.trainer import initial_state
 from mrgs.training.views import PhotoCache
@@ -54,11 +54,15 @@ def eventful(make_short_config, method: str):
     return replace(config, densification=schedule)
 
 
-def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(make_scene, make_short_config):
+def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(
+    make_scene, make_short_config
+):
     config = make_short_config("mrgs-plus")
     scene = load_scene(make_scene())
     without_celsius = replace(scene, temperature=None)
-    colors_alone = replace(without_celsius, train=tuple(replace(view, thermal=None) for view in scene.train))
+    colors_alone = replace(
+        without_celsius, train=tuple(replace(view, thermal=None) for view in scene.train)
+    )
     bands = [
         initial_state(scene, changed).model.gaussians.temperature_rest.shape[1]
         for scene, changed in (
@@ -79,21 +83,33 @@ def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
     assert [entry.step for entry in statistics] == list(range(1, 61))
     assert statistics[-1].gaussians == 25
     first, last = statistics[:6], statistics[-6:]  # one round of the views
-    assert sum(entry.terms["rgb"] for entry in last) < 0.6 * sum(entry.terms["rgb"] for entry in first)
-    assert sum(entry.thermal_error for entry in last) < 0.5 * sum(entry.thermal_error for entry in first)
+    assert sum(entry.terms["rgb"] for entry in last) < 0.6 * sum(
+        entry.terms["rgb"] for entry in first
+    )
+    assert sum(entry.thermal_error for entry in last) < 0.5 * sum(
+        entry.thermal_error for entry in first
+    )
 
     scene = load_scene(small_scene)
     model, _, _ = load_model(folder.newest_checkpoint(), folder.read_config())
     for view in scene.eval:
         rendering = render_view(model, view)
         photo = view.thermal.load().values
-        assert (rendering.thermal - photo).abs().mean() < 0.5 * photo.mean()  # half the error of a black image
+        assert (
+            rendering.thermal - photo
+        ).abs().mean() < 0.5 * photo.mean()  # half the error of a black image
 
 
-def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp_path, make_short_config):
+def test_run_folder_holds_configuration_log_and_two_checkpoints(
+    small_scene, tmp_path, make_short_config
+):
     config = make_short_config(max_steps=45, checkpoint_every=10)
     folder = train(small_scene, tmp_path / "a" / "run", config)
-    names = sorted(path.relative_to(folder.path).as_posix() for path in folder.path.rglob("*") if path.is_file())
+    names = sorted(
+        path.relative_to(folder.path).as_posix()
+        for path in folder.path.rglob("*")
+        if path.is_file()
+    )
     kept = ["checkpoints/step_000040.safetensors", "checkpoints/step_000045.safetensors"]
     assert names == [".lock", *kept, "config.yaml", "log.jsonl"]
     assert folder.read_config() == config
@@ -116,7 +132,9 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp
     assert facts.peak_memory_bytes > 2**20
 
 
-def test_pixels_of_different_cameras_are_not_held_against_each_other(make_scene, tmp_path, make_short_config):
+def test_pixels_of_different_cameras_are_not_held_against_each_other(
+    make_scene, tmp_path, make_short_config
+):
     statistics = []
     config = make_short_config("mrgs-plus", max_steps=2)
     train(make_scene(two_cameras=True), tmp_path / "run", config, on_step=statistics.append)
@@ -126,7 +144,12 @@ def test_pixels_of_different_cameras_are_not_held_against_each_other(make_scene,
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
     statistics = []
-    folder = train(small_scene, tmp_path / "run", make_short_config(method, max_steps=3), on_step=statistics.append)
+    folder = train(
+        small_scene,
+        tmp_path / "run",
+        make_short_config(method, max_steps=3),
+        on_step=statistics.append,
+    )
     assert [entry.skipped for entry in statistics] == [False] * 3
     expected = {"rgb", "thermal"}
     expected |= set() if method == "3dgs-rgbt" else {"smooth"}
@@ -135,7 +158,9 @@ def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
     assert set(statistics[0].terms) == expected
     tensors = load_file(folder.newest_checkpoint())
     assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier", "mrgs-plus"))
-    assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (0 if method == "3dgs-rgbt" else 1)
+    assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (
+        0 if method == "3dgs-rgbt" else 1
+    )
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
@@ -147,7 +172,9 @@ def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
         ({"two_cameras": True}, {"rgb", "thermal"}),
     ],
 )
-def test_every_kind_of_scene_trains(options, terms, method, make_scene, tmp_path, make_short_config):
+def test_every_kind_of_scene_trains(
+    options, terms, method, make_scene, tmp_path, make_short_config
+):
     statistics = []
     config = make_short_config(method, max_steps=3)
     folder = train(make_scene(**options), tmp_path / "run", config, on_step=statistics.append)
@@ -160,7 +187,9 @@ def test_every_kind_of_scene_trains(options, terms, method, make_scene, tmp_path
 
 
 @pytest.mark.parametrize("options", [{"rgb": False}, {"thermal": False}])
-def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene, tmp_path, make_short_config):
+def test_a_scene_of_one_modality_prunes_what_it_does_not_see(
+    options, make_scene, tmp_path, make_short_config
+):
     config = make_short_config(max_steps=40)
     schedule = replace(config.densification, start=20, every=40, stop=40, gradient_threshold=1e9)
     config = replace(config, densification=replace(schedule, prune_opacity=0.11, reset_opacity=0.5))
@@ -169,11 +198,14 @@ def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene
     assert 0 < len(tensors["gaussians.means"]) < 25
 
 
-@pytest.mark.parametrize(("method", "cut", "degree"), [("mrgs", 100, 0), ("mrgs", 113, 3), ("3dgs-rgbt", 100, 3)])
+@pytest.mark.parametrize(
+    ("method", "cut", "degree"), [("mrgs", 100, 0), ("mrgs", 113, 3), ("3dgs-rgbt", 100, 3)]
+)
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     method, cut, degree, small_scene, tmp_path, make_short_config
 ):
-    # Step 100 densifies, so that there are no neighbours to save; step 113 lies between two densifications.
+    # Step 100 densifies, so that there are no neighbours to save; step 113 lies between two
+    # densifications.
     config = replace(eventful(make_short_config, method), temperature_sh_degree=degree)
     whole = train(small_scene, tmp_path / "whole", config)
     parts = train(small_scene, tmp_path / "parts", config, stop_at=cut)
@@ -189,13 +221,17 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     logs = [[{**entry, "seconds": None} for entry in read_log(folder)] for folder in (whole, parts)]
     assert logs[0] == logs[1]
 
-    counts = {entry["step"]: entry["gaussians"] for entry in read_log(whole)}  # the test must have met the events
+    counts = {
+        entry["step"]: entry["gaussians"] for entry in read_log(whole)
+    }  # the test must have met the events
     assert len({counts[number] for number in (10, 30, 60, 90)}) > 2
     assert len({counts[number] for number in (110, 130, 160, 190)}) > 2
     assert expected["gaussians.adam.temperature_dc.step"] == 200  # none was skipped
 
 
-def test_a_checkpoint_of_a_densification_step_can_be_rendered(small_scene, tmp_path, make_short_config):
+def test_a_checkpoint_of_a_densification_step_can_be_rendered(
+    small_scene, tmp_path, make_short_config
+):
     train(small_scene, tmp_path / "run", eventful(make_short_config, "mrgs"), stop_at=100)
     run = load_run(tmp_path / "run")
     assert "neighbours" not in load_file(run.folder.newest_checkpoint())
@@ -212,7 +248,9 @@ def test_the_seed_decides(small_scene, tmp_path, make_short_config):
     assert not torch.equal(first, final("c", seed=2))
 
 
-def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(small_scene, tmp_path, make_short_config):
+def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(
+    small_scene, tmp_path, make_short_config
+):
     config = make_short_config(max_steps=60, checkpoint_every=20)
     whole = train(small_scene, tmp_path / "whole", config)
 
@@ -236,20 +274,29 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(small_scene, 
 
 
 def test_whoever_watches_may_stop_the_run(small_scene, tmp_path, make_short_config):
-    folder = train(small_scene, tmp_path / "run", make_short_config(), on_step=lambda statistics: statistics.step == 7)
+    folder = train(
+        small_scene,
+        tmp_path / "run",
+        make_short_config(),
+        on_step=lambda statistics: statistics.step == 7,
+    )
     assert load_facts(folder.newest_checkpoint()).step == 7
 
 
 def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path, make_short_config):
     told = []
     config = make_short_config(max_steps=4)
-    folder = train(small_scene, tmp_path / "run", config, stop_at=2, on_start=lambda *facts: told.append(facts))
+    folder = train(
+        small_scene, tmp_path / "run", config, stop_at=2, on_start=lambda *facts: told.append(facts)
+    )
     other = make_short_config("3dgs-rgbt")
     train(small_scene, folder.path, other, resume=True, on_start=lambda *facts: told.append(facts))
     assert [(scene.name, given) for scene, given in told] == [(small_scene.name, config)] * 2
 
 
-def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_steps_that_are_not_finite_are_skipped_and_counted(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     spoil(monkeypatch, {2, 3, 5, 6})
     folder = train(small_scene, tmp_path / "run", make_short_config(max_steps=8))
     log = read_log(folder)
@@ -259,7 +306,9 @@ def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path
     assert all(tensor.isfinite().all() for tensor in load_file(folder.newest_checkpoint()).values())
 
 
-def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_three_skipped_steps_in_a_row_end_the_run(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     spoil(monkeypatch, {4, 5, 6})
     config = make_short_config(max_steps=20, checkpoint_every=2)
     with pytest.raises(TrainingError) as caught:
@@ -273,7 +322,9 @@ def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, make_sh
     assert RunFolder(tmp_path / "run").newest_checkpoint() == kept
 
 
-def test_skipped_steps_are_counted_across_a_resume(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_skipped_steps_are_counted_across_a_resume(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     spoil(monkeypatch, {4, 5, 6})
     config = make_short_config(max_steps=20)
     train(small_scene, tmp_path / "run", config, stop_at=5)
@@ -281,16 +332,21 @@ def test_skipped_steps_are_counted_across_a_resume(small_scene, tmp_path, make_s
         train(small_scene, tmp_path / "run", config, resume=True)
 
 
-def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_without_a_checkpoint_the_error_says_so(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     spoil(monkeypatch, {1, 2, 3})
     with pytest.raises(TrainingError, match="there is no checkpoint yet"):
         train(small_scene, tmp_path / "run", make_short_config())
-    with pytest.raises(RunError, match="run has no checkpoint yet: train it first, without --resume"):
+    with pytest.raises(
+        RunError, match="run has no checkpoint yet: train it first, without --resume"
+    ):
         train(small_scene, tmp_path / "run", make_short_config(), resume=True)
 
 
 def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls: set[int]) -> None:
-    """Let the GPU's memory be full in these calls of a module's or class's function, counted from 0."""
+    """Let the GPU's memory be full in these calls of a module's or class's function, counted from
+    0."""
     count = iter(range(1_000_000))
     original = getattr(owner, name)
 
@@ -332,16 +388,22 @@ def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
 
-def test_photos_for_which_there_is_no_memory_are_not_fetched(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_photos_for_which_there_is_no_memory_are_not_fetched(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     released = []
     fill_memory(monkeypatch, PhotoCache, "fetch", {0})
     monkeypatch.setattr(PhotoCache, "release", lambda self: released.append(self))
-    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: pytest.fail("the step itself had enough memory"))
+    monkeypatch.setattr(
+        torch.cuda, "empty_cache", lambda: pytest.fail("the step itself had enough memory")
+    )
     train(small_scene, tmp_path / "run", make_short_config(max_steps=2))
     assert len(released) == 1
 
 
-def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_where_memory_stays_full_the_last_good_step_is_kept(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     config = make_short_config(max_steps=20)
     whole = train(small_scene, tmp_path / "whole", config)
     with monkeypatch.context() as patch:
@@ -350,8 +412,10 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_pat
             train(small_scene, tmp_path / "run", config)
     kept = tmp_path / "run/checkpoints/step_000005.safetensors"
     assert str(caught.value) == (
-        f"the GPU's memory does not suffice for step 6 with 25 Gaussians; the last good step is kept in {kept}: "
-        "go on with --resume --device cpu, or train anew with a smaller --max-gaussians or --resolution"
+        f"the GPU's memory does not suffice for step 6 with 25 Gaussians; the last good step is "
+        f"kept in {kept}: "
+        "go on with --resume --device cpu, or train anew with a smaller --max-gaussians or "
+        "--resolution"
     )
     folder = train(small_scene, tmp_path / "run", config, resume=True, device="cpu")
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
@@ -365,12 +429,15 @@ def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
     with pytest.raises(TrainingError) as caught:
         train(small_scene, tmp_path / "run", make_short_config())
     assert str(caught.value) == (
-        "the GPU's memory does not suffice for step 1 with 25 Gaussians; there is no checkpoint yet: "
+        "the GPU's memory does not suffice for step 1 with 25 Gaussians; there is no checkpoint "
+        "yet: "
         "train anew with a smaller --max-gaussians or --resolution"
     )
 
 
-def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(small_scene, tmp_path, make_short_config):
+def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(
+    small_scene, tmp_path, make_short_config
+):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(DeviceError, match="use --device cpu"):
@@ -396,12 +463,16 @@ def test_the_peak_of_memory_is_that_of_one_device(
     assert (facts.device, facts.peak_memory_bytes) == (second, expected)
 
 
-def test_steps_that_are_looked_at_later_are_counted_all_the_same(small_scene, tmp_path, make_short_config, monkeypatch):
+def test_steps_that_are_looked_at_later_are_counted_all_the_same(
+    small_scene, tmp_path, make_short_config, monkeypatch
+):
     """As on a GPU, where the driver looks every tenth step."""
     monkeypatch.setattr(driver, "LOOK_EVERY", {"cpu": 10})
     spoil(monkeypatch, {2, 3, 12, 13, 14})
     config = make_short_config(max_steps=60, checkpoint_every=5)
-    with pytest.raises(TrainingError, match="3 steps in a row gave values that are not finite, at step 14"):
+    with pytest.raises(
+        TrainingError, match="3 steps in a row gave values that are not finite, at step 14"
+    ):
         train(small_scene, tmp_path / "run", config)
     folder = RunFolder(tmp_path / "run")
     assert [entry["step"] for entry in read_log(folder)] == [2, 3, 10, 12, 13, 14]
@@ -425,7 +496,9 @@ def test_a_run_is_never_overwritten(small_scene, tmp_path, make_short_config):
     config = make_short_config(max_steps=1)
     folder = train(small_scene, tmp_path / "run", config)
     before = folder.newest_checkpoint().read_bytes()
-    with pytest.raises(RunError, match="run already holds a run: continue it with --resume, or choose another"):
+    with pytest.raises(
+        RunError, match="run already holds a run: continue it with --resume, or choose another"
+    ):
         train(small_scene, folder.path, config)
     assert folder.newest_checkpoint().read_bytes() == before
 
@@ -444,7 +517,10 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path, ma
     (other / "transforms.json").write_text(json.dumps({**content, "frames": content["frames"][:4]}))
     with pytest.raises(RunError) as caught:
         train(other, folder.path, config, resume=True)
-    assert str(caught.value) == f"{other.name} has other cameras than the run's scene: use {small_scene} as it was"
+    assert (
+        str(caught.value)
+        == f"{other.name} has other cameras than the run's scene: use {small_scene} as it was"
+    )
 
 
 def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path, make_short_config):

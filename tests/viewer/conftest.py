@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mrgs.run import Run, load_run
+from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer.cameras import pinhole

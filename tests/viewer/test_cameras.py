@@ -80,7 +80,11 @@ def test_one_keyframe_is_no_path(camera):
 
 def test_a_saved_path_is_nerfstudios(camera, tmp_path):
     document = json.loads(save_path(tmp_path / "path.json", [camera, camera], 4.0, 24).read_text())
-    assert (document["render_width"], document["render_height"], document["seconds"]) == (160, 120, 4.0)
+    assert (document["render_width"], document["render_height"], document["seconds"]) == (
+        160,
+        120,
+        4.0,
+    )
     entry = document["camera_path"][0]
     world = np.array(entry["camera_to_world"]).reshape(4, 4)
     np.testing.assert_allclose(world[:3, 3], [3, 0, 0], atol=1e-9)
@@ -97,7 +101,9 @@ def test_a_path_without_keyframes_is_not_saved(tmp_path):
 
 def test_cameras_may_be_parallel_to_upright(camera):
     """A camera that looks straight down has no mean up of its own: its image's is taken."""
-    viewmat = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 5], [0, 0, 0, 1]], dtype=torch.float64)
+    viewmat = torch.tensor(
+        [[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 5], [0, 0, 0, 1]], dtype=torch.float64
+    )
     down = Camera(camera.K, viewmat, 160, 120)
 
     view = View("down", PosedImage(down, lambda: Pixels(torch.zeros(120, 160, 3))), None)

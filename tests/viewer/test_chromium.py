@@ -13,23 +13,29 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.evaluation.palette import palette_table
-from mrgs.run import Run
+from mrgs.pictures.palette import palette_table
+from mrgs.runs.open import Run
 from mrgs.scene import Scene
 
 pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
-pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
+pytest.importorskip(
+    "playwright.sync_api", reason="playwright is not installed: pip install playwright"
+)
 
 from playwright.sync_api import sync_playwright
 
 from mrgs.viewer.web import Viewer, open_viewer
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt-get install chromium")
 
 FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync",
 ]  # fmt: skip
 
 
@@ -50,7 +56,9 @@ def page(viewer: Viewer) -> Iterator[Any]:
         page.on("request", lambda request: page.foreign.append(request.url))
         page.goto(viewer.url)
         page.locator(".mrgs-hint").wait_for()
-        page.locator(".mantine-Notification-closeButton").first.click()  # it is told that this is software rendering
+        page.locator(
+            ".mantine-Notification-closeButton"
+        ).first.click()  # it is told that this is software rendering
         yield page
         chromium.close()
 
@@ -94,7 +102,9 @@ def test_temperature_is_shown_and_read(viewer, page, small_run, pytestconfig):
 
     scale = inspection.scales.thermal
     drawn = np.abs(palette_table("inferno").astype(int) - before[y, x]).sum(axis=1).argmin() / 255
-    assert scale.low + drawn * (scale.high - scale.low) == pytest.approx(shown, abs=0.05 * (scale.high - scale.low))
+    assert scale.low + drawn * (scale.high - scale.low) == pytest.approx(
+        shown, abs=0.05 * (scale.high - scale.low)
+    )
     assert np.abs(colour[y, x].astype(int) - before[y, x]).max() > 20, "the picture did not change"
     wait_until_sharp(viewer, page)
     after = np.asarray(Image.open(shot(page, pytestconfig, "temperature")).convert("RGB"))
@@ -127,7 +137,9 @@ def test_a_photo_can_be_gone_to(viewer, page, balls):
     wait_until_sharp(viewer, page)
     inspection = viewer.browsers[0].inspection
     assert inspection.view is balls.train[1]
-    np.testing.assert_allclose(inspection.camera.position, balls.train[1].rgb.camera.position, atol=1e-3)
+    np.testing.assert_allclose(
+        inspection.camera.position, balls.train[1].rgb.camera.position, atol=1e-3
+    )
 
 
 def test_nothing_is_fetched_from_elsewhere(page, viewer):

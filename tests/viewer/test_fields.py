@@ -8,9 +8,13 @@ from mrgs.viewer.fields import render_pane
 
 
 def test_beside_a_photo_the_camera_is_imitated(subject, small_run, camera):
-    """What is looked at is what is there; what is compared with a photo is what the camera would have written."""
+    """What is looked at is what is there; what is compared with a photo is what the camera would
+    have written."""
     colder = replace(
-        subject, photograph=lambda rendering, _: rendering._replace(thermal=rendering.thermal - 0.25, rgb=None)
+        subject,
+        photograph=lambda rendering, _: rendering._replace(
+            thermal=rendering.thermal - 0.25, rgb=None
+        ),
     )
     looked_at = render_pane(small_run.model, camera, colder)
     compared = render_pane(small_run.model, camera, colder, as_photo_of=camera)

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.run import load_run
+from mrgs.runs.open import load_run
 from mrgs.scene import Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
@@ -24,11 +24,15 @@ def inspection(subject):
 
 
 @pytest.mark.parametrize(
-    "mode", ["rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"]
+    "mode",
+    ["rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"],
 )
 def test_every_mode_fills_the_picture(inspection, camera, mode):
     inspection.settings = Settings(mode=mode)
-    coarse, sharp = inspection.picture(camera, coarse=True), inspection.picture(camera, coarse=False)
+    coarse, sharp = (
+        inspection.picture(camera, coarse=True),
+        inspection.picture(camera, coarse=False),
+    )
     assert coarse.shape == sharp.shape == (120, 160, 3)
     assert len(np.unique(sharp.reshape(-1, 3), axis=0)) > 30
     assert np.abs(coarse.astype(int) - sharp).mean() < 40
@@ -155,7 +159,7 @@ def test_what_cannot_be_written_is_named(subject, camera):
 
 @pytest.mark.parametrize("with_mp4", [True, False])
 def test_a_path_becomes_a_video(inspection, balls, monkeypatch, with_mp4):
-    monkeypatch.setattr("mrgs.evaluation.video.can_write_mp4", lambda: with_mp4)
+    monkeypatch.setattr("mrgs.pictures.video.can_write_mp4", lambda: with_mp4)
     monkeypatch.setattr("mrgs.viewer.inspection.can_write_mp4", lambda: with_mp4)
     for view in balls.train[:2]:
         inspection.picture(view.cameras[0].resized(80, 60), coarse=False)
@@ -164,7 +168,9 @@ def test_a_path_becomes_a_video(inspection, balls, monkeypatch, with_mp4):
     path = inspection.render_video(0.25, lambda done, total: told.append((done, total)))
     folder = path.with_suffix("")
     assert (path.name, path.is_file()) == (("0001.mp4", True) if with_mp4 else ("0001", False))
-    assert [path.name for path in sorted(folder.iterdir())] == [f"{index:05d}.png" for index in range(6)]
+    assert [path.name for path in sorted(folder.iterdir())] == [
+        f"{index:05d}.png" for index in range(6)
+    ]
     with Image.open(folder / "00000.png") as first:
         assert first.size == (80, 60)
     assert told[-1] == (6, 6)
@@ -200,12 +206,23 @@ def test_without_celsius_values_are_called_normalised(make_subject, small_run, b
         ({"rgb": False}, ("temperature", "depth", "photos", "difference")),
         (
             {"two_cameras": True},
-            ("temperature", "rgb", "depth", "side_by_side", "blend", "split", "photos", "difference"),
+            (
+                "temperature",
+                "rgb",
+                "depth",
+                "side_by_side",
+                "blend",
+                "split",
+                "photos",
+                "difference",
+            ),
         ),
     ],
 )
 def test_other_captures(make_scene, make_subject, tmp_path, camera, options, modes):
-    folder = train(make_scene(**options), tmp_path / "run", make_config(max_steps=3, max_gaussians=100))
+    folder = train(
+        make_scene(**options), tmp_path / "run", make_config(max_steps=3, max_gaussians=100)
+    )
     run = load_run(folder.path)
     subject = make_subject(run, run.load_scene())
     assert subject.modes == modes

@@ -39,7 +39,9 @@ def test_panes_do_not_overlap(camera, balls):
     for mode in ("side_by_side", "photos"):
         covered = np.zeros((120, 160), int)
         for pane in panes_of(mode, camera, balls.train[0]):
-            covered[pane.top : pane.top + pane.camera.height, pane.left : pane.left + pane.camera.width] += 1
+            covered[
+                pane.top : pane.top + pane.camera.height, pane.left : pane.left + pane.camera.width
+            ] += 1
         assert covered.max() == 1
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.evaluation.palette import INVALID_COLOR, palette_table
+from mrgs.pictures.palette import INVALID_COLOR, palette_table
 from mrgs.scene import Reach
 from mrgs.viewer.fields import Fields, difference
 from mrgs.viewer.layout import Pane
@@ -27,7 +27,10 @@ def heat(depth: float = 3.0) -> Fields:
     """A ramp from 10 to 30 °C, all at one depth, over grey."""
     values = np.tile(np.linspace(10, 30, 160, dtype=np.float32), (120, 1))
     return Fields(
-        np.full((120, 160, 3), 100, np.uint8), values, np.full((120, 160), depth, np.float32), np.ones((120, 160), bool)
+        np.full((120, 160, 3), 100, np.uint8),
+        values,
+        np.full((120, 160), depth, np.float32),
+        np.ones((120, 160), bool),
     )
 
 
@@ -60,7 +63,9 @@ def test_the_isotherm_marks_the_band_and_nothing_else(camera):
     band = (heat().values >= 15) & (heat().values <= 25)
     assert (marked[band] == ISOTHERM_COLOR).all()
     assert (marked[~band] == plain[~band]).all()
-    assert (painted(camera, isotherm=(15.0, 25.0), palette="rainbow")[band] == ISOTHERM_ON_RAINBOW).all()
+    assert (
+        painted(camera, isotherm=(15.0, 25.0), palette="rainbow")[band] == ISOTHERM_ON_RAINBOW
+    ).all()
 
 
 def test_what_the_model_does_not_cover_has_no_temperature(camera):
@@ -75,7 +80,12 @@ def test_what_the_model_does_not_cover_has_no_temperature(camera):
 def test_near_is_light(camera):
     pane, fields = Pane("depth", camera), heat()
     fields.depth[:] = np.linspace(1, 5, 160)
-    image = paint(pane, fields, measure_scales([pane], [fields], Settings(mode="depth"), "°C"), Settings(mode="depth"))
+    image = paint(
+        pane,
+        fields,
+        measure_scales([pane], [fields], Settings(mode="depth"), "°C"),
+        Settings(mode="depth"),
+    )
     assert image[0, 0].sum() > image[0, -1].sum()
 
 
@@ -111,7 +121,9 @@ def test_the_difference_is_model_minus_photo():
 
 def test_the_scale_of_a_difference_is_even_about_zero(camera):
     pane = Pane("difference", camera)
-    fields = Fields(None, np.linspace(-1, 3, 19200, dtype=np.float32).reshape(120, 160), None, heat().solid)
+    fields = Fields(
+        None, np.linspace(-1, 3, 19200, dtype=np.float32).reshape(120, 160), None, heat().solid
+    )
     scale = measure_scales([pane], [fields], Settings(), "°C").difference
     assert scale.low == -scale.high
     assert scale.high == pytest.approx(3, abs=0.05)
@@ -120,11 +132,15 @@ def test_the_scale_of_a_difference_is_even_about_zero(camera):
 def compose_one(camera, depth: float = 3.0, **extras) -> np.ndarray:
     pane, settings = Pane("temperature", camera), Settings(palette="grey")
     fields = heat(depth)
-    return compose(SIZE, [pane], [fields], measure_scales([pane], [fields], settings, "°C"), settings, **extras)
+    return compose(
+        SIZE, [pane], [fields], measure_scales([pane], [fields], settings, "°C"), settings, **extras
+    )
 
 
 def test_marks_stand_where_their_points_are_seen(camera):
-    changed = (compose_one(camera, marks=[Mark(np.zeros(3), "S1  20.0 °C")]) != compose_one(camera)).any(axis=2)
+    changed = (
+        compose_one(camera, marks=[Mark(np.zeros(3), "S1  20.0 °C")]) != compose_one(camera)
+    ).any(axis=2)
     assert changed[60, 80]
     assert not changed[100:].any()
 
@@ -145,5 +161,7 @@ def test_boxes_are_drawn_with_their_extremes(camera):
 def test_a_coarse_rendering_is_stretched_to_its_pane(camera):
     small = Fields(None, heat().values[::4, ::4], heat().depth[::4, ::4], heat().solid[::4, ::4])
     pane, settings = Pane("temperature", camera), Settings()
-    image = compose(SIZE, [pane], [small], measure_scales([pane], [small], settings, "°C"), settings)
+    image = compose(
+        SIZE, [pane], [small], measure_scales([pane], [small], settings, "°C"), settings
+    )
     assert image.shape == (120, 160, 3)

@@ -20,11 +20,17 @@ def test_a_reading_is_the_rendered_value_at_its_place(small_run, camera, subject
     rendering = small_run.render(camera)
     row, column = solid_pixel(rendering)
     reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
-    assert reading.value == pytest.approx(small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3)
+    assert reading.value == pytest.approx(
+        small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3
+    )
     alpha = rendering.alpha_thermal[row, column].item()
-    assert reading.depth == pytest.approx(rendering.depth_thermal[row, column].item() / alpha, rel=1e-5)
+    assert reading.depth == pytest.approx(
+        rendering.depth_thermal[row, column].item() / alpha, rel=1e-5
+    )
     pixel, z = camera.project(torch.from_numpy(reading.position))
-    assert (*pixel.tolist(), z.item()) == pytest.approx((column + 0.5, row + 0.5, reading.depth), rel=1e-5)
+    assert (*pixel.tolist(), z.item()) == pytest.approx(
+        (column + 0.5, row + 0.5, reading.depth), rel=1e-5
+    )
 
 
 def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
@@ -39,7 +45,14 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
         features = torch.nn.functional.pad(features, (0, 3 - features.shape[1]))
         layer = Layer(gaussians.opacity_thermal, features, torch.zeros(3))
         raster = rasterize(
-            gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat, camera.K, 160, 120
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            [layer],
+            camera.viewmat,
+            camera.K,
+            160,
+            120,
         )
         weights[first : first + 3] = raster.blends[0].image[row, column][: min(3, count - first)]
     weights = weights.double()
@@ -48,7 +61,9 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
     depths = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     variance = (weights * (depths - reading.depth).square()).sum() / alpha
     assert reading.depth_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
-    celsius = small_run.temperature.to_celsius(small_run.model.temperatures(torch.zeros(3))[:, 0].double())
+    celsius = small_run.temperature.to_celsius(
+        small_run.model.temperatures(torch.zeros(3))[:, 0].double()
+    )
     variance = (weights * (celsius - reading.value).square()).sum()
     variance += (1 - alpha) * (small_run.temperature.min_c - reading.value) ** 2
     assert reading.value_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
@@ -59,13 +74,19 @@ def test_where_nothing_is_nothing_is_read(small_run, camera, subject):
     assert read_point(small_run.model, camera, 0.0, 0.0, subject) is None
 
 
-def test_what_is_cold_and_transparent_to_the_thermal_blend_is_read_all_the_same(small_run, camera, subject):
+def test_what_is_cold_and_transparent_to_the_thermal_blend_is_read_all_the_same(
+    small_run, camera, subject
+):
     gaussians = small_run.model.gaussians
-    faint = replace(gaussians, opacity_thermal_logit=torch.full_like(gaussians.opacity_thermal_logit, -9.0))
+    faint = replace(
+        gaussians, opacity_thermal_logit=torch.full_like(gaussians.opacity_thermal_logit, -9.0)
+    )
     reading = read_point(replace(small_run.model, gaussians=faint), camera, 0.5, 0.5, subject)
     assert reading.value == pytest.approx(subject.temperature.min_c, abs=0.01)
     rendering = small_run.render(camera)
-    assert reading.depth == pytest.approx((rendering.depth_rgb[60, 80] / rendering.alpha_rgb[60, 80]).item(), rel=1e-5)
+    assert reading.depth == pytest.approx(
+        (rendering.depth_rgb[60, 80] / rendering.alpha_rgb[60, 80]).item(), rel=1e-5
+    )
 
 
 def test_without_celsius_values_are_normalised(small_run, camera, subject):
@@ -81,22 +102,32 @@ def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, sub
     colour_only = replace(subject, scene=replace(subject.scene, train=views))
     rendering = small_run.render(camera)
     row, column = divmod(int(rendering.alpha_rgb.argmax()), 160)
-    reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, colour_only)
+    reading = read_point(
+        small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, colour_only
+    )
     assert (reading.value, reading.value_spread) == (None, None)
     alpha = rendering.alpha_rgb[row, column].item()
     assert reading.depth == pytest.approx(rendering.depth_rgb[row, column].item() / alpha, rel=1e-5)
 
 
-def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(small_run, camera, subject):
-    rest = 0.2 * torch.randn(len(small_run.model.gaussians), 15, 1, generator=torch.Generator().manual_seed(0))
-    model = replace(small_run.model, gaussians=replace(small_run.model.gaussians, temperature_rest=rest))
+def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(
+    small_run, camera, subject
+):
+    rest = 0.2 * torch.randn(
+        len(small_run.model.gaussians), 15, 1, generator=torch.Generator().manual_seed(0)
+    )
+    model = replace(
+        small_run.model, gaussians=replace(small_run.model.gaussians, temperature_rest=rest)
+    )
     row, column = solid_pixel(small_run.render(camera))
     flat, reading = (
         read_point(which, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
         for which in (small_run.model, model)
     )
     rendering = replace(small_run, model=model).render(camera)
-    assert reading.value == pytest.approx(small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3)
+    assert reading.value == pytest.approx(
+        small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3
+    )
     assert abs(reading.value - flat.value) > 0.01
     assert abs(reading.value_spread - flat.value_spread) > 0.01
 
@@ -104,7 +135,9 @@ def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(smal
 def test_a_model_in_training_is_read_too(small_run, camera, subject):
     """Its t̂ is not computed beforehand."""
     known = read_point(small_run.model, camera, 0.5, 0.5, subject)
-    live = read_point(replace(small_run.model, temperature_residuals=None), camera, 0.5, 0.5, subject)
+    live = read_point(
+        replace(small_run.model, temperature_residuals=None), camera, 0.5, 0.5, subject
+    )
     assert live.value == pytest.approx(known.value, abs=1e-3)
     assert live.value_spread == pytest.approx(known.value_spread, abs=1e-3)
 
@@ -121,5 +154,10 @@ def test_a_box_leaves_out_what_is_empty_or_unknown():
     values = np.array([[1, 2, np.nan, 90]], dtype=np.float32)
     solid = np.array([[True, True, True, False]])
     reading = read_box(values, solid, Box(0, 0, 1, 1))
-    assert (reading.lowest.value, reading.mean, reading.highest.value, reading.pixels) == (1, 1.5, 2, 2)
+    assert (reading.lowest.value, reading.mean, reading.highest.value, reading.pixels) == (
+        1,
+        1.5,
+        2,
+        2,
+    )
     assert read_box(values, np.zeros((1, 4), bool), Box(0, 0, 1, 1)) is None

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError, MrgsWarning, RunError
 from mrgs.render import Rendering, render
-from mrgs.run import load_run
+from mrgs.runs.open import load_run
 from mrgs.scene import Camera, Gaussians
 from mrgs.training import StepStatistics, make_config, train
 from mrgs.viewer import LiveView, view
@@ -65,7 +65,9 @@ def test_a_port_in_use_is_named(small_run):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port} .*choose another --port"):
+        with pytest.raises(
+            ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port} .*choose another --port"
+        ):
             view(small_run, None, port=port)
         with pytest.raises(ConfigError, match=f"{port}"):
             LiveView("nowhere", port=port)
@@ -80,9 +82,14 @@ def test_addresses_that_cannot_be_are_named():
 
 def test_viser_missing_is_named_with_its_extra(small_run, monkeypatch):
     find = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None if name == "viser" else find(name, *rest))
+    monkeypatch.setattr(
+        "importlib.util.find_spec",
+        lambda name, *rest: None if name == "viser" else find(name, *rest),
+    )
     for open_it in (lambda: view(small_run, None, port=0), lambda: LiveView("nowhere", port=0)):
-        with pytest.raises(ConfigError, match=r'the viewer needs viser: pip install "mrgs\[view\]"'):
+        with pytest.raises(
+            ConfigError, match=r'the viewer needs viser: pip install "mrgs\[view\]"'
+        ):
             open_it()
 
 
@@ -95,13 +102,17 @@ def test_an_empty_model_is_named(small_run):
 
 def test_a_run_still_training_is_shown_from_its_checkpoint(small_run):
     with small_run.folder.locked():
-        with pytest.warns(MrgsWarning, match="is still training: showing its checkpoint of step 60 of 60"):
+        with pytest.warns(
+            MrgsWarning, match="is still training: showing its checkpoint of step 60 of 60"
+        ):
             viewer = open_viewer(small_run, None, "127.0.0.1", 0)
         assert "Still training" in viewer.note
         viewer.close()
 
 
-CAMERA = Camera(torch.tensor([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]).double(), torch.eye(4).double(), 40, 30)
+CAMERA = Camera(
+    torch.tensor([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]]).double(), torch.eye(4).double(), 40, 30
+)
 
 
 class FakeBrowser(Browser):
@@ -148,7 +159,8 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
 
 
 def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scene, tmp_path):
-    """The blur of ``mrgs-plus`` as it is learned by then; an image without detail stays as it is."""
+    """The blur of ``mrgs-plus`` as it is learned by then; an image without detail stays as it
+    is."""
     sharp = torch.zeros(CAMERA.height, CAMERA.width, 1)
     sharp[CAMERA.height // 2] = 1
     found = []
@@ -157,7 +169,8 @@ def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scen
         def look(_):
             subject = live._viewer._subject
             written = [
-                subject.photograph(Rendering(thermal=image), CAMERA).thermal for image in (sharp, sharp * 0 + 0.5)
+                subject.photograph(Rendering(thermal=image), CAMERA).thermal
+                for image in (sharp, sharp * 0 + 0.5)
             ]
             found.append(written)
 
@@ -190,7 +203,9 @@ def test_watching_changes_nothing(small_scene, tmp_path):
             time.sleep(0.05)  # the credit that the picture needs
             return live.on_step(statistics)
 
-        watched = train(small_scene, tmp_path / "watched", config, on_model=live.on_model, on_step=on_step)
+        watched = train(
+            small_scene, tmp_path / "watched", config, on_model=live.on_model, on_step=on_step
+        )
     assert seen
     first, second = load_run(alone.path).model.gaussians, load_run(watched.path).model.gaussians
     for name, tensor in first.tensors().items():
@@ -214,7 +229,9 @@ def test_a_burst_viewer_does_not_stop_the_training(small_scene, tmp_path, caplog
     assert steps[-1] == 4
 
 
-def test_a_port_that_is_taken_meanwhile_does_not_stop_the_training(small_scene, tmp_path, caplog, small_run):
+def test_a_port_that_is_taken_meanwhile_does_not_stop_the_training(
+    small_scene, tmp_path, caplog, small_run
+):
     live = LiveView(tmp_path / "run", port=0)
     with socket.socket() as taken, caplog.at_level(logging.WARNING):
         taken.bind(("127.0.0.1", 0))

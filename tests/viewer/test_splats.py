@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.baked import bake
-from mrgs.evaluation.drawing import Scale
-from mrgs.evaluation.palette import palette_table
+from mrgs.pictures.drawing import Scale
+from mrgs.pictures.palette import palette_table
+from mrgs.runs.baked import bake
 from mrgs.viewer.painting import ISOTHERM_COLOR, Scales
 from mrgs.viewer.settings import Settings
 from mrgs.viewer.splats import BrowserSplats, covariances, splat_colors
@@ -20,7 +20,9 @@ def baked(small_run, balls):
 def test_covariances_are_those_of_the_gaussians():
     quarter_turn = torch.tensor([[2**-0.5, 0, 0, 2**-0.5]])  # about z
     found = covariances(quarter_turn, torch.tensor([[1.0, 2.0, 3.0]]))
-    torch.testing.assert_close(found[0], torch.diag(torch.tensor([4.0, 1.0, 9.0])), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        found[0], torch.diag(torch.tensor([4.0, 1.0, 9.0])), atol=1e-5, rtol=0
+    )
 
 
 def test_temperatures_have_the_pictures_colours(baked):

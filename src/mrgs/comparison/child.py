@@ -1,9 +1,11 @@
-"""One run in a process of its own: ``python -m mrgs.comparison.child REQUEST``, started by ``processes``.
+"""One run in a process of its own: ``python -m mrgs.comparison.child REQUEST``, started by
+``processes``.
 
-REQUEST is JSON: ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path or null). The
-process writes one JSON object per line to its standard output: ``{"step", "gaussians"}``, ``{"scored", "of"}``, and
-last ``{"end"}`` ("scored", "stopped" or "error", then with "message"). When its standard input is closed, it stops with
-a checkpoint: so it does when the process that started it dies.
+REQUEST is JSON: ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path
+or null). The process writes one JSON object per line to its standard output: ``{"step",
+"gaussians"}``, ``{"scored", "of"}``, and last ``{"end"}`` ("scored", "stopped" or "error", then
+with "message"). When its standard input is closed, it stops with a checkpoint: so it does when the
+process that started it dies.
 """
 
 from __future__ import annotations
@@ -64,7 +66,9 @@ class Reporter:
 
 def main(request: dict[str, Any]) -> int:
     """Do the run; returns the exit status."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C means; for systems without sessions
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # the parent decides what Ctrl-C means; for systems without sessions
     warnings.simplefilter("ignore")  # the parent has read the same scene and said what was mended
     reporter = Reporter()
     weights = request["lpips_weights"]

@@ -11,8 +11,6 @@ from typing import Any
 
 from PIL import Image
 
-from mrgs import gpu
-from mrgs.atomic import remove, replacing
 from mrgs.comparison.figures import (
     WITH_BOLTZ,
     WITHOUT_BOLTZ,
@@ -37,12 +35,14 @@ from mrgs.errors import ConfigError, MrgsError
 from mrgs.evaluation.contact_sheet import SheetRow
 from mrgs.evaluation.figures import to_json
 from mrgs.evaluation.lpips import Lpips
-from mrgs.evaluation.pictures import write_png
 from mrgs.evaluation.renders import evaluate_renders, find_renders
-from mrgs.gpu import DeviceName
+from mrgs.pictures.files import write_png
 from mrgs.render import Rendering
-from mrgs.run import open_run
+from mrgs.runs.open import open_run
 from mrgs.scene import Scene, View
+from mrgs.system import gpu
+from mrgs.system.atomic import remove, replacing
+from mrgs.system.gpu import DeviceName
 
 Say = Callable[[str], None]
 
@@ -75,15 +75,16 @@ def compare(
 ) -> Comparison:
     """Train and score every method on every scene, then write tables and figures.
 
-    Runs that are scored are kept, runs with a checkpoint are continued; a run that fails is reported at the end. Tables
-    and figures of an earlier call that this one does not write are removed.
+    Runs that are scored are kept, runs with a checkpoint are continued; a run that fails is
+    reported at the end. Tables and figures of an earlier call that this one does not write are
+    removed.
 
     Args:
         scenes: the scenes' folders.
         output: the folder to write into, and to go on in.
         options: the methods, and what all runs share.
-        renders: other programs' renderings by the name that the tables give them: folders that hold one folder per
-            scene, see :mod:`mrgs.evaluation.renders`.
+        renders: other programs' renderings by the name that the tables give them: folders that hold
+            one folder per scene, see :mod:`mrgs.evaluation.renders`.
         jobs: how many runs at a time; the machine's cores are divided among them.
         device: where they train and render; ThermoNeRF on the CPU in any case.
         lpips_weights: weights for LPIPS; without them it is left out.
@@ -106,31 +107,47 @@ def compare(
     paths = {job.scene_name: job.scene for job in planned}
     for name, folder in renders.items():
         for scene, path in paths.items():
-            found.append(_renders_outcome(name, folder / scene, scene, path, output, options, lpips_weights))
-    rows = (*dict.fromkeys(options.methods), *(variant.name for variant in options.variants), *renders)
+            found.append(
+                _renders_outcome(name, folder / scene, scene, path, output, options, lpips_weights)
+            )
+    rows = (
+        *dict.fromkeys(options.methods),
+        *(variant.name for variant in options.variants),
+        *renders,
+    )
     outcomes = Outcomes(tuple(found), tuple(paths), rows, neighbour_methods(options))
     tables = tuple(all_tables(outcomes))
     _write_tables(output / "tables", tables)
     _write_results(output / "results.json", outcomes, options, paths)
     _write_figures(output / "figures", outcomes, planned, renders, options)
-    return Comparison(tables, {_label(each): each.failure for each in found if each.failure is not None}, output)
+    return Comparison(
+        tables, {_label(each): each.failure for each in found if each.failure is not None}, output
+    )
 
 
 def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
     """Names of variants and renders become folders and rows."""
     taken = {*options.methods, *neighbour_methods(options).values()}
-    given = [("--variants", variant.name) for variant in options.variants] + [("--renders", name) for name in renders]
+    given = [("--variants", variant.name) for variant in options.variants] + [
+        ("--renders", name) for name in renders
+    ]
     for option, name in given:
         if name in taken:
             raise ConfigError(f"{option} {name}: a method has this name already; choose another")
         if not name or name in (".", "..") or set(name) & set("/\\:"):
-            raise ConfigError(f"{option} {name}: the name must be usable as a folder's name; choose another")
+            raise ConfigError(
+                f"{option} {name}: the name must be usable as a folder's name; choose another"
+            )
         taken.add(name)
 
 
-def _do(planned: Sequence[Job], jobs: int, device: DeviceName, lpips_weights: Path | None, say: Say) -> dict[Job, str]:
+def _do(
+    planned: Sequence[Job], jobs: int, device: DeviceName, lpips_weights: Path | None, say: Say
+) -> dict[Job, str]:
     """Run what is not scored yet; returns why runs failed."""
-    due = [job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)]
+    due = [
+        job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)
+    ]
     say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
     if not due:
         return {}
@@ -147,13 +164,24 @@ def _run_outcome(job: Job, failures: Mapping[Job, str]) -> Outcome:
 
 
 def _renders_outcome(
-    name: str, folder: Path, scene: str, path: Path, output: Path, options: Options, lpips_weights: Path | None
+    name: str,
+    folder: Path,
+    scene: str,
+    path: Path,
+    output: Path,
+    options: Options,
+    lpips_weights: Path | None,
 ) -> Outcome:
     """Score another program's renderings; this is cheap, and done anew each time."""
     scores = output / "renders" / name / scene
     try:
         evaluate_renders(
-            path, folder, name=name, output=scores, resolution=options.resolution, lpips_weights=lpips_weights
+            path,
+            folder,
+            name=name,
+            output=scores,
+            resolution=options.resolution,
+            lpips_weights=lpips_weights,
         )
     except MrgsError as error:
         return failed(scene, name, None, str(error))
@@ -174,7 +202,9 @@ def _write_tables(folder: Path, tables: Sequence[Table]) -> None:
             remove(folder / f"{name}{suffix}")
 
 
-def _write_results(path: Path, outcomes: Outcomes, options: Options, scenes: Mapping[str, Path]) -> None:
+def _write_results(
+    path: Path, outcomes: Outcomes, options: Options, scenes: Mapping[str, Path]
+) -> None:
     """Every figure of every run, with the reason of each that is null."""
     runs: list[dict[str, Any]] = []
     for each in outcomes.all:
@@ -186,7 +216,9 @@ def _write_results(path: Path, outcomes: Outcomes, options: Options, scenes: Map
                 "seed": each.seed,
                 "failure": each.failure,
                 "figures": {name: number for name, (number, _) in pairs.items()},
-                "reasons": {name: reason for name, (_, reason) in pairs.items() if reason is not None},
+                "reasons": {
+                    name: reason for name, (_, reason) in pairs.items() if reason is not None
+                },
                 "metrics": each.document,
             }
         )
@@ -197,13 +229,20 @@ def _write_results(path: Path, outcomes: Outcomes, options: Options, scenes: Map
         "runs": runs,
     }
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
+        )
 
 
 def _write_figures(
-    folder: Path, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
+    folder: Path,
+    outcomes: Outcomes,
+    planned: Sequence[Job],
+    renders: Mapping[str, Path],
+    options: Options,
 ) -> None:
-    """``qualitative.png``, and ``depth.png`` where both of its methods are there; the first seed of each run."""
+    """``qualitative.png``, and ``depth.png`` where both of its methods are there; the first seed of
+    each run."""
     pictures, depths = [], []
     for scene in outcomes.scenes:
         exhibit = _exhibit(scene, outcomes, planned, renders, options)
@@ -211,7 +250,10 @@ def _write_figures(
             pictures.append(qualitative_block(exhibit, outcomes.methods))
         if {WITH_BOLTZ, WITHOUT_BOLTZ} <= exhibit.shown.keys():
             depths.append(depth_block(exhibit))
-    _write_figure(folder / "qualitative.png", qualitative_figure(pictures, outcomes.methods) if pictures else None)
+    _write_figure(
+        folder / "qualitative.png",
+        qualitative_figure(pictures, outcomes.methods) if pictures else None,
+    )
     _write_figure(folder / "depth.png", depth_figure(depths) if depths else None)
 
 
@@ -224,9 +266,14 @@ def _write_figure(path: Path, figure: Image.Image | None) -> None:
 
 
 def _exhibit(
-    scene: str, outcomes: Outcomes, planned: Sequence[Job], renders: Mapping[str, Path], options: Options
+    scene: str,
+    outcomes: Outcomes,
+    planned: Sequence[Job],
+    renders: Mapping[str, Path],
+    options: Options,
 ) -> Exhibit:
-    """The middle one of a scene's held-out views as the methods show it; one model is in memory at a time."""
+    """The middle one of a scene's held-out views as the methods show it; one model is in memory at
+    a time."""
     path = next(job.scene for job in planned if job.scene_name == scene)
     loaded = load_scene(path, resolution=options.resolution)
     view = loaded.eval[len(loaded.eval) // 2]
@@ -234,7 +281,12 @@ def _exhibit(
     shown: dict[str, SheetRow] = {}
     figures: dict[str, Any] = {}
     for each in outcomes.all:
-        if each.scene != scene or each.document is None or each.method not in wanted or each.method in shown:
+        if (
+            each.scene != scene
+            or each.document is None
+            or each.method not in wanted
+            or each.method in shown
+        ):
             continue
         try:
             shown[each.method] = drawn(loaded, view, _render(each, loaded, view, planned, renders))
@@ -247,19 +299,24 @@ def _exhibit(
 
 
 def _in_figures(outcomes: Outcomes) -> set[str]:
-    """The methods of the tables' rows, and both of the depth figure, of which one may be a run of neighbours alone."""
+    """The methods of the tables' rows, and both of the depth figure, of which one may be a run of
+    neighbours alone."""
     pair = {WITH_BOLTZ, WITHOUT_BOLTZ}
     return {*outcomes.methods, *(pair if pair <= {each.method for each in outcomes.all} else ())}
 
 
-def _render(each: Outcome, scene: Scene, view: View, planned: Sequence[Job], renders: Mapping[str, Path]) -> Rendering:
+def _render(
+    each: Outcome, scene: Scene, view: View, planned: Sequence[Job], renders: Mapping[str, Path]
+) -> Rendering:
     """The view as the cameras would have written it, as it is scored.
 
     Raises:
         MrgsError: the run's checkpoint or the other program's images cannot be used.
     """
     if each.seed is None:
-        return find_renders(renders[each.method] / each.scene, scene).rendering(view, scene.temperature)
+        return find_renders(renders[each.method] / each.scene, scene).rendering(
+            view, scene.temperature
+        )
     job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
     run = open_run(job.folder, job.scene, "cpu")
     return run.photograph(run.render_view(view), view.cameras[0])

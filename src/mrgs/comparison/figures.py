@@ -1,4 +1,5 @@
-"""The figures of the paper's experiments: photos beside every method, and depth with and without L_boltz."""
+"""The figures of the paper's experiments: photos beside every method, and depth with and without
+L_boltz."""
 
 from __future__ import annotations
 
@@ -14,10 +15,10 @@ from mrgs.comparison.panels import Block, Panel, as_drawn, draw_figure
 from mrgs.comparison.paper import scene_title
 from mrgs.errors import SceneError
 from mrgs.evaluation.contact_sheet import SheetRow, sheet_row
-from mrgs.evaluation.drawing import Scale
 from mrgs.evaluation.evaluate import ViewMetrics
-from mrgs.evaluation.palette import colorize, display_range, round_up
 from mrgs.evaluation.truth import read_float_tiff
+from mrgs.pictures.drawing import Scale
+from mrgs.pictures.palette import colorize, display_range, round_up
 from mrgs.render import Rendering
 from mrgs.scene import Scene, View
 
@@ -57,7 +58,8 @@ class Exhibit:
 
 
 def drawn(scene: Scene, view: View, rendering: Rendering) -> SheetRow:
-    """What the figures show of a method: a view's photos, its images, and the depth from the thermal camera.
+    """What the figures show of a method: a view's photos, its images, and the depth from the
+    thermal camera.
 
     Args:
         scene: what ``load_scene`` returns.
@@ -69,7 +71,9 @@ def drawn(scene: Scene, view: View, rendering: Rendering) -> SheetRow:
     """
     if rendering.depth_thermal is not None:  # what L_boltz acts on
         rendering = rendering._replace(depth_rgb=None)
-    return sheet_row(view, rendering, ViewMetrics(view.name, {}, {}, None), scene.temperature, scene.reach)
+    return sheet_row(
+        view, rendering, ViewMetrics(view.name, {}, {}, None), scene.temperature, scene.reach
+    )
 
 
 def qualitative_figure(blocks: Sequence[Block], methods: Sequence[str]) -> Image.Image:
@@ -82,10 +86,19 @@ def depth_figure(blocks: Sequence[Block]) -> Image.Image:
 
     The exact depth has a column if any scene has it.
     """
-    columns = ["depth, without L_boltz", "thermal, without", "depth, with L_boltz", "thermal, with", "exact depth"]
+    columns = [
+        "depth, without L_boltz",
+        "thermal, without",
+        "depth, with L_boltz",
+        "thermal, with",
+        "exact depth",
+    ]
     if all(panels[-1].image is None for block in blocks for _, panels in block.rows):
         columns.pop()
-        blocks = [replace(block, rows=[(label, panels[:-1]) for label, panels in block.rows]) for block in blocks]
+        blocks = [
+            replace(block, rows=[(label, panels[:-1]) for label, panels in block.rows])
+            for block in blocks
+        ]
     return draw_figure(columns, blocks, WIDE_PX)
 
 
@@ -106,7 +119,8 @@ def qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
     bars = []
     if photos.photo is not None:
         panels = [
-            Panel(None if row is None else row.rgb, _caption(exhibit, name, "rgb")) for name, row in shown.items()
+            Panel(None if row is None else row.rgb, _caption(exhibit, name, "rgb"))
+            for name, row in shown.items()
         ]
         rows.append(("RGB", [Panel(photos.photo), *panels]))
     if photos.measured is not None:
@@ -115,10 +129,16 @@ def qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
         limit = round_up(display_range(np.concatenate(errors), tail=1.0)[1]) if errors else 1.0
         error_scale = Scale("error", -limit, limit, unit)
         heat = [
-            Panel(_colored(None if row is None else row.thermal, scale), _caption(exhibit, name, "thermal"))
+            Panel(
+                _colored(None if row is None else row.thermal, scale),
+                _caption(exhibit, name, "thermal"),
+            )
             for name, row in shown.items()
         ]
-        error = [Panel(_colored(None if row is None else row.error, error_scale)) for row in shown.values()]
+        error = [
+            Panel(_colored(None if row is None else row.error, error_scale))
+            for row in shown.values()
+        ]
         rows.append(("thermal", [Panel(_colored(photos.measured, scale)), *heat]))
         rows.append(("error", [Panel(None, missing=""), *error]))
         bars = [(scale, "temperature" if unit else "normalised: the scene has no °C")]
@@ -134,14 +154,20 @@ def depth_block(exhibit: Exhibit) -> Block:
     exact = _exact_depth(exhibit)
     pair = {method: exhibit.shown[method] for method in (WITHOUT_BOLTZ, WITH_BOLTZ)}
     depths = [row.depth.ravel() for row in pair.values() if row.depth is not None]
-    near, far = display_range(exact if exact is not None else np.concatenate(depths or [np.zeros(1)]), tail=1.0)
+    near, far = display_range(
+        exact if exact is not None else np.concatenate(depths or [np.zeros(1)]), tail=1.0
+    )
     scale = Scale("depth", far, near, "")
     heats = [row.thermal.ravel() for row in pair.values() if row.thermal is not None]
-    heat_scale = Scale("inferno", *display_range(np.concatenate(heats or [np.zeros(1)])), exhibit.unit)
+    heat_scale = Scale(
+        "inferno", *display_range(np.concatenate(heats or [np.zeros(1)])), exhibit.unit
+    )
     panels = []
     for method, row in pair.items():
         panels.append(Panel(_colored(row.depth, scale), _depth_caption(exhibit, method)))
-        panels.append(Panel(_colored(row.thermal, heat_scale), _caption(exhibit, method, "thermal")))
+        panels.append(
+            Panel(_colored(row.thermal, heat_scale), _caption(exhibit, method, "thermal"))
+        )
     panels.append(Panel(_colored(exact, scale)))
     bars = [(scale, "z-depth in scene units"), (heat_scale, "thermal")]
     return as_drawn(Block(exhibit.title, [("", panels)], bars), WIDE_PX)

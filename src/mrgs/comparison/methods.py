@@ -7,22 +7,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from mrgs import thermonerf
+from mrgs.baselines import thermonerf
+from mrgs.baselines.thermonerf import ThermoNerfConfig, run_files, train_thermonerf
+from mrgs.baselines.thermonerf.config import is_thermonerf
+from mrgs.baselines.thermonerf.config import to_yaml as thermonerf_yaml
 from mrgs.errors import ConfigError
-from mrgs.gpu import DeviceName
-from mrgs.thermonerf import ThermoNerfConfig, run_files, train_thermonerf
-from mrgs.thermonerf.config import is_thermonerf
-from mrgs.thermonerf.config import to_yaml as thermonerf_yaml
+from mrgs.method.config import to_yaml
+from mrgs.system.gpu import DeviceName
+from mrgs.system.strict_yaml import parse_yaml
 from mrgs.training import TrainConfig, from_yaml, make_config, train
-from mrgs.training.config import to_yaml
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.strict_yaml import parse_yaml
 
 DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
 
 AnyConfig: TypeAlias = TrainConfig | ThermoNerfConfig
 OnStep: TypeAlias = Callable[[Any], bool | None]
-"""Called with a step's statistics, which have ``step`` and ``gaussians``; returning True stops the training."""
+"""Called with a step's statistics, which have ``step`` and ``gaussians``; returning True stops the
+training."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,17 @@ class Variant:
 
     @classmethod
     def from_text(cls, name: str, text: str, source: str) -> Variant:
-        """A variant from YAML that names its method and what differs, as for ``mrgs train --config``.
+        """A variant from YAML that names its method and what differs, as for ``mrgs train
+        --config``.
 
         Raises:
             ConfigError: it is not YAML, or does not name a method.
         """
         values = parse_yaml(text, source)
         if not isinstance(values, dict) or not isinstance(values.get("method"), str):
-            raise ConfigError(f"{source} does not say which method it changes: add a line such as method: mrgs")
+            raise ConfigError(
+                f"{source} does not say which method it changes: add a line such as method: mrgs"
+            )
         return cls(name, values["method"], text, source)
 
 
@@ -84,16 +88,19 @@ def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
 
     Args:
         variant: the method, and what differs from it.
-        options: what all runs share; a variant's own values count before these, but for the resolution.
+        options: what all runs share; a variant's own values count before these, but for the
+            resolution.
         seed: of every random choice.
 
     Raises:
-        ConfigError: an unknown method or preset, a value that is not allowed, or a variant with another resolution.
+        ConfigError: an unknown method or preset, a value that is not allowed, or a variant with
+            another resolution.
     """
     config = _configure(variant, options, seed)
     if config.resolution != options.resolution:
         raise ConfigError(
-            f"{variant.source} has a resolution of its own, but all runs are compared at one size: take it out, and "
+            f"{variant.source} has a resolution of its own, but all runs are compared at one "
+            f"size: take it out, and "
             "give --resolution"
         )
     return config
@@ -103,21 +110,37 @@ def _configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
     if variant.method == thermonerf.METHOD:
         nerf = thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
         return (
-            replace(thermonerf.from_yaml(variant.changes, variant.source, nerf), seed=seed) if variant.changes else nerf
+            replace(thermonerf.from_yaml(variant.changes, variant.source, nerf), seed=seed)
+            if variant.changes
+            else nerf
         )
     config = make_config(
-        variant.method, options.preset, options.max_steps, options.max_gaussians, options.resolution, seed
+        variant.method,
+        options.preset,
+        options.max_steps,
+        options.max_gaussians,
+        options.resolution,
+        seed,
     )
-    return replace(from_yaml(variant.changes, variant.source, config), seed=seed) if variant.changes else config
+    return (
+        replace(from_yaml(variant.changes, variant.source, config), seed=seed)
+        if variant.changes
+        else config
+    )
 
 
 def device_of(config: AnyConfig, device: DeviceName) -> DeviceName:
-    """Where a run of this configuration works: ThermoNeRF on the CPU, all others where they are asked to."""
+    """Where a run of this configuration works: ThermoNeRF on the CPU, all others where they are
+    asked to."""
     return "cpu" if isinstance(config, ThermoNerfConfig) else device
 
 
 def train_run(
-    scene: Path, folder: Path, config: AnyConfig, on_step: OnStep | None = None, device: DeviceName = "auto"
+    scene: Path,
+    folder: Path,
+    config: AnyConfig,
+    on_step: OnStep | None = None,
+    device: DeviceName = "auto",
 ) -> None:
     """Train a run, or continue it if its folder has a checkpoint.
 
@@ -142,7 +165,11 @@ def from_text(text: str) -> AnyConfig:
     Raises:
         ConfigError: it is not a configuration.
     """
-    return thermonerf.from_yaml(text, "the request") if is_thermonerf(text) else from_yaml(text, "the request")
+    return (
+        thermonerf.from_yaml(text, "the request")
+        if is_thermonerf(text)
+        else from_yaml(text, "the request")
+    )
 
 
 def read_config(folder: RunFolder) -> AnyConfig:
@@ -151,4 +178,8 @@ def read_config(folder: RunFolder) -> AnyConfig:
     Raises:
         RunError: the folder is not a run, or its configuration cannot be used.
     """
-    return run_files.read_config(folder) if run_files.holds_thermonerf(folder) else folder.read_config()
+    return (
+        run_files.read_config(folder)
+        if run_files.holds_thermonerf(folder)
+        else folder.read_config()
+    )

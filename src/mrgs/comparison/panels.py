@@ -1,4 +1,5 @@
-"""A figure of image panels: blocks of rows under common column titles, scale bars below each block."""
+"""A figure of image panels: blocks of rows under common column titles, scale bars below each
+block."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from mrgs.evaluation.drawing import INK, MUTED, PAPER, Scale, draw_text, fit_text, scale_bar
+from mrgs.pictures.drawing import INK, MUTED, PAPER, Scale, draw_text, fit_text, scale_bar
 
 MARGIN_PX = 24
 LABEL_PX = 96
@@ -49,7 +50,12 @@ def as_drawn(block: Block, cell_px: int) -> Block:
     rows = [
         (
             label,
-            [panel if panel.image is None else panel._replace(image=_resized(panel.image, cell_px)) for panel in row],
+            [
+                panel
+                if panel.image is None
+                else panel._replace(image=_resized(panel.image, cell_px))
+                for panel in row
+            ],
         )
         for label, row in block.rows
     ]
@@ -69,7 +75,14 @@ def draw_figure(columns: Sequence[str], blocks: Sequence[Block], cell_px: int) -
     figure = Image.new("RGB", (width, height), PAPER)
     left = [MARGIN_PX + LABEL_PX + index * (cell_px + GAP_PX) for index in range(len(columns))]
     for x, title in zip(left, columns, strict=True):
-        draw_text(figure, (x + cell_px / 2, MARGIN_PX + 14), fit_text(title, 15, cell_px), 15, INK, anchor="ms")
+        draw_text(
+            figure,
+            (x + cell_px / 2, MARGIN_PX + 14),
+            fit_text(title, 15, cell_px),
+            15,
+            INK,
+            anchor="ms",
+        )
     y = MARGIN_PX + TITLE_PX
     for block in blocks:
         _draw_block(figure, block, left, y, cell_px)
@@ -84,18 +97,29 @@ def _block_height(block: Block, cell_px: int) -> int:
 
 def _row_height(panels: Sequence[Panel], cell_px: int) -> int:
     heights = [
-        round(cell_px * panel.image.shape[0] / panel.image.shape[1]) for panel in panels if panel.image is not None
+        round(cell_px * panel.image.shape[0] / panel.image.shape[1])
+        for panel in panels
+        if panel.image is not None
     ]
     return max([*heights, cell_px // 3])
 
 
-def _draw_block(figure: Image.Image, block: Block, left: Sequence[int], y: int, cell_px: int) -> None:
+def _draw_block(
+    figure: Image.Image, block: Block, left: Sequence[int], y: int, cell_px: int
+) -> None:
     room = figure.width - 2 * MARGIN_PX
     draw_text(figure, (MARGIN_PX, y + 20), fit_text(block.title, 18, room), 18, INK, bold=True)
     y += BLOCK_TITLE_PX
     for label, panels in block.rows:
         height = _row_height(panels, cell_px)
-        draw_text(figure, (MARGIN_PX, y + height / 2), fit_text(label, 14, LABEL_PX - 8), 14, MUTED, anchor="lm")
+        draw_text(
+            figure,
+            (MARGIN_PX, y + height / 2),
+            fit_text(label, 14, LABEL_PX - 8),
+            14,
+            MUTED,
+            anchor="lm",
+        )
         for x, panel in zip(left, panels, strict=True):
             _draw_panel(figure, panel, (x, y), cell_px, height)
         y += height + CAPTION_PX + GAP_PX
@@ -108,14 +132,23 @@ def _draw_block(figure: Image.Image, block: Block, left: Sequence[int], y: int, 
             draw_text(figure, (x, y + bar.height + 14), fit_text(text, 12, length), 12, MUTED)
 
 
-def _draw_panel(figure: Image.Image, panel: Panel, corner: tuple[int, int], width: int, height: int) -> None:
+def _draw_panel(
+    figure: Image.Image, panel: Panel, corner: tuple[int, int], width: int, height: int
+) -> None:
     x, y = corner
     middle = x + width / 2
     if panel.image is None:
         draw_text(figure, (middle, y + height / 2), panel.missing, 18, MUTED, anchor="mm")
     else:
         figure.paste(Image.fromarray(_resized(panel.image, width)), (x, y))
-    draw_text(figure, (middle, y + height + 13), fit_text(panel.caption, 12, width), 12, MUTED, anchor="ms")
+    draw_text(
+        figure,
+        (middle, y + height + 13),
+        fit_text(panel.caption, 12, width),
+        12,
+        MUTED,
+        anchor="ms",
+    )
 
 
 def _resized(pixels: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "h2 w2 3"]:

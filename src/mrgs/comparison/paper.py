@@ -17,12 +17,15 @@ METHODS = ("ThermoNeRF", "3DGS_RGB-T", "MrGS")
 
 @cache
 def published() -> dict[str, Any]:
-    """``paper.json``: of each table, by the paper's name of the scene, then by the row, the figures.
+    """``paper.json``: of each table, by the paper's name of the scene, then by the row, the
+    figures.
 
-    ``scenes`` maps ThermoScenes' folder names to the paper's names. The ablation's rows bear the method names of this
-    program, the rows of ``neighbours`` the paper's n.
+    ``scenes`` maps ThermoScenes' folder names to the paper's names. The ablation's rows bear the
+    method names of this program, the rows of ``neighbours`` the paper's n.
     """
-    content: dict[str, Any] = json.loads(files("mrgs.comparison").joinpath("paper.json").read_text(encoding="utf-8"))
+    content: dict[str, Any] = json.loads(
+        files("mrgs.comparison").joinpath("paper.json").read_text(encoding="utf-8")
+    )
     return content
 
 

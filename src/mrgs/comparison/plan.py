@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mrgs.atomic import replacing
 from mrgs.comparison.methods import AnyConfig, Options, Variant, configure
 from mrgs.comparison.single import require_same_config
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, SceneError
+from mrgs.system.atomic import replacing
 from mrgs.training import make_config
 
 NEIGHBOURS_METHOD = "mrgs"
@@ -52,7 +52,8 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Job]:
 
     Raises:
         SceneError: a scene cannot be read, or has no held-out views.
-        ConfigError: an option is not allowed, two scenes have one name, or a run's folder holds another run.
+        ConfigError: an option is not allowed, two scenes have one name, or a run's folder holds
+            another run.
     """
     if options.seeds < 1:
         raise ConfigError(f"--seeds must be at least 1, not {options.seeds}")
@@ -65,7 +66,9 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Job]:
         for name, scene in named.items():
             for label, variant in variants.items():
                 folder = output / "runs" / name / label / f"seed_{seed}"
-                jobs.append(Job(scene, name, label, seed, configure(variant, options, seed), folder))
+                jobs.append(
+                    Job(scene, name, label, seed, configure(variant, options, seed), folder)
+                )
     _claim(output / "scenes.json", named)
     for job in jobs:
         require_same_config(job.folder, job.config)
@@ -83,9 +86,13 @@ def _variants(options: Options) -> dict[str, Variant]:
 
 
 def neighbour_methods(options: Options) -> dict[int, str]:
-    """What each n of the table of neighbours is called among the methods; ``mrgs`` itself stands for its own n."""
+    """What each n of the table of neighbours is called among the methods; ``mrgs`` itself stands
+    for its own n."""
     own_n = make_config(NEIGHBOURS_METHOD, options.preset).field.neighbours_n
-    return {n: NEIGHBOURS_METHOD if n == own_n else f"{NEIGHBOURS_METHOD}-n{n}" for n in options.neighbours}
+    return {
+        n: NEIGHBOURS_METHOD if n == own_n else f"{NEIGHBOURS_METHOD}-n{n}"
+        for n in options.neighbours
+    }
 
 
 def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
@@ -97,27 +104,34 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
         loaded = load_scene(scene, resolution=resolution)
         if not loaded.eval:
             raise SceneError(
-                f"{scene}: no views are held out, so there is nothing to score; put 'eval' into the file names of "
+                f"{scene}: no views are held out, so there is nothing to score; put 'eval' into "
+                f"the file names of "
                 "some, or list them in val_filenames"
             )
         path = scene.resolve()
         if named.setdefault(loaded.name, path) != path:
-            raise ConfigError(f"{named[loaded.name]} and {path} have the same name: rename one of the folders")
+            raise ConfigError(
+                f"{named[loaded.name]} and {path} have the same name: rename one of the folders"
+            )
     return named
 
 
 def _claim(file: Path, named: dict[str, Path]) -> None:
-    """Note which folder each scene's name stands for, so that no other scene takes over its runs."""
+    """Note which folder each scene's name stands for, so that no other scene takes over its
+    runs."""
     known: dict[str, str] = {}
     if file.exists():
         try:
             known = dict(json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
-            raise ConfigError(f"{file} cannot be read: choose another --output, or remove the file") from None
+            raise ConfigError(
+                f"{file} cannot be read: choose another --output, or remove the file"
+            ) from None
     for name, path in named.items():
         if known.setdefault(name, str(path)) != str(path):
             raise ConfigError(
-                f"{file.parent} holds runs of {known[name]} under the name {name}: choose another --output, or, if "
+                f"{file.parent} holds runs of {known[name]} under the name {name}: choose another "
+                f"--output, or, if "
                 f"the scene was moved, correct its path in {file}"
             )
     with replacing(file) as temporary:

@@ -1,7 +1,9 @@
 """Runs side by side, each in a process of its own.
 
-Its memory is given back when it ends, and a run that crashes takes no other with it. The processes are started with an
-argv: ``multiprocessing`` would pickle what it hands over and run the caller's script again in each of them.
+Its memory is given back when it ends, and a run that crashes takes no other with it. The processes
+are started with an
+argv: ``multiprocessing`` would pickle what it hands over and run the caller's script again in each
+    of them.
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ from typing import Any
 
 from mrgs.comparison.methods import to_text
 from mrgs.comparison.plan import Job
-from mrgs.gpu import DeviceName
-from mrgs.isolation import CHILD_FOLDER, child_environment
+from mrgs.system.gpu import DeviceName
+from mrgs.system.isolation import CHILD_FOLDER, child_environment
 
 CHILD = ("-m", "mrgs.comparison.child")
 TICK_S = 1.0
@@ -49,7 +51,8 @@ def run_jobs(
 
     Args:
         jobs: in the order in which they are started.
-        count: how many processes at a time; the machine's cores are divided among as many as there can be.
+        count: how many processes at a time; the machine's cores are divided among as many as there
+            can be.
         lpips_weights: weights for LPIPS.
         on_message: called with what a child says, and with ``{"start": True}`` when it is started.
         on_tick: called about once a second.
@@ -59,7 +62,8 @@ def run_jobs(
         of each job that failed, why: one line.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C; the running jobs have left checkpoints. A second one ends them at once.
+        KeyboardInterrupt: Ctrl-C; the running jobs have left checkpoints. A second one ends them at
+            once.
     """
     waiting, running, failures = list(jobs), list[_Child](), dict[Job, str]()
     inbox: queue.Queue[tuple[_Child, Message | None]] = queue.Queue()
@@ -67,7 +71,9 @@ def run_jobs(
         while waiting or running:
             while waiting and len(running) < count:
                 job = waiting.pop(0)
-                running.append(_start(job, threads_each(min(count, len(jobs))), device, lpips_weights, inbox))
+                running.append(
+                    _start(job, threads_each(min(count, len(jobs))), device, lpips_weights, inbox)
+                )
                 on_message(job, {"start": True})
             _receive(inbox, running, failures, on_message)
             on_tick()
@@ -86,7 +92,9 @@ def run_jobs(
 
 def threads_each(count: int) -> int:
     """The threads of one of ``count`` processes."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     return max(1, cores // count)
 
 
@@ -105,7 +113,11 @@ def _start(
         "lpips_weights": None if lpips_weights is None else str(lpips_weights.absolute()),
     }
     # Threads that spin while they wait would starve those of the other processes.
-    limits = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
+    limits = {
+        "OMP_NUM_THREADS": str(threads),
+        "NUMBA_NUM_THREADS": str(threads),
+        "OMP_WAIT_POLICY": "PASSIVE",
+    }
     errors = job.folder.parent / f"{job.folder.name}.stderr.txt"
     errors.parent.mkdir(parents=True, exist_ok=True)
     with errors.open("w", encoding="utf-8") as file:
@@ -175,8 +187,13 @@ def _failure(child: _Child) -> str | None:
         child.errors.unlink(missing_ok=True)
         return str(child.end["message"])
     if status == -9:
-        return "the system ended the process (signal 9), most likely for want of memory: use fewer --jobs"
-    lines = child.errors.read_text(encoding="utf-8", errors="replace").strip().splitlines() or ["no message"]
+        return (
+            "the system ended the process (signal 9), most likely for want of memory: use "
+            "fewer --jobs"
+        )
+    lines = child.errors.read_text(encoding="utf-8", errors="replace").strip().splitlines() or [
+        "no message"
+    ]
     return f"the process ended with status {status} ({lines[-1]}); see {child.errors}"
 
 

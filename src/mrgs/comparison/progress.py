@@ -14,7 +14,8 @@ LINE_EVERY_S = 10.0
 
 @dataclass
 class _Running:
-    """Where a run is; ``first_step`` is the first that was heard of, at ``first_time``: before it, kernels compile."""
+    """Where a run is; ``first_step`` is the first that was heard of, at ``first_time``: before it,
+    kernels compile."""
 
     started: float
     first_step: int | None = None
@@ -97,7 +98,8 @@ class Progress:
         return f", about {hours}{minutes % 60} min left" if minutes else ", less than a minute left"
 
     def _seconds_left(self, job: Job) -> float:
-        """As long as the method's last run took in all; else the steps that are left, at the speeds seen so far."""
+        """As long as the method's last run took in all; else the steps that are left, at the speeds
+        seen so far."""
         running = self._running.get(job)
         if job.method in self._durations:
             elapsed = self.clock() - running.started if running else 0.0

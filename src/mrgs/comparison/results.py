@@ -95,18 +95,26 @@ def failed(scene: str, method: str, seed: int | None, reason: str) -> Outcome:
 
 
 def over_seeds(figures: Sequence[Figure]) -> Cell:
-    """Mean ± standard deviation of the seeds that have the figure; a note where some or all have not."""
+    """Mean ± standard deviation of the seeds that have the figure; a note where some or all have
+    not."""
     values = [figure for figure in figures if not isinstance(figure, Missing)]
-    reasons = list(dict.fromkeys(figure.reason for figure in figures if isinstance(figure, Missing)))
+    reasons = list(
+        dict.fromkeys(figure.reason for figure in figures if isinstance(figure, Missing))
+    )
     if not values:
         return Cell(None, note="; ".join(reasons) or "not run")
-    note = None if not reasons else f"{len(values)} of {len(figures)} seeds; the others: {'; '.join(reasons)}"
+    note = (
+        None
+        if not reasons
+        else f"{len(values)} of {len(figures)} seeds; the others: {'; '.join(reasons)}"
+    )
     std = statistics.stdev(values) if len(values) > 1 else None
     return Cell(math.fsum(values) / len(values), std, len(values), note)
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
-    """The mean over scenes of the seeds that have all of them, and its standard deviation over seeds.
+    """The mean over scenes of the seeds that have all of them, and its standard deviation over
+    seeds.
 
     Args:
         scenes: of each scene the figure of each seed, equally many.
@@ -120,7 +128,11 @@ def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cel
     if not per_seed:
         return Cell(None, note=_why_no_mean(scenes, names))
     seeds = len(scenes[0])
-    note = None if len(per_seed) == seeds else f"{len(per_seed)} of {seeds} seeds; the others lack a scene"
+    note = (
+        None
+        if len(per_seed) == seeds
+        else f"{len(per_seed)} of {seeds} seeds; the others lack a scene"
+    )
     std = statistics.stdev(per_seed) if len(per_seed) > 1 else None
     return Cell(math.fsum(per_seed) / len(per_seed), std, len(per_seed), note)
 
@@ -131,7 +143,11 @@ def _why_no_mean(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> st
     reasons = {figure.reason for figure in every if isinstance(figure, Missing)}
     if len(reasons) == 1 and all(isinstance(figure, Missing) for figure in every):
         return reasons.pop()
-    gaps = [name for name, figures in zip(names, scenes, strict=True) if any(isinstance(x, Missing) for x in figures)]
+    gaps = [
+        name
+        for name, figures in zip(names, scenes, strict=True)
+        if any(isinstance(x, Missing) for x in figures)
+    ]
     return f"no mean, because the figure is missing for {', '.join(gaps)}"
 
 

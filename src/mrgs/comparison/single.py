@@ -12,8 +12,8 @@ from mrgs.comparison.methods import AnyConfig, OnStep, device_of, read_config, t
 from mrgs.errors import ConfigError
 from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
-from mrgs.gpu import DeviceName
-from mrgs.run import open_run
+from mrgs.runs.open import open_run
+from mrgs.system.gpu import DeviceName
 from mrgs.training.run_folder import RunFolder
 
 
@@ -56,7 +56,8 @@ def run_one(
 def is_scored(folder: Path, config: AnyConfig, with_lpips: bool) -> bool:
     """Whether the folder holds the scores of the finished run, with LPIPS if they must have it.
 
-    Scores of an older version, which lack a figure, do not count if the run can be scored again as it is.
+    Scores of an older version, which lack a figure, do not count if the run can be scored again as
+    it is.
     """
     document = read_metrics(folder / "eval")
     if document is None or document.get("steps") != config.max_steps:
@@ -89,7 +90,8 @@ def require_same_config(folder: Path, config: AnyConfig) -> None:
     for name in [*here, *there]:
         if there.get(name) != here.get(name):
             raise ConfigError(
-                f"{folder} holds a run with another configuration ({name} is {there.get(name)} there and "
+                f"{folder} holds a run with another configuration ({name} is {there.get(name)} "
+                f"there and "
                 f"{here.get(name)} here): choose another --output, or remove the folder"
             )
 
@@ -108,7 +110,9 @@ def flat(config: Any) -> dict[str, Any]:
 
 def _is_trained(folder: Path, config: AnyConfig) -> bool:
     """Read off the newest checkpoint's name, which is the same for every method."""
-    return config.max_steps in (int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints())
+    return config.max_steps in (
+        int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints()
+    )
 
 
 def _has_every_figure(document: dict[str, Any]) -> bool:

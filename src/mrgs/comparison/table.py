@@ -74,12 +74,17 @@ def printed(cell: Cell, figure: str, published: bool) -> str:
 def marks(table: Table) -> list[list[Mark]]:
     """Of every row and column: the best and the second best of the measured rows of a block.
 
-    Figures that are printed alike are marked alike. A column with fewer than two measured figures has no marks.
+    Figures that are printed alike are marked alike. A column with fewer than two measured figures
+    has no marks.
     """
     result: list[list[Mark]] = [["" for _ in table.figures] for _ in table.rows]
     for column, figure in enumerate(table.figures):
         for block in dict.fromkeys(row.block for row in table.rows):
-            members = [index for index, row in enumerate(table.rows) if row.block == block and not row.published]
+            members = [
+                index
+                for index, row in enumerate(table.rows)
+                if row.block == block and not row.published
+            ]
             for index, mark in _rank(table, members, column, figure).items():
                 result[index][column] = mark
     return result

@@ -31,10 +31,12 @@ ABLATION = {
 
 MEAN = "mean"
 MATCHED = (
-    "PSNR matched, for scenes without °C: after the rendering took the gain and the offset that suit the photo best."
+    "PSNR matched, for scenes without °C: after the rendering took the gain and the offset "
+    "that suit the photo best."
 )
 PUBLISHED = (
-    "Rows marked (paper) are the paper's own figures, on other hardware and a longer schedule; they are not ranked."
+    "Rows marked (paper) are the paper's own figures, on other hardware and a longer "
+    "schedule; they are not ranked."
 )
 
 
@@ -69,7 +71,11 @@ class Outcomes:
         return [
             scene
             for scene in self.scenes
-            if any(isinstance(value, float) for method in self.methods for value in self.figures(scene, method, figure))
+            if any(
+                isinstance(value, float)
+                for method in self.methods
+                for value in self.figures(scene, method, figure)
+            )
         ]
 
 
@@ -87,18 +93,30 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
         tables.append(_neighbours(outcomes))
     with_truth = {scene for figure in TRUTH for scene in outcomes.scenes_with(figure)}
     if with_truth:
-        tables.append(_truth(outcomes, tuple(scene for scene in outcomes.scenes if scene in with_truth)))
+        tables.append(
+            _truth(outcomes, tuple(scene for scene in outcomes.scenes if scene in with_truth))
+        )
     return tables
 
 
 def _thermal_figures(outcomes: Outcomes, scenes: Sequence[str]) -> tuple[str, ...]:
-    """What the thermal images of scenes are judged by: the paper's figures, or what takes the place of the MAE."""
-    celsius, matched = (set(outcomes.scenes_with(key)) for key in ("thermal.mae_c", "thermal.psnr_matched"))
-    return THERMAL if celsius.intersection(scenes) or not matched.intersection(scenes) else THERMAL_WITHOUT_CELSIUS
+    """What the thermal images of scenes are judged by: the paper's figures, or what takes the place
+    of the MAE."""
+    celsius, matched = (
+        set(outcomes.scenes_with(key)) for key in ("thermal.mae_c", "thermal.psnr_matched")
+    )
+    return (
+        THERMAL
+        if celsius.intersection(scenes) or not matched.intersection(scenes)
+        else THERMAL_WITHOUT_CELSIUS
+    )
 
 
 def _methods_by_scenes(
-    outcomes: Outcomes, name: str, caption: str, figures_of: Callable[[Sequence[str]], tuple[str, ...]]
+    outcomes: Outcomes,
+    name: str,
+    caption: str,
+    figures_of: Callable[[Sequence[str]], tuple[str, ...]],
 ) -> Table:
     """A row per method and a group of columns per scene, as the paper's Tables 1 and 2.
 
@@ -158,12 +176,16 @@ def _neighbours(outcomes: Outcomes) -> Table:
             rows.append(Row((_title(scene), f"n = {n}"), cells, block=scene))
         labels = {str(n): (f"n = {n}",) for n in sorted(outcomes.neighbours)}
         rows += _published_rows("neighbours", scene, NEIGHBOURS, labels)
-    remarks = ["Each Gaussian exchanges heat with K = n² − 1 neighbours.", "The time is that of the training alone."]
+    remarks = [
+        "Each Gaussian exchanges heat with K = n² − 1 neighbours.",
+        "The time is that of the training alone.",
+    ]
     if any(row.published for row in rows):
         remarks.append(PUBLISHED)
     return Table(
         "neighbours",
-        "The number of neighbours in the Fourier heat transformation: thermal images of held-out views.",
+        "The number of neighbours in the Fourier heat transformation: thermal images of held-out "
+        "views.",
         ("scene", "neighbours"),
         (Group("", NEIGHBOURS),),
         tuple(rows),
@@ -176,14 +198,19 @@ def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
     several = len(scenes) > 1
     rows = []
     for method in outcomes.methods:
-        cells = [over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in TRUTH]
+        cells = [
+            over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in TRUTH
+        ]
         cells += [outcomes.mean(method, key) for key in TRUTH] if several else []
         rows.append(Row((method,), tuple(cells)))
-    groups = [Group(_title(scene), TRUTH) for scene in scenes] + ([Group(MEAN, TRUTH)] if several else [])
+    groups = [Group(_title(scene), TRUTH) for scene in scenes] + (
+        [Group(MEAN, TRUTH)] if several else []
+    )
     remarks = [
         "MAE to exact: of the rendered view, mean over the frame.",
         "Camera's own MAE: of the camera's image of the same view.",
-        "Ratio: the first over the second; below 1, the model is a better thermometer than the camera.",
+        "Ratio: the first over the second; below 1, the model is a better thermometer than the "
+        "camera.",
         "Depth error: median of |rendered − exact| / exact over a view, mean over the views.",
     ]
     remarks += _remarks_on_means(outcomes, scenes, TRUTH) if several else []
@@ -191,7 +218,9 @@ def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
     return Table("truth", caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
 
 
-def _published_rows(table: str, scene: str, figures: Sequence[str], labels: Mapping[str, tuple[str, ...]]) -> list[Row]:
+def _published_rows(
+    table: str, scene: str, figures: Sequence[str], labels: Mapping[str, tuple[str, ...]]
+) -> list[Row]:
     """The paper's rows for a scene, where it has them."""
     return [
         Row(
@@ -205,14 +234,18 @@ def _published_rows(table: str, scene: str, figures: Sequence[str], labels: Mapp
     ]
 
 
-def _remarks_on_means(outcomes: Outcomes, scenes: Sequence[str], figures: Sequence[str]) -> list[str]:
+def _remarks_on_means(
+    outcomes: Outcomes, scenes: Sequence[str], figures: Sequence[str]
+) -> list[str]:
     """Which means leave some of a table's scenes out, because no method has the figure there."""
     remarks = []
     for figure in figures:
         there = outcomes.scenes_with(figure)
         gone = [_title(scene) for scene in scenes if scene not in there]
         if there and gone:
-            remarks.append(f"The mean {KINDS[figure].heading} leaves out {', '.join(gone)}, which has none.")
+            remarks.append(
+                f"The mean {KINDS[figure].heading} leaves out {', '.join(gone)}, which has none."
+            )
     return remarks
 
 

@@ -18,9 +18,12 @@ LATEX_GROUPS = 5
 LEGEND = "Bold: the best, underlined: the second best of what was measured here."
 
 _LATEX = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"$^{\circ}$", "±": r"$\pm$", "–": "--",
-    "↑": r"$\uparrow$", "↓": r"$\downarrow$", "✓": r"\checkmark{}", "²": r"$^{2}$", "λ": r"$\lambda$",
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"$^{\circ}$", "±": r"$\pm$",
+    "–": "--",
+    "↑": r"$\uparrow$", "↓": r"$\downarrow$", "✓": r"\checkmark{}", "²": r"$^{2}$",
+    "λ": r"$\lambda$",
     "×": r"$\times$", "σ": r"$\sigma$", "−": "$-$", "|": "$|$", "<": "$<$", ">": "$>$",
 }  # fmt: skip
 
@@ -30,13 +33,21 @@ def to_markdown(table: Table) -> str:
     notes = _Notes()
     blocks = [f"**{_escape_markdown(table.caption)}**"]
     for part in _parts(table, MARKDOWN_GROUPS):
-        headings = [*map(_escape_markdown, part.label_headings), *map(_escape_markdown, _headings(part, "<br>"))]
-        lines = [_pipe(headings), "|" + "---|" * len(part.label_headings) + "---:|" * len(part.figures)]
+        headings = [
+            *map(_escape_markdown, part.label_headings),
+            *map(_escape_markdown, _headings(part, "<br>")),
+        ]
+        lines = [
+            _pipe(headings),
+            "|" + "---|" * len(part.label_headings) + "---:|" * len(part.figures),
+        ]
         for labels, cells in _cells(part, notes):
             shown = [_markdown_cell(text, mark, note) for text, mark, note in cells]
             lines.append(_pipe([*map(_escape_markdown, labels), *shown]))
         blocks.append("\n".join(lines))
-    footnotes = [f"<sup>{letter}</sup> {_escape_markdown(text)}." for letter, text in notes.lettered()]
+    footnotes = [
+        f"<sup>{letter}</sup> {_escape_markdown(text)}." for letter, text in notes.lettered()
+    ]
     blocks.append("<br>\n".join([LEGEND, *map(_escape_markdown, table.remarks), *footnotes]))
     return "\n\n".join(blocks) + "\n"
 
@@ -59,7 +70,8 @@ def to_latex(table: Table) -> str:
 
 
 def to_csv(table: Table) -> str:
-    """One line per figure, with all decimals: the labels, group, figure, unit, mean, std, seeds, mark, note."""
+    """One line per figure, with all decimals: the labels, group, figure, unit, mean, std, seeds,
+    mark, note."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     fields = ("group", "figure", "unit", "mean", "std", "seeds", "mark", "note")
@@ -70,20 +82,32 @@ def to_csv(table: Table) -> str:
             mean, std = ("" if value is None else repr(value) for value in (cell.mean, cell.std))
             kind = KINDS[name]
             writer.writerow(
-                [*row.labels, group, kind.heading, kind.unit, mean, std, cell.seeds or "", mark, cell.note or ""]
+                [
+                    *row.labels,
+                    group,
+                    kind.heading,
+                    kind.unit,
+                    mean,
+                    std,
+                    cell.seeds or "",
+                    mark,
+                    cell.note or "",
+                ]
             )
     return text.getvalue()
 
 
 def to_plain(table: Table) -> str:
-    """For a terminal: each scene below the other; * marks the best, + the second best. Notes are left out."""
+    """For a terminal: each scene below the other; * marks the best, + the second best. Notes are
+    left out."""
     signs: dict[Mark, str] = {"best": "*", "second": "+", "": " "}
     lines = [table.caption]
     for part in _parts(table, 1):
         plain = replace(part, groups=(part.groups[0]._replace(heading=""),))
         rows = [[*part.label_headings, *_headings(plain, "")]]
         rows += [
-            [*labels, *(text + signs[mark] for text, mark, _ in cells)] for labels, cells in _cells(part, _Notes())
+            [*labels, *(text + signs[mark] for text, mark, _ in cells)]
+            for labels, cells in _cells(part, _Notes())
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         left = len(part.label_headings)
@@ -122,7 +146,8 @@ class _Notes:
 
 
 def _parts(table: Table, most: int) -> Iterator[Table]:
-    """The table cut into tables of at most ``most`` groups; marks do not change, since they go by column."""
+    """The table cut into tables of at most ``most`` groups; marks do not change, since they go by
+    column."""
     start = 0
     for first in range(0, len(table.groups), most):
         groups = table.groups[first : first + most]
@@ -132,7 +157,9 @@ def _parts(table: Table, most: int) -> Iterator[Table]:
         start = end
 
 
-def _cells(table: Table, notes: _Notes) -> Iterator[tuple[tuple[str, ...], list[tuple[str, Mark, str]]]]:
+def _cells(
+    table: Table, notes: _Notes
+) -> Iterator[tuple[tuple[str, ...], list[tuple[str, Mark, str]]]]:
     """Of each row its labels, and of each cell its text, its mark and the letter of its note."""
     for row, row_marks in zip(table.rows, marks(table), strict=True):
         cells = [
@@ -176,7 +203,9 @@ def _tabular(table: Table, notes: _Notes) -> list[str]:
         ]
         lines.append(" & ".join([""] * labels + spans) + r" \\")
     plain = replace(table, groups=tuple(group._replace(heading="") for group in table.groups))
-    lines.append(" & ".join(map(_escape_latex, [*table.label_headings, *_headings(plain, " ")])) + r" \\")
+    lines.append(
+        " & ".join(map(_escape_latex, [*table.label_headings, *_headings(plain, " ")])) + r" \\"
+    )
     block = None
     for row, (row_labels, cells) in zip(table.rows, _cells(table, notes), strict=True):
         if row.block != block:

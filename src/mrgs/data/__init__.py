@@ -1,4 +1,5 @@
-"""The one room that opens files which strangers wrote: scene folders in, a :class:`~mrgs.scene.Scene` out."""
+"""The one room that opens files which strangers wrote: scene folders in, a
+:class:`~mrgs.scene.Scene` out."""
 
 from mrgs.data.load import load_scene
 

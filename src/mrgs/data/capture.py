@@ -1,4 +1,5 @@
-"""What a layout's reader hands on: images with lenses and poses, before splitting, undistortion and decoding."""
+"""What a layout's reader hands on: images with lenses and poses, before splitting, undistortion and
+decoding."""
 
 from __future__ import annotations
 
@@ -54,7 +55,8 @@ class ImageSource:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What becomes a view. ``key`` is the path of its images without extension; it decides the name and the split."""
+    """What becomes a view. ``key`` is the path of its images without extension; it decides the name
+    and the split."""
 
     key: str
     rgb: ImageSource | None
@@ -63,7 +65,8 @@ class Shot:
 
 @dataclass(frozen=True)
 class FilenameLists:
-    """The explicit split of nerfstudio: keys of the training and of the evaluation images; None where not given."""
+    """The explicit split of nerfstudio: keys of the training and of the evaluation images; None
+    where not given."""
 
     train: frozenset[str] | None = None
     eval: frozenset[str] | None = None

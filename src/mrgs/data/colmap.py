@@ -1,7 +1,8 @@
-"""COLMAP scenes: RGBT-Scenes (``rgb/`` and ``thermal/``), thermal-only ones like TI-NSD, and plain ``images/``.
+"""COLMAP scenes: RGBT-Scenes (``rgb/`` and ``thermal/``), thermal-only ones like TI-NSD, and plain
+``images/``.
 
-Where only one image of a pair is registered, its camera serves both. Where both are (``rgb/a.jpg`` and
-``thermal/a.jpg`` in one reconstruction), each keeps its own.
+Where only one image of a pair is registered, its camera serves both. Where both are (``rgb/a.jpg``
+and ``thermal/a.jpg`` in one reconstruction), each keeps its own.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ class _Images:
     files: dict[str, Path]
 
     def key_of(self, name: str) -> str | None:
-        """The key that a name in the reconstruction stands for: the whole path, or the file's stem if only one fits."""
+        """The key that a name in the reconstruction stands for: the whole path, or the file's stem
+        if only one fits."""
         path = without_image_suffix(PurePosixPath(name).as_posix())
         for candidate in (path, path.removeprefix(f"{self.folder}/")):
             if candidate in self.files:
@@ -41,8 +43,8 @@ class _Images:
 def read_colmap(root: Path, model: ColmapModel) -> Capture:
     """Understand a COLMAP scene; images are looked up, not decoded.
 
-    A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it is taken for thermal images where a
-    ``temperature_bounds.json`` is there, or where none of its images has colour channels.
+    A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it is taken for thermal images
+    where a ``temperature_bounds.json`` is there, or where none of its images has colour channels.
 
     Args:
         root: the scene's folder, resolved.
@@ -56,7 +58,9 @@ def read_colmap(root: Path, model: ColmapModel) -> Capture:
     file = model.file("images")
     registered = read_images(model)
     if not registered:
-        raise scene_error(file, "holds no registered image; run COLMAP again with more overlap between the photos")
+        raise scene_error(
+            file, "holds no registered image; run COLMAP again with more overlap between the photos"
+        )
     rgb, thermal = _image_folders(root, finder, notes)
     found = _match(registered, rgb, thermal, file)
     if left_out := len(rgb.files.keys() | thermal.files.keys()) - len({key for _, key in found}):
@@ -97,14 +101,19 @@ def _match(
         else:
             raise scene_error(
                 file,
-                f"the registered image {shown(image.name)} is missing in images/, rgb/ and thermal/, or there several "
+                f"the registered image {shown(image.name)} is missing in images/, rgb/ and "
+                f"thermal/, or there several "
                 "times; restore it, or remove it from the reconstruction",
             )
     return found
 
 
 def _shot(
-    key: str, found: dict[tuple[str, str], RegisteredImage], rgb: _Images, thermal: _Images, finder: ImageFinder
+    key: str,
+    found: dict[tuple[str, str], RegisteredImage],
+    rgb: _Images,
+    thermal: _Images,
+    finder: ImageFinder,
 ) -> Shot:
     rgb_image, thermal_image = found.get((rgb.folder, key)), found.get((thermal.folder, key))
     sole = rgb_image or thermal_image
@@ -121,4 +130,6 @@ def _source(
 ) -> ImageSource | None:
     if path is None or image is None:
         return None
-    return ImageSource(path, image.lens, image.viewmat, finder.find_mask(mask_folder, path.name, path))
+    return ImageSource(
+        path, image.lens, image.viewmat, finder.find_mask(mask_folder, path.name, path)
+    )

@@ -55,7 +55,8 @@ class ColmapModel:
 
 @dataclass(frozen=True, eq=False)
 class RegisteredImage:
-    """An image of the reconstruction: its name below the image folder, lens, and world-to-camera matrix."""
+    """An image of the reconstruction: its name below the image folder, lens, and world-to-camera
+    matrix."""
 
     name: str
     lens: Lens
@@ -63,7 +64,8 @@ class RegisteredImage:
 
 
 def find_model(root: Path) -> ColmapModel | None:
-    """The first complete reconstruction among ``MODEL_FOLDERS``; binary before text, as in COLMAP."""
+    """The first complete reconstruction among ``MODEL_FOLDERS``; binary before text, as in
+    COLMAP."""
     for name in MODEL_FOLDERS:
         for suffix in (".bin", ".txt"):
             model = ColmapModel(root / name, suffix)
@@ -87,15 +89,20 @@ def read_images(model: ColmapModel) -> list[RegisteredImage]:
     for pose, camera_id, name in (_binary_images if binary else _text_images)(file):
         if camera_id not in cameras:
             raise scene_error(
-                file, f"image {shown(name)} uses camera {camera_id}, which is not there; run COLMAP again"
+                file,
+                f"image {shown(name)} uses camera {camera_id}, which is not there; run COLMAP "
+                f"again",
             )
-        viewmat = viewmat_from_colmap(np.array(pose[:4]), np.array(pose[4:]), f"image {shown(name)}", file)
+        viewmat = viewmat_from_colmap(
+            np.array(pose[:4]), np.array(pose[4:]), f"image {shown(name)}", file
+        )
         images.append(RegisteredImage(name, cameras[camera_id], viewmat))
     return sorted(images, key=lambda image: image.name)
 
 
 def read_points3d(model: ColmapModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions [N, 3] in COLMAP's world and colours [N, 3] in [0, 1]; empty without a points3D file.
+    """Positions [N, 3] in COLMAP's world and colours [N, 3] in [0, 1]; empty without a points3D
+    file.
 
     Raises:
         SceneError: the file is damaged or cut off.
@@ -103,18 +110,27 @@ def read_points3d(model: ColmapModel) -> tuple[NDArray[np.float64], NDArray[np.f
     file = model.file("points3D")
     if not is_file(file):
         return np.empty((0, 3)), np.empty((0, 3))
-    rows = np.array(list((_binary_points if model.suffix == ".bin" else _text_points)(file)), dtype=np.float64)
+    rows = np.array(
+        list((_binary_points if model.suffix == ".bin" else _text_points)(file)), dtype=np.float64
+    )
     rows = rows.reshape(-1, 6)
     return rows[:, :3], np.clip(np.nan_to_num(rows[:, 3:]) / 255, 0.0, 1.0)
 
 
-def _lens(model: str, width: int, height: int, parameters: tuple[float, ...], what: str, file: Path) -> Lens:
+def _lens(
+    model: str, width: int, height: int, parameters: tuple[float, ...], what: str, file: Path
+) -> Lens:
     if model not in _PARAMETER_COUNTS:
         known = ", ".join(_PARAMETER_COUNTS)
-        raise scene_error(file, f"{what} has the model {shown(model)}; undistort with COLMAP, or use one of {known}")
+        raise scene_error(
+            file,
+            f"{what} has the model {shown(model)}; undistort with COLMAP, or use one of {known}",
+        )
     if len(parameters) != _PARAMETER_COUNTS[model]:
         raise scene_error(
-            file, f"{what} has {len(parameters)} parameters where {model} has {_PARAMETER_COUNTS[model]}; correct it"
+            file,
+            f"{what} has {len(parameters)} parameters where {model} has "
+            f"{_PARAMETER_COUNTS[model]}; correct it",
         )
     if model in {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"}:  # one focal length
         parameters = (parameters[0], *parameters)
@@ -196,7 +212,9 @@ def _binary_points(file: Path) -> Iterator[tuple[float, ...]]:
 def _lines(file: Path) -> list[tuple[int, str]]:
     """The lines with their numbers, without comments."""
     text = read_bytes(file).decode("utf-8", "replace")
-    return [(index, line) for index, line in enumerate(text.split("\n"), 1) if not line.startswith("#")]
+    return [
+        (index, line) for index, line in enumerate(text.split("\n"), 1) if not line.startswith("#")
+    ]
 
 
 @contextmanager
@@ -205,7 +223,9 @@ def _parsing(file: Path, number: int) -> Iterator[None]:
     try:
         yield
     except (ValueError, IndexError):
-        raise scene_error(file, f"line {number} is damaged; copy the file again or run COLMAP again") from None
+        raise scene_error(
+            file, f"line {number} is damaged; copy the file again or run COLMAP again"
+        ) from None
 
 
 def _text_cameras(file: Path) -> Iterator[tuple[int, Lens]]:

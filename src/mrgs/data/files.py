@@ -13,7 +13,8 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
 MAX_MAGNITUDE = 1e7
-"""Larger positions, pixel counts and focal lengths are taken for damage: float32 could not tell their places apart."""
+"""Larger positions, pixel counts and focal lengths are taken for damage: float32 could not tell
+their places apart."""
 
 
 def scene_error(file: Path | str, problem: str) -> SceneError:
@@ -35,12 +36,17 @@ def contained(root: Path, relative: str, named_in: Path | str) -> Path:
     try:
         path = root / relative.replace("\\", "/")
         outside = not path.resolve().is_relative_to(root) or Path(relative).is_absolute()
-    except (ValueError, OSError, RuntimeError):  # a null byte, a name that is too long, a loop of links
+    except (
+        ValueError,
+        OSError,
+        RuntimeError,
+    ):  # a null byte, a name that is too long, a loop of links
         raise scene_error(named_in, f"{shown(relative)} is not a usable path; correct it") from None
     if outside:
         raise scene_error(
             named_in,
-            f"the path {shown(relative)} leaves the scene folder; put the file inside, and name it relative to it",
+            f"the path {shown(relative)} leaves the scene folder; put the file inside, and name "
+            f"it relative to it",
         )
     return path
 
@@ -57,17 +63,22 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     """The file's content.
 
     Raises:
-        SceneError: the file cannot be read, is not a regular file, or is larger than ``limit`` bytes.
+        SceneError: the file cannot be read, is not a regular file, or is larger than ``limit``
+            bytes.
     """
     try:
         if path.exists() and not path.is_file():  # reading a pipe would wait forever
             raise scene_error(path, "is not a file; check that the path is right")
         size = path.stat().st_size
         if size > limit:
-            raise scene_error(path, f"is {size} bytes long, more than the limit of {limit}; this cannot be right")
+            raise scene_error(
+                path, f"is {size} bytes long, more than the limit of {limit}; this cannot be right"
+            )
         return path.read_bytes()
     except OSError as error:
-        raise scene_error(path, f"cannot be read ({error.strerror}); check that it exists and is readable") from None
+        raise scene_error(
+            path, f"cannot be read ({error.strerror}); check that it exists and is readable"
+        ) from None
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
@@ -81,7 +92,9 @@ def read_json_object(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise scene_error(path, f"is not valid JSON ({error}); repair or export it again") from None
     if not isinstance(content, dict):
-        raise scene_error(path, f"holds {shown(content)} where a JSON object {{...}} is expected; export it again")
+        raise scene_error(
+            path, f"holds {shown(content)} where a JSON object {{...}} is expected; export it again"
+        )
     return content
 
 
@@ -112,7 +125,8 @@ class ImageFinder:
         self._listings: dict[Path, dict[str, list[Path]]] = {}
 
     def find(self, relative: str, named_in: Path | str) -> Path | None:
-        """The image ``relative``, or the one in the same folder that differs in the extension only; None if absent.
+        """The image ``relative``, or the one in the same folder that differs in the extension only;
+        None if absent.
 
         Raises:
             SceneError: the path leaves the scene's folder.
@@ -121,21 +135,32 @@ class ImageFinder:
         if path.suffix.lower() in IMAGE_SUFFIXES and is_file(path):
             return path
         matches = self._listing(path.parent).get(without_image_suffix(path.name), [])
-        return contained(self._root, str(matches[0].relative_to(self._root)), named_in) if matches else None
+        return (
+            contained(self._root, str(matches[0].relative_to(self._root)), named_in)
+            if matches
+            else None
+        )
 
     def find_mask(self, folder: str, image: str, named_in: Path | str) -> Path | None:
-        """The mask of an image in a folder: of the same stem, or named like COLMAP's, ``image.jpg.png``."""
-        return self.find(f"{folder}/{image}", named_in) or self.find(f"{folder}/{image}.png", named_in)
+        """The mask of an image in a folder: of the same stem, or named like COLMAP's,
+        ``image.jpg.png``."""
+        return self.find(f"{folder}/{image}", named_in) or self.find(
+            f"{folder}/{image}.png", named_in
+        )
 
     def tree(self, folder: Path) -> dict[str, Path]:
-        """Images in ``folder`` and its direct subfolders: path below ``folder`` without extension -> file, sorted."""
+        """Images in ``folder`` and its direct subfolders: path below ``folder`` without extension
+        -> file, sorted."""
         if not folder.is_dir():
             return {}
         found: dict[str, Path] = {}
         for directory in [folder, *sorted(child for child in folder.iterdir() if child.is_dir())]:
             for stem, paths in self._listing(directory).items():
                 found[(directory.relative_to(folder) / stem).as_posix()] = paths[0]
-        return {key: contained(self._root, str(found[key].relative_to(self._root)), folder) for key in sorted(found)}
+        return {
+            key: contained(self._root, str(found[key].relative_to(self._root)), folder)
+            for key in sorted(found)
+        }
 
     def _listing(self, folder: Path) -> dict[str, list[Path]]:
         if folder not in self._listings:

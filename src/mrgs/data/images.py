@@ -1,6 +1,8 @@
-"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and nothing larger than 80 megapixels.
+"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and nothing larger
+than 80 megapixels.
 
-The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as stored.
+The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as
+stored.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from mrgs.data.files import scene_error
 from mrgs.errors import SceneError
 
 MAX_PIXELS = 80_000_000
-"""Larger images are refused unread. Below Pillow's own limit, so that its global setting need not be touched."""
+"""Larger images are refused unread. Below Pillow's own limit, so that its global setting need not
+be touched."""
 
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of floats (a TIFF in °C)."""
@@ -51,10 +54,10 @@ class Decoded(NamedTuple):
     """The pixels of an image file.
 
     Attributes:
-        values: [H, W, C]; integers scaled to [0, 1] by the largest value of their type (8 or 16 bit), floats as they
-            are; C = 1 for grey and float images, 3 for colour.
-        valid: [H, W], False where a pixel is transparent (alpha under one half) or not finite (its value is then 0);
-            None if all are usable.
+        values: [H, W, C]; integers scaled to [0, 1] by the largest value of their type (8 or 16
+            bit), floats as they are; C = 1 for grey and float images, 3 for colour.
+        valid: [H, W], False where a pixel is transparent (alpha under one half) or not finite (its
+            value is then 0); None if all are usable.
         kind: what the file holds.
     """
 
@@ -74,9 +77,15 @@ def decode(path: Path) -> Decoded:
         if kind == "float":
             values = np.array(image, dtype=np.float32)
             finite = np.isfinite(values)
-            return Decoded(torch.from_numpy(np.where(finite, values, np.float32(0))[..., None]), _mask(finite), kind)
+            return Decoded(
+                torch.from_numpy(np.where(finite, values, np.float32(0))[..., None]),
+                _mask(finite),
+                kind,
+            )
         if image.mode.startswith("I"):
-            return Decoded(torch.from_numpy(np.array(image, dtype=np.float32)[..., None] / 65535), None, kind)
+            return Decoded(
+                torch.from_numpy(np.array(image, dtype=np.float32)[..., None] / 65535), None, kind
+            )
         converted = image.convert(_eight_bit_mode(image, kind))
         pixels = np.asarray(converted, dtype=np.uint8)
     pixels = pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
@@ -102,12 +111,20 @@ def _kind(image: Image.Image, path: Path) -> Kind:
     mode = image.mode
     if mode == "F":
         return "float"
-    # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose range is unknown.
-    if mode in {"1", "L", "LA", "La"} or mode.startswith("I;16") or (mode == "I" and image.format == "PNG"):
+    # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose
+    # range is unknown.
+    if (
+        mode in {"1", "L", "LA", "La"}
+        or mode.startswith("I;16")
+        or (mode == "I" and image.format == "PNG")
+    ):
         return "grey"
     if mode in {"P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "LAB", "HSV"}:
         return "colour"
-    raise scene_error(path, f"has pixels of type {mode}; save it with 8 or 16 bits per channel, or as 32-bit float")
+    raise scene_error(
+        path,
+        f"has pixels of type {mode}; save it with 8 or 16 bits per channel, or as 32-bit float",
+    )
 
 
 def _eight_bit_mode(image: Image.Image, kind: Kind) -> str:
@@ -123,7 +140,9 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     too_large = f"has more than {MAX_PIXELS // 10**6} megapixels; reduce it before use"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit here is lower
+            warnings.simplefilter(
+                "ignore", Image.DecompressionBombWarning
+            )  # the limit here is lower
             image = Image.open(path, formats=("PNG", "JPEG", "TIFF"))
         with image:
             if image.width * image.height > MAX_PIXELS:
@@ -133,6 +152,9 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise
     except Image.DecompressionBombError:
         raise scene_error(path, too_large) from None
-    # Damaged files make Pillow's plugins raise almost anything: OSError, SyntaxError, ValueError, struct.error, ...
+    # Damaged files make Pillow's plugins raise almost anything: OSError, SyntaxError, ValueError,
+    # struct.error, ...
     except Exception as error:
-        raise scene_error(path, f"cannot be decoded as an image ({error}); replace the file") from None
+        raise scene_error(
+            path, f"cannot be decoded as an image ({error}); replace the file"
+        ) from None

@@ -2,11 +2,12 @@
 
 Normalised coordinates (x, y) are those of the ray (x, y, 1) in the camera; a lens moves them to
 
-    Brown:    x' = s x + 2 p1 x y + p2 (r² + 2 x²),  y' = s y + p1 (r² + 2 y²) + 2 p2 x y,  s = 1 + Σ k_i r^(2i)
+    Brown:    x' = s x + 2 p1 x y + p2 (r² + 2 x²),  y' = s y + p1 (r² + 2 y²) + 2 p2 x y,
+              s = 1 + Σ k_i r^(2i)
     fisheye:  x' = s x,  y' = s y,  s = θ (1 + Σ k_i θ^(2i)) / r,  θ = atan r
 
-and the pixel is (fx x' + cx, fy y' + cy), as in OpenCV, COLMAP and nerfstudio. The image's corner, not the centre of
-its first pixel, lies at (0, 0), in COLMAP and nerfstudio as here.
+and the pixel is (fx x' + cx, fy y' + cy), as in OpenCV, COLMAP and nerfstudio. The image's corner,
+not the centre of its first pixel, lies at (0, 0), in COLMAP and nerfstudio as here.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from mrgs.data.files import MAX_MAGNITUDE, scene_error
 Array = NDArray[np.float64]
 
 WIDEST_ANGLE_DEG = 70.0
-"""Rays farther from the optical axis are left out: a pinhole image there is mostly stretched border."""
+"""Rays farther from the optical axis are left out: a pinhole image there is mostly stretched
+border."""
 
 _FOLD_ANGLES = 256
 _FOLD_RADII = 512
@@ -74,9 +76,11 @@ class Lens:
         )
 
     def undistort(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """The inverse of ``distort`` by Newton's method, with shorter steps where a full one leads away.
+        """The inverse of ``distort`` by Newton's method, with shorter steps where a full one leads
+        away.
 
-        A point that no ray reaches (beyond the fold of the polynomial) comes back as a ray near the fold.
+        A point that no ray reaches (beyond the fold of the polynomial) comes back as a ray near the
+        fold.
         """
         u, v = self._inside_fold(x, y)
         share = np.ones_like(u)
@@ -92,7 +96,10 @@ class Lens:
                 better = np.hypot(trial_error_u, trial_error_v) < np.hypot(error_u, error_v)
                 share = np.where(better, np.minimum(2 * share, 1.0), share / 2)
                 u, v = np.where(better, trial_u, u), np.where(better, trial_v, v)
-                error_u, error_v = np.where(better, trial_error_u, error_u), np.where(better, trial_error_v, error_v)
+                error_u, error_v = (
+                    np.where(better, trial_error_u, error_u),
+                    np.where(better, trial_error_v, error_v),
+                )
         return u, v
 
     def before_fold(self, x: Array, y: Array) -> NDArray[np.bool_]:
@@ -137,16 +144,24 @@ def checked_lens(lens: Lens, what: str, file: Path) -> Lens:
     """The lens itself, if its numbers can be those of a camera.
 
     Raises:
-        SceneError: sizes or focal lengths that are not positive, or numbers that are not finite or huge.
+        SceneError: sizes or focal lengths that are not positive, or numbers that are not finite or
+            huge.
     """
     numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.radial, *lens.tangential)
     if not all(abs(number) <= MAX_MAGNITUDE for number in numbers):
-        raise scene_error(file, f"the intrinsics of {what} hold NaN, infinity or a huge number; correct them")
+        raise scene_error(
+            file, f"the intrinsics of {what} hold NaN, infinity or a huge number; correct them"
+        )
     if not (1 <= lens.width <= _MAX_SIDE_PX and 1 <= lens.height <= _MAX_SIDE_PX):
-        raise scene_error(file, f"the image size of {what}, {lens.width}×{lens.height}, is not possible; correct it")
+        raise scene_error(
+            file,
+            f"the image size of {what}, {lens.width}×{lens.height}, is not possible; correct it",
+        )
     if lens.fx <= 0 or lens.fy <= 0:
         raise scene_error(
-            file, f"the focal length of {what} is {lens.fx:g}, {lens.fy:g} px; it must be positive: correct it"
+            file,
+            f"the focal length of {what} is {lens.fx:g}, {lens.fy:g} px; it must be positive: "
+            f"correct it",
         )
     return lens
 
@@ -155,9 +170,11 @@ def checked_lens(lens: Lens, what: str, file: Path) -> Lens:
 def _fold_table(
     radial: tuple[float, float, float, float], tangential: tuple[float, float], fisheye: bool
 ) -> tuple[Array, Array]:
-    """Directions around the optical axis (radians), and the normalised radius up to which each is one-to-one.
+    """Directions around the optical axis (radians), and the normalised radius up to which each is
+    one-to-one.
 
-    The Jacobian is symmetric; the mapping is one-to-one while it stays positive definite on the way from the axis.
+    The Jacobian is symmetric; the mapping is one-to-one while it stays positive definite on the way
+    from the axis.
     """
     lens = Lens(1, 1, 1.0, 1.0, 0.0, 0.0, radial, tangential, fisheye)
     angles = np.linspace(-math.pi, math.pi, _FOLD_ANGLES, endpoint=False)

@@ -24,15 +24,17 @@ from mrgs.scene import Scene, TemperatureRange, View
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
     """Read a scene folder.
 
-    Understood are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`) and, where there is
-    none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see :mod:`mrgs.data.colmap`). All headers are
-    checked here; pixels are decoded, undistorted to a pinhole (:func:`mrgs.data.undistort.pinhole_of`) and reduced
-    only when ``PosedImage.load`` is called. Masks come from the file's ``mask_path`` and ``thermal_mask_path``, or from
-    the folders ``masks/`` and ``thermal_masks/``: black pixels are not valid.
+    Understood are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`)
+    and, where there is none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see
+    :mod:`mrgs.data.colmap`). All headers are checked here; pixels are decoded, undistorted to a
+    pinhole (:func:`mrgs.data.undistort.pinhole_of`) and reduced only when ``PosedImage.load`` is
+    called. Masks come from the file's ``mask_path`` and ``thermal_mask_path``, or from the folders
+    ``masks/`` and ``thermal_masks/``: black pixels are not valid.
 
     Args:
         path: the folder, or its transforms file.
-        resolution: images wider than this many pixels are reduced to this width, each for itself; None keeps them.
+        resolution: images wider than this many pixels are reduced to this width, each for itself;
+            None keeps them.
         seed: for the start points, where the files hold none.
 
     Raises:
@@ -43,12 +45,16 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
         MrgsWarning: something in the files was mended. Decisions are in ``Scene.notes`` only.
     """
     if resolution is not None and resolution < 1:
-        raise ConfigError(f"resolution is {resolution}; it is a width in pixels and must be at least 1")
+        raise ConfigError(
+            f"resolution is {resolution}; it is a width in pixels and must be at least 1"
+        )
     try:
         capture = _recognise(Path(path))
         scene = _assemble(capture, resolution, seed)
     except OSError as error:  # a folder that may not be listed, a disk that failed
-        raise scene_error(error.filename or path, f"cannot be read ({error.strerror}); check its permissions") from None
+        raise scene_error(
+            error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
+        ) from None
     for text in capture.notes.mended:
         warnings.warn(f"{capture.root.name}: {text}", MrgsWarning, stacklevel=2)
     return scene
@@ -82,7 +88,9 @@ def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
             thermal_kinds.append((shot.thermal.path, check_files(shot.thermal).kind))
     splits = assign_splits([shot.key for shot in capture.shots], capture.lists, capture.notes)
     if "train" not in splits:
-        raise scene_error(capture.source, "no view is left for training; check the split lists and the file names")
+        raise scene_error(
+            capture.source, "no view is left for training; check the split lists and the file names"
+        )
     temperature = None
     if thermal_kinds:
         temperature = read_bounds(capture.root, capture.notes)
@@ -90,11 +98,16 @@ def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
         if kind == "float" and temperature is None:
             temperature = _measured_range(capture, splits)
     names = _unique_names([shot.key for shot in capture.shots])
-    views = [_view(name, shot, temperature, resolution) for name, shot in zip(names, capture.shots, strict=True)]
+    views = [
+        _view(name, shot, temperature, resolution)
+        for name, shot in zip(names, capture.shots, strict=True)
+    ]
     train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
     points = capture.points
     if points is None:
-        capture.notes.decide(f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras.")
+        capture.notes.decide(
+            f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
+        )
         points = random_points([camera for view in train for camera in view.cameras], seed)
     return Scene(
         name=capture.root.name,
@@ -109,9 +122,13 @@ def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
 def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRange:
     """The range of the training images, which hold °C."""
     pairs = zip(capture.shots, splits, strict=True)
-    paths = [shot.thermal.path for shot, split in pairs if split == "train" and shot.thermal is not None]
+    paths = [
+        shot.thermal.path for shot, split in pairs if split == "train" and shot.thermal is not None
+    ]
     if not paths:
-        raise scene_error(capture.source, "no training view has a thermal image; add temperature_bounds.json")
+        raise scene_error(
+            capture.source, "no training view has a thermal image; add temperature_bounds.json"
+        )
     temperature = bounds_of_images(paths)
     capture.notes.decide(
         "There is no temperature_bounds.json: the training images' range is used, "
@@ -120,7 +137,9 @@ def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRan
     return temperature
 
 
-def _view(name: str, shot: Shot, temperature: TemperatureRange | None, resolution: int | None) -> View:
+def _view(
+    name: str, shot: Shot, temperature: TemperatureRange | None, resolution: int | None
+) -> View:
     rgb = None if shot.rgb is None else posed_image(shot.rgb, decode_rgb, resolution)
     decoder = partial(decode_thermal, temperature=temperature)
     thermal = None if shot.thermal is None else posed_image(shot.thermal, decoder, resolution)
@@ -128,7 +147,8 @@ def _view(name: str, shot: Shot, temperature: TemperatureRange | None, resolutio
 
 
 def _unique_names(keys: Sequence[str]) -> list[str]:
-    """File stems; where two are equal, with their folders in front; where that fails too, with a number behind."""
+    """File stems; where two are equal, with their folders in front; where that fails too, with a
+    number behind."""
     stems = [key.rpartition("/")[2] for key in keys]
     shared = {stem for stem, count in Counter(stems).items() if count > 1}
     names: list[str] = []

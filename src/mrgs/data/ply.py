@@ -25,7 +25,11 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-_COLOR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_COLOR_NAMES = (
+    ("red", "green", "blue"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+    ("r", "g", "b"),
+)
 
 
 @dataclass
@@ -41,7 +45,8 @@ class _Element:
 
 
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Positions [N, 3] as they stand in the file, and colours [N, 3] in [0, 1] (None if it has none).
+    """Positions [N, 3] as they stand in the file, and colours [N, 3] in [0, 1] (None if it has
+    none).
 
     No more memory is used than the file's own size warrants, whatever its header claims.
 
@@ -87,7 +92,9 @@ def _parse_header(lines: list[str], path: Path) -> tuple[bool, list[_Element]]:
                 continue
             case ["format", name, "1.0"] if name in _BYTE_ORDERS:
                 order = name
-            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
+            case ["element", name, count] if (
+                count.isascii() and count.isdigit() and len(count) < 16
+            ):
                 elements.append(_Element(name, int(count), {}))
             case ["property", "list", _, _, _] if elements:
                 elements[-1].has_lists = True
@@ -96,20 +103,27 @@ def _parse_header(lines: list[str], path: Path) -> tuple[bool, list[_Element]]:
             ):
                 elements[-1].properties[name] = _BYTE_ORDERS[order] + _TYPES[kind]
             case _:
-                raise scene_error(path, f"has the header line {shown(line)}, which is not PLY; export the points again")
+                raise scene_error(
+                    path,
+                    f"has the header line {shown(line)}, which is not PLY; export the points again",
+                )
     if order is None:
         raise scene_error(path, "has no format line in its header; export the points again")
     return order == "ascii", elements
 
 
-def _binary_vertices(body: bytes, vertex: _Element, before: list[_Element], path: Path) -> np.ndarray:
+def _binary_vertices(
+    body: bytes, vertex: _Element, before: list[_Element], path: Path
+) -> np.ndarray:
     offset = sum(element.count * element.dtype.itemsize for element in before)
     if offset + vertex.count * vertex.dtype.itemsize > len(body):
         raise _too_short(path, vertex.count)
     return np.frombuffer(body, vertex.dtype, vertex.count, offset)
 
 
-def _ascii_vertices(body: bytes, vertex: _Element, before: list[_Element], path: Path) -> np.ndarray:
+def _ascii_vertices(
+    body: bytes, vertex: _Element, before: list[_Element], path: Path
+) -> np.ndarray:
     skipped = sum(element.count * len(element.properties) for element in before)
     columns = len(vertex.properties)
     wanted = vertex.count * columns
@@ -117,9 +131,13 @@ def _ascii_vertices(body: bytes, vertex: _Element, before: list[_Element], path:
         raise _too_short(path, vertex.count)
     tokens = body.split(maxsplit=skipped + wanted)
     try:
-        numbers = np.fromiter((float(token) for token in islice(tokens, skipped, skipped + wanted)), np.float64)
+        numbers = np.fromiter(
+            (float(token) for token in islice(tokens, skipped, skipped + wanted)), np.float64
+        )
     except ValueError as error:
-        raise scene_error(path, f"holds something that is not a number ({error}); export the points again") from None
+        raise scene_error(
+            path, f"holds something that is not a number ({error}); export the points again"
+        ) from None
     if numbers.size < wanted:
         raise _too_short(path, vertex.count)
     table = numbers.reshape(vertex.count, columns)
@@ -131,7 +149,10 @@ def _ascii_vertices(body: bytes, vertex: _Element, before: list[_Element], path:
 
 
 def _too_short(path: Path, count: int) -> SceneError:
-    return scene_error(path, f"is shorter than the {count} vertices that its header promises; export the points again")
+    return scene_error(
+        path,
+        f"is shorter than the {count} vertices that its header promises; export the points again",
+    )
 
 
 def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:

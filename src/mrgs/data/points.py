@@ -25,7 +25,8 @@ def point_cloud(
     notes: Notes,
     transform: NDArray[np.float64] | None = None,
 ) -> PointCloud | None:
-    """Points of a file, moved by ``transform`` ([3, 4]; None leaves them), without those that are not finite.
+    """Points of a file, moved by ``transform`` ([3, 4]; None leaves them), without those that are
+    not finite.
 
     Args:
         positions: [N, 3].
@@ -46,16 +47,21 @@ def point_cloud(
         notes.mend(f"{dropped} start points are not finite; left out.")
     if not usable.any():
         return None
-    rgb = np.full(single.shape, _GREY, dtype=np.float32) if colors is None else colors.astype(np.float32)
+    rgb = (
+        np.full(single.shape, _GREY, dtype=np.float32)
+        if colors is None
+        else colors.astype(np.float32)
+    )
     return PointCloud(torch.from_numpy(single[usable]), torch.from_numpy(rgb[usable]))
 
 
 def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
     """``RANDOM_POINTS`` grey points inside the cameras' view cones.
 
-    Each lies on the ray of a random pixel of a random camera, at a depth between ``NEAREST`` and ``FARTHEST`` times
-    the depth at which the cameras look, uniform in 1/depth. Around an object the cones overlap there, so that the
-    points gather on it; before a facade they fill the space in front of the cameras; none is placed unseen.
+    Each lies on the ray of a random pixel of a random camera, at a depth between ``NEAREST`` and
+    ``FARTHEST`` times the depth at which the cameras look, uniform in 1/depth. Around an object the
+    cones overlap there, so that the points gather on it; before a facade they fill the space in
+    front of the cameras; none is placed unseen.
     """
     generator = torch.Generator().manual_seed(seed)
     K = torch.stack([camera.K for camera in cameras])
@@ -66,9 +72,13 @@ def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
     pixel = unit[:, :2] * size[which]
     focal, centre = K[which][:, [0, 1], [0, 1]], K[which][:, [0, 1], [2, 2]]
     depth = _looking_depth(cameras) / torch.lerp(
-        torch.full((RANDOM_POINTS,), 1 / NEAREST, dtype=torch.float64), torch.tensor(1 / FARTHEST).double(), unit[:, 2]
+        torch.full((RANDOM_POINTS,), 1 / NEAREST, dtype=torch.float64),
+        torch.tensor(1 / FARTHEST).double(),
+        unit[:, 2],
     )
-    in_camera = torch.cat([(pixel - centre) / focal, torch.ones(RANDOM_POINTS, 1, dtype=torch.float64)], dim=1)
+    in_camera = torch.cat(
+        [(pixel - centre) / focal, torch.ones(RANDOM_POINTS, 1, dtype=torch.float64)], dim=1
+    )
     in_camera = in_camera * depth[:, None]
     pose = camera_to_world[which]
     positions = (pose[:, :3, :3] @ in_camera[..., None])[..., 0] + pose[:, :3, 3]
@@ -76,7 +86,8 @@ def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
 
 
 def _looking_depth(cameras: Sequence[Camera]) -> float:
-    """Mean depth of the point nearest to all optical axes; where they are almost parallel, the cameras' spread.
+    """Mean depth of the point nearest to all optical axes; where they are almost parallel, the
+    cameras' spread.
 
     The point p minimises Σ |(I − f fᵀ)(p − c)|² over the cameras' centres c and directions f.
     """

@@ -35,7 +35,8 @@ def check_files(source: ImageSource) -> ImageInfo:
 
 
 def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -> PosedImage:
-    """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is called.
+    """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
+    called.
 
     Args:
         source: the file, its lens and its pose.
@@ -50,7 +51,8 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
     except ValueError as error:
         raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
     K = torch.tensor(
-        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]], dtype=torch.float64
+        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
+        dtype=torch.float64,
     )
     camera = Camera(K, source.viewmat, pinhole.width, pinhole.height)
     if resolution is not None and resolution < camera.width:
@@ -59,14 +61,17 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
 
 
 def decode_rgb(path: Path) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
-    """Colours in [0, 1] and the mask of usable pixels (None if all are); grey images get three equal channels.
+    """Colours in [0, 1] and the mask of usable pixels (None if all are); grey images get three
+    equal channels.
 
     Raises:
         SceneError: the file cannot be decoded, or holds floats.
     """
     values, valid, kind = decode(path)
     if kind == "float":
-        raise scene_error(path, "holds floats where a colour image is expected; save it with 8 bits per channel")
+        raise scene_error(
+            path, "holds floats where a colour image is expected; save it with 8 bits per channel"
+        )
     return values.expand(-1, -1, 3), valid
 
 

@@ -1,4 +1,5 @@
-"""Camera poses: validation, and the way from the files' conventions to OpenCV's world-to-camera matrices."""
+"""Camera poses: validation, and the way from the files' conventions to OpenCV's world-to-camera
+matrices."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 """Turns camera axes x right, y up, z backward into x right, y down, z forward (and back)."""
 
 
-def matrix_from_json(value: object, rows: tuple[int, ...], what: str, file: Path) -> NDArray[np.float64]:
+def matrix_from_json(
+    value: object, rows: tuple[int, ...], what: str, file: Path
+) -> NDArray[np.float64]:
     """A matrix of four columns from a JSON value.
 
     Args:
@@ -29,10 +32,13 @@ def matrix_from_json(value: object, rows: tuple[int, ...], what: str, file: Path
         file: the JSON file, for messages.
 
     Raises:
-        SceneError: another shape, entries that are not numbers, or numbers that are not finite or too large.
+        SceneError: another shape, entries that are not numbers, or numbers that are not finite or
+            too large.
     """
     shape_is_right = (
-        isinstance(value, list) and len(value) in rows and all(isinstance(row, list) and len(row) == 4 for row in value)
+        isinstance(value, list)
+        and len(value) in rows
+        and all(isinstance(row, list) and len(row) == 4 for row in value)
     )
     if not shape_is_right:
         expected = " or ".join(f"{count}×4" for count in rows)
@@ -41,9 +47,12 @@ def matrix_from_json(value: object, rows: tuple[int, ...], what: str, file: Path
     entries = [entry for row in value for entry in row]
     if not all(isinstance(entry, int | float) and not isinstance(entry, bool) for entry in entries):
         raise scene_error(file, f"{what} holds something that is not a number; correct it")
-    # A comparison, not a conversion: an integer in a JSON file may be too large for a float. NaN fails it too.
+    # A comparison, not a conversion: an integer in a JSON file may be too large for a float. NaN
+    # fails it too.
     if not all(abs(entry) <= MAX_MAGNITUDE for entry in entries):
-        raise scene_error(file, f"{what} holds NaN, infinity or a huge number; correct it or remove the frame")
+        raise scene_error(
+            file, f"{what} holds NaN, infinity or a huge number; correct it or remove the frame"
+        )
     return np.array(entries, dtype=np.float64).reshape(-1, 4)
 
 
@@ -56,19 +65,26 @@ def nearest_rotation(matrix: NDArray[np.float64], what: str, file: Path) -> NDAr
     deviation = np.abs(matrix.T @ matrix - np.eye(3)).max()
     if not deviation <= ORTHONORMAL_TOLERANCE or np.linalg.det(matrix) < 0:
         raise scene_error(
-            file, f"{what} is not a rotation and a translation (scaled, sheared or mirrored axes); correct it"
+            file,
+            f"{what} is not a rotation and a translation (scaled, sheared or mirrored axes); "
+            f"correct it",
         )
     left, _, right = np.linalg.svd(matrix)
     return left @ right
 
 
-def viewmat_from_opengl(camera_to_world: NDArray[np.float64], what: str, file: Path) -> Float64[Tensor, "4 4"]:
-    """World to camera with OpenCV axes, from nerfstudio's camera to world with OpenGL axes ([3 or 4, 4]).
+def viewmat_from_opengl(
+    camera_to_world: NDArray[np.float64], what: str, file: Path
+) -> Float64[Tensor, "4 4"]:
+    """World to camera with OpenCV axes, from nerfstudio's camera to world with OpenGL axes ([3 or
+    4, 4]).
 
     Raises:
         SceneError: not a rigid motion.
     """
-    if camera_to_world.shape[0] == 4 and not np.allclose(camera_to_world[3], [0, 0, 0, 1], atol=1e-6):
+    if camera_to_world.shape[0] == 4 and not np.allclose(
+        camera_to_world[3], [0, 0, 0, 1], atol=1e-6
+    ):
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
     rotation = OPENGL_TO_OPENCV @ nearest_rotation(camera_to_world[:3, :3], what, file).T
     return rigid(rotation, -rotation @ camera_to_world[:3, 3])
@@ -83,10 +99,14 @@ def viewmat_from_colmap(
         SceneError: not finite, huge, or the quaternion's length is not 1 within the tolerance.
     """
     if not (np.abs(tvec) <= MAX_MAGNITUDE).all() or not (np.abs(qvec) <= 2).all():
-        raise scene_error(file, f"the pose of {what} holds NaN, infinity or a huge number; run COLMAP again")
+        raise scene_error(
+            file, f"the pose of {what} holds NaN, infinity or a huge number; run COLMAP again"
+        )
     norm = np.linalg.norm(qvec)
     if abs(norm - 1) > ORTHONORMAL_TOLERANCE:
-        raise scene_error(file, f"the quaternion of {what} has length {norm:.4g}, not 1; run COLMAP again")
+        raise scene_error(
+            file, f"the quaternion of {what} has length {norm:.4g}, not 1; run COLMAP again"
+        )
     w, x, y, z = qvec / norm
     rotation = np.array(
         [
@@ -98,7 +118,9 @@ def viewmat_from_colmap(
     return rigid(rotation, tvec)
 
 
-def rigid(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Float64[Tensor, "4 4"]:
+def rigid(
+    rotation: NDArray[np.float64], translation: NDArray[np.float64]
+) -> Float64[Tensor, "4 4"]:
     """The homogeneous matrix of a rigid motion."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation

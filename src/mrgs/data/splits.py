@@ -11,7 +11,8 @@ from mrgs.data.capture import FilenameLists, Notes
 Split = Literal["train", "eval", "unused"]
 
 EVAL_EVERY = 8
-"""Every eighth view is held out where the files say nothing (Mip-NeRF 360's and 3DGS's convention)."""
+"""Every eighth view is held out where the files say nothing (Mip-NeRF 360's and 3DGS's
+convention)."""
 
 _WORD = re.compile(r"(?<![a-z])(train|eval|test|val)(?![a-z])")
 
@@ -19,8 +20,9 @@ _WORD = re.compile(r"(?<![a-z])(train|eval|test|val)(?![a-z])")
 def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> list[Split]:
     """The split of each view.
 
-    In this order: explicit lists of file names; the word train, eval, test or val in the file's name or else in its
-    folder's (where both sides occur); every ``EVAL_EVERY``-th of the sorted keys.
+    In this order: explicit lists of file names; the word train, eval, test or val in the file's
+    name or else in its folder's (where both sides occur); every ``EVAL_EVERY``-th of the sorted
+    keys.
 
     Args:
         keys: paths without extension, one per view.
@@ -34,7 +36,9 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> li
         return [side or "train" for side in sides]
     if len(keys) == 1:
         return ["train"]
-    notes.decide(f"No split is given: every {EVAL_EVERY}th view, in the order of the names, is held out.")
+    notes.decide(
+        f"No split is given: every {EVAL_EVERY}th view, in the order of the names, is held out."
+    )
     held_out = set(sorted(range(len(keys)), key=lambda index: keys[index])[::EVAL_EVERY])
     return ["eval" if index in held_out else "train" for index in range(len(keys))]
 
@@ -43,11 +47,19 @@ def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> list[S
     """A view in both lists is held out; without a training list, all others are for training."""
     held_out = lists.eval or frozenset()
     train = frozenset(keys) - held_out if lists.train is None else lists.train
-    splits: list[Split] = ["eval" if key in held_out else "train" if key in train else "unused" for key in keys]
+    splits: list[Split] = [
+        "eval" if key in held_out else "train" if key in train else "unused" for key in keys
+    ]
     if train & held_out:
-        notes.mend(f"{len(train & held_out)} images are listed for training and for evaluation; they are held out.")
+        notes.mend(
+            f"{len(train & held_out)} images are listed for training and for evaluation; they are "
+            f"held out."
+        )
     if missing := (train | held_out) - frozenset(keys):
-        notes.mend(f"{len(missing)} images of the split lists have no frame (such as {min(missing)}); left out.")
+        notes.mend(
+            f"{len(missing)} images of the split lists have no frame (such as {min(missing)}); "
+            f"left out."
+        )
     if unused := splits.count("unused"):
         notes.decide(f"{unused} frames are in none of the split lists; left out.")
     return splits

@@ -18,11 +18,13 @@ from mrgs.scene import TemperatureRange
 BOUNDS_FILES = ("temperature_bounds.json", "thermal/temperature_bounds.json")
 
 LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
-"""ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its values."""
+"""ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its
+values."""
 
 
 def read_bounds(root: Path, notes: Notes) -> TemperatureRange | None:
-    """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None without a file.
+    """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
+    without a file.
 
     Raises:
         SceneError: the file is there, but does not hold two different temperatures in °C.
@@ -33,7 +35,9 @@ def read_bounds(root: Path, notes: Notes) -> TemperatureRange | None:
         return None
     content = read_json_object(path)
     low, high = (
-        finite_number(content.get(f"absolute_{end}_temperature"), f"absolute_{end}_temperature", path)
+        finite_number(
+            content.get(f"absolute_{end}_temperature"), f"absolute_{end}_temperature", path
+        )
         for end in ("min", "max")
     )
     if low > high:
@@ -63,22 +67,29 @@ def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Not
     """The common kind of all thermal images; notes what follows from it.
 
     Raises:
-        SceneError: some images hold °C and others do not, and there are no bounds to bring them together.
+        SceneError: some images hold °C and others do not, and there are no bounds to bring them
+            together.
     """
     celsius = [path for path, kind in kinds if kind == "float"]
     if celsius and len(celsius) < len(kinds) and not has_bounds:
         raise scene_error(
-            celsius[0], "holds °C, but other thermal images do not; add temperature_bounds.json, or convert them"
+            celsius[0],
+            "holds °C, but other thermal images do not; add temperature_bounds.json, or convert "
+            "them",
         )
     if any(kind == "colour" for _, kind in kinds):
         notes.decide(
-            "Thermal images have three channels: their luminance is used; it follows the temperature only if the "
+            "Thermal images have three channels: their luminance is used; it follows the "
+            "temperature only if the "
             "colours are shades of grey."
         )
     if celsius:
         return "float"
     if not has_bounds:
-        notes.decide("There is no temperature_bounds.json: thermal values are relative, and °C are not known.")
+        notes.decide(
+            "There is no temperature_bounds.json: thermal values are relative, and °C are not "
+            "known."
+        )
     return "grey"
 
 
@@ -87,7 +98,8 @@ def decode_thermal(
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
 
-    Integers are spread over the range already; °C in a float image are mapped by ``temperature`` and not clamped.
+    Integers are spread over the range already; °C in a float image are mapped by ``temperature``
+    and not clamped.
 
     Raises:
         SceneError: the file cannot be decoded, or holds °C where no range is known.
@@ -97,7 +109,9 @@ def decode_thermal(
         return values @ LUMINANCE[:, None], valid
     if kind == "float":
         if temperature is None:
-            raise scene_error(path, "holds °C, but the range is not known; add temperature_bounds.json")
+            raise scene_error(
+                path, "holds °C, but the range is not known; add temperature_bounds.json"
+            )
         return temperature.from_celsius(values), valid
     return values, valid
 

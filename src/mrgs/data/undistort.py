@@ -17,20 +17,23 @@ _EDGE_SAMPLES = 128
 _BORDER_TOLERANCE_PX = 0.02
 _ROWS_AT_ONCE = 256
 _MIN_KEPT = 0.25
-"""The pinhole image spans at least this share of the lens's image (as if undistorted) in each direction."""
+"""The pinhole image spans at least this share of the lens's image (as if undistorted) in each
+direction."""
 
 
 @lru_cache(maxsize=1024)
 def pinhole_of(lens: Lens) -> Lens:
-    """The pinhole camera for a lens: the same number of pixels, spread over the largest simple rectangle of rays that
-    the lens sees.
+    """The pinhole camera for a lens: the same number of pixels, spread over the largest simple
+    rectangle of rays that the lens sees.
 
-    The rectangle touches the undistorted image's four edges from inside, so that every pixel is valid, except near
-    corners that the lens cannot see. The four intrinsics follow from it; fx, fy and the principal point differ a
-    little from the lens's own. A lens without distortion is returned unchanged.
+    The rectangle touches the undistorted image's four edges from inside, so that every pixel is
+    valid, except near corners that the lens cannot see. The four intrinsics follow from it; fx, fy
+    and the principal point differ a little from the lens's own. A lens without distortion is
+    returned unchanged.
 
     Raises:
-        ValueError: the distortion is too strong to be true: hardly anything of the image would be left.
+        ValueError: the distortion is too strong to be true: hardly anything of the image would be
+            left.
     """
     if lens.is_pinhole:
         return lens
@@ -48,7 +51,8 @@ def pinhole_of(lens: Lens) -> Lens:
 def undistort(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, lens: Lens
 ) -> tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]:
-    """The image of ``pinhole_of(lens)``, bilinearly sampled, with the mask of its usable pixels (None if all)."""
+    """The image of ``pinhole_of(lens)``, bilinearly sampled, with the mask of its usable pixels
+    (None if all)."""
     if lens.is_pinhole:
         return values, valid
     grid, seen = _sampling_grid(lens)
@@ -61,7 +65,8 @@ def undistort(
 def resize(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, width: int, height: int
 ) -> tuple[Float32[Tensor, "y x c"], Bool[Tensor, "y x"] | None]:
-    """The image on a coarser grid of the same field of view, low-pass filtered (a triangle of two output pixels).
+    """The image on a coarser grid of the same field of view, low-pass filtered (a triangle of two
+    output pixels).
 
     An output pixel is valid if every pixel that it averages is.
     """
@@ -73,23 +78,30 @@ def resize(
     return reduced, _reduce(valid[None].float(), width, height)[0] > 0.999
 
 
-def _rays(lens: Lens, u: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _rays(
+    lens: Lens, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], ...]:
     """Normalised coordinates of the rays that reach the pixel positions (u, v)."""
     return lens.undistort((u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy)
 
 
 def _spread(low: float, high: float, pixels: int, focal_px: float) -> tuple[float, float]:
-    """Focal length and principal point that put the first pixel's centre at ``low`` and the last one's at ``high``."""
+    """Focal length and principal point that put the first pixel's centre at ``low`` and the last
+    one's at ``high``."""
     steps = max(pixels - 1, 1)
     if not (high - low) * focal_px >= _MIN_KEPT * steps:
-        raise ValueError("the distortion coefficients fold the image, so that hardly anything of it would be left")
+        raise ValueError(
+            "the distortion coefficients fold the image, so that hardly anything of it would be "
+            "left"
+        )
     focal = steps / (high - low)
     return float(focal), float(0.5 - focal * low)
 
 
 @lru_cache(maxsize=2)
 def _sampling_grid(lens: Lens) -> tuple[Float32[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
-    """Where each pixel of the pinhole image lies in the lens's image ([-1, 1] from edge to edge), and if it does.
+    """Where each pixel of the pinhole image lies in the lens's image ([-1, 1] from edge to edge),
+    and if it does.
 
     Cached for the two cameras of a rig; a few bytes per pixel each.
     """
@@ -104,15 +116,21 @@ def _sampling_grid(lens: Lens) -> tuple[Float32[Tensor, "h w 2"], Bool[Tensor, "
         distorted_x, distorted_y = lens.distort(block_x, block_y)
         u, v = lens.fx * distorted_x + lens.cx, lens.fy * distorted_y + lens.cy
         margin = 0.5 - _BORDER_TOLERANCE_PX
-        inside = (u >= margin) & (u <= lens.width - margin) & (v >= margin) & (v <= lens.height - margin)
+        inside = (
+            (u >= margin) & (u <= lens.width - margin) & (v >= margin) & (v <= lens.height - margin)
+        )
         seen[rows] = inside & lens.before_fold(block_x, block_y)
         grid[rows, :, 0] = np.clip(2 * u / lens.width - 1, -2, 2)
         grid[rows, :, 1] = np.clip(2 * v / lens.height - 1, -2, 2)
     return torch.from_numpy(grid), torch.from_numpy(seen)
 
 
-def _sample(planes: Float32[Tensor, "c h w"], grid: Float32[Tensor, "h w 2"]) -> Float32[Tensor, "c h w"]:
-    return functional.grid_sample(planes[None], grid[None], padding_mode="border", align_corners=False)[0]
+def _sample(
+    planes: Float32[Tensor, "c h w"], grid: Float32[Tensor, "h w 2"]
+) -> Float32[Tensor, "c h w"]:
+    return functional.grid_sample(
+        planes[None], grid[None], padding_mode="border", align_corners=False
+    )[0]
 
 
 def _reduce(planes: Float32[Tensor, "c h w"], width: int, height: int) -> Float32[Tensor, "c y x"]:

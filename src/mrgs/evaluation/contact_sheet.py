@@ -1,4 +1,5 @@
-"""One picture per run: photos, renderings, the temperature error and the depth of some held-out views."""
+"""One picture per run: photos, renderings, the temperature error and the depth of some held-out
+views."""
 
 from __future__ import annotations
 
@@ -11,12 +12,22 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
-from mrgs.evaluation.drawing import HAIRLINE, INK, MUTED, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics
 from mrgs.evaluation.figures import Figures, Missing
-from mrgs.evaluation.palette import PaletteName, colorize, display_range, round_up
-from mrgs.evaluation.pictures import shown_depth, to_array, to_rgb8
 from mrgs.evaluation.report import RunFacts, format_figure
+from mrgs.pictures.drawing import (
+    HAIRLINE,
+    INK,
+    MUTED,
+    PAPER,
+    Scale,
+    draw_text,
+    fit_text,
+    scale_bar,
+    text_width,
+)
+from mrgs.pictures.files import shown_depth, to_array, to_rgb8
+from mrgs.pictures.palette import PaletteName, colorize, display_range, round_up
 from mrgs.render import Rendering
 from mrgs.scene import Pixels, Reach, TemperatureRange, View, spread
 
@@ -40,7 +51,8 @@ _TITLES = {
 
 @dataclass(frozen=True, eq=False)
 class SheetRow:
-    """One view's images as they are shown; None where the view or the model has none. Invalid pixels are NaN.
+    """One view's images as they are shown; None where the view or the model has none. Invalid
+    pixels are NaN.
 
     Attributes:
         metrics: the view's figures.
@@ -61,11 +73,14 @@ class SheetRow:
     @property
     def error(self) -> Float[np.ndarray, "h2 w2"] | None:
         """Rendered minus measured temperature."""
-        return None if self.measured is None or self.thermal is None else self.thermal - self.measured
+        return (
+            None if self.measured is None or self.thermal is None else self.thermal - self.measured
+        )
 
 
 class SheetRows:
-    """The views that a sheet shows: a few spread evenly, and those that score worst, which a mean hides.
+    """The views that a sheet shows: a few spread evenly, and those that score worst, which a mean
+    hides.
 
     Args:
         count: of the views.
@@ -77,7 +92,8 @@ class SheetRows:
         self._worst: dict[str, tuple[float, int]] = {}
 
     def add(self, number: int, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
-        """Take a view by its number, from 0; its row is made only if it is shown as far as is known by now."""
+        """Take a view by its number, from 0; its row is made only if it is shown as far as is known
+        by now."""
         for modality, figures in (("thermal", metrics.thermal), ("rgb", metrics.rgb)):
             psnr = figures["psnr"]
             if isinstance(psnr, float):
@@ -95,7 +111,8 @@ class SheetRows:
 
 
 class _Scales(NamedTuple):
-    """The three scales of a sheet; the thermal ones have an empty unit where the scene has no °C."""
+    """The three scales of a sheet; the thermal ones have an empty unit where the scene has no
+    °C."""
 
     thermal: Scale
     error: Scale
@@ -109,7 +126,8 @@ def sheet_row(
     temperature: TemperatureRange | None,
     ball: Reach | None = None,
 ) -> SheetRow:
-    """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has them.
+    """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has
+    them.
 
     The background of ``ball`` does not count on the scale of the depth.
     """
@@ -123,7 +141,9 @@ def sheet_row(
         photo=photo,
         rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
         measured=measured,
-        thermal=None if rendering.thermal is None else _thermal(Pixels(rendering.thermal.detach().cpu()), temperature),
+        thermal=None
+        if rendering.thermal is None
+        else _thermal(Pixels(rendering.thermal.detach().cpu()), temperature),
         depth=None if depth is None else shown_depth(depth, seen, ball),
     )
 
@@ -137,7 +157,8 @@ def contact_sheet(
 ) -> Image.Image:
     """Draw the sheet: a row per view and a column per image; a column that no row has is left out.
 
-    Both thermal columns share one range, that of the photos shown; the errors share another, symmetric about zero.
+    Both thermal columns share one range, that of the photos shown; the errors share another,
+    symmetric about zero.
 
     Raises:
         ValueError: there are no rows.
@@ -150,7 +171,9 @@ def contact_sheet(
     heights = [_row_height(row) for row in cells]
     left = MARGIN_PX + LABEL_PX
     width = left + len(columns) * CELL_PX + (len(columns) - 1) * GAP_PX + MARGIN_PX
-    height = HEADER_PX + TITLE_PX + sum(heights) + GAP_PX * (len(rows) - 1) + FOOTER_PX + MARGIN_PX // 2
+    height = (
+        HEADER_PX + TITLE_PX + sum(heights) + GAP_PX * (len(rows) - 1) + FOOTER_PX + MARGIN_PX // 2
+    )
     sheet = Image.new("RGB", (width, height), PAPER)
     _draw_header(sheet, facts, metrics)
     offsets = {name: left + index * (CELL_PX + GAP_PX) for index, name in enumerate(columns)}
@@ -169,10 +192,14 @@ def contact_sheet(
 def _thermal(pixels: Pixels, temperature: TemperatureRange | None) -> Float[np.ndarray, "h w"]:
     values = pixels.values[..., 0]
     shown = to_array(values if temperature is None else temperature.to_celsius(values))
-    return shown if pixels.valid is None else np.where(pixels.valid.numpy(), shown, np.float32(np.nan))
+    return (
+        shown if pixels.valid is None else np.where(pixels.valid.numpy(), shown, np.float32(np.nan))
+    )
 
 
-def _scales(rows: Sequence[SheetRow], temperature: TemperatureRange | None, palette: PaletteName) -> _Scales:
+def _scales(
+    rows: Sequence[SheetRow], temperature: TemperatureRange | None, palette: PaletteName
+) -> _Scales:
     unit = "" if temperature is None else "°C"
     photos = _pool([row.measured if row.measured is not None else row.thermal for row in rows])
     depths = _pool([row.depth for row in rows])
@@ -207,11 +234,17 @@ def _cells(row: SheetRow, scales: _Scales) -> dict[str, np.ndarray | None]:
 
 def _row_height(images: dict[str, np.ndarray | None]) -> int:
     """The tallest image at the cell's width, but no taller than 4:3 upright."""
-    heights = [round(CELL_PX * image.shape[0] / image.shape[1]) for image in images.values() if image is not None]
+    heights = [
+        round(CELL_PX * image.shape[0] / image.shape[1])
+        for image in images.values()
+        if image is not None
+    ]
     return min(max([*heights, CELL_PX // 2]), CELL_PX * 4 // 3)
 
 
-def _draw_cell(sheet: Image.Image, pixels: np.ndarray | None, corner: tuple[int, int], height: int) -> None:
+def _draw_cell(
+    sheet: Image.Image, pixels: np.ndarray | None, corner: tuple[int, int], height: int
+) -> None:
     """The image, as large as the cell allows, in its middle; a dash where there is none."""
     x, y = corner
     if pixels is None:
@@ -235,7 +268,9 @@ def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
     ]
     right = float(sheet.width - MARGIN_PX)
     title_end = MARGIN_PX + 260
-    for caption, value in reversed([(caption, value) for caption, value in numbers if value is not None]):
+    for caption, value in reversed(
+        [(caption, value) for caption, value in numbers if value is not None]
+    ):
         width = max(text_width(value, 22), text_width(caption, 13))
         if right - width < title_end:
             break
@@ -276,7 +311,11 @@ def _with_unit(figures: Figures, name: str, unit: str) -> str | None:
 def _draw_scale_bars(sheet: Image.Image, scales: _Scales, offsets: dict[str, int], y: int) -> None:
     """One bar under the columns that it explains."""
     for names, scale, note in (
-        (("measured", "thermal"), scales.thermal, "" if scales.thermal.unit else "normalised: the scene has no °C"),
+        (
+            ("measured", "thermal"),
+            scales.thermal,
+            "" if scales.thermal.unit else "normalised: the scene has no °C",
+        ),
         (("error",), scales.error, "rendering minus photo: blue too cold, red too warm"),
         (("depth",), scales.depth, "z-depth in scene units"),
     ):

@@ -1,4 +1,5 @@
-"""Score renderings of held-out views against their photos and, where there is one, against the exact truth."""
+"""Score renderings of held-out views against their photos and, where there is one, against the
+exact truth."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
 @dataclass(frozen=True)
 class ViewMetrics:
-    """One view's figures, by the names of ``THERMAL_FIGURES``, ``RGB_FIGURES`` and ``TRUTH_FIGURES``."""
+    """One view's figures, by the names of ``THERMAL_FIGURES``, ``RGB_FIGURES`` and
+    ``TRUTH_FIGURES``."""
 
     name: str
     thermal: Figures
@@ -75,7 +77,8 @@ def evaluate(
     visit: Visitor | None = None,
     photograph: Photograph = as_it_is,
 ) -> Metrics:
-    """Render each view once and score it at the full frame, on the (undistorted) images that the views load.
+    """Render each view once and score it at the full frame, on the (undistorted) images that the
+    views load.
 
     Args:
         views: the held-out views.
@@ -83,16 +86,18 @@ def evaluate(
         temperature: the scene's scale; None leaves the figures in °C out.
         lpips: the network; None leaves LPIPS out.
         truth: exact temperatures and depths, see ``Truth.find``.
-        visit: called after each view with what was compared with its photos; nothing is kept from view to view.
-        photograph: from what is there to what the cameras would write, which is compared with the photos; the truth is
-            compared with what is there.
+        visit: called after each view with what was compared with its photos; nothing is kept from
+            view to view.
+        photograph: from what is there to what the cameras would write, which is compared with the
+            photos; the truth is compared with what is there.
 
     Raises:
         SceneError: there are no views, or an image or a truth file cannot be read.
     """
     if not views:
         raise SceneError(
-            "the scene has no views to score: put 'eval' into their file names, or list them in val_filenames"
+            "the scene has no views to score: put 'eval' into their file names, or list them in "
+            "val_filenames"
         )
     threshold = foreground_threshold(views)
     scored = []
@@ -113,7 +118,8 @@ def evaluate(
 
 
 def foreground_threshold(views: Sequence[View]) -> float | None:
-    """Otsu's threshold of each thermal photo's valid pixels, averaged over the photos; normalised temperature.
+    """Otsu's threshold of each thermal photo's valid pixels, averaged over the photos; normalised
+    temperature.
 
     None where no photo has one (no thermal images, or only uniform ones).
     """
@@ -140,17 +146,23 @@ def _score(
 ) -> ViewMetrics:
     thermal = _loaded(view.thermal.load(), photographed.thermal) if view.thermal else None
     rgb = _loaded(view.rgb.load(), photographed.rgb) if view.rgb else None
-    rgb_figures = all_missing(RGB_FIGURES, "the view has no RGB image, or the model does not render it")
+    rgb_figures = all_missing(
+        RGB_FIGURES, "the view has no RGB image, or the model does not render it"
+    )
     if rgb is not None and photographed.rgb is not None:
         rgb_figures = _image_figures(photographed.rgb, rgb, lpips)
-    thermal_figures = all_missing(THERMAL_FIGURES, "the view has no thermal image, or the model does not render it")
+    thermal_figures = all_missing(
+        THERMAL_FIGURES, "the view has no thermal image, or the model does not render it"
+    )
     if thermal is not None and photographed.thermal is not None:
         figures = _image_figures(photographed.thermal, thermal, lpips)
         figures |= _temperature_figures(photographed.thermal, thermal, temperature, threshold)
         thermal_figures = {name: figures[name] for name in THERMAL_FIGURES}
     truth_figures = None
     if truth is not None:
-        depth = rendering.depth_thermal if rendering.depth_thermal is not None else rendering.depth_rgb
+        depth = (
+            rendering.depth_thermal if rendering.depth_thermal is not None else rendering.depth_rgb
+        )
         truth_figures = truth.score(view.name, rendering.thermal, thermal, depth, temperature)
     return ViewMetrics(view.name, thermal_figures, rgb_figures, truth_figures)
 
@@ -164,7 +176,10 @@ def _loaded(pixels: Pixels, rendered: Tensor | None) -> Pixels:
     if rendered is None:
         return pixels
     if rendered.shape != pixels.values.shape:
-        raise ValueError(f"rendering {tuple(rendered.shape)} and photo {tuple(pixels.values.shape)} differ in size")
+        raise ValueError(
+            f"rendering {tuple(rendered.shape)} and photo {tuple(pixels.values.shape)} differ in "
+            f"size"
+        )
     valid = None if pixels.valid is None else pixels.valid.to(rendered.device)
     return Pixels(pixels.values.to(rendered), valid)
 
@@ -191,7 +206,8 @@ def _image_figures(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figures
 def _temperature_figures(
     image: Tensor, photo: Pixels, temperature: TemperatureRange | None, threshold: float | None
 ) -> Figures:
-    """MAE in °C over the full frame and over the foreground (photo above ``threshold``, normalised)."""
+    """MAE in °C over the full frame and over the foreground (photo above ``threshold``,
+    normalised)."""
     if temperature is None:
         return all_missing(("mae_c", "mae_foreground_c"), NO_CELSIUS)
     target, valid = photo.values, photo.valid
@@ -202,7 +218,11 @@ def _temperature_figures(
     if threshold is not None:
         foreground = target[..., 0] > threshold
         foreground = foreground if valid is None else foreground & valid
-        figures["mae_foreground_c"] = Missing("no pixel of the photo is warmer than the mean Otsu threshold")
+        figures["mae_foreground_c"] = Missing(
+            "no pixel of the photo is warmer than the mean Otsu threshold"
+        )
         if foreground.any():
-            figures["mae_foreground_c"] = mean_absolute_error(image, target, foreground) * temperature.span_c
+            figures["mae_foreground_c"] = (
+                mean_absolute_error(image, target, foreground) * temperature.span_c
+            )
     return figures

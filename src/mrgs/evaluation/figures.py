@@ -6,7 +6,15 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeAlias
 
-THERMAL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "mae_c", "mae_foreground_c", "lpips")
+THERMAL_FIGURES = (
+    "psnr",
+    "psnr_matched",
+    "ssim",
+    "ssim_pair_range",
+    "mae_c",
+    "mae_foreground_c",
+    "lpips",
+)
 RGB_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "lpips")
 
 
@@ -28,7 +36,8 @@ def all_missing(names: Iterable[str], reason: str) -> Figures:
 def mean_figure(figures: Sequence[Figure]) -> Figure:
     """Mean over the views that have the figure; missing, for the first view's reason, if none has.
 
-    An infinite figure (the PSNR of identical images) makes the mean infinite: leaving it out would understate it.
+    An infinite figure (the PSNR of identical images) makes the mean infinite: leaving it out would
+    understate it.
     """
     numbers = [figure for figure in figures if not isinstance(figure, Missing)]
     if not numbers:
@@ -48,5 +57,10 @@ def to_json(figure: Figure) -> tuple[float | None, str | None]:
     if math.isnan(figure):
         return None, "not a number: the rendering holds NaN"
     if math.isinf(figure):
-        return None, "infinite: the images are identical" if figure > 0 else "not finite: the rendering overflows"
+        return (
+            None,
+            "infinite: the images are identical"
+            if figure > 0
+            else "not finite: the rendering overflows",
+        )
     return float(figure), None

@@ -1,11 +1,13 @@
-"""LPIPS with VGG-16 (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", 2018).
+"""LPIPS with VGG-16 (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
+Metric", 2018).
 
 The weights are not part of this package. ``Lpips.from_file`` reads a safetensors file that holds
 
-- ``features.N.weight`` and ``features.N.bias``, N = 0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28: the convolutions of
-  VGG-16 trained on ImageNet, named and shaped as in torchvision's state dict of ``vgg16`` (other entries are ignored);
-- ``lin0.model.1.weight`` to ``lin4.model.1.weight``, each [1, C, 1, 1]: LPIPS's linear heads (version 0.1) for VGG,
-  as in the state dict of the lpips package.
+- ``features.N.weight`` and ``features.N.bias``, N = 0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28:
+  the convolutions of VGG-16 trained on ImageNet, named and shaped as in torchvision's state dict of
+  ``vgg16`` (other entries are ignored);
+- ``lin0.model.1.weight`` to ``lin4.model.1.weight``, each [1, C, 1, 1]: LPIPS's linear heads
+  (version 0.1) for VGG, as in the state dict of the lpips package.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ from torch.nn import functional
 from mrgs.errors import RunError
 
 _BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
-"""Indices of the convolutions in VGG-16's ``features``; a max pooling stands between blocks, and each block's last
-ReLU is one of LPIPS's five layers."""
+"""Indices of the convolutions in VGG-16's ``features``; a max pooling stands between blocks, and
+each block's last ReLU is one of LPIPS's five layers."""
 
 _WIDTHS = (64, 128, 256, 512, 512)
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -32,7 +34,8 @@ MIN_SIDE_PX = 16
 
 
 class Lpips:
-    """The distance between two images; 0 for identical ones, around 0.1 to 0.5 for renderings of photos."""
+    """The distance between two images; 0 for identical ones, around 0.1 to 0.5 for renderings of
+    photos."""
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
         self._weights = weights
@@ -42,54 +45,71 @@ class Lpips:
         """Read the weights (names and shapes: see the module).
 
         Raises:
-            RunError: the file is missing, is no safetensors file, or lacks a tensor of the right shape.
+            RunError: the file is missing, is no safetensors file, or lacks a tensor of the right
+                shape.
         """
         if not path.is_file():
             raise RunError(
-                f"{path}: no such file; --lpips-weights takes a safetensors file with VGG-16 and LPIPS weights"
+                f"{path}: no such file; --lpips-weights takes a safetensors file with VGG-16 and "
+                f"LPIPS weights"
             )
         shapes = weight_shapes()
         try:
             with safe_open(path, framework="pt", device=str(device)) as file:
-                weights = {name: file.get_tensor(name).float() for name in set(file.keys()) & shapes.keys()}
+                weights = {
+                    name: file.get_tensor(name).float() for name in set(file.keys()) & shapes.keys()
+                }
         except (SafetensorError, OSError) as error:
             raise RunError(f"{path}: not a readable safetensors file ({error})") from error
         for name, shape in shapes.items():
             if name not in weights or tuple(weights[name].shape) != shape:
                 found = f"is {list(weights[name].shape)}" if name in weights else "is missing"
                 raise RunError(
-                    f"{path}: the tensor {name} {found}; expected is {list(shape)}, see mrgs.evaluation.lpips"
+                    f"{path}: the tensor {name} {found}; expected is {list(shape)}, see "
+                    f"mrgs.evaluation.lpips"
                 )
         return cls(weights)
 
     @torch.no_grad()
     def __call__(self, image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"]) -> float:
-        """Distance of two images in [0, 1] (mapped to [-1, 1] here); one channel is shown to VGG as grey.
+        """Distance of two images in [0, 1] (mapped to [-1, 1] here); one channel is shown to VGG as
+        grey.
 
         Raises:
             ValueError: an image side is shorter than ``MIN_SIDE_PX``.
         """
         if min(image.shape[:2]) < MIN_SIDE_PX:
             raise ValueError(
-                f"LPIPS needs images of at least {MIN_SIDE_PX} pixels a side, got {tuple(image.shape[:2])}"
+                f"LPIPS needs images of at least {MIN_SIDE_PX} pixels a side, got "
+                f"{tuple(image.shape[:2])}"
             )
         distance = 0.0
-        for layer, (a, b) in enumerate(zip(self.features(image), self.features(target), strict=True)):
+        for layer, (a, b) in enumerate(
+            zip(self.features(image), self.features(target), strict=True)
+        ):
             difference = (_unit(a) - _unit(b)).square()
-            distance += functional.conv2d(difference, self._weights[f"lin{layer}.model.1.weight"]).mean().item()
+            distance += (
+                functional.conv2d(difference, self._weights[f"lin{layer}.model.1.weight"])
+                .mean()
+                .item()
+            )
         return distance
 
     def features(self, image: Float[Tensor, "h w c"]) -> list[Float[Tensor, "1 _ _ _"]]:
         """The five layers' activations, [1, C, H / 2^layer, W / 2^layer]."""
         device = self._weights["features.0.weight"].device
         x = image.to(device, torch.float32).expand(-1, -1, 3).permute(2, 0, 1)[None] * 2 - 1
-        shift, scale = (torch.tensor(values, device=device).view(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
+        shift, scale = (
+            torch.tensor(values, device=device).view(1, 3, 1, 1) for values in (_SHIFT, _SCALE)
+        )
         x = (x - shift) / scale
         layers = []
         for block, indices in enumerate(_BLOCKS):
             x = functional.max_pool2d(x, 2) if block else x
             for index in indices:
-                weight, bias = (self._weights[f"features.{index}.{kind}"] for kind in ("weight", "bias"))
+                weight, bias = (
+                    self._weights[f"features.{index}.{kind}"] for kind in ("weight", "bias")
+                )
                 x = functional.conv2d(x, weight, bias, padding=1).relu()
             layers.append(x)
         return layers

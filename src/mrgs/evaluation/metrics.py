@@ -1,7 +1,8 @@
 """Image metrics on [H, W, C] tensors with values in [0, 1].
 
-All take an optional mask of valid pixels and count nothing outside it. PSNR, SSIM and LPIPS clamp the rendering to
-[0, 1] first, as the images that one can look at are; the temperature errors do not.
+All take an optional mask of valid pixels and count nothing outside it. PSNR, SSIM and LPIPS clamp
+the rendering to [0, 1] first, as the images that one can look at are; the temperature errors do
+not.
 """
 
 from __future__ import annotations
@@ -14,69 +15,90 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.evaluation.figures import Figure, Missing
-from mrgs.training.ssim import RADIUS_PX, ssim_map
+from mrgs.method.losses.ssim import RADIUS_PX, ssim_map
 
 
 def psnr(
-    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "h w c"],
+    target: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None = None,
 ) -> float:
-    """Peak signal-to-noise ratio for the range 1, dB; infinite where the valid pixels are identical."""
+    """Peak signal-to-noise ratio for the range 1, dB; infinite where the valid pixels are
+    identical."""
     difference = _select(image.clamp(0, 1), valid).double() - _select(target, valid).double()
     mse = difference.square().mean().item()
     return math.inf if mse == 0 else -10 * math.log10(mse)
 
 
 def psnr_matched(
-    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "h w c"],
+    target: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None = None,
 ) -> Figure:
-    """PSNR after each channel of the rendering has taken the gain and the offset that bring it closest to the target.
+    """PSNR after each channel of the rendering has taken the gain and the offset that bring it
+    closest to the target.
 
-    For cameras that expose or scale every photo anew: what they chose for a held-out photo no model can know. Least
-    squares over the valid pixels, with gains of 0 or more. Missing where the target is uniform: every rendering can be
-    brought to that.
+    For cameras that expose or scale every photo anew: what they chose for a held-out photo no model
+    can know. Least squares over the valid pixels, with gains of 0 or more. Missing where the target
+    is uniform: every rendering can be brought to that.
     """
     low, high = _select(target, valid).flatten(0, -2).aminmax(dim=0)
     if torch.equal(low, high):
         return Missing("the photo is uniform, so gain and offset can turn every rendering into it")
     channels = [
         _matched(rendered.double(), photographed.double(), valid)
-        for rendered, photographed in zip(image.clamp(0, 1).unbind(2), target.unbind(2), strict=True)
+        for rendered, photographed in zip(
+            image.clamp(0, 1).unbind(2), target.unbind(2), strict=True
+        )
     ]
     return psnr(torch.stack(channels, dim=2), target, valid)
 
 
 def mean_absolute_error(
-    image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "*shape"],
+    target: Float[Tensor, "*shape"],
+    valid: Bool[Tensor, "h w"] | None = None,
 ) -> float:
-    """Mean of |image − target| over the valid pixels, in the unit of the input; NaN where no pixel is valid."""
+    """Mean of |image − target| over the valid pixels, in the unit of the input; NaN where no pixel
+    is valid."""
     return (_select(image, valid).double() - _select(target, valid).double()).abs().mean().item()
 
 
 def ssim(
-    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "h w c"],
+    target: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None = None,
 ) -> float:
-    """SSIM as the 3DGS family reports it: data range 1, zeros beyond the border, mean over the valid pixels.
+    """SSIM as the 3DGS family reports it: data range 1, zeros beyond the border, mean over the
+    valid pixels.
 
-    Outside the valid pixels the rendering takes the photo's values, so that no window compares them.
+    Outside the valid pixels the rendering takes the photo's values, so that no window compares
+    them.
     """
     similarity = ssim_map(*_planes(image, target, valid), data_range=1.0)
     return _select(similarity.permute(1, 2, 0), valid).mean().item()
 
 
 def ssim_pair_range(
-    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "h w c"],
+    target: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None = None,
 ) -> Figure:
-    """SSIM with the data range of the image pair, torchmetrics' default, over windows that lie inside the image.
+    """SSIM with the data range of the image pair, torchmetrics' default, over windows that lie
+    inside the image.
 
-    torchmetrics averages over these windows up to 1.4.1 (2024); later releases also count the reflected borders.
-    Missing where both images are uniform, or where no valid pixel has a whole window.
+    torchmetrics averages over these windows up to 1.4.1 (2024); later releases also count the
+    reflected borders. Missing where both images are uniform, or where no valid pixel has a whole
+    window.
     """
     interior = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
     interior[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX] = True
     interior = interior if valid is None else interior & valid
     if not interior.any():
         return Missing("no valid pixel is far enough from the border for a whole 11×11 window")
-    pixels = torch.stack([_select(image.clamp(0, 1), valid), _select(target, valid)]).double().flatten(1)
+    pixels = (
+        torch.stack([_select(image.clamp(0, 1), valid), _select(target, valid)]).double().flatten(1)
+    )
     data_range = (pixels.amax(dim=1) - pixels.amin(dim=1)).max()
     if data_range == 0:
         return Missing("both images are uniform, so the range of the pair is zero")
@@ -94,8 +116,9 @@ def fill_invalid(
 def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | None:
     """Otsu's threshold: values above it are foreground.
 
-    It maximises the between-class variance over the histogram (N. Otsu, "A threshold selection method from
-    gray-level histograms", 1979); among equals the lowest wins. None if all values are equal.
+    It maximises the between-class variance over the histogram (N. Otsu, "A threshold selection
+    method from gray-level histograms", 1979); among equals the lowest wins. None if all values are
+    equal.
     """
     low, high = float(values.min()), float(values.max())
     if not low < high:
@@ -109,7 +132,9 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
     return float(edges[1 + np.argmax(below * (total - below) * (mean_below - mean_above) ** 2)])
 
 
-def _matched(image: Float[Tensor, "h w"], target: Float[Tensor, "h w"], valid: Tensor | None) -> Float[Tensor, "h w"]:
+def _matched(
+    image: Float[Tensor, "h w"], target: Float[Tensor, "h w"], valid: Tensor | None
+) -> Float[Tensor, "h w"]:
     """The image with the gain, at least 0, and the offset of least squares."""
     inside, goal = _select(image, valid), _select(target, valid)
     variance = inside.var(correction=0)
@@ -123,6 +148,7 @@ def _select(image: Tensor, valid: Tensor | None) -> Tensor:
 
 
 def _planes(image: Tensor, target: Tensor, valid: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Both images as [C, H, W] in float64: a window's variance is a small difference of large numbers."""
+    """Both images as [C, H, W] in float64: a window's variance is a small difference of large
+    numbers."""
     filled = fill_invalid(image.clamp(0, 1), target, valid)
     return filled.double().permute(2, 0, 1), target.double().permute(2, 0, 1)

@@ -4,10 +4,12 @@
 
 - ``FOLDER/temperature_c/NAME.tiff``: float32, °C;
 - ``FOLDER/thermal_normalised/NAME.tiff``: float32, 0 and 1 at the ends of the scene's range;
-- ``FOLDER/thermal/NAME.png``: 8-bit or 16-bit grey over the scene's range; or ``NAME.tiff``, float32, °C.
+- ``FOLDER/thermal/NAME.png``: 8-bit or 16-bit grey over the scene's range; or ``NAME.tiff``,
+  float32, °C.
 
-The first of these folders that is there counts, so that what ``mrgs render`` writes can be read: its ``thermal/`` holds
-coloured pictures beside the values. ``depth_thermal/NAME.tiff`` (z-depth, scene units) is read where it is there.
+The first of these folders that is there counts, so that what ``mrgs render`` writes can be read:
+its ``thermal/`` holds coloured pictures beside the values. ``depth_thermal/NAME.tiff`` (z-depth,
+scene units) is read where it is there.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ Convert = Callable[[Path, Decoded, TemperatureRange | None], Tensor]
 
 @dataclass(frozen=True)
 class Renders:
-    """The image files of one folder, by view name; a modality that the folder lacks is None, depths may be empty."""
+    """The image files of one folder, by view name; a modality that the folder lacks is None, depths
+    may be empty."""
 
     rgb: dict[str, Path] | None
     thermal: dict[str, Path] | None
@@ -64,8 +67,17 @@ class Renders:
         if self.rgb is not None and view.rgb is not None:
             rgb = _read(self.rgb[view.name], view.rgb.camera, _colors, temperature)
         if self.thermal is not None and view.thermal is not None:
-            convert = {"temperature_c": _celsius, "thermal_normalised": _floats, "thermal": _temperatures}
-            thermal = _read(self.thermal[view.name], view.thermal.camera, convert[self.thermal_kind], temperature)
+            convert = {
+                "temperature_c": _celsius,
+                "thermal_normalised": _floats,
+                "thermal": _temperatures,
+            }
+            thermal = _read(
+                self.thermal[view.name],
+                view.thermal.camera,
+                convert[self.thermal_kind],
+                temperature,
+            )
             if view.name in self.depth:
                 depth = _read_depth(self.depth[view.name], view.thermal.camera)
         return Rendering(rgb=rgb, thermal=thermal, depth_thermal=depth)
@@ -83,8 +95,8 @@ def evaluate_renders(
 ) -> Metrics:
     """Score a folder of renderings with the metrics of ``evaluate_run``.
 
-    Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png``. The images are compared with the undistorted
-    photos, at the size at which ``load_scene`` gives them.
+    Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png``. The images are compared with
+    the undistorted photos, at the size at which ``load_scene`` gives them.
 
     Args:
         scene: the scene's folder.
@@ -140,12 +152,18 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
     rgb_names = [view.name for view in scene.eval if view.rgb is not None]
     thermal_names = [view.name for view in scene.eval if view.thermal is not None]
     rgb = _files(folder / "rgb", rgb_names, IMAGE_SUFFIXES)
-    kind: ThermalKind = next((kind for kind in THERMAL_KINDS if (folder / kind).is_dir()), "thermal")
-    thermal = _files(folder / kind, thermal_names, IMAGE_SUFFIXES if kind == "thermal" else FLOAT_SUFFIXES)
+    kind: ThermalKind = next(
+        (kind for kind in THERMAL_KINDS if (folder / kind).is_dir()), "thermal"
+    )
+    thermal = _files(
+        folder / kind, thermal_names, IMAGE_SUFFIXES if kind == "thermal" else FLOAT_SUFFIXES
+    )
     if rgb is None and thermal is None:
         raise RunError(
-            f"{folder} holds no renderings: put RGB images into {folder / 'rgb'} and thermal images into "
-            f"{folder / 'thermal'}, named like the eval views ({_listed(rgb_names or thermal_names)})"
+            f"{folder} holds no renderings: put RGB images into {folder / 'rgb'} and thermal "
+            f"images into "
+            f"{folder / 'thermal'}, named like the eval views "
+            f"({_listed(rgb_names or thermal_names)})"
         )
     depth_folder = folder / "depth_thermal"
     depth = _files(depth_folder, thermal_names, FLOAT_SUFFIXES) if thermal is not None else None
@@ -163,16 +181,21 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
     missing = [name for name in names if name not in found]
     if missing:
         raise RunError(
-            f"{folder} has no image of {len(missing)} of {len(names)} eval views ({_listed(missing)}): "
+            f"{folder} has no image of {len(missing)} of {len(names)} eval views "
+            f"({_listed(missing)}): "
             "add them, named like the views"
         )
     for name in names:
         if len(found[name]) > 1:
-            raise RunError(f"{folder} has several images of the view {name}: keep one of {_listed(found[name])}")
+            raise RunError(
+                f"{folder} has several images of the view {name}: keep one of "
+                f"{_listed(found[name])}"
+            )
     extra = sorted(found.keys() - set(names))
     if extra:
         warnings.warn(
-            f"{folder} holds {len(extra)} images that belong to no eval view ({_listed(extra)}); they are left out",
+            f"{folder} holds {len(extra)} images that belong to no eval view ({_listed(extra)}); "
+            f"they are left out",
             MrgsWarning,
             stacklevel=2,
         )
@@ -192,7 +215,9 @@ def _read(
     image = _decoded(path, camera)
     if image.valid is not None:
         what = "not finite" if image.kind == "float" else "transparent"
-        raise RunError(f"{path} has pixels that are {what}: every pixel is scored, so render all of them")
+        raise RunError(
+            f"{path} has pixels that are {what}: every pixel is scored, so render all of them"
+        )
     return convert(path, image, temperature)
 
 
@@ -212,7 +237,8 @@ def _decoded(path: Path, camera: Camera) -> Decoded:
     height, width = image.values.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise RunError(
-            f"{path} is {width}×{height} px, but its view is {camera.width}×{camera.height} px: render at the view's "
+            f"{path} is {width}×{height} px, but its view is {camera.width}×{camera.height} px: "
+            f"render at the view's "
             "size, or choose the --resolution that was rendered at"
         )
     return image
@@ -230,22 +256,28 @@ def _floats(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[T
     return image.values
 
 
-def _celsius(path: Path, image: Decoded, temperature: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:
+def _celsius(
+    path: Path, image: Decoded, temperature: TemperatureRange | None
+) -> Float32[Tensor, "h w 1"]:
     if temperature is None:
         raise RunError(
-            f"{path} holds °C, but the scene has no temperature range: put normalised floats into thermal_normalised/"
+            f"{path} holds °C, but the scene has no temperature range: put normalised floats into "
+            f"thermal_normalised/"
         )
     return temperature.from_celsius(_floats(path, image, None))
 
 
-def _temperatures(path: Path, image: Decoded, temperature: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:
+def _temperatures(
+    path: Path, image: Decoded, temperature: TemperatureRange | None
+) -> Float32[Tensor, "h w 1"]:
     """From ``thermal/``: floats are °C, integers are spread over the range already."""
     if image.kind == "float":
         return _celsius(path, image, temperature)
     values = image.values
     if (values.amax(dim=2) - values.amin(dim=2)).max() > GREY_TOLERANCE:
         raise RunError(
-            f"{path} is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit or 16-bit grey over "
+            f"{path} is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit "
+            f"or 16-bit grey over "
             "the scene's temperature range, or a float32 TIFF in °C"
         )
     return values[..., :1]

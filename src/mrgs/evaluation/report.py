@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mrgs.atomic import replacing
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES, Figure, Figures, Missing, to_json
 from mrgs.evaluation.truth import TRUTH_FIGURES
+from mrgs.system.atomic import replacing
 
 COLUMNS = {
     "psnr": ("PSNR, dB", 2),
@@ -28,11 +28,15 @@ COLUMNS = {
 
 CONVENTIONS = (
     "Full frame, undistorted images, mean over the views. PSNR has the range 1; 'matched' "
-    "gives each channel of the rendering the gain and the offset that suit the photo best, for cameras that expose or "
+    "gives each channel of the rendering the gain and the offset that suit the photo best, for "
+    "cameras that expose or "
     "scale every photo anew. SSIM uses an 11×11 Gaussian window "
-    "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the image pair and whole "
-    "windows only, as torchmetrics does by default up to 1.4.1. The foreground is what is warmer than Otsu's "
-    "threshold averaged over the views. LPIPS is VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers "
+    "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the "
+    "image pair and whole "
+    "windows only, as torchmetrics does by default up to 1.4.1. The foreground is what is warmer "
+    "than Otsu's "
+    "threshold averaged over the views. LPIPS is VGG's on [-1, 1]; the 3DGS family feeds it [0, "
+    "1], so its numbers "
     "do not compare."
 )
 
@@ -54,7 +58,8 @@ class RunFacts:
         method: for instance ``mrgs`` or ``3dgs-rgbt``.
         scene: the scene's name.
         steps: training steps taken; None for another program's images.
-        gaussians: how many Gaussians the model has; None if it has none, or for another program's images.
+        gaussians: how many Gaussians the model has; None if it has none, or for another program's
+            images.
         train_seconds: wall-clock time of the training, s.
         peak_memory_bytes: largest memory held during the training.
         device: for instance ``cpu`` or the GPU's name.
@@ -72,19 +77,24 @@ class RunFacts:
 def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
-    Every null has its sentence under ``reasons``, keyed by the figure's dotted path inside the object that holds
-    ``reasons``: the document itself for the run and the means, each entry of ``views`` for its own figures.
+    Every null has its sentence under ``reasons``, keyed by the figure's dotted path inside the
+    object that holds ``reasons``: the document itself for the run and the means, each entry of
+    ``views`` for its own figures.
     """
     means = {"thermal": metrics.thermal, "rgb": metrics.rgb}
     document: dict[str, Any] = dict(vars(facts))
     reasons = {name: UNKNOWN_FACTS[name] for name, value in document.items() if value is None}
-    document["mean"] = {group: _split(figures, f"mean.{group}", reasons) for group, figures in means.items()}
+    document["mean"] = {
+        group: _split(figures, f"mean.{group}", reasons) for group, figures in means.items()
+    }
     if metrics.truth is not None:
         document["truth"] = _split(metrics.truth, "truth", reasons)
     document["reasons"] = reasons
     document["views"] = []
     for view in metrics.views:
-        groups = {"thermal": view.thermal, "rgb": view.rgb} | ({} if view.truth is None else {"truth": view.truth})
+        groups = {"thermal": view.thermal, "rgb": view.rgb} | (
+            {} if view.truth is None else {"truth": view.truth}
+        )
         view_reasons: dict[str, str] = {}
         entry = {group: _split(figures, group, view_reasons) for group, figures in groups.items()}
         document["views"].append({"name": view.name, **entry, "reasons": view_reasons})
@@ -94,7 +104,11 @@ def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
 def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
     """The same figures as tables; a dash for a missing one, with the reasons at the end."""
     seconds = "not measured" if facts.train_seconds is None else f"{facts.train_seconds:.0f} s"
-    memory = "not measured" if facts.peak_memory_bytes is None else f"{facts.peak_memory_bytes / 2**20:.0f} MiB"
+    memory = (
+        "not measured"
+        if facts.peak_memory_bytes is None
+        else f"{facts.peak_memory_bytes / 2**20:.0f} MiB"
+    )
     blocks = [
         f"# {_escape(facts.method)} on {_escape(facts.scene)}",
         f"{_count(facts.steps, 'steps')}{_count(facts.gaussians, 'Gaussians')}training {seconds}, "
@@ -112,7 +126,10 @@ def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
         blocks += [f"## {title}", _table(rows, names)]
     reasons = _distinct_reasons(metrics)
     if reasons:
-        blocks.append("A dash stands for a figure that cannot be had:\n\n" + "\n".join(f"- {line}" for line in reasons))
+        blocks.append(
+            "A dash stands for a figure that cannot be had:\n\n"
+            + "\n".join(f"- {line}" for line in reasons)
+        )
     return "\n\n".join([*blocks, CONVENTIONS]) + "\n"
 
 
@@ -122,7 +139,10 @@ def write_report(folder: Path, facts: RunFacts, metrics: Metrics) -> tuple[Path,
     Raises:
         RunError: a file cannot be written.
     """
-    text = json.dumps(to_document(facts, metrics), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = (
+        json.dumps(to_document(facts, metrics), indent=2, ensure_ascii=False, allow_nan=False)
+        + "\n"
+    )
     paths = folder / "metrics.json", folder / "metrics.md"
     for path, content in zip(paths, (text, to_markdown(facts, metrics)), strict=True):
         with replacing(path) as temporary:
@@ -154,9 +174,16 @@ def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, 
 
 
 def _table(rows: Sequence[tuple[str, Figures]], names: Sequence[str]) -> str:
-    lines = ["| | " + " | ".join(COLUMNS[name][0] for name in names) + " |", "|---|" + "---:|" * len(names)]
+    lines = [
+        "| | " + " | ".join(COLUMNS[name][0] for name in names) + " |",
+        "|---|" + "---:|" * len(names),
+    ]
     for label, figures in rows:
-        lines.append(f"| {label} | " + " | ".join(format_figure(name, figures[name]) for name in names) + " |")
+        lines.append(
+            f"| {label} | "
+            + " | ".join(format_figure(name, figures[name]) for name in names)
+            + " |"
+        )
     return "\n".join(lines)
 
 

@@ -11,15 +11,15 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
-from mrgs.evaluation.palette import PaletteName, colorize
-from mrgs.evaluation.paths import orbit
-from mrgs.evaluation.pictures import thermal_values, to_rgb8, write_png, write_rendering
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
-from mrgs.evaluation.video import frame_writer
+from mrgs.pictures.files import thermal_values, to_rgb8, write_png, write_rendering
+from mrgs.pictures.palette import PaletteName, colorize
+from mrgs.pictures.video import frame_writer
 from mrgs.render import Photograph, Rendering, as_it_is
-from mrgs.run import TrainedRun
+from mrgs.runs.open import TrainedRun
 from mrgs.scene import Camera, Scene, View
+from mrgs.scene.camera_paths import orbit
 
 PATH_FRAMES = 120
 
@@ -27,10 +27,13 @@ Progress = Callable[[int, int], None]
 """Called with the number of images done and of all images."""
 
 
-def evaluate_run(run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None) -> Metrics:
+def evaluate_run(
+    run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None
+) -> Metrics:
     """Score the run on its scene's eval views.
 
-    Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png`` into the run's folder ``eval``.
+    Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png`` into the run's folder
+    ``eval``.
 
     Args:
         run: what ``load_run`` or ``open_run`` returns.
@@ -64,7 +67,8 @@ def score_views(
     progress: Progress | None = None,
     photograph: Photograph = as_it_is,
 ) -> Metrics:
-    """Score renderings of a scene's eval views, and write the scores and the contact sheet into a folder.
+    """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
+    folder.
 
     Args:
         scene: what ``load_scene`` returns.
@@ -82,7 +86,8 @@ def score_views(
     """
     if not scene.eval:
         raise SceneError(
-            f"{scene_folder}: no views are held out, so there is nothing to score; put 'eval' into the file names "
+            f"{scene_folder}: no views are held out, so there is nothing to score; put 'eval' "
+            f"into the file names "
             "of some, or list them in val_filenames, and train anew"
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
@@ -92,14 +97,20 @@ def score_views(
 
     def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
         nonlocal done
-        shown.add(done, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature, ball))
+        shown.add(
+            done, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature, ball)
+        )
         done += 1
         if progress is not None:
             progress(done, len(scene.eval))
 
-    metrics = evaluate(scene.eval, render, scene.temperature, lpips, Truth.find(scene_folder), visit, photograph)
+    metrics = evaluate(
+        scene.eval, render, scene.temperature, lpips, Truth.find(scene_folder), visit, photograph
+    )
     write_report(output, facts, metrics)
-    write_png(output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature))
+    write_png(
+        output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
+    )
     return metrics
 
 
@@ -129,10 +140,12 @@ def render_run(
     frames: int = PATH_FRAMES,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the run's images of a split into the run's folder ``renders/SPLIT``; returns that folder.
+    """Write the run's images of a split into the run's folder ``renders/SPLIT``; returns that
+    folder.
 
-    Per view: RGB as PNG, temperature as float32 °C TIFF and as PNG with a scale bar, both depths. For ``path``, a
-    camera path around the scene: frames of both modalities as PNG, and as mp4 where the extra ``video`` is installed.
+    Per view: RGB as PNG, temperature as float32 °C TIFF and as PNG with a scale bar, both depths.
+    For ``path``, a camera path around the scene: frames of both modalities as PNG, and as mp4 where
+    the extra ``video`` is installed.
 
     Raises:
         SceneError: the scene cannot be read.
@@ -147,7 +160,9 @@ def render_run(
         return folder
     views = scene.eval if split == "eval" else scene.train
     if not views:
-        raise ConfigError(f"{run.facts.scene}: no views are held out; choose --split train or --split path")
+        raise ConfigError(
+            f"{run.facts.scene}: no views are held out; choose --split train or --split path"
+        )
     ball = scene.reach
     for number, view in enumerate(views, start=1):
         write_rendering(folder, view, run.render_view(view), run.temperature, palette, ball)
@@ -157,15 +172,26 @@ def render_run(
 
 
 def _write_path(
-    run: TrainedRun, scene: Scene, cameras: list[Camera], folder: Path, palette: PaletteName, progress: Progress | None
+    run: TrainedRun,
+    scene: Scene,
+    cameras: list[Camera],
+    folder: Path,
+    palette: PaletteName,
+    progress: Progress | None,
 ) -> None:
     """The frames of both modalities along a camera path, each camera rendered once."""
     size = (cameras[0].width, cameras[0].height)
     with ExitStack() as stack:
         add_rgb = stack.enter_context(frame_writer(folder, "rgb", size)) if scene.has_rgb else None
-        add_thermal = stack.enter_context(frame_writer(folder, "thermal", size)) if scene.has_thermal else None
+        add_thermal = (
+            stack.enter_context(frame_writer(folder, "thermal", size))
+            if scene.has_thermal
+            else None
+        )
         for number, camera in enumerate(cameras, start=1):
-            rendering = run.render_cameras(camera if add_rgb else None, camera if add_thermal else None)
+            rendering = run.render_cameras(
+                camera if add_rgb else None, camera if add_thermal else None
+            )
             if add_rgb is not None and rendering.rgb is not None:
                 add_rgb(to_rgb8(rendering.rgb))
             if add_thermal is not None and rendering.thermal is not None:

@@ -1,8 +1,9 @@
-"""The exact truth of a generated scene: temperatures and depths that no camera has blurred or rounded.
+"""The exact truth of a generated scene: temperatures and depths that no camera has blurred or
+rounded.
 
-``SCENE/truth/temperature/NAME.tiff`` holds °C and ``SCENE/truth/depth/NAME.tiff`` z-depth in metres (the scene's
-unit), both float32 and seen from the thermal camera of the view NAME. Temperatures that are not finite and depths that
-are not finite and positive (sky) are left out.
+``SCENE/truth/temperature/NAME.tiff`` holds °C and ``SCENE/truth/depth/NAME.tiff`` z-depth in metres
+(the scene's unit), both float32 and seen from the thermal camera of the view NAME. Temperatures
+that are not finite and depths that are not finite and positive (sky) are left out.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Truth:
 
     @classmethod
     def find(cls, scene: Path) -> Truth | None:
-        """The truth beside a scene's images; None where the folder has none, as every real capture."""
+        """The truth beside a scene's images; None where the folder has none, as every real
+        capture."""
         folder = scene / "truth"
         return cls(folder) if folder.is_dir() else None
 
@@ -48,17 +50,22 @@ class Truth:
         """Score one view.
 
         Returns:
-            ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``: the same for the photo,
-            the error of the camera itself. ``depth_median_relative_error``: median of |rendered − exact| / exact.
+            ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``: the
+            same for the photo, the error of the camera itself. ``depth_median_relative_error``:
+            median of |rendered − exact| / exact.
 
         Raises:
             SceneError: a truth file is damaged, or lies outside the scene.
         """
-        figures = all_missing(TRUTH_FIGURES, "the view has no thermal image, or the scene has no °C")
+        figures = all_missing(
+            TRUTH_FIGURES, "the view has no thermal image, or the scene has no °C"
+        )
         if temperature is not None and thermal is not None:
             figures["mae_c"] = self._temperature_error(name, thermal, None, temperature)
         if temperature is not None and photo is not None:
-            figures["camera_mae_c"] = self._temperature_error(name, photo.values, photo.valid, temperature)
+            figures["camera_mae_c"] = self._temperature_error(
+                name, photo.values, photo.valid, temperature
+            )
         figures["depth_median_relative_error"] = self._depth_error(name, depth)
         return figures
 
@@ -85,7 +92,9 @@ class Truth:
         errors = (depth.detach().cpu()[known] - exact[known]).abs() / exact[known]
         return float(np.median(errors.numpy()))
 
-    def _read(self, kind: str, name: str, shape: tuple[int, int]) -> Float32[Tensor, "h w"] | Missing:
+    def _read(
+        self, kind: str, name: str, shape: tuple[int, int]
+    ) -> Float32[Tensor, "h w"] | Missing:
         """The truth at the size of the rendering: averaged over areas where that is smaller."""
         path = self.folder / kind / f"{name}.tiff"
         if not path.resolve().is_relative_to(self.folder.resolve()):
@@ -95,9 +104,17 @@ class Truth:
         exact = read_float_tiff(path)
         height, width = exact.shape
         if (height, width) != shape:
-            if shape[0] > height or shape[1] > width or abs(shape[0] * width - shape[1] * height) > max(width, height):
-                return Missing(f"truth/{kind} is {width}×{height}, the rendering {shape[1]}×{shape[0]}")
-            exact = np.asarray(Image.fromarray(exact).resize((shape[1], shape[0]), Image.Resampling.BOX))
+            if (
+                shape[0] > height
+                or shape[1] > width
+                or abs(shape[0] * width - shape[1] * height) > max(width, height)
+            ):
+                return Missing(
+                    f"truth/{kind} is {width}×{height}, the rendering {shape[1]}×{shape[0]}"
+                )
+            exact = np.asarray(
+                Image.fromarray(exact).resize((shape[1], shape[0]), Image.Resampling.BOX)
+            )
         return torch.from_numpy(np.array(exact))
 
 
@@ -113,7 +130,10 @@ def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
             image = Image.open(path)
         with image:
             if image.mode != "F":
-                raise SceneError(f"{path}: a one-channel float32 TIFF is expected, the file's mode is {image.mode}")
+                raise SceneError(
+                    f"{path}: a one-channel float32 TIFF is expected, the file's mode is "
+                    f"{image.mode}"
+                )
             return np.asarray(image, dtype=np.float32)
     except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError) as error:
         raise SceneError(f"{path}: not a readable TIFF ({error})") from error

@@ -1,7 +1,7 @@
 """The cameras with their images as a scene folder that nerfstudio, COLMAP and this program open.
 
-The cameras are pinholes, and belong to the undistorted and perhaps reduced images that the model was trained on; so
-those images are written beside them.
+The cameras are pinholes, and belong to the undistorted and perhaps reduced images that the model
+was trained on; so those images are written beside them.
 """
 
 from __future__ import annotations
@@ -17,37 +17,45 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from mrgs.atomic import replacing
 from mrgs.data.poses import OPENGL_TO_OPENCV
-from mrgs.evaluation.pictures import to_array, write_float_tiff, write_png, write_rgb_png
 from mrgs.export.ply import table, write_ply
 from mrgs.export.splats import to_bytes
+from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
 from mrgs.scene import Camera, PosedImage, Scene, TemperatureRange, View
+from mrgs.system.atomic import replacing
 
 RGB_FOLDER, THERMAL_FOLDER = "images", "thermal"
 COLMAP_FOLDER = "sparse/0"
 
 
 def write_cameras(folder: Path, scene: Scene) -> list[Path]:
-    """Write ``transforms.json``, ``sparse/0/*.txt``, the images and the start points into a folder; returns the paths.
+    """Write ``transforms.json``, ``sparse/0/*.txt``, the images and the start points into a folder;
+    returns the paths.
 
-    ``images/NAME.png``; ``thermal/NAME.tiff`` in °C, float32 (``NAME.png`` with 16 bits where no °C is known), with
-    ``temperature_bounds.json``; masks where pixels are not valid. In ``transforms.json`` poses are camera to world with
-    OpenGL axes, in ``images.txt`` world to camera with OpenCV axes. COLMAP's names are relative to ``images/``; where
-    thermal cameras have poses of their own, they are registered too and all names are relative to the folder.
+    ``images/NAME.png``; ``thermal/NAME.tiff`` in °C, float32 (``NAME.png`` with 16 bits where no °C
+    is known), with ``temperature_bounds.json``; masks where pixels are not valid. In
+    ``transforms.json`` poses are camera to world with OpenGL axes, in ``images.txt`` world to
+    camera with OpenCV axes. COLMAP's names are relative to ``images/``; where thermal cameras have
+    poses of their own, they are registered too and all names are relative to the folder.
 
     Raises:
         RunError: a file cannot be written.
         SceneError: an image of the scene cannot be read.
     """
-    paths = [path for view in (*scene.train, *scene.eval) for path in _write_images(folder, view, scene.temperature)]
+    paths = [
+        path
+        for view in (*scene.train, *scene.eval)
+        for path in _write_images(folder, view, scene.temperature)
+    ]
     if scene.temperature is not None and scene.has_thermal:
         bounds = {
             "absolute_max_temperature": scene.temperature.max_c,
             "absolute_min_temperature": scene.temperature.min_c,
         }
         paths.append(_write_text(folder / "temperature_bounds.json", json.dumps(bounds)))
-    columns: dict[str, np.ndarray] = {axis: scene.points.positions[:, i].numpy() for i, axis in enumerate("xyz")}
+    columns: dict[str, np.ndarray] = {
+        axis: scene.points.positions[:, i].numpy() for i, axis in enumerate("xyz")
+    }
     colors = to_bytes(scene.points.colors.numpy())
     columns |= {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
     paths.append(write_ply(folder / "sparse_pc.ply", {"vertex": table(columns)}))
@@ -56,7 +64,8 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
 
 
 def transforms(scene: Scene) -> dict[str, Any]:
-    """What ``transforms.json`` holds: intrinsics in each frame, the split as lists of file names."""
+    """What ``transforms.json`` holds: intrinsics in each frame, the split as lists of file
+    names."""
     frames = [_frame(view, scene.temperature is not None) for view in (*scene.train, *scene.eval)]
     names = [frame["file_path"] for frame in frames]
     return {
@@ -90,7 +99,15 @@ def _pose_and_lens(camera: Camera) -> dict[str, Any]:
     pose = np.eye(4)
     pose[:3, :3] = camera.viewmat[:3, :3].numpy().T @ OPENGL_TO_OPENCV
     pose[:3, 3] = camera.position.numpy()
-    return {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": width, "h": height, "transform_matrix": pose.tolist()}
+    return {
+        "fl_x": fx,
+        "fl_y": fy,
+        "cx": cx,
+        "cy": cy,
+        "w": width,
+        "h": height,
+        "transform_matrix": pose.tolist(),
+    }
 
 
 def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
@@ -102,19 +119,31 @@ def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
 def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
     """COLMAP's text model; points have no tracks, images no observations."""
     registered = _registered(scene)
-    lenses = {intrinsics: i + 1 for i, intrinsics in enumerate(dict.fromkeys(_intrinsics(c) for _, c in registered))}
+    lenses = {
+        intrinsics: i + 1
+        for i, intrinsics in enumerate(dict.fromkeys(_intrinsics(c) for _, c in registered))
+    }
     cameras = [f"{number} PINHOLE {_row(intrinsics)}" for intrinsics, number in lenses.items()]
     images = []
     for number, (name, camera) in enumerate(registered, start=1):
         x, y, z, w = Rotation.from_matrix(camera.viewmat[:3, :3].numpy()).as_quat().tolist()
         pose = _row([w, x, y, z, *camera.viewmat[:3, 3].tolist()])
-        images.append(f"{number} {pose} {lenses[_intrinsics(camera)]} {name}\n")  # and an empty line: no observations
+        images.append(
+            f"{number} {pose} {lenses[_intrinsics(camera)]} {name}\n"
+        )  # and an empty line: no observations
     positions = scene.points.positions.double().tolist()
     colors = to_bytes(scene.points.colors.numpy()).tolist()
-    points = [f"{i} {_row(p)} {_row(c)} 0" for i, (p, c) in enumerate(zip(positions, colors, strict=True), start=1)]
+    points = [
+        f"{i} {_row(p)} {_row(c)} 0"
+        for i, (p, c) in enumerate(zip(positions, colors, strict=True), start=1)
+    ]
     return [
-        _write_text(folder / "cameras.txt", _lines("# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy", cameras)),
-        _write_text(folder / "images.txt", _lines("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", images)),
+        _write_text(
+            folder / "cameras.txt", _lines("# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy", cameras)
+        ),
+        _write_text(
+            folder / "images.txt", _lines("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", images)
+        ),
         _write_text(folder / "points3D.txt", _lines("# POINT3D_ID X Y Z R G B ERROR", points)),
     ]
 
@@ -124,7 +153,10 @@ def _registered(scene: Scene) -> list[tuple[str, Camera]]:
     views = (*scene.train, *scene.eval)
     suffix = _thermal_suffix(scene.temperature is not None)
     if all(len(view.cameras) == 1 or view.shares_camera for view in views):
-        return [(f"{view.name}.png" if view.rgb else f"{view.name}.{suffix}", view.cameras[0]) for view in views]
+        return [
+            (f"{view.name}.png" if view.rgb else f"{view.name}.{suffix}", view.cameras[0])
+            for view in views
+        ]
     found = []
     for view in views:
         if view.rgb is not None:
@@ -163,7 +195,11 @@ def _loaded(image: PosedImage) -> tuple[Tensor, Bool[Tensor, "h w"] | None]:
 
 
 def _write_mask(path: Path, valid: Bool[Tensor, "h w"] | None) -> list[Path]:
-    return [] if valid is None else [write_png(path, Image.fromarray(valid.numpy().astype(np.uint8) * 255))]
+    return (
+        []
+        if valid is None
+        else [write_png(path, Image.fromarray(valid.numpy().astype(np.uint8) * 255))]
+    )
 
 
 def _row(values: Sequence[float] | Float64[np.ndarray, " n"]) -> str:

@@ -13,9 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
-from mrgs.baked import BakedModel, bake
 from mrgs.errors import ConfigError, MrgsWarning
-from mrgs.evaluation.palette import PaletteName
 from mrgs.export.cameras import write_cameras
 from mrgs.export.glb import write_glb
 from mrgs.export.las import require_laspy, write_las
@@ -38,7 +36,9 @@ from mrgs.export.splats import (
     without_directions,
 )
 from mrgs.export.spz import write_spz
-from mrgs.run import Run
+from mrgs.pictures.palette import PaletteName
+from mrgs.runs.baked import BakedModel, bake
+from mrgs.runs.open import Run
 from mrgs.scene import Scene
 
 Format = Literal["ply", "spz", "glb", "splat", "points", "las", "mesh", "cameras", "page"]
@@ -73,7 +73,9 @@ class _Job:
     @property
     def surface_facts(self) -> dict[str, Any]:
         """What holds for files whose temperatures are not those of single splats."""
-        return self.facts | {"temperature": self.facts["temperature"] | {"of": "the surface, as the cameras see it"}}
+        return self.facts | {
+            "temperature": self.facts["temperature"] | {"of": "the surface, as the cameras see it"}
+        }
 
     def flat_facts(self) -> dict[str, Any]:
         """What a format without view dependence loses."""
@@ -82,7 +84,10 @@ class _Job:
         sh = torch.zeros_like(self.baked.sh)
         sh[:, :1] = torch.from_numpy(self.flat.sh).to(sh)
         loss = baking_loss_db(self.run, replace(self.baked, sh=sh), self.scene)
-        return {"view_dependence": "left out", "baking_loss_db": {"rgb": loss.rgb_db, "thermal": loss.thermal_db}}
+        return {
+            "view_dependence": "left out",
+            "baking_loss_db": {"rgb": loss.rgb_db, "thermal": loss.thermal_db},
+        }
 
 
 def export(
@@ -96,23 +101,24 @@ def export(
 ) -> list[Path]:
     """Write a model in one format, or in all, into a folder; returns the paths.
 
-    ===========  =====================================================================================================
-    ply          ``rgb.ply``, ``thermal.ply`` (colour-mapped), ``rgb_thermal.ply`` (both opacities and the temperature)
+    ===========  ================================================================================
+    ply          ``rgb.ply``, ``thermal.ply`` (colour-mapped), ``rgb_thermal.ply`` (with °C)
     spz          ``rgb.spz``, ``thermal.spz``
-    glb          ``rgb.glb``, ``thermal.glb``: glTF with KHR_gaussian_splatting and the temperature of each splat
+    glb          ``rgb.glb``, ``thermal.glb``: glTF with KHR_gaussian_splatting and temperatures
     splat        ``rgb.splat``, ``thermal.splat``: no view dependence
     points       ``points.ply``: the opaque splats as points with colour and temperature
     las          ``points.las``: the same; needs the extra ``export``
     mesh         ``mesh.ply``: triangles with colour and temperature
     cameras      ``cameras/``: transforms.json, a COLMAP model, the undistorted images
     page         ``page.html``: everything in one file for a browser, which needs nothing else
-    ===========  =====================================================================================================
+    ===========  ================================================================================
 
-    Beside each file but those of ``cameras`` and ``page``, ``NAME.SUFFIX.json`` says units, axes, temperature range and
-    baking loss.
+    Beside each file but those of ``cameras`` and ``page``, ``NAME.SUFFIX.json`` says units, axes,
+    temperature range and baking loss.
 
     Args:
-        model: a run, which is baked here, or a model that is baked already (its baking loss is then not measured).
+        model: a run, which is baked here, or a model that is baked already (its baking loss is then
+            not measured).
         scene: what it was trained on.
         format: one of ``FORMATS``, or ``all``: every format whose packages are installed.
         folder: made if need be; files of these names are replaced.
@@ -121,12 +127,15 @@ def export(
         on_baked: told what the baking of a run costs.
 
     Raises:
-        ConfigError: an unknown format, limits that cannot be used, or an extra that is not installed.
+        ConfigError: an unknown format, limits that cannot be used, or an extra that is not
+            installed.
         RunError: the model cannot be exported, or a file cannot be written.
         SceneError: a photo cannot be read.
     """
     if format not in (*FORMATS, "all"):
-        raise ConfigError(f"unknown export format {format!r}: choose one of {', '.join(FORMATS)}, or all")
+        raise ConfigError(
+            f"unknown export format {format!r}: choose one of {', '.join(FORMATS)}, or all"
+        )
     if format == "las":
         require_laspy()
     job = _job(model, scene, folder, palette, limits_c)
@@ -144,11 +153,26 @@ def _job(
     limits_c: tuple[float, float] | None,
 ) -> _Job:
     run = model if isinstance(model, Run) else None
-    baked = model if isinstance(model, BakedModel) else bake(model.model, scene.train_cameras, model.temperature)
+    baked = (
+        model
+        if isinstance(model, BakedModel)
+        else bake(model.model, scene.train_cameras, model.temperature)
+    )
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
-    return _Job(baked, scene, folder, scale, up, facts_of(baked, scene, up, loss), run, loss, palette, limits_c)
+    return _Job(
+        baked,
+        scene,
+        folder,
+        scale,
+        up,
+        facts_of(baked, scene, up, loss),
+        run,
+        loss,
+        palette,
+        limits_c,
+    )
 
 
 def _available() -> list[Format]:
@@ -162,18 +186,27 @@ def _available() -> list[Format]:
 
 
 def _variants(job: _Job, flat: bool = False) -> Iterator[tuple[str, Splats, dict[str, Any]]]:
-    """File stem, splats and facts of the modalities that the scene has; ``flat`` for formats without directions."""
+    """File stem, splats and facts of the modalities that the scene has; ``flat`` for formats
+    without directions."""
     if job.scene.has_rgb:
         yield "rgb", job.flat if flat else rgb_splats(job.baked), dict(job.facts)
     if job.scene.has_thermal:
-        yield "thermal", thermal_splats(job.baked, job.scale), job.facts | thermal_facts(job.scale, job.baked)
+        yield (
+            "thermal",
+            thermal_splats(job.baked, job.scale),
+            job.facts | thermal_facts(job.scale, job.baked),
+        )
 
 
 def _write_ply(job: _Job) -> list[Path]:
     paths = []
     for name, splats, facts in _variants(job):
-        paths += _described(write_splat_ply(job.folder / f"{name}.ply", splats, comment_lines(facts)), facts)
-    both = write_rgb_thermal_ply(job.folder / "rgb_thermal.ply", job.baked, comment_lines(job.facts))
+        paths += _described(
+            write_splat_ply(job.folder / f"{name}.ply", splats, comment_lines(facts)), facts
+        )
+    both = write_rgb_thermal_ply(
+        job.folder / "rgb_thermal.ply", job.baked, comment_lines(job.facts)
+    )
     return [*paths, *_described(both, job.facts)]
 
 
@@ -191,7 +224,9 @@ def _write_glb(job: _Job) -> list[Path]:
     for name, splats, facts in _variants(job):
         if job.up is not None:
             facts["frame"] += "; the node turns its up direction to +y"
-        paths += _described(write_glb(job.folder / f"{name}.glb", splats, job.up, facts, temperatures), facts)
+        paths += _described(
+            write_glb(job.folder / f"{name}.glb", splats, job.up, facts, temperatures), facts
+        )
     return paths
 
 
@@ -206,7 +241,8 @@ def _write_splat(job: _Job) -> list[Path]:
 
 def _write_points(job: _Job) -> list[Path]:
     return _described(
-        write_points_ply(job.folder / "points.ply", job.points, comment_lines(job.surface_facts)), job.surface_facts
+        write_points_ply(job.folder / "points.ply", job.points, comment_lines(job.surface_facts)),
+        job.surface_facts,
     )
 
 

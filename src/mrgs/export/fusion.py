@@ -1,4 +1,5 @@
-"""Depth maps of many cameras into one truncated signed distance field, in a band about the surfaces.
+"""Depth maps of many cameras into one truncated signed distance field, in a band about the
+surfaces.
 
 B. Curless and M. Levoy, "A Volumetric Method for Building Complex Models from Range Images", 1996.
 """
@@ -22,7 +23,8 @@ MIN_VIEWS = 2
 """A sample that fewer cameras saw is not known."""
 
 BOUNDS_PERCENTILE = 2.0
-"""The box holds the points between this percentile and its counterpart on each axis: far background is left out."""
+"""The box holds the points between this percentile and its counterpart on each axis: far background
+is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,8 @@ class DepthMap:
 
     Attributes:
         camera: of the images.
-        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is not known, [H, W].
+        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is
+            not known, [H, W].
         image: any C channels to be carried over to the surface, [H, W, C].
     """
 
@@ -56,11 +59,13 @@ class Grid:
 
 
 def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray, "x y z"], Grid]:
-    """The distance field, in units of the truncation, positive before the surfaces; NaN where it is not known.
+    """The distance field, in units of the truncation, positive before the surfaces; NaN where it is
+    not known.
 
     Args:
         maps: depth maps of overlapping cameras; at least one depth is known.
-        resolution: samples along the longest side of the box about the scene; fewer where the pixels are coarser.
+        resolution: samples along the longest side of the box about the scene; fewer where the
+            pixels are coarser.
     """
     grid = _grid_of(maps, resolution)
     samples = np.argwhere(_band(maps, grid))
@@ -81,8 +86,13 @@ def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray,
 
 def visible(
     camera: Camera, positions: Float32[np.ndarray, "n 3"]
-) -> tuple[Int64[np.ndarray, " m"], tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]], Float32[np.ndarray, " m"]]:
-    """The points inside a camera's image: their rows, their pixels (row, column) and their z-depth."""
+) -> tuple[
+    Int64[np.ndarray, " m"],
+    tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]],
+    Float32[np.ndarray, " m"],
+]:
+    """The points inside a camera's image: their rows, their pixels (row, column) and their
+    z-depth."""
     pixels, depth = camera.project(torch.from_numpy(positions))
     rows = camera.contains(pixels).nonzero()[:, 0]
     column, row = pixels[rows].long().unbind(dim=1)
@@ -90,8 +100,11 @@ def visible(
 
 
 def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:
-    """A box about the seen points, its step no finer than the median width of a pixel on the surfaces."""
-    points = np.concatenate([unprojected for item in maps for unprojected in _unproject(item, (0.0,))])
+    """A box about the seen points, its step no finer than the median width of a pixel on the
+    surfaces."""
+    points = np.concatenate(
+        [unprojected for item in maps for unprojected in _unproject(item, (0.0,))]
+    )
     low, high = np.percentile(points, [BOUNDS_PERCENTILE, 100 - BOUNDS_PERCENTILE], axis=0)
     surfaces = [(item.depth[np.isfinite(item.depth)], float(item.camera.K[0, 0])) for item in maps]
     pixel = np.median([np.median(depth) / focal for depth, focal in surfaces if len(depth)])
@@ -114,7 +127,8 @@ def _band(maps: Sequence[DepthMap], grid: Grid) -> Bool[np.ndarray, "x y z"]:
 
 
 def _unproject(item: DepthMap, offsets: Sequence[float]) -> Iterator[Float64[np.ndarray, "m 3"]]:
-    """World coordinates of the pixels whose depth is known, each offset added to the depth in turn."""
+    """World coordinates of the pixels whose depth is known, each offset added to the depth in
+    turn."""
     row, column = np.nonzero(np.isfinite(item.depth))
     pixels = torch.from_numpy(np.stack([column, row], axis=1) + 0.5)
     depth = torch.from_numpy(item.depth[row, column].astype(np.float64))

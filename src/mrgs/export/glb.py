@@ -1,7 +1,8 @@
 """glTF binary files with the extension KHR_gaussian_splatting, as the Khronos Group ratified it.
 
-Splats are a primitive of points: scales are linear, opacities in [0, 1], rotations unit quaternions xyzw, colours the
-coefficients of 3DGS's spherical harmonics in display-referred sRGB. A reader without the extension shows the points.
+Splats are a primitive of points: scales are linear, opacities in [0, 1], rotations unit quaternions
+xyzw, colours the coefficients of 3DGS's spherical harmonics in display-referred sRGB. A reader
+without the extension shows the points.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from mrgs.atomic import replacing
 from mrgs.export.ply import SMALLEST_SCALE
 from mrgs.export.splats import Splats, to_bytes
+from mrgs.system.atomic import replacing
 
 EXTENSION = "KHR_gaussian_splatting"
 
@@ -39,15 +40,19 @@ def write_glb(
     Args:
         path: of the file.
         splats: in the scene's own frame.
-        up: what is up in that frame, unit length; the node is turned so that it becomes glTF's +y. None leaves it.
+        up: what is up in that frame, unit length; the node is turned so that it becomes glTF's +y.
+            None leaves it.
         extras: facts for the file's ``asset.extras``.
-        properties: more numbers per splat by name, float32; glTF keeps them under ``_NAME`` in capitals.
+        properties: more numbers per splat by name, float32; glTF keeps them under ``_NAME`` in
+            capitals.
 
     Raises:
         RunError: the file cannot be written.
     """
     attributes = _attributes(splats)
-    attributes |= {f"_{name.upper()}": values.astype(np.float32) for name, values in (properties or {}).items()}
+    attributes |= {
+        f"_{name.upper()}": values.astype(np.float32) for name, values in (properties or {}).items()
+    }
     text = json.dumps(_document(attributes, up, extras or {}), allow_nan=False).encode("utf-8")
     text += b" " * (-len(text) % 4)
     binary = sum(array.nbytes for array in attributes.values())
@@ -72,16 +77,22 @@ def _attributes(splats: Splats) -> dict[str, np.ndarray]:
     }
     for degree in range(splats.sh_degree + 1):
         for index in range(2 * degree + 1):
-            attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"] = splats.sh[:, degree**2 + index]
+            attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"] = splats.sh[
+                :, degree**2 + index
+            ]
     return attributes
 
 
 def _document(
-    attributes: Mapping[str, np.ndarray], up: Float[np.ndarray, "3"] | None, extras: Mapping[str, Any]
+    attributes: Mapping[str, np.ndarray],
+    up: Float[np.ndarray, "3"] | None,
+    extras: Mapping[str, Any],
 ) -> dict[str, Any]:
     accessors, views, offset = [], [], 0
     for index, (semantic, array) in enumerate(attributes.items()):
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": _ARRAY_BUFFER})
+        views.append(
+            {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": _ARRAY_BUFFER}
+        )
         accessors.append(_accessor(index, semantic, array))
         offset += array.nbytes
     properties = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
@@ -133,4 +144,6 @@ def rotation_to_y(up: Float[np.ndarray, "3"]) -> list[float]:
 
 def _linear(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """sRGB to linear light: what COLOR_0 means where a reader falls back to plain points."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )

@@ -8,19 +8,21 @@ from types import ModuleType
 
 import numpy as np
 
-from mrgs.atomic import replacing
 from mrgs.errors import ConfigError
 from mrgs.export.points import TemperaturePoints
+from mrgs.system.atomic import replacing
 
 POINT_FORMAT = 7
 """The format of LAS 1.4 that holds RGB."""
 
 FINEST_STEP = 1e-6
-"""Coordinates are integers times a power of ten, this or as much larger as the points' spread needs."""
+"""Coordinates are integers times a power of ten, this or as much larger as the points' spread
+needs."""
 
 
 def write_las(path: Path, points: TemperaturePoints) -> Path:
-    """Write coordinates, 16-bit RGB, and the dimensions ``temperature_c`` (or _normalised) and ``opacity``, float32.
+    """Write coordinates, 16-bit RGB, and the dimensions ``temperature_c`` (or _normalised) and
+    ``opacity``, float32.
 
     There is no coordinate reference system: positions are in the scene's own frame.
 
@@ -34,14 +36,18 @@ def write_las(path: Path, points: TemperaturePoints) -> Path:
     in_celsius = points.temperature_name == "temperature_c"
     header.add_extra_dims(
         [
-            laspy.ExtraBytesParams(points.temperature_name, np.float32, "degrees Celsius" if in_celsius else "no unit"),
+            laspy.ExtraBytesParams(
+                points.temperature_name, np.float32, "degrees Celsius" if in_celsius else "no unit"
+            ),
             laspy.ExtraBytesParams("opacity", np.float32, "0 to 1"),
         ]
     )
     positions = points.positions.astype(np.float64)
     low, high = positions.min(axis=0), positions.max(axis=0)
     header.offsets = low
-    header.scales = np.full(3, max(FINEST_STEP, 10.0 ** math.ceil(math.log10(max((high - low).max(), 1e-300) / 2e9))))
+    header.scales = np.full(
+        3, max(FINEST_STEP, 10.0 ** math.ceil(math.log10(max((high - low).max(), 1e-300) / 2e9)))
+    )
     las = laspy.LasData(header)
     las.x, las.y, las.z = positions.T
     las.red, las.green, las.blue = points.colors.T.astype(np.uint16) * 257

@@ -10,20 +10,21 @@ import numpy as np
 import scipy.sparse.csgraph
 from jaxtyping import Float, Float32, Int32, UInt8
 
-from mrgs.baked import BakedModel
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
 from mrgs.export.ply import table, write_ply
 from mrgs.export.rendered import carry_over, depth_maps
 from mrgs.export.splats import temperature_name, to_bytes
 from mrgs.export.surface_nets import surface_nets
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
 
 RESOLUTION = 320
 """Samples along the longest side of the scene."""
 
 SMALLEST_PART = 0.005
-"""Connected parts with fewer than this share of the largest part's faces are left out: floating specks."""
+"""Connected parts with fewer than this share of the largest part's faces are left out: floating
+specks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,8 @@ class ThermalMesh:
 
 
 def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) -> ThermalMesh:
-    """Render the training cameras, fuse their depths, and draw the surface; colours and °C are the renderings' means.
+    """Render the training cameras, fuse their depths, and draw the surface; colours and °C are the
+    renderings' means.
 
     The depth is that of the RGB blend (of the thermal one where the scene has no RGB).
 
@@ -58,12 +60,17 @@ def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) ->
     values, seen = carry_over(maps, vertices, 2 * grid.step)
     vertices, faces, values = _without_specks(vertices, faces[seen[faces].all(axis=1)], values)
     if not len(faces):
-        raise RunError("the depths of the model's views agree nowhere, so there is no mesh: train it longer")
+        raise RunError(
+            "the depths of the model's views agree nowhere, so there is no mesh: train it longer"
+        )
     return ThermalMesh(vertices, faces, to_bytes(values[:, :3]), values[:, 3])
 
 
-def write_mesh_ply(path: Path, mesh: ThermalMesh, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
-    """Write vertices with colour and ``temperature_c`` (or ``temperature_normalised``), and faces; returns the path.
+def write_mesh_ply(
+    path: Path, mesh: ThermalMesh, baked: BakedModel, comments: Sequence[str] = ()
+) -> Path:
+    """Write vertices with colour and ``temperature_c`` (or ``temperature_normalised``), and faces;
+    returns the path.
 
     Raises:
         RunError: the file cannot be written.
@@ -75,11 +82,14 @@ def write_mesh_ply(path: Path, mesh: ThermalMesh, baked: BakedModel, comments: S
 
 
 def _without_specks(
-    vertices: Float32[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"], values: Float[np.ndarray, "v c"]
+    vertices: Float32[np.ndarray, "v 3"],
+    faces: Int32[np.ndarray, "f 3"],
+    values: Float[np.ndarray, "v c"],
 ) -> tuple[Float32[np.ndarray, "w 3"], Int32[np.ndarray, "g 3"], Float32[np.ndarray, "w c"]]:
     """The mesh without small parts and unused vertices."""
     links = scipy.sparse.coo_matrix(
-        (np.ones(2 * len(faces), bool), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), shape=[len(vertices)] * 2
+        (np.ones(2 * len(faces), bool), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
+        shape=[len(vertices)] * 2,
     )
     _, part = scipy.sparse.csgraph.connected_components(links, directed=False)
     sizes = np.bincount(part[faces[:, 0]], minlength=1)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
-from mrgs.atomic import replacing
-from mrgs.baked import BakedModel
 from mrgs.export.splats import Splats, rgb_splats, shown_temperatures, temperature_name, to_float32
+from mrgs.runs.baked import BakedModel
+from mrgs.system.atomic import replacing
 
 SMALLEST_SCALE = 1e-12
 """Scales are floored here, so that their logarithm is finite."""
@@ -26,20 +26,26 @@ def write_ply(path: Path, elements: Mapping[str, np.ndarray], comments: Sequence
 
     Args:
         path: of the file.
-        elements: rows by the element's name. A structured array gives scalar properties; a plain [N, K] array of int32
-            is written as lists of K ``vertex_indices``.
+        elements: rows by the element's name. A structured array gives scalar properties; a plain
+            [N, K] array of int32 is written as lists of K ``vertex_indices``.
         comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.
 
     Raises:
         RunError: the file cannot be written.
     """
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {_ascii(line)}" for line in comments)]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {_ascii(line)}" for line in comments),
+    ]
     for name, rows in elements.items():
         header += [f"element {name} {len(rows)}", *_properties(rows)]
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         for rows in elements.values():
-            file.write(np.ascontiguousarray(rows if rows.dtype.names else _lists(rows)).view(np.uint8).data)
+            file.write(
+                np.ascontiguousarray(rows if rows.dtype.names else _lists(rows)).view(np.uint8).data
+            )
     return path
 
 
@@ -62,10 +68,11 @@ def write_splat_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) ->
 
 
 def write_rgb_thermal_ply(path: Path, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
-    """Write the layout of 3DGS for RGB with ``opacity_thermal`` (a logit) and the temperature behind it.
+    """Write the layout of 3DGS for RGB with ``opacity_thermal`` (a logit) and the temperature
+    behind it.
 
-    The temperature is ``temperature_c``, or ``temperature_normalised`` where the scene has no °C. Viewers that do not
-    know the two show the colours.
+    The temperature is ``temperature_c``, or ``temperature_normalised`` where the scene has no °C.
+    Viewers that do not know the two show the colours.
 
     Raises:
         RunError: the file cannot be written.
@@ -77,13 +84,17 @@ def write_rgb_thermal_ply(path: Path, baked: BakedModel, comments: Sequence[str]
 
 
 def splat_columns(splats: Splats) -> dict[str, np.ndarray]:
-    """The properties of 3DGS in its order; the normals are zero, the higher coefficients channel by channel."""
+    """The properties of 3DGS in its order; the normals are zero, the higher coefficients channel by
+    channel."""
     columns: dict[str, np.ndarray] = {axis: splats.means[:, i] for i, axis in enumerate("xyz")}
     columns |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(len(splats), np.float32))
     columns |= {f"f_dc_{channel}": splats.sh[:, 0, channel] for channel in range(3)}
     bands = splats.sh.shape[1] - 1
     for channel in range(3):
-        columns |= {f"f_rest_{channel * bands + band}": splats.sh[:, 1 + band, channel] for band in range(bands)}
+        columns |= {
+            f"f_rest_{channel * bands + band}": splats.sh[:, 1 + band, channel]
+            for band in range(bands)
+        }
     columns["opacity"] = logit(splats.opacities)
     log_scales = log_of(splats.scales)
     columns |= {f"scale_{i}": log_scales[:, i] for i in range(3)}

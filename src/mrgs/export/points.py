@@ -10,15 +10,16 @@ import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 
-from mrgs.baked import BakedModel
 from mrgs.errors import RunError
 from mrgs.export.ply import table, write_ply
 from mrgs.export.rendered import carry_over, depth_maps
 from mrgs.export.splats import temperature_name, to_bytes, to_float32
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
 
 MIN_OPACITY = 0.3
-"""A splat becomes a point if o_c or o_t reaches this: fainter ones fill gaps and haze, and lie off the surfaces."""
+"""A splat becomes a point if o_c or o_t reaches this: fainter ones fill gaps and haze, and lie off
+the surfaces."""
 
 
 SURFACE_DEPTH = 0.03
@@ -45,7 +46,8 @@ class TemperaturePoints:
 
 
 def temperature_points(baked: BakedModel, scene: Scene) -> TemperaturePoints:
-    """The centres of the splats that are opaque in either modality and lie on a surface that a training camera sees.
+    """The centres of the splats that are opaque in either modality and lie on a surface that a
+    training camera sees.
 
     Colours and temperatures are those that the cameras see there, see ``rendered``.
 
@@ -55,11 +57,17 @@ def temperature_points(baked: BakedModel, scene: Scene) -> TemperaturePoints:
     opacities = to_float32(torch.maximum(baked.opacity_rgb, baked.opacity_thermal))
     rows = np.flatnonzero(opacities >= MIN_OPACITY)
     if not len(rows):
-        raise RunError(f"no splat has an opacity of {MIN_OPACITY} or more, so there are no points: train it longer")
+        raise RunError(
+            f"no splat has an opacity of {MIN_OPACITY} or more, so there are no points: train it "
+            f"longer"
+        )
     positions = to_float32(baked.means)[rows]
     values, seen = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
     if not seen.any():
-        raise RunError("no opaque splat lies on a surface that a camera sees, so there are no points: train it longer")
+        raise RunError(
+            "no opaque splat lies on a surface that a camera sees, so there are no points: train "
+            "it longer"
+        )
     return TemperaturePoints(
         positions[seen],
         to_bytes(values[seen, :3]),

@@ -1,7 +1,8 @@
-"""What the training cameras see of a model: depth, colour and temperature, carried over to points in space.
+"""What the training cameras see of a model: depth, colour and temperature, carried over to points
+in space.
 
-A splat's own temperature is what it adds to a blend, which may be far from any surface's. What a camera sees is what
-was compared with the photos.
+A splat's own temperature is what it adds to a blend, which may be far from any surface's. What a
+camera sees is what was compared with the photos.
 """
 
 from __future__ import annotations
@@ -11,27 +12,31 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from mrgs.baked import BakedModel
 from mrgs.errors import RunError
 from mrgs.export.fusion import DepthMap, visible
 from mrgs.export.splats import to_float32
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, Reach, Scene, spread
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
-"""At most so many training cameras, spread evenly, and so many pixels across, are rendered: memory and time."""
+"""At most so many training cameras, spread evenly, and so many pixels across, are rendered: memory
+and time."""
 
 MIN_ALPHA = 0.5
 """A pixel that lets through more light than this has no depth."""
 
 MAX_STEP = 0.05
-"""A pixel whose depth differs by more than this share within its neighbours lies on an outline: it has no depth."""
+"""A pixel whose depth differs by more than this share within its neighbours lies on an outline: it
+has no depth."""
 
 
 def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
-    """The renderings of the training cameras; the channels are red, green, blue, and °C (normalised without °C).
+    """The renderings of the training cameras; the channels are red, green, blue, and °C (normalised
+    without °C).
 
-    The depth is that of the RGB blend (of the thermal one where the scene has no RGB); infinite where the sky is seen.
+    The depth is that of the RGB blend (of the thermal one where the scene has no RGB); infinite
+    where the sky is seen.
 
     Raises:
         RunError: no pixel is opaque enough to have a depth.
@@ -39,26 +44,35 @@ def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     ball = scene.reach
     maps = [_depth_map(baked, camera, scene.has_rgb, ball) for camera in _cameras(scene)]
     if not any(np.isfinite(item.depth).any() for item in maps):
-        raise RunError("no view of the model is opaque enough to show a surface: train the model longer")
+        raise RunError(
+            "no view of the model is opaque enough to show a surface: train the model longer"
+        )
     return maps
 
 
 def carry_over(
-    maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"], tolerance: float, relative_tolerance: float = 0.0
+    maps: Sequence[DepthMap],
+    points: Float32[np.ndarray, "n 3"],
+    tolerance: float,
+    relative_tolerance: float = 0.0,
 ) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
-    """Each point's image values: their mean over the cameras that see it, near ones first; and whether any does.
+    """Each point's image values: their mean over the cameras that see it, near ones first; and
+    whether any does.
 
     Args:
         maps: of the cameras.
         points: world coordinates.
-        tolerance: a point this far before or behind the depth of its pixel is still seen there, scene units.
+        tolerance: a point this far before or behind the depth of its pixel is still seen there,
+            scene units.
         relative_tolerance: the same as a share of its depth; the larger of the two holds.
     """
     total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)
     for item in maps:
         rows, pixels, z = visible(item.camera, points)
-        seen = np.abs(item.depth[pixels] - z) < np.maximum(tolerance, relative_tolerance * z)  # false for NaN
+        seen = np.abs(item.depth[pixels] - z) < np.maximum(
+            tolerance, relative_tolerance * z
+        )  # false for NaN
         rows, pixels, near = rows[seen], (pixels[0][seen], pixels[1][seen]), 1 / z[seen] ** 2
         total[rows] += near[:, None] * item.image[pixels]
         weight[rows] += near
@@ -68,7 +82,10 @@ def carry_over(
 def _cameras(scene: Scene) -> list[Camera]:
     """Of the training views' first images, at most ``MAX_VIEWS``, at most ``MAX_WIDTH_PX`` wide."""
     cameras = [scene.train[index].cameras[0] for index in spread(len(scene.train), MAX_VIEWS)]
-    return [camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX) for camera in cameras]
+    return [
+        camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
+        for camera in cameras
+    ]
 
 
 def _depth_map(baked: BakedModel, camera: Camera, by_color: bool, ball: Reach) -> DepthMap:
@@ -77,6 +94,10 @@ def _depth_map(baked: BakedModel, camera: Camera, by_color: bool, ball: Reach) -
     surface = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
     assert rendering.rgb is not None
     assert rendering.thermal is not None
-    thermal = rendering.thermal if baked.temperature is None else baked.temperature.to_celsius(rendering.thermal)
+    thermal = (
+        rendering.thermal
+        if baked.temperature is None
+        else baked.temperature.to_celsius(rendering.thermal)
+    )
     image = np.concatenate([to_float32(rendering.rgb), to_float32(thermal)], axis=2)
     return DepthMap(camera, to_float32(ball.without_background(camera, surface)), image)

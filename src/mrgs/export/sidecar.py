@@ -11,20 +11,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from mrgs.atomic import replacing
-from mrgs.baked import BakedModel
 from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
+from mrgs.system.atomic import replacing
 
 MAX_TILT = 0.15
-"""Root mean square of the sine by which cameras may be tilted sideways for their photos to count as level."""
+"""Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
+level."""
 
 
 def facts_of(
     baked: BakedModel, scene: Scene, up: Float64[np.ndarray, "3"] | None, loss: BakingLoss | None
 ) -> dict[str, Any]:
-    """What holds for every file of an export: program, frame, units, temperatures, what was lost by baking.
+    """What holds for every file of an export: program, frame, units, temperatures, what was lost by
+    baking.
 
     Args:
         baked: the exported model.
@@ -52,12 +54,17 @@ def facts_of(
         "camera_axes": "OpenCV: x right, y down, z forward",
         "temperature": temperature,
         "antialiased": baked.antialiased,
-        "opacities": "for a viewer that compensates them for its dilation (Mip-Splatting, gsplat's antialiased)"
+        "opacities": "for a viewer that compensates them for its dilation (Mip-Splatting, "
+        "gsplat's antialiased)"
         if baked.antialiased
         else "for a viewer that adds 0.3 px² to the projected covariance and nothing else (3DGS)",
-        "baking_loss_db": None if loss is None else {"rgb": loss.rgb_db, "thermal": loss.thermal_db},
-        "baking": "the view-dependent colour residual is folded into spherical harmonics of degree 3; what depends on "
-        "the view in the temperatures is left out; baking_loss_db is the mean PSNR over the held-out views that this "
+        "baking_loss_db": None
+        if loss is None
+        else {"rgb": loss.rgb_db, "thermal": loss.thermal_db},
+        "baking": "the view-dependent colour residual is folded into spherical harmonics of "
+        "degree 3; what depends on "
+        "the view in the temperatures is left out; baking_loss_db is the mean PSNR over the "
+        "held-out views that this "
         "costs (null: not measured)",
     }
 
@@ -65,11 +72,14 @@ def facts_of(
 def thermal_facts(scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
     """What the colours of a colour-mapped export mean."""
     unit = "normalised" if baked.temperature is None else "°C"
-    return {"colors": {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": unit}}
+    return {
+        "colors": {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": unit}
+    }
 
 
 def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
-    """What is up, unit length, if the photos were taken level: the direction across all cameras' horizontal axes.
+    """What is up, unit length, if the photos were taken level: the direction across all cameras'
+    horizontal axes.
 
     None where those axes do not lie in one plane (tilted cameras), or are all parallel.
     """
@@ -100,5 +110,7 @@ def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
     """
     sidecar = path.with_name(f"{path.name}.json")
     with replacing(sidecar) as temporary:
-        temporary.write_text(json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False), encoding="utf-8")
+        temporary.write_text(
+            json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False), encoding="utf-8"
+        )
     return sidecar

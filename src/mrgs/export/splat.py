@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mrgs.atomic import replacing
 from mrgs.export.splats import Splats, to_bytes
+from mrgs.system.atomic import replacing
 
 _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat", "u1", 4)]
 
@@ -15,8 +15,9 @@ _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat",
 def write_splat(path: Path, splats: Splats) -> Path:
     """Write the layout that antimatter15's viewer made common; returns the path.
 
-    Centre and standard deviations as float32, RGB of degree 0 and opacity as bytes, the quaternion wxyz as bytes
-    about 128. The largest and most opaque splats come first, so that a file shows something while it loads.
+    Centre and standard deviations as float32, RGB of degree 0 and opacity as bytes, the quaternion
+    wxyz as bytes about 128. The largest and most opaque splats come first, so that a file shows
+    something while it loads.
 
     Raises:
         RunError: the file cannot be written.

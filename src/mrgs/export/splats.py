@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from mrgs.baked import BakedModel
 from mrgs.errors import ConfigError, RunError
-from mrgs.evaluation.palette import PaletteName, palette_table
 from mrgs.field.spherical_harmonics import C0
+from mrgs.pictures.palette import PaletteName, palette_table
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, spread
 
 MEAN_OVER = 32
@@ -32,7 +32,8 @@ class Splats:
         quats: rotations wxyz, unit length, [N, 4].
         scales: standard deviations along the rotated axes, [N, 3].
         opacities: in (0, 1), [N].
-        sh: colour coefficients as 3DGS has them (colour = max(0, 0.5 + Σ)), [N, B, 3]; B is 1, 4, 9 or 16.
+        sh: colour coefficients as 3DGS has them (colour = max(0, 0.5 + Σ)), [N, B, 3]; B is 1, 4, 9
+            or 16.
         antialiased: whether a viewer should compensate the opacities for its dilation.
     """
 
@@ -75,19 +76,29 @@ class ThermalScale:
 def thermal_scale(
     baked: BakedModel, palette: PaletteName = "inferno", limits: tuple[float, float] | None = None
 ) -> ThermalScale:
-    """The palette over the given temperatures, °C; over the scene's whole range where none are given.
+    """The palette over the given temperatures, °C; over the scene's whole range where none are
+    given.
 
     Raises:
         ConfigError: limits in °C for a model without °C, or limits that are not ascending.
     """
     if limits is None:
         known = baked.temperature
-        return ThermalScale(palette, 0.0, 1.0) if known is None else ThermalScale(palette, known.min_c, known.max_c)
+        return (
+            ThermalScale(palette, 0.0, 1.0)
+            if known is None
+            else ThermalScale(palette, known.min_c, known.max_c)
+        )
     if baked.temperature is None:
-        raise ConfigError("a range in °C was given, but the scene has no temperature range: leave the range out")
+        raise ConfigError(
+            "a range in °C was given, but the scene has no temperature range: leave the range out"
+        )
     low, high = limits
     if not -np.inf < low < high < np.inf:
-        raise ConfigError(f"the temperature range {low:g} to {high:g} °C is not ascending: give the lower end first")
+        raise ConfigError(
+            f"the temperature range {low:g} to {high:g} °C is not ascending: give the lower end "
+            f"first"
+        )
     return ThermalScale(palette, float(low), float(high))
 
 
@@ -104,7 +115,8 @@ def require_exportable(baked: BakedModel) -> None:
         broken |= ~tensor.reshape(len(baked), -1).isfinite().all(dim=1).cpu()
     if broken.any():
         raise RunError(
-            f"{int(broken.sum())} of {len(baked)} splats hold NaN or infinity, so the model cannot be exported: "
+            f"{int(broken.sum())} of {len(baked)} splats hold NaN or infinity, so the model "
+            f"cannot be exported: "
             "train it anew, or go on from an older checkpoint"
         )
 
@@ -117,8 +129,8 @@ def rgb_splats(baked: BakedModel) -> Splats:
 def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
     """The temperatures with o_t in the colours of a palette, degree 0: the same from each side.
 
-    A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour that is not on the
-    palette.
+    A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour
+    that is not on the palette.
     """
     position = (shown_temperatures(baked) - scale.low) / (scale.high - scale.low)
     colors = palette_table(scale.palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
@@ -127,15 +139,19 @@ def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
 
 
 def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
-    """The RGB splats with one colour each: its mean over the cameras that have it in their image, in [0, 1].
+    """The RGB splats with one colour each: its mean over the cameras that have it in their image,
+    in [0, 1].
 
-    Closer to the photos than leaving the higher degrees out, whose mean over the directions from which a splat was
-    seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those given, are asked.
+    Closer to the photos than leaving the higher degrees out, whose mean over the directions from
+    which a splat was seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those
+    given, are asked.
     """
     total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
     for index in spread(len(cameras), MEAN_OVER):
         camera = cameras[index]
-        seen = torch.where(camera.contains(camera.project(baked.means)[0]), 1.0, UNSEEN_WEIGHT)[:, None].to(total)
+        seen = torch.where(camera.contains(camera.project(baked.means)[0]), 1.0, UNSEEN_WEIGHT)[
+            :, None
+        ].to(total)
         total += seen * baked.colors(camera.position.to(baked.means))
         weight += seen
     dc = ((total / weight).clamp(0, 1) - 0.5) / C0
@@ -164,5 +180,7 @@ def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
 
 def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:
     rotations = torch.nn.functional.normalize(baked.quats, dim=1)
-    means, quats, scales, opacities = (to_float32(tensor) for tensor in (baked.means, rotations, baked.scales, opacity))
+    means, quats, scales, opacities = (
+        to_float32(tensor) for tensor in (baked.means, rotations, baked.scales, opacity)
+    )
     return Splats(means, quats, scales, opacities, sh, baked.antialiased)

@@ -1,8 +1,10 @@
-"""SPZ files, version 3: gzipped, 20 bytes per splat and one per higher colour coefficient, about a tenth of a PLY.
+"""SPZ files, version 3: gzipped, 20 bytes per splat and one per higher colour coefficient, about a
+tenth of a PLY.
 
-The layout follows the format's description by Niantic (github.com/nianticlabs/spz). Version 3 is the newest that is
-plain gzip. The format's axes are x right, y up, z backward where those of a splat PLY are x right, y down, z forward,
-and readers turn one into the other; so the world is turned by 180° about x here, and comes back as it was.
+The layout follows the format's description by Niantic (github.com/nianticlabs/spz). Version 3 is
+the newest that is plain gzip. The format's axes are x right, y up, z backward where those of a
+splat PLY are x right, y down, z forward, and readers turn one into the other; so the world is
+turned by 180° about x here, and comes back as it was.
 """
 
 from __future__ import annotations
@@ -15,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8, UInt32
 
-from mrgs.atomic import replacing
 from mrgs.errors import RunError
 from mrgs.export.ply import log_of
 from mrgs.export.splats import Splats, to_bytes
+from mrgs.system.atomic import replacing
 
 MAGIC = 0x5053474E
 VERSION = 3
@@ -27,7 +29,8 @@ _ANTIALIASED = 1
 
 MAX_FRACTIONAL_BITS = 20
 POSITION_LIMIT = 2**23
-"""Positions are 24-bit fixed-point numbers with as many fractional bits as the farthest splat leaves, at most 20."""
+"""Positions are 24-bit fixed-point numbers with as many fractional bits as the farthest splat
+leaves, at most 20."""
 
 COLOR_SCALE = 0.15
 """Coefficients of degree 0 in ±1/0.3 are spread over the 256 values of a byte."""
@@ -37,7 +40,8 @@ COMPRESSION = 6
 _TURN = np.array([1, -1, -1], dtype=np.float32)
 _TURN_QUAT = np.array([1, 1, -1, -1], dtype=np.float32)
 _TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], dtype=np.float32)
-"""What 180° about x does to a position, a quaternion wxyz, and the coefficients of degrees 1 to 3 (y and z odd: −)."""
+"""What 180° about x does to a position, a quaternion wxyz, and the coefficients of degrees 1 to 3
+(y and z odd: −)."""
 
 
 def write_spz(path: Path, splats: Splats) -> Path:
@@ -47,9 +51,14 @@ def write_spz(path: Path, splats: Splats) -> Path:
         RunError: a splat lies too far out for the format, or the file cannot be written.
     """
     farthest = float(np.abs(splats.means).max())
-    bits = min(MAX_FRACTIONAL_BITS, math.floor(math.log2((POSITION_LIMIT - 1) / max(farthest, 1e-3))))
+    bits = min(
+        MAX_FRACTIONAL_BITS, math.floor(math.log2((POSITION_LIMIT - 1) / max(farthest, 1e-3)))
+    )
     if bits < 0:
-        raise RunError(f"{path}: a splat lies {farthest:g} scene units out, farther than SPZ can store: export a PLY")
+        raise RunError(
+            f"{path}: a splat lies {farthest:g} scene units out, farther than SPZ can store: "
+            f"export a PLY"
+        )
     flags = _ANTIALIASED if splats.antialiased else 0
     header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, flags, 0)
     parts = [
@@ -79,7 +88,8 @@ def _fixed_point(means: Float32[np.ndarray, "n 3"], bits: int) -> UInt8[np.ndarr
 
 
 def _smallest_three(quats: Float32[np.ndarray, "n 4"]) -> UInt32[np.ndarray, " n"]:
-    """Unit quaternions as 32 bits: the index of the largest component in xyzw, then the others as sign and 9 bits.
+    """Unit quaternions as 32 bits: the index of the largest component in xyzw, then the others as
+    sign and 9 bits.
 
     The largest component is made positive, so that it follows from the others.
     """

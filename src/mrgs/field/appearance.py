@@ -1,4 +1,5 @@
-"""The multi-modal embedding e_m and what is read from it: a colour residual, and a thermal feature."""
+"""The multi-modal embedding e_m and what is read from it: a colour residual, and a thermal
+feature."""
 
 from __future__ import annotations
 
@@ -12,11 +13,13 @@ SH_COEFFICIENTS = 48
 """16 basis functions times 3 colour channels."""
 
 
-def reject(embedding: Float[Tensor, "n c"], direction: Float[Tensor, "n c"]) -> Float[Tensor, "n c"]:
+def reject(
+    embedding: Float[Tensor, "n c"], direction: Float[Tensor, "n c"]
+) -> Float[Tensor, "n c"]:
     """e_orth = e_m − e_proj, the part of each embedding that is orthogonal to its direction SH'.
 
-    Eq. 7 (embedding_proj), Sec. Orthogonal Embedding Extraction: e_proj = (e_m · SH') / ‖SH'‖² SH'. 1e-8 is added to
-    ‖SH'‖², so that a vanishing direction removes nothing.
+    Eq. 7 (embedding_proj), Sec. Orthogonal Embedding Extraction: e_proj = (e_m · SH') / ‖SH'‖² SH'.
+    1e-8 is added to ‖SH'‖², so that a vanishing direction removes nothing.
     """
     dot = (embedding * direction).sum(dim=1, keepdim=True)
     squared_norm = direction.square().sum(dim=1, keepdim=True)
@@ -26,8 +29,9 @@ def reject(embedding: Float[Tensor, "n c"], direction: Float[Tensor, "n c"]) -> 
 class OrthogonalExtraction(nn.Module):
     """e_t, the view-invariant part of e_m.
 
-    Eq. 7 (embedding_proj) and Eq. 8 (embedding_t), Sec. Orthogonal Embedding Extraction: SH' = φ_SH(SH) and
-    e_t = φ_e(e_m − e_proj) with single linear layers φ. Nothing is detached: the thermal loss also reaches SH.
+    Eq. 7 (embedding_proj) and Eq. 8 (embedding_t), Sec. Orthogonal Embedding Extraction: SH' =
+    φ_SH(SH) and e_t = φ_e(e_m − e_proj) with single linear layers φ. Nothing is detached: the
+    thermal loss also reaches SH.
 
     Args:
         width: C, the width of e_m, SH' and e_t.
@@ -38,23 +42,29 @@ class OrthogonalExtraction(nn.Module):
         self.phi_sh = nn.Linear(SH_COEFFICIENTS, width)
         self.phi_e = nn.Linear(width, width)
 
-    def forward(self, embedding: Float[Tensor, "n c"], sh: Float[Tensor, "n 16 3"]) -> Float[Tensor, "n c"]:
+    def forward(
+        self, embedding: Float[Tensor, "n c"], sh: Float[Tensor, "n 16 3"]
+    ) -> Float[Tensor, "n c"]:
         """e_t from e_m and all colour coefficients, those of degrees not yet in use included."""
         e_t: Tensor = self.phi_e(reject(embedding, self.phi_sh(sh.flatten(1))))
         return e_t
 
 
 class ColorHead(nn.Module):
-    """The colour residual ĉ, Sec. Rendering Overview: an MLP on e_m ⊕ PE_v of the viewing direction.
+    """The colour residual ĉ, Sec. Rendering Overview: an MLP on e_m ⊕ PE_v of the viewing
+    direction.
 
     Args:
         embedding_width: C of e_m.
         frequencies: L of PE_v.
         hidden_width: of both hidden layers.
-        scale: the output is multiplied by it, so that training starts at the plain spherical harmonics.
+        scale: the output is multiplied by it, so that training starts at the plain spherical
+            harmonics.
     """
 
-    def __init__(self, embedding_width: int, frequencies: int, hidden_width: int, scale: float) -> None:
+    def __init__(
+        self, embedding_width: int, frequencies: int, hidden_width: int, scale: float
+    ) -> None:
         super().__init__()
         self.frequencies = frequencies
         self.scale = scale
@@ -66,7 +76,9 @@ class ColorHead(nn.Module):
             nn.Linear(hidden_width, 3),
         )
 
-    def forward(self, embedding: Float[Tensor, "n c"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    def forward(
+        self, embedding: Float[Tensor, "n c"], directions: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 3"]:
         """ĉ of each Gaussian; directions are unit vectors from the camera to its centre."""
         inputs = torch.cat([embedding, positional_encoding(directions, self.frequencies)], dim=1)
         residual: Tensor = self.scale * self.mlp(inputs)
@@ -76,8 +88,8 @@ class ColorHead(nn.Module):
 class ThermalFeatureHead(nn.Module):
     """The thermal feature F_t, Sec. Rendering Overview: an MLP on e_t ⊕ PE_p of the position.
 
-    The positions are detached inside PE_p: its top frequency is 2⁹π by default, and the gradient of so fast an
-    oscillation would shake the geometry instead of moving it.
+    The positions are detached inside PE_p: its top frequency is 2⁹π by default, and the gradient of
+    so fast an oscillation would shake the geometry instead of moving it.
 
     Args:
         embedding_width: C of e_t.
@@ -86,7 +98,9 @@ class ThermalFeatureHead(nn.Module):
         feature_width: of F_t.
     """
 
-    def __init__(self, embedding_width: int, frequencies: int, hidden_width: int, feature_width: int) -> None:
+    def __init__(
+        self, embedding_width: int, frequencies: int, hidden_width: int, feature_width: int
+    ) -> None:
         super().__init__()
         self.frequencies = frequencies
         self.mlp = nn.Sequential(
@@ -95,7 +109,9 @@ class ThermalFeatureHead(nn.Module):
             nn.Linear(hidden_width, feature_width),
         )
 
-    def forward(self, e_t: Float[Tensor, "n c"], positions: Float[Tensor, "n 3"]) -> Float[Tensor, "n f"]:
+    def forward(
+        self, e_t: Float[Tensor, "n c"], positions: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n f"]:
         """F_t of each Gaussian; positions are normalised to about [-1, 1]."""
         inputs = torch.cat([e_t, positional_encoding(positions.detach(), self.frequencies)], dim=1)
         features: Tensor = self.mlp(inputs)

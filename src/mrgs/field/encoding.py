@@ -15,11 +15,13 @@ EMBEDDING_NOISE = 1e-4
 """Standard deviation of the noise added to the embedding's start."""
 
 
-def positional_encoding(x: Float[Tensor, "n d"], frequencies: int) -> Float[Tensor, "n 2*{frequencies}*d"]:
+def positional_encoding(
+    x: Float[Tensor, "n d"], frequencies: int
+) -> Float[Tensor, "n 2*{frequencies}*d"]:
     """Eq. 9 (positional_embedding), Sec. Modeling Lambertian Reflectance.
 
-    PE(x) = concat[sin(2ⁿ π x), cos(2ⁿ π x)] for n = 0 … L − 1, applied to each coordinate: for each n first the d
-    sines, then the d cosines.
+    PE(x) = concat[sin(2ⁿ π x), cos(2ⁿ π x)] for n = 0 … L − 1, applied to each coordinate: for each
+    n first the d sines, then the d cosines.
 
     Args:
         x: normalised positions or unit directions, [N, d].
@@ -33,8 +35,8 @@ def positional_encoding(x: Float[Tensor, "n d"], frequencies: int) -> Float[Tens
 def position_frame(positions: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "3"], Float[Tensor, ""]]:
     """The centre and scale that bring positions into [-1, 1]: (positions − center) / scale.
 
-    The centre is the mean, the scale the 97 % quantile of the largest absolute coordinate about it, so that a few far
-    points do not squeeze the rest. Without points the frame is the identity.
+    The centre is the mean, the scale the 97 % quantile of the largest absolute coordinate about it,
+    so that a few far points do not squeeze the rest. Without points the frame is the identity.
     """
     if len(positions) == 0:
         return positions.new_zeros(3), positions.new_ones(())
@@ -45,10 +47,11 @@ def position_frame(positions: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "3"],
 
 
 def fourier_embedding(positions: Float[Tensor, "n 3"], width: int) -> Float[Tensor, "n {width}"]:
-    """The start of the multi-modal embedding e_m: Fourier features of the normalised positions plus a little noise.
+    """The start of the multi-modal embedding e_m: Fourier features of the normalised positions plus
+    a little noise.
 
-    The paper leaves the start open; this is WildGaussians' per-Gaussian embedding. The noise comes from torch's
-    default generator.
+    The paper leaves the start open; this is WildGaussians' per-Gaussian embedding. The noise comes
+    from torch's default generator.
 
     Args:
         positions: normalised positions, [N, 3].

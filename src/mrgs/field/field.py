@@ -27,7 +27,8 @@ class FieldConfig:
     """What stands between the Gaussians' parameters and the values that are blended.
 
     Attributes:
-        residuals: add the learned residuals ĉ and t̂; off for 3DGS_RGB-T, which blends spherical harmonics alone.
+        residuals: add the learned residuals ĉ and t̂; off for 3DGS_RGB-T, which blends spherical
+            harmonics alone.
         fourier: let neighbours exchange heat (the Fourier heat transformation).
         embedding_width: C of the multi-modal embedding e_m; a multiple of 6.
         direction_frequencies: L of PE_v, the encoding of the viewing direction.
@@ -37,7 +38,8 @@ class FieldConfig:
         neighbours_n: n of the paper's Table 4: n² − 1 neighbours exchange heat; 1 means none.
         anchor_weight: w_a of Eq. 12, the weight of a Gaussian's own refined feature.
         surrounding_weight: w_s of Eq. 12, the weight of the mean over its neighbours.
-        residual_scale: both residuals are multiplied by it, so that training starts at the plain values.
+        residual_scale: both residuals are multiplied by it, so that training starts at the plain
+            values.
     """
 
     residuals: bool = True
@@ -54,7 +56,9 @@ class FieldConfig:
 
     def __post_init__(self) -> None:
         if self.embedding_width < 6 or self.embedding_width % 6 != 0:
-            raise ConfigError(f"embedding_width must be a positive multiple of 6, not {self.embedding_width}")
+            raise ConfigError(
+                f"embedding_width must be a positive multiple of 6, not {self.embedding_width}"
+            )
         for name in ("direction_frequencies", "position_frequencies"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be 0 or more, not {getattr(self, name)}")
@@ -63,7 +67,9 @@ class FieldConfig:
                 raise ConfigError(f"{name} must be 1 or more, not {getattr(self, name)}")
 
         if self.neighbours_n > MAX_NEIGHBOURS_N:
-            raise ConfigError(f"neighbours_n must be at most {MAX_NEIGHBOURS_N}, not {self.neighbours_n}")
+            raise ConfigError(
+                f"neighbours_n must be at most {MAX_NEIGHBOURS_N}, not {self.neighbours_n}"
+            )
 
     @property
     def neighbours_k(self) -> int:
@@ -72,7 +78,8 @@ class FieldConfig:
 
 
 class RadianceField(nn.Module):
-    """Colour and normalised temperature of Gaussians (Sec. Multi-modal Radiance Fields with 3D Gaussian).
+    """Colour and normalised temperature of Gaussians (Sec. Multi-modal Radiance Fields with 3D
+    Gaussian).
 
     The layers start from torch's default generator: seed it for a repeatable start.
 
@@ -91,8 +98,14 @@ class RadianceField(nn.Module):
         self.register_buffer("scale", torch.ones(()))
         if not config.residuals:
             return
-        width, hidden, feature = config.embedding_width, config.hidden_width, config.thermal_feature_width
-        self.color_head = ColorHead(width, config.direction_frequencies, hidden, config.residual_scale)
+        width, hidden, feature = (
+            config.embedding_width,
+            config.hidden_width,
+            config.thermal_feature_width,
+        )
+        self.color_head = ColorHead(
+            width, config.direction_frequencies, hidden, config.residual_scale
+        )
         self.extraction = OrthogonalExtraction(width)
         self.thermal_head = ThermalFeatureHead(width, config.position_frequencies, hidden, feature)
         self.heat = FourierHeatTransformation(
@@ -101,13 +114,15 @@ class RadianceField(nn.Module):
         self.temperature_output = nn.Linear(feature, 1)
 
     def set_frame(self, start_points: Float[Tensor, "n 3"]) -> None:
-        """Choose ``center`` and ``scale`` from the start points, once, before training; checkpoints carry them."""
+        """Choose ``center`` and ``scale`` from the start points, once, before training; checkpoints
+        carry them."""
         center, scale = position_frame(start_points)
         self.center.copy_(center)
         self.scale.copy_(scale)
 
     def initial_embedding(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
-        """The start of e_m for Gaussians at these positions; no columns if the field has no residuals."""
+        """The start of e_m for Gaussians at these positions; no columns if the field has no
+        residuals."""
         if not self.config.residuals:
             return means.new_zeros(len(means), 0)
         return fourier_embedding(self._normalised(means), self.config.embedding_width)
@@ -119,7 +134,8 @@ class RadianceField(nn.Module):
         sh_degree: int,
         rows: Int64[Tensor, " v"] | None = None,
     ) -> Float[Tensor, "v 3"]:
-        """c + ĉ of Eq. 4 (rgb_alphblending), Sec. Rendering Overview: SH2RGB clamped at 0, plus the residual.
+        """c + ĉ of Eq. 4 (rgb_alphblending), Sec. Rendering Overview: SH2RGB clamped at 0, plus the
+        residual.
 
         Args:
             gaussians: N Gaussians.
@@ -132,8 +148,14 @@ class RadianceField(nn.Module):
         """
         _check_places("rows", rows, len(gaussians))
         camera_position = camera_position.to(gaussians.means)
-        colors = _shade(gaussians.means, gaussians.sh_dc, gaussians.sh_rest, camera_position, sh_degree, rows)
-        return colors + self._color_residual(gaussians, camera_position, rows) if self.config.residuals else colors
+        colors = _shade(
+            gaussians.means, gaussians.sh_dc, gaussians.sh_rest, camera_position, sh_degree, rows
+        )
+        return (
+            colors + self._color_residual(gaussians, camera_position, rows)
+            if self.config.residuals
+            else colors
+        )
 
     def temperatures(
         self,
@@ -146,20 +168,24 @@ class RadianceField(nn.Module):
     ) -> Float[Tensor, "v 1"]:
         """Normalised temperatures: t + t̂ of Eq. 5 (thr_alphblending), Sec. Rendering Overview.
 
-        As published t is of degree 0, so that neither t nor t̂ depends on the view; t of a higher degree does. Without
-        residuals (3DGS_RGB-T) the temperature is treated like a colour: harmonics up to ``sh_degree``, clamped at 0.
+        As published t is of degree 0, so that neither t nor t̂ depends on the view; t of a higher
+        degree does. Without residuals (3DGS_RGB-T) the temperature is treated like a colour:
+        harmonics up to ``sh_degree``, clamped at 0.
 
         Args:
             gaussians: N Gaussians.
-            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if that is 0, or if t̂
-                is known.
-            camera_position: centre of projection in world coordinates; not read where t is of degree 0.
+            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if
+                that is 0, or if t̂ is known.
+            camera_position: centre of projection in world coordinates; not read where t is of
+                degree 0.
             sh_degree: highest degree of the spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
-            residuals: t̂ of all Gaussians, where it is known; not read by a field without residuals.
+            residuals: t̂ of all Gaussians, where it is known; not read by a field without
+                residuals.
 
         Raises:
-            ValueError: t̂ is not known and heat is exchanged, but ``neighbours`` is None or of another shape.
+            ValueError: t̂ is not known and heat is exchanged, but ``neighbours`` is None or of
+                another shape.
             IndexError: rows or neighbours on the CPU that do not exist.
         """
         _check_places("rows", rows, len(gaussians))
@@ -176,7 +202,10 @@ class RadianceField(nn.Module):
         return t + _take(residuals, rows)
 
     def _color_residual(
-        self, gaussians: Gaussians, camera_position: Float[Tensor, "3"], rows: Int64[Tensor, " v"] | None
+        self,
+        gaussians: Gaussians,
+        camera_position: Float[Tensor, "3"],
+        rows: Int64[Tensor, " v"] | None,
     ) -> Float[Tensor, "v 3"]:
         """ĉ: the colour head on e_m and the viewing direction."""
         head, means, embedding = self.color_head, gaussians.means, gaussians.embedding
@@ -184,24 +213,36 @@ class RadianceField(nn.Module):
             *hidden, (weight, bias) = linear_layers(head.mlp)
             layers = [*hidden, (head.scale * weight, head.scale * bias)]
             listed = _listed(rows, means)
-            return cpu.color_residual(layers, embedding, means, camera_position, head.frequencies, listed)
-        residual: Tensor = head(_take(embedding, rows), _directions(_take(means, rows), camera_position))
+            return cpu.color_residual(
+                layers, embedding, means, camera_position, head.frequencies, listed
+            )
+        residual: Tensor = head(
+            _take(embedding, rows), _directions(_take(means, rows), camera_position)
+        )
         return residual
 
     def temperature_residuals(
-        self, gaussians: Gaussians, neighbours: Int64[Tensor, "n k"] | None, rows: Int64[Tensor, " v"] | None = None
+        self,
+        gaussians: Gaussians,
+        neighbours: Int64[Tensor, "n k"] | None,
+        rows: Int64[Tensor, " v"] | None = None,
     ) -> Float[Tensor, "v 1"]:
         """t̂: orthogonal extraction, thermal head, heat transformation, and the output layer.
 
         Arguments and errors are those of ``temperatures``; the field must have residuals.
         """
         if self.config.neighbours_k == 0:
-            neighbours = torch.empty(len(gaussians), 0, dtype=torch.int64, device=gaussians.means.device)
+            neighbours = torch.empty(
+                len(gaussians), 0, dtype=torch.int64, device=gaussians.means.device
+            )
         if neighbours is None:
-            raise ValueError(f"the heat transformation needs the {self.config.neighbours_k} nearest neighbours")
+            raise ValueError(
+                f"the heat transformation needs the {self.config.neighbours_k} nearest neighbours"
+            )
         if neighbours.shape != (len(gaussians), self.config.neighbours_k):
             raise ValueError(
-                f"neighbours of {len(gaussians)} Gaussians are needed, not of shape {tuple(neighbours.shape)}"
+                f"neighbours of {len(gaussians)} Gaussians are needed, not of shape "
+                f"{tuple(neighbours.shape)}"
             )
         _check_places("neighbours", neighbours, len(gaussians))
         projected = self._projected_features(gaussians, _needed(rows, neighbours))
@@ -211,15 +252,28 @@ class RadianceField(nn.Module):
             projected, opacity, neighbours, anchors, self.temperature_output
         )
 
-    def _projected_features(self, gaussians: Gaussians, rows: Int64[Tensor, " m"] | None) -> Float[Tensor, "n r"]:
-        """What neighbours read of each F_t (``FourierHeatTransformation.readout``); 0 where not asked for."""
+    def _projected_features(
+        self, gaussians: Gaussians, rows: Int64[Tensor, " m"] | None
+    ) -> Float[Tensor, "n r"]:
+        """What neighbours read of each F_t (``FourierHeatTransformation.readout``); 0 where not
+        asked for."""
         readout_rows = self.heat.readout_rows(self.temperature_output)
         means, embedding = gaussians.means, gaussians.embedding
         if cpu.serves(means):
-            layers = (self.extraction.phi_sh.weight, self.extraction.phi_sh.bias, *self._merged_layers(readout_rows))
+            layers = (
+                self.extraction.phi_sh.weight,
+                self.extraction.phi_sh.bias,
+                *self._merged_layers(readout_rows),
+            )
             positions, frequencies = self._normalised(means.detach()), self.thermal_head.frequencies
             return cpu.project_features(
-                embedding, gaussians.sh_dc, gaussians.sh_rest, layers, positions, frequencies, _listed(rows, means)
+                embedding,
+                gaussians.sh_dc,
+                gaussians.sh_rest,
+                layers,
+                positions,
+                frequencies,
+                _listed(rows, means),
             )
         sh = torch.cat([_take(gaussians.sh_dc, rows), _take(gaussians.sh_rest, rows)], dim=1)
         e_t = self.extraction(_take(embedding, rows), sh)
@@ -228,17 +282,25 @@ class RadianceField(nn.Module):
             return projected
         return projected.new_zeros(len(means), projected.shape[1]).index_copy(0, rows, projected)
 
-    def _merged_layers(self, readout_rows: Float[Tensor, "r f"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Weight and bias of two layers around the thermal head's ReLU, each the product of two linear layers.
+    def _merged_layers(
+        self, readout_rows: Float[Tensor, "r f"]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Weight and bias of two layers around the thermal head's ReLU, each the product of two
+        linear layers.
 
-        φ_e of Eq. 8 goes into the first, W (φ_e(x) ⊕ PE_p) = W_e φ_e x + W_e b_e + W_p PE_p; the read-out into the
-        second. Both biases pass through the product as one more column.
+        φ_e of Eq. 8 goes into the first, W (φ_e(x) ⊕ PE_p) = W_e φ_e x + W_e b_e + W_p PE_p; the
+        read-out into the second. Both biases pass through the product as one more column.
         """
         phi_e, ((weight, bias), last) = self.extraction.phi_e, linear_layers(self.thermal_head.mlp)
         of_e_t, of_position = weight.tensor_split([len(phi_e.weight)], dim=1)
         first = product(of_e_t, torch.cat([phi_e.weight, phi_e.bias[:, None]], dim=1))
         second = product(readout_rows, torch.cat([last[0], last[1][:, None]], dim=1))
-        return torch.cat([first[:, :-1], of_position], dim=1), first[:, -1] + bias, second[:, :-1], second[:, -1]
+        return (
+            torch.cat([first[:, :-1], of_position], dim=1),
+            first[:, -1] + bias,
+            second[:, :-1],
+            second[:, -1],
+        )
 
     def _normalised(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return (means - self.center) / self.scale
@@ -257,15 +319,21 @@ def _shade(
     if cpu.serves(means):
         return cpu.shade(means, dc, rest, camera_position, degree, _listed(rows, means), floor)
     directions = _directions(_take(means, rows), camera_position)
-    return (evaluate_sh(_take(dc, rows), _take(rest, rows), directions, degree) + 0.5).clamp_min(floor)
+    return (evaluate_sh(_take(dc, rows), _take(rest, rows), directions, degree) + 0.5).clamp_min(
+        floor
+    )
 
 
-def _directions(means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
+def _directions(
+    means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]
+) -> Float[Tensor, "n 3"]:
     """Unit vectors from the camera to the Gaussians."""
     return nn.functional.normalize(means - camera_position, dim=1)
 
 
-def _take(tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None) -> Float[Tensor, "v ..."]:
+def _take(
+    tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None
+) -> Float[Tensor, "v ..."]:
     return tensor if rows is None else tensor.index_select(0, rows)
 
 
@@ -273,14 +341,20 @@ def _listed(rows: Int64[Tensor, " v"] | None, means: Float[Tensor, "n 3"]) -> In
     return torch.arange(len(means), device=means.device) if rows is None else rows
 
 
-def _needed(rows: Int64[Tensor, " v"] | None, neighbours: Int64[Tensor, "n k"]) -> Int64[Tensor, " m"] | None:
-    """These Gaussians and their neighbours; all (None) on a GPU: to learn how many they are the host would wait."""
+def _needed(
+    rows: Int64[Tensor, " v"] | None, neighbours: Int64[Tensor, "n k"]
+) -> Int64[Tensor, " m"] | None:
+    """These Gaussians and their neighbours; all (None) on a GPU: to learn how many they are the
+    host would wait."""
     return None if rows is None or rows.device.type != "cpu" else with_neighbours(rows, neighbours)
 
 
 def _check_places(name: str, places: Int64[Tensor, "..."] | None, count: int) -> None:
-    """The kernels do not look again; a GPU is not asked, because the host would wait for its answer."""
+    """The kernels do not look again; a GPU is not asked, because the host would wait for its
+    answer."""
     if places is None or places.device.type != "cpu" or places.numel() == 0:
         return
     if not (places.min() >= 0 and places.max() < count):
-        raise IndexError(f"{name} must lie in 0 to {count - 1}, but reach from {places.min()} to {places.max()}")
+        raise IndexError(
+            f"{name} must lie in 0 to {count - 1}, but reach from {places.min()} to {places.max()}"
+        )

@@ -1,7 +1,7 @@
 """Real spherical harmonics up to degree 3, with the signs and order that 3DGS stores.
 
-Band l holds m = −l … l: √2 Im Y_l^|m| for m < 0, Y_l^0, √2 Re Y_l^m for m > 0, where Y carries the Condon-Shortley
-phase (hence the minus signs of the odd m).
+Band l holds m = −l … l: √2 Im Y_l^|m| for m < 0, Y_l^0, √2 Re Y_l^m for m > 0, where Y carries the
+Condon-Shortley phase (hence the minus signs of the odd m).
 """
 
 from __future__ import annotations
@@ -20,20 +20,27 @@ C0 = math.sqrt(1 / (4 * math.pi))
 
 
 def evaluate_sh(
-    dc: Float[Tensor, "n 1 c"], rest: Float[Tensor, "n b c"], directions: Float[Tensor, "n 3"], degree: int
+    dc: Float[Tensor, "n 1 c"],
+    rest: Float[Tensor, "n b c"],
+    directions: Float[Tensor, "n 3"],
+    degree: int,
 ) -> Float[Tensor, "n c"]:
     """Sum of coefficients times basis functions; the offset of 0.5 is left to the caller.
 
     Args:
         dc: coefficients of degree 0.
-        rest: coefficients of the higher degrees; those it does not hold count as zero (B = 0, 3, 8 or 15).
-        directions: unit vectors from the camera to the Gaussians; not read when only degree 0 counts.
+        rest: coefficients of the higher degrees; those it does not hold count as zero (B = 0, 3, 8
+            or 15).
+        directions: unit vectors from the camera to the Gaussians; not read when only degree 0
+            counts.
         degree: highest degree that counts, 0 to 3.
     """
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
     constant = C0 * dc[:, 0]
     if bands == 0:
-        return constant + rest[:, :0].sum(dim=1)  # the rest has a gradient of 0 then, as from the kernels, and not none
+        return constant + rest[:, :0].sum(
+            dim=1
+        )  # the rest has a gradient of 0 then, as from the kernels, and not none
     basis = torch.stack(_basis(directions, bands), dim=1)
     return constant + torch.einsum("nb,nbc->nc", basis, rest[:, :bands])
 
@@ -50,7 +57,9 @@ def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, "
     return functions
 
 
-def _degree_two(x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]) -> list[Float[Tensor, " n"]]:
+def _degree_two(
+    x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]
+) -> list[Float[Tensor, " n"]]:
     c = math.sqrt(15 / (4 * math.pi))
     c_zonal = math.sqrt(5 / (16 * math.pi))
     return [
@@ -62,7 +71,9 @@ def _degree_two(x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor,
     ]
 
 
-def _degree_three(x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]) -> list[Float[Tensor, " n"]]:
+def _degree_three(
+    x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]
+) -> list[Float[Tensor, " n"]]:
     c3 = math.sqrt(35 / (32 * math.pi))
     c2 = math.sqrt(105 / (4 * math.pi))
     c1 = math.sqrt(21 / (32 * math.pi))

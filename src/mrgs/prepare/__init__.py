@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mrgs.prepare.check import SceneCheck, check_scene
     from mrgs.prepare.contract import LeftOut, Preparation, Progress, StageReport
     from mrgs.prepare.georeference import KnownDistance
     from mrgs.prepare.options import PrepareOptions, parse_known_distance, parse_target
@@ -20,9 +19,7 @@ _HOMES = {
     "Preparation": "contract",
     "PrepareOptions": "options",
     "Progress": "contract",
-    "SceneCheck": "check",
     "StageReport": "contract",
-    "check_scene": "check",
     "parse_known_distance": "options",
     "parse_target": "options",
     "prepare": "run",
@@ -34,9 +31,7 @@ __all__ = [
     "Preparation",
     "PrepareOptions",
     "Progress",
-    "SceneCheck",
     "StageReport",
-    "check_scene",
     "parse_known_distance",
     "parse_target",
     "prepare",

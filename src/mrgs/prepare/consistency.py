@@ -1,4 +1,5 @@
-"""Whether images agree on the points that they see: an automatic gain or exposure makes them differ."""
+"""Whether images agree on the points that they see: an automatic gain or exposure makes them
+differ."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ _FEWEST_POINTS = 30
 _MOST_POINTS = 3000
 _ROUNDS = 3
 _JUMP = 0.03
-"""Images that miss the others' values by more than this share of the set's range count as jumping, if ..."""
+"""Images that miss the others' values by more than this share of the set's range count as jumping,
+if ..."""
 
 _EXPLAINED = 0.6
 """... a change of gain and offset takes the error below this share of what it was."""
@@ -29,7 +31,8 @@ _EXPLAINED = 0.6
 
 @dataclass(frozen=True)
 class Agreement:
-    """How an image's values relate to what most images say of the same points: value ≈ gain · usual + offset.
+    """How an image's values relate to what most images say of the same points: value ≈ gain · usual
+    + offset.
 
     Attributes:
         gain: of the image.
@@ -50,7 +53,9 @@ class Agreement:
 
 
 def agreements(
-    images: Sequence[Float[np.ndarray, "..."] | None], cameras: Sequence[Camera | None], points: PointCloud
+    images: Sequence[Float[np.ndarray, "..."] | None],
+    cameras: Sequence[Camera | None],
+    points: PointCloud,
 ) -> list[Agreement | None]:
     """The agreement of each image with the others; None where it shares too few points with them.
 
@@ -72,7 +77,9 @@ def agreements(
 
 
 def _values_at_points(
-    images: Sequence[Float[np.ndarray, "..."] | None], cameras: Sequence[Camera | None], points: PointCloud
+    images: Sequence[Float[np.ndarray, "..."] | None],
+    cameras: Sequence[Camera | None],
+    points: PointCloud,
 ) -> Float[np.ndarray, "v n"]:
     """What each image shows at each point; NaN where it does not see it."""
     positions = points.positions[spread(len(points.positions), _MOST_POINTS)].double()

@@ -16,7 +16,8 @@ from mrgs.errors import SceneError
 from mrgs.scene import PointCloud
 
 Progress = Callable[[str, int, int], None]
-"""Called with a step's name, and how many of its parts are done and there are (0 of 0 where that is not known)."""
+"""Called with a step's name, and how many of its parts are done and there are (0 of 0 where that is
+not known)."""
 
 MIN_VIEWS = 3
 """A scene needs poses of so many views."""
@@ -28,7 +29,8 @@ class PhotoPair:
 
     Attributes:
         name: of the view to be; unique, a valid file stem on every system.
-        rgb: the photo in visible light; None if it lies in the thermal photo's file, or if there is none.
+        rgb: the photo in visible light; None if it lies in the thermal photo's file, or if there is
+            none.
         thermal: the thermal photo.
         embedded: whether the visible photo inside the thermal photo's file is used.
     """
@@ -82,9 +84,10 @@ class DevelopedView:
 
     Attributes:
         name: of the pair.
-        rgb: the RGB image, ``images/NAME.*`` in the scene's folder, relative to it; None in a thermal-only set.
-        thermal: the thermal image, ``thermal/NAME.*``: float32 TIFF in °C, NaN where there is no temperature; or a grey
-            8-bit PNG where the photos hold no temperatures.
+        rgb: the RGB image, ``images/NAME.*`` in the scene's folder, relative to it; None in a
+            thermal-only set.
+        thermal: the thermal image, ``thermal/NAME.*``: float32 TIFF in °C, NaN where there is no
+            temperature; or a grey 8-bit PNG where the photos hold no temperatures.
         exif: of the RGB photo, completed by that of the thermal photo.
         camera: of the thermal photo; None if the file does not say.
         range_c: the coldest and the hottest temperature, °C; None where the photo holds none.
@@ -123,11 +126,14 @@ class Reconstruction:
 
     Attributes:
         viewmats: world to camera, OpenCV axes, [4, 4], by the view's name; registered views only.
-        lenses: the lens of each registered view, for its image as it is; views of one camera share theirs.
+        lenses: the lens of each registered view, for its image as it is; views of one camera share
+            theirs.
         points: what was triangulated.
-        visible: for each registered view, the indices of the points that it saw; None if that is not known.
+        visible: for each registered view, the indices of the points that it saw; None if that is
+            not known.
         failed: views without a pose, and why.
-        reprojection_px: mean distance of the points from where they were seen; None if that is not known.
+        reprojection_px: mean distance of the points from where they were seen; None if that is not
+            known.
         source: how the poses were found, one sentence.
         images: which images the poses belong to.
         warnings: sentences that the user should read.
@@ -146,7 +152,8 @@ class Reconstruction:
 
 @dataclass(frozen=True, eq=False)
 class Georeference:
-    """A similarity from the world of the poses to the scene's world: x' = scale · rotation x + translation.
+    """A similarity from the world of the poses to the scene's world: x' = scale · rotation x +
+    translation.
 
     Attributes:
         scale: new lengths over old ones.

@@ -1,4 +1,5 @@
-"""Photos in, the scene's images out: RGB as the camera wrote it, and float32 °C where the thermal photo holds them."""
+"""Photos in, the scene's images out: RGB as the camera wrote it, and float32 °C where the thermal
+photo holds them."""
 
 from __future__ import annotations
 
@@ -13,7 +14,6 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from mrgs.atomic import remove, replacing
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, ThermalPhoto, read_exif, read_thermal_photo
 from mrgs.data.radiometric.measurement import PARAMETER_LIMITS
@@ -21,6 +21,7 @@ from mrgs.errors import SceneError
 from mrgs.prepare.contract import DevelopedView, Development, LeftOut, Pairing, PhotoPair, Progress
 from mrgs.prepare.rgb_photo import RgbPhoto, common_orientation, read_embedded, read_rgb, turned
 from mrgs.prepare.store import fingerprint, load, save
+from mrgs.system.atomic import remove, replacing
 
 FOLDERS = ("images", "thermal")
 RECORDS = Path("prepare", "photos")
@@ -69,21 +70,24 @@ def develop(
 ) -> Development:
     """Read all photos, and write them into ``images`` and ``thermal`` of the scene's folder.
 
-    What an earlier call wrote is kept where the photos and the overrides are the same. A pair with a photo that cannot
-    be read is left out. The unit of numbers, if no one says it, and the orientation are one for all photos.
+    What an earlier call wrote is kept where the photos and the overrides are the same. A pair with
+    a photo that cannot be read is left out. The unit of numbers, if no one says it, and the
+    orientation are one for all photos.
 
     Args:
         pairing: the photos; they are only read.
-        scene: the scene's folder, made if need be. It is the program's own: images of views' names are replaced.
+        scene: the scene's folder, made if need be. It is the program's own: images of views' names
+            are replaced.
         overrides: what the user knows better than the thermal photos.
         progress: told about each view.
-        turns: turn the images upright by their EXIF orientation; else they stay as they are stored, as given poses and
-            lenses take them.
+        turns: turn the images upright by their EXIF orientation; else they stay as they are stored,
+            as given poses and lenses take them.
 
     Raises:
-        SceneError: no photo can be used, the photos lie where the scene's images go, or are of different cameras.
-        RunError: the scene's folder cannot be written (permissions, a full disk); what is there is whole, and the next
-            call goes on.
+        SceneError: no photo can be used, the photos lie where the scene's images go, or are of
+            different cameras.
+        RunError: the scene's folder cannot be written (permissions, a full disk); what is there is
+            whole, and the next call goes on.
     """
     _check_apart(pairing, scene)
     photos = _Set(
@@ -121,15 +125,20 @@ def _check_apart(pairing: Pairing, scene: Path) -> None:
         SceneError: one does.
     """
     own = [(scene / name).resolve() for name in (*FOLDERS, RECORDS)]
-    for path in (path for pair in pairing.pairs for path in (pair.rgb, pair.thermal) if path is not None):
+    for path in (
+        path for pair in pairing.pairs for path in (pair.rgb, pair.thermal) if path is not None
+    ):
         if any(path.resolve().is_relative_to(folder) for folder in own):
             raise scene_error(
-                path, f"lies where the images of {scene} are written; choose another folder for the scene"
+                path,
+                f"lies where the images of {scene} are written; choose another folder for the "
+                f"scene",
             )
 
 
 def _units(pairing: Pairing, overrides: Overrides) -> dict[str, str]:
-    """The unit of the first photo of each format that can be read, so that it is not guessed for each photo anew."""
+    """The unit of the first photo of each format that can be read, so that it is not guessed for
+    each photo anew."""
     units: dict[str, str] = {}
     known = set[str]()
     if overrides.unit is not None or overrides.bounds_c is not None:
@@ -156,7 +165,9 @@ def _developed(pair: PhotoPair, photos: _Set) -> Record:
     """
     stamp = _stamp(pair)
     overrides = photos.overrides_for(pair)
-    made_from = fingerprint(_VERSION, stamp, pair.embedded, overrides, photos.rgb_turn, photos.thermal_turn)
+    made_from = fingerprint(
+        _VERSION, stamp, pair.embedded, overrides, photos.rgb_turn, photos.thermal_turn
+    )
     file = _record_file(photos.scene, pair.name)
     known = load(file, Record, made_from)
     if known is not None and all((photos.scene / name).is_file() for name in _files(known.value)):
@@ -164,7 +175,8 @@ def _developed(pair: PhotoPair, photos: _Set) -> Record:
     rgb, thermal, exif = _read(pair, photos)
     if _stamp(pair) != stamp:
         raise scene_error(
-            pair.thermal, "this photo or its RGB photo changed while it was read; wait until it is copied"
+            pair.thermal,
+            "this photo or its RGB photo changed while it was read; wait until it is copied",
         )
     record = _written(pair, rgb, thermal, exif, photos)
     save(file, record, made_from)
@@ -204,7 +216,8 @@ def _read(pair: PhotoPair, photos: _Set) -> tuple[RgbPhoto | None, ThermalPhoto,
     elif pair.embedded:
         if facts.visible is None:
             raise scene_error(
-                pair.thermal, "holds no visible photo, while others do; leave it out, or add its RGB photo"
+                pair.thermal,
+                "holds no visible photo, while others do; leave it out, or add its RGB photo",
             )
         rgb = read_embedded(facts.visible, photos.thermal_turn)
     exif = rgb.exif if rgb is not None else ExifFacts()
@@ -219,7 +232,9 @@ def _completed(exif: ExifFacts, by: ExifFacts) -> ExifFacts:
     return ExifFacts(make, model, exif.taken or by.taken, exif.gps or by.gps)
 
 
-def _written(pair: PhotoPair, rgb: RgbPhoto | None, thermal: ThermalPhoto, exif: ExifFacts, photos: _Set) -> Record:
+def _written(
+    pair: PhotoPair, rgb: RgbPhoto | None, thermal: ThermalPhoto, exif: ExifFacts, photos: _Set
+) -> Record:
     """The record of the images, which are written.
 
     Raises:
@@ -279,7 +294,8 @@ def _remove_others(scene: Path, names: set[str]) -> None:
 
 
 def _remove(scene: Path, name: str, keep: Iterable[str | None] = ()) -> None:
-    """Remove a view's images, but for those to keep: one of another format would be taken for the view's, too."""
+    """Remove a view's images, but for those to keep: one of another format would be taken for the
+    view's, too."""
     kept = {scene / path for path in keep if path is not None}
     for folder in FOLDERS:
         for suffix in (".jpg", ".png", ".tiff"):
@@ -294,7 +310,9 @@ def _of_one_kind(records: Sequence[Record]) -> tuple[list[Record], list[LeftOut]
     if not with_c or len(with_c) == len(records):
         return list(records), []
     reason = "its thermal photo holds no temperatures, while those of others do"
-    return with_c, [LeftOut(record.view.name, reason) for record in records if record.view.range_c is None]
+    return with_c, [
+        LeftOut(record.view.name, reason) for record in records if record.view.range_c is None
+    ]
 
 
 def _check_sizes(records: Sequence[Record], pairing: Pairing) -> None:
@@ -304,7 +322,10 @@ def _check_sizes(records: Sequence[Record], pairing: Pairing) -> None:
         SceneError: two photos of a kind have different sizes.
     """
     photo = {pair.name: pair for pair in pairing.pairs}
-    size_of: tuple[Callable[[Record], tuple[int, int] | None], ...] = (lambda r: r.rgb_size, lambda r: r.thermal_size)
+    size_of: tuple[Callable[[Record], tuple[int, int] | None], ...] = (
+        lambda r: r.rgb_size,
+        lambda r: r.thermal_size,
+    )
     for what, size in zip(("RGB", "thermal"), size_of, strict=True):
         groups: dict[tuple[int, int] | None, list[Record]] = {}
         for record in records:
@@ -312,11 +333,15 @@ def _check_sizes(records: Sequence[Record], pairing: Pairing) -> None:
         if len(groups) > 1:
             most, other = sorted(groups.values(), key=len, reverse=True)[:2]
             one, two = (photo[group[0].view.name] for group in (most, other))
-            first, second = ((pair.rgb or pair.thermal) if what == "RGB" else pair.thermal for pair in (one, two))
+            first, second = (
+                (pair.rgb or pair.thermal) if what == "RGB" else pair.thermal for pair in (one, two)
+            )
             raise scene_error(
                 second,
-                f"its {what} image has {_text(size(other[0]))} pixels, while {len(most)} such as {first.name} have "
-                f"{_text(size(most[0]))}; photos of two cameras cannot be one scene, remove those of one",
+                f"its {what} image has {_text(size(other[0]))} pixels, while {len(most)} such as "
+                f"{first.name} have "
+                f"{_text(size(most[0]))}; photos of two cameras cannot be one scene, remove those "
+                f"of one",
             )
 
 
@@ -328,10 +353,13 @@ def _warnings(records: Sequence[Record]) -> tuple[str, ...]:
     """What is to be said about the whole set."""
     found = []
     for name in PARAMETER_LIMITS:
-        values = {round(record.parameters[name], 4) for record in records if record.parameters is not None}
+        values = {
+            round(record.parameters[name], 4) for record in records if record.parameters is not None
+        }
         if len(values) > 1:
             found.append(
-                f"{name} differs between the photos ({min(values):g} to {max(values):g}): one surface then has several "
+                f"{name} differs between the photos ({min(values):g} to {max(values):g}): one "
+                f"surface then has several "
                 "temperatures. Give one value for all."
             )
     return tuple(found)

@@ -1,7 +1,9 @@
-"""Positions on Earth in metres: WGS 84, Earth-centred coordinates (ECEF), and east, north, up at a place (ENU).
+"""Positions on Earth in metres: WGS 84, Earth-centred coordinates (ECEF), and east, north, up at a
+place (ENU).
 
-National Imagery and Mapping Agency, TR8350.2, "World Geodetic System 1984". EXIF gives heights above sea level; they
-are used as heights above the ellipsoid: the difference, at most 100 m, moves the origin up and changes lengths by 2e-5.
+National Imagery and Mapping Agency, TR8350.2, "World Geodetic System 1984". EXIF gives heights
+above sea level; they are used as heights above the ellipsoid: the difference, at most 100 m, moves
+the origin up and changes lengths by 2e-5.
 """
 
 from __future__ import annotations
@@ -32,7 +34,13 @@ def enu(positions: Sequence[GpsPosition], origin: GpsPosition) -> Float64[np.nda
     """Metres east, north and up of ``origin``, in its tangent plane."""
     latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
-    up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+    up = np.array(
+        [
+            np.cos(latitude) * np.cos(longitude),
+            np.cos(latitude) * np.sin(longitude),
+            np.sin(latitude),
+        ]
+    )
     axes = np.stack([east, np.cross(up, east), up])
     offsets = np.array([ecef(position) for position in positions]) - ecef(origin)
     return np.einsum("ij,nj->ni", axes, offsets)

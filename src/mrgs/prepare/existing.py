@@ -12,7 +12,13 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.capture import Notes
-from mrgs.data.colmap_model import MODEL_FOLDERS, ColmapModel, find_model, read_images, read_points3d
+from mrgs.data.colmap_model import (
+    MODEL_FOLDERS,
+    ColmapModel,
+    find_model,
+    read_images,
+    read_points3d,
+)
 from mrgs.data.files import is_file, scene_error, without_image_suffix
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
@@ -37,8 +43,8 @@ class _Pose:
 def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     """The poses in a folder, for images with the same names (extensions and folders may differ).
 
-    Understood are a ``transforms.json`` with its images, and COLMAP's models, as in ``mrgs.data``. Where an image is
-    larger or smaller than the one in the file, the lens is scaled.
+    Understood are a ``transforms.json`` with its images, and COLMAP's models, as in ``mrgs.data``.
+    Where an image is larger or smaller than the one in the file, the lens is scaled.
 
     Args:
         folder: with the poses, or a transforms file.
@@ -60,15 +66,21 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
         theirs = ", ".join(sorted(by_stem)[:3])
         raise scene_error(
             folder,
-            f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and {MIN_VIEWS} are needed; "
+            f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and "
+            f"{MIN_VIEWS} are needed; "
             f"the names there are like {theirs}: give the poses of these photos",
         )
     warnings = tuple(notes.mended)
     if points is None:
         points = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
-        warnings += (f"{what} has no points: the thermal camera cannot be found from the photos without them.",)
+        warnings += (
+            f"{what} has no points: the thermal camera cannot be found from the photos without "
+            f"them.",
+        )
     source = f"The poses of {len(viewmats)} of {len(images)} photos are those of {what}."
-    return Reconstruction(viewmats, lenses, points, None, tuple(failed), None, source, warnings=warnings)
+    return Reconstruction(
+        viewmats, lenses, points, None, tuple(failed), None, source, warnings=warnings
+    )
 
 
 def _read(folder: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
@@ -83,13 +95,18 @@ def _read(folder: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]
     model = find_model(root) or _model_itself(root)
     if model is None:
         looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
-        raise scene_error(folder, f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one")
+        raise scene_error(
+            folder,
+            f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one",
+        )
     notes = Notes()
     poses = [_Pose(_stem(image.name), image.lens, image.viewmat) for image in read_images(model)]
     return poses, point_cloud(*read_points3d(model), notes), model.file("images").name, notes
 
 
-def _from_transforms(root: Path, file: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
+def _from_transforms(
+    root: Path, file: Path
+) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
     capture = read_transforms(root, file)
     poses = []
     for shot in capture.shots:
@@ -116,7 +133,9 @@ def _unique(poses: Sequence[_Pose], folder: Path) -> dict[str, _Pose]:
     counts = Counter(pose.stem for pose in poses)
     if several := sorted(stem for stem, count in counts.items() if count > 1):
         raise scene_error(
-            folder, f"has several poses named {', '.join(several[:3])}; give each photo a name of its own in it"
+            folder,
+            f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
+            f"in it",
         )
     return {pose.stem: pose for pose in poses}
 
@@ -131,7 +150,8 @@ def _scaled(lens: Lens, path: Path) -> Lens:
     across, down = info.width / lens.width, info.height / lens.height
     if abs(across / down - 1) > _ASPECT_TOLERANCE:
         raise SceneError(
-            f"{path} is {info.width}×{info.height} px, but its pose is for {lens.width}×{lens.height} px; "
+            f"{path} is {info.width}×{info.height} px, but its pose is for "
+            f"{lens.width}×{lens.height} px; "
             "give the photos as they were when the poses were made, not cropped"
         )
     return replace(

@@ -1,4 +1,5 @@
-"""Scale and north of a reconstruction: from GPS, from a known distance, or guessed from how the cameras were held."""
+"""Scale and north of a reconstruction: from GPS, from a known distance, or guessed from how the
+cameras were held."""
 
 from __future__ import annotations
 
@@ -26,20 +27,24 @@ def georeference(
     *,
     as_given: bool = False,
 ) -> Georeference:
-    """The similarity to a world with z up, in metres and with x east and y north where that can be known.
+    """The similarity to a world with z up, in metres and with x east and y north where that can be
+    known.
 
     Args:
         reconstruction: poses in any world.
         gps: positions of photos by view; those of views without a pose are ignored.
         known: a length in a photo; it decides the scale, also against GPS.
-        as_given: the poses come from the user, who knows their world: ``known`` sets the scale, and else they stay.
+        as_given: the poses come from the user, who knows their world: ``known`` sets the scale, and
+            else they stay.
 
     Raises:
         SceneError: the known distance cannot be carried into the reconstruction.
     """
     scale = None if known is None else known.metres / length_of(known, reconstruction)
     if as_given:
-        return _without_gps(Similarity(1.0, np.eye(3), np.zeros(3)), scale, "The axes are those of the given poses.")
+        return _without_gps(
+            Similarity(1.0, np.eye(3), np.zeros(3)), scale, "The axes are those of the given poses."
+        )
     level = levelled(reconstruction)
     positions = {name: gps[name] for name in sorted(gps) if name in reconstruction.viewmats}
     warnings: tuple[str, ...] = ()
@@ -48,12 +53,18 @@ def georeference(
             return place_by_gps(reconstruction, positions, level, scale)
         except UnusableGpsError as reason:
             warnings = (f"The GPS positions are not used: {reason}.",)
-    return _without_gps(level, scale, "North is not known; up is guessed from how the cameras were held.", warnings)
+    return _without_gps(
+        level, scale, "North is not known; up is guessed from how the cameras were held.", warnings
+    )
 
 
 def apply(georeference: Georeference, reconstruction: Reconstruction) -> Reconstruction:
     """The reconstruction in the new world: poses and points moved."""
-    rotation, translation, scale = georeference.rotation, georeference.translation, georeference.scale
+    rotation, translation, scale = (
+        georeference.rotation,
+        georeference.translation,
+        georeference.scale,
+    )
     viewmats = {}
     for name, viewmat in reconstruction.viewmats.items():
         moved = torch.eye(4, dtype=torch.float64)
@@ -69,7 +80,9 @@ def _without_gps(
     similarity: Similarity, scale: float | None, text: str, warnings: tuple[str, ...] = ()
 ) -> Georeference:
     factor = 1.0 if scale is None else scale
-    says = "The scale is arbitrary." if scale is None else "The scale is that of the known distance."
+    says = (
+        "The scale is arbitrary." if scale is None else "The scale is that of the known distance."
+    )
     return Georeference(
         scale=factor,
         rotation=torch.from_numpy(similarity.rotation),

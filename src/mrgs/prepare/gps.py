@@ -18,17 +18,21 @@ from mrgs.prepare.levelling import centres
 from mrgs.prepare.similarity import RobustFit, Similarity, fit_robustly
 
 MIN_POSITIONS = 4
-"""Three positions fit a similarity rather well whatever they are; the fourth tells whether they are to be trusted."""
+"""Three positions fit a similarity rather well whatever they are; the fourth tells whether they are
+to be trusted."""
 
 MAX_SCALE_ERROR = 0.05
 MAX_TURN_DEG = 5.0
-"""GPS is not used where it leaves more than this open (one standard deviation, stated cautiously)."""
+"""GPS is not used where it leaves more than this open (one standard deviation, stated
+cautiously)."""
 
 LEAST_NOISE_M = 0.03
-"""Positions in EXIF are not better than this, whatever their residuals say: some phones repeat their last one."""
+"""Positions in EXIF are not better than this, whatever their residuals say: some phones repeat
+their last one."""
 
 DISAGREEMENT = 0.1
-"""Of the scale by GPS and that by a known distance, before the user is warned: one of them is a mistake."""
+"""Of the scale by GPS and that by a known distance, before the user is warned: one of them is a
+mistake."""
 
 
 class UnusableGpsError(Exception):
@@ -36,12 +40,15 @@ class UnusableGpsError(Exception):
 
 
 def place_by_gps(
-    reconstruction: Reconstruction, gps: Mapping[str, GpsPosition], level: Similarity, scale: float | None
+    reconstruction: Reconstruction,
+    gps: Mapping[str, GpsPosition],
+    level: Similarity,
+    scale: float | None,
 ) -> Georeference:
     """The similarity to metres east, north and up of the middle one of the positions.
 
-    Without heights, and where the cameras stand on a line about which the positions leave the rotation open, ``level``
-    tells the vertical, and the positions the rest.
+    Without heights, and where the cameras stand on a line about which the positions leave the
+    rotation open, ``level`` tells the vertical, and the positions the rest.
 
     Args:
         reconstruction: poses in any world.
@@ -53,7 +60,9 @@ def place_by_gps(
         UnusableGpsError: too few positions, or too much noise for how far the cameras are apart.
     """
     if len(gps) < MIN_POSITIONS:
-        raise UnusableGpsError(f"{len(gps)} of the photos with a pose have one, and {MIN_POSITIONS} are needed")
+        raise UnusableGpsError(
+            f"{len(gps)} of the photos with a pose have one, and {MIN_POSITIONS} are needed"
+        )
     with_height = {name: place for name, place in gps.items() if place.altitude_m is not None}
     reason = "the GPS positions have no heights"
     if len(with_height) >= max(MIN_POSITIONS, len(gps) / 2):
@@ -64,12 +73,15 @@ def place_by_gps(
     solution = _on_the_plane(reconstruction, gps, level, scale is None)
     if solution.turn_deg > MAX_TURN_DEG:
         raise UnusableGpsError(_too_close(solution))
-    return _georeference(solution, scale, (f"The vertical is guessed from how the cameras were held: {reason}.",))
+    return _georeference(
+        solution, scale, (f"The vertical is guessed from how the cameras were held: {reason}.",)
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """A fit, and what it leaves open: one standard deviation of the scale (a share of it) and of the rotation."""
+    """A fit, and what it leaves open: one standard deviation of the scale (a share of it) and of
+    the rotation."""
 
     similarity: Similarity
     fit: RobustFit
@@ -80,7 +92,9 @@ class _Solution:
     turn_deg: float
 
 
-def _in_space(reconstruction: Reconstruction, gps: Mapping[str, GpsPosition], scale_matters: bool) -> _Solution:
+def _in_space(
+    reconstruction: Reconstruction, gps: Mapping[str, GpsPosition], scale_matters: bool
+) -> _Solution:
     source, origin = centres(reconstruction, gps), _middle(list(gps.values()))
     target = enu(list(gps.values()), origin)
     fit = fit_robustly(source, target)
@@ -88,9 +102,13 @@ def _in_space(reconstruction: Reconstruction, gps: Mapping[str, GpsPosition], sc
 
 
 def _on_the_plane(
-    reconstruction: Reconstruction, gps: Mapping[str, GpsPosition], level: Similarity, scale_matters: bool
+    reconstruction: Reconstruction,
+    gps: Mapping[str, GpsPosition],
+    level: Similarity,
+    scale_matters: bool,
 ) -> _Solution:
-    """The heights of the positions are not used; the cameras' own are counted from their middle one."""
+    """The heights of the positions are not used; the cameras' own are counted from their middle
+    one."""
     upright, origin = level(centres(reconstruction, gps)), _middle(list(gps.values()))
     target = enu(list(gps.values()), origin)[:, :2]
     fit = fit_robustly(upright[:, :2], target)
@@ -111,14 +129,17 @@ def _solution(
     origin: GpsPosition,
     scale_matters: bool,
 ) -> _Solution:
-    """The errors of a least-squares similarity follow from the cameras' spread about their mean and about their line.
+    """The errors of a least-squares similarity follow from the cameras' spread about their mean and
+    about their line.
 
     The noise is that which nine of ten samples with these residuals do not exceed.
 
     Raises:
         UnusableGpsError: the scale is left open.
     """
-    noise_m = max(fit.sigma * math.sqrt(fit.freedom / (2 * gammaincinv(fit.freedom / 2, 0.1))), LEAST_NOISE_M)
+    noise_m = max(
+        fit.sigma * math.sqrt(fit.freedom / (2 * gammaincinv(fit.freedom / 2, 0.1))), LEAST_NOISE_M
+    )
     moved = fit.similarity(source)
     placed = moved[fit.inliers]
     squares = np.linalg.svd(placed - placed.mean(axis=0), compute_uv=False) ** 2
@@ -139,23 +160,34 @@ def _solution(
 
 def _too_close(solution: _Solution) -> str:
     return (
-        f"they are {np.median(solution.residuals_m):.2g} m (median) off the cameras, which are too close together for "
+        f"they are {np.median(solution.residuals_m):.2g} m (median) off the cameras, which are "
+        f"too close together for "
         f"that ({solution.spread_m:.2g} m about their middle)"
     )
 
 
-def _georeference(solution: _Solution, scale: float | None, warnings: tuple[str, ...]) -> Georeference:
+def _georeference(
+    solution: _Solution, scale: float | None, warnings: tuple[str, ...]
+) -> Georeference:
     inliers, similarity = solution.fit.inliers, solution.similarity
     if not inliers.all():
         outliers = int((~inliers).sum())
-        warnings += (f"{outliers} of {len(inliers)} GPS positions disagree with the others and are left out.",)
+        warnings += (
+            f"{outliers} of {len(inliers)} GPS positions disagree with the others and are left "
+            f"out.",
+        )
     ratio = 1.0 if scale is None else scale / similarity.scale
     if abs(math.log(ratio)) > DISAGREEMENT:
-        warnings += (f"The known distance makes the scene {ratio:.2g} times as large as GPS does; check it.",)
+        warnings += (
+            f"The known distance makes the scene {ratio:.2g} times as large as GPS does; check it.",
+        )
     residual_m = float(np.median(solution.residuals_m))
     what = "metres and the axes east, north, up" if scale is None else "the axes east, north, up"
     used = int(inliers.sum())
-    text = f"The GPS positions of {used} photos give {what}; the cameras are {residual_m:.2g} m off them (median)."
+    text = (
+        f"The GPS positions of {used} photos give {what}; the cameras are {residual_m:.2g} m "
+        f"off them (median)."
+    )
     return Georeference(
         scale=ratio * similarity.scale,
         rotation=torch.from_numpy(similarity.rotation),

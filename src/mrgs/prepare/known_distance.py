@@ -1,4 +1,5 @@
-"""A length that the user knows, between two pixels of a photo, in the units of the reconstruction."""
+"""A length that the user knows, between two pixels of a photo, in the units of the
+reconstruction."""
 
 from __future__ import annotations
 
@@ -42,18 +43,20 @@ class KnownDistance:
 def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
     """The known distance in the reconstruction's units.
 
-    Each end lies on its pixel's ray, as deep as the surface through the triangulated points around it.
+    Each end lies on its pixel's ray, as deep as the surface through the triangulated points around
+    it.
 
     Raises:
-        SceneError: the view has no pose, a pixel is outside of its image, no points are near one, they lie at many
-            depths, or the length is 0 or not finite.
+        SceneError: the view has no pose, a pixel is outside of its image, no points are near one,
+            they lie at many depths, or the length is 0 or not finite.
     """
     if not (math.isfinite(known.metres) and known.metres > 0):
         raise SceneError(f"the known distance is {known.metres:g} m; it must be longer than 0 m")
     if known.view not in reconstruction.viewmats:
         some = ", ".join(sorted(reconstruction.viewmats)[:5])
         raise SceneError(
-            f"the known distance is given in {known.view}, which has no pose; give it in another: {some}, …"
+            f"the known distance is given in {known.view}, which has no pose; give it in another: "
+            f"{some}, …"
         )
     points, pixels = _seen_points(known.view, reconstruction)
     lens = reconstruction.lenses[known.view]
@@ -63,7 +66,10 @@ def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
     ]
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not length > 1e-9 * float(np.linalg.norm(ends[0])):
-        raise SceneError(f"the two ends of the known distance in {known.view} are one point; give two different pixels")
+        raise SceneError(
+            f"the two ends of the known distance in {known.view} are one point; give two "
+            f"different pixels"
+        )
     return length
 
 
@@ -93,24 +99,35 @@ def _place(
     """Where the ray of a pixel meets the surface, in the camera's axes."""
     where = f"pixel ({pixel[0]:g}, {pixel[1]:g}) of {view}"
     if not ((pixel >= 0) & (pixel <= [lens.width, lens.height])).all():
-        raise SceneError(f"{where} is outside of the image of {lens.width}×{lens.height} px; give one inside")
+        raise SceneError(
+            f"{where} is outside of the image of {lens.width}×{lens.height} px; give one inside"
+        )
     distances = np.linalg.norm(pixels - pixel, axis=1)
     nearest = np.argsort(distances, kind="stable")[:NEIGHBOURS]
     nearest = nearest[distances[nearest] <= _SEARCH_SHARE * max(lens.width, lens.height)]
     if len(nearest) < _MIN_NEIGHBOURS:
-        raise SceneError(f"{where} has no reconstructed points near it; choose one on a surface with more detail")
+        raise SceneError(
+            f"{where} has no reconstructed points near it; choose one on a surface with more detail"
+        )
     inverse_depth, scatter = _surface(pixels[nearest] - pixel, 1 / points[nearest, 2])
     if not (inverse_depth > 0 and scatter <= _MAX_SCATTER):
-        raise SceneError(f"{where} lies where near and far surfaces meet; choose one that is well inside a surface")
-    x, y = lens.undistort(np.array([(pixel[0] - lens.cx) / lens.fx]), np.array([(pixel[1] - lens.cy) / lens.fy]))
+        raise SceneError(
+            f"{where} lies where near and far surfaces meet; choose one that is well inside a "
+            f"surface"
+        )
+    x, y = lens.undistort(
+        np.array([(pixel[0] - lens.cx) / lens.fx]), np.array([(pixel[1] - lens.cy) / lens.fy])
+    )
     return np.array([x[0], y[0], 1.0]) / inverse_depth
 
 
-def _surface(offsets: Float64[np.ndarray, "n 2"], inverse_depths: Float64[np.ndarray, " n"]) -> tuple[float, float]:
+def _surface(
+    offsets: Float64[np.ndarray, "n 2"], inverse_depths: Float64[np.ndarray, " n"]
+) -> tuple[float, float]:
     """1/depth at offset 0, and the deviation relative to it that most points do not exceed.
 
-    A plane's 1/depth is linear in the pixel; with few points it is taken as constant. Least absolute deviations, by
-    reweighting.
+    A plane's 1/depth is linear in the pixel; with few points it is taken as constant. Least
+    absolute deviations, by reweighting.
     """
     columns = offsets if len(offsets) >= NEIGHBOURS // 2 else offsets[:, :0]
     design = np.column_stack([np.ones(len(offsets)), columns / max(np.abs(offsets).max(), 1e-9)])

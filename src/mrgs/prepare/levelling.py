@@ -21,7 +21,8 @@ def centres(reconstruction: Reconstruction, names: Iterable[str]) -> Float64[np.
 
 
 def levelled(reconstruction: Reconstruction) -> Similarity:
-    """Turns z up, and y to where the cameras look on average; the origin is amid the points, and the scale stays."""
+    """Turns z up, and y to where the cameras look on average; the origin is amid the points, and
+    the scale stays."""
     up = up_of_cameras(reconstruction)
     forward = _axes(reconstruction)[:, 2].mean(axis=0)
     ahead = forward - (forward * up).sum() * up
@@ -36,10 +37,11 @@ def levelled(reconstruction: Reconstruction) -> Similarity:
 
 
 def up_of_cameras(reconstruction: Reconstruction) -> Float64[np.ndarray, "3"]:
-    """The unit vector that is square to the rows of all photos, and else up in most of them, however tilted they are.
+    """The unit vector that is square to the rows of all photos, and else up in most of them,
+    however tilted they are.
 
-    It minimises Σ (u · right_i)² + w Σ |u − up_i|². Cameras that look straight down from changing headings have no up
-    in common: there it is against their view.
+    It minimises Σ (u · right_i)² + w Σ |u − up_i|². Cameras that look straight down from changing
+    headings have no up in common: there it is against their view.
     """
     axes = _axes(reconstruction)
     right, up, forward = axes[:, 0], -axes[:, 1].mean(axis=0), axes[:, 2].mean(axis=0)

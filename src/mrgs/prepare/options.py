@@ -22,8 +22,10 @@ class PrepareOptions:
         pairs: how the photos of one moment are told; ``thermal`` leaves the RGB photos out.
         pair_table: a CSV with the pairs; None for none.
         tolerance_s: photos farther apart in time are no pair, seconds.
-        poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None to find their poses.
-        one_camera: the two images of a pair show the same pixel for pixel: no thermal camera is looked for.
+        poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None to find
+            their poses.
+        one_camera: the two images of a pair show the same pixel for pixel: no thermal camera is
+            looked for.
         thermal_fov_deg: horizontal field of view of the thermal camera, from its data sheet.
         thermal_camera: a file with its lens, its offset, or both (``read_thermal_camera``).
         target: a chessboard that both cameras see.
@@ -49,11 +51,14 @@ class PrepareOptions:
     def __post_init__(self) -> None:
         if self.thermal_fov_deg is not None and not 1 <= self.thermal_fov_deg <= 150:
             raise ConfigError(
-                f"a horizontal field of view of {self.thermal_fov_deg:g}° is not between 1° and 150°; "
+                f"a horizontal field of view of {self.thermal_fov_deg:g}° is not between 1° and "
+                f"150°; "
                 "take it from the thermal camera's data sheet"
             )
         if self.eval_every != 0 and self.eval_every < 2:
-            raise ConfigError(f"one in {self.eval_every} views cannot be held out; give 2 or more, or 0 for none")
+            raise ConfigError(
+                f"one in {self.eval_every} views cannot be held out; give 2 or more, or 0 for none"
+            )
         others = {
             "--thermal-fov": self.thermal_fov_deg,
             "--thermal-camera": self.thermal_camera,
@@ -61,7 +66,9 @@ class PrepareOptions:
         }
         given = [name for name, value in others.items() if value is not None]
         if self.one_camera and given:
-            raise ConfigError(f"--one-camera and {given[0]} exclude each other; give one of the two")
+            raise ConfigError(
+                f"--one-camera and {given[0]} exclude each other; give one of the two"
+            )
 
 
 def parse_target(corners: str, square_m: float) -> ChessboardTarget:
@@ -71,7 +78,9 @@ def parse_target(corners: str, square_m: float) -> ChessboardTarget:
         ConfigError: not two numbers, or no chessboard.
     """
     if not (counts := re.fullmatch(r"(\d{1,3})[x×](\d{1,3})", corners)):
-        raise ConfigError(f"--target {corners}: write the inner corners along and across, for instance 7x6")
+        raise ConfigError(
+            f"--target {corners}: write the inner corners along and across, for instance 7x6"
+        )
     return ChessboardTarget((int(counts[1]), int(counts[2])), square_m)
 
 
@@ -81,11 +90,17 @@ def parse_known_distance(first: str, second: str, metres: float) -> KnownDistanc
     Raises:
         ConfigError: no view with a pixel, two views, or no distance.
     """
-    ends = [re.fullmatch(r"(.+):(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)", text) for text in (first, second)]
+    ends = [
+        re.fullmatch(r"(.+):(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)", text) for text in (first, second)
+    ]
     for text, end in zip((first, second), ends, strict=True):
         if end is None:
-            raise ConfigError(f"--known-distance {text}: write NAME:X,Y, for instance IR_0001:120,85")
+            raise ConfigError(
+                f"--known-distance {text}: write NAME:X,Y, for instance IR_0001:120,85"
+            )
     (view, *a), (other, *b) = (end.groups() for end in ends if end is not None)
     if view != other:
-        raise ConfigError(f"--known-distance: both pixels must be of one view, not of {view} and {other}")
+        raise ConfigError(
+            f"--known-distance: both pixels must be of one view, not of {view} and {other}"
+        )
     return KnownDistance(view, (float(a[0]), float(a[1])), (float(b[0]), float(b[1])), metres)

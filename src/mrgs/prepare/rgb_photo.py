@@ -1,4 +1,5 @@
-"""An RGB photo as it goes into the scene: as the camera wrote it where that can be used, else turned or converted."""
+"""An RGB photo as it goes into the scene: as the camera wrote it where that can be used, else
+turned or converted."""
 
 from __future__ import annotations
 
@@ -77,8 +78,8 @@ def turned(image: Image.Image, orientation: int) -> Image.Image:
 def read_rgb(path: Path, turn: int) -> RgbPhoto:
     """A photo, turned as one with the EXIF orientation ``turn``, whatever its own says.
 
-    A photo that needs no turning keeps its bytes; another keeps its format and quality, and of its EXIF
-    the camera, the focal length and the time.
+    A photo that needs no turning keeps its bytes; another keeps its format and quality, and of its
+    EXIF the camera, the focal length and the time.
 
     Raises:
         SceneError: not a JPEG, PNG or TIFF image, damaged, cut off or too large.
@@ -91,7 +92,9 @@ def read_rgb(path: Path, turn: int) -> RgbPhoto:
     if suffix is not None and turn == own == 1:
         return RgbPhoto(data, suffix, image.size, exif)
     upright = turned(image, turn)
-    return RgbPhoto(_encoded(upright, image, suffix or ".png"), suffix or ".png", upright.size, exif)
+    return RgbPhoto(
+        _encoded(upright, image, suffix or ".png"), suffix or ".png", upright.size, exif
+    )
 
 
 def read_embedded(visible: VisibleImage, turn: int) -> RgbPhoto:
@@ -114,12 +117,15 @@ def _decoded(data: bytes, path: Path) -> Image.Image:
             image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF"))
             image.load()
     except Exception as error:  # Pillow raises almost anything where files are damaged
-        raise scene_error(path, f"cannot be decoded as an image ({error}); copy it from the camera again") from None
+        raise scene_error(
+            path, f"cannot be decoded as an image ({error}); copy it from the camera again"
+        ) from None
     return image
 
 
 def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
-    """The image as a file; a JPEG with the quality of the original, and with what is kept of its EXIF."""
+    """The image as a file; a JPEG with the quality of the original, and with what is kept of its
+    EXIF."""
     file = io.BytesIO()
     if suffix == ".jpg" and isinstance(original, JpegImagePlugin.JpegImageFile):
         sampling = JpegImagePlugin.get_sampling(original)
@@ -154,9 +160,13 @@ def _kept_exif(original: Image.Image) -> bytes:
                 _FOCAL_LENGTH: _focal_length_mm(photo.get(_FOCAL_LENGTH)),
                 _FOCAL_LENGTH_35MM: _short(photo.get(_FOCAL_LENGTH_35MM)),
             }
-            kept.get_ifd(_EXIF_IFD).update({tag: value for tag, value in details.items() if value is not None})
+            kept.get_ifd(_EXIF_IFD).update(
+                {tag: value for tag, value in details.items() if value is not None}
+            )
             return kept.tobytes()
-    except Exception:  # Pillow raises almost anything where tags are damaged; the photo itself is fine
+    except (
+        Exception
+    ):  # Pillow raises almost anything where tags are damaged; the photo itself is fine
         return b""
 
 

@@ -1,4 +1,5 @@
-"""The files of a prepared scene beside its images: cameras, split, start points and temperature bounds."""
+"""The files of a prepared scene beside its images: cameras, split, start points and temperature
+bounds."""
 
 from __future__ import annotations
 
@@ -13,13 +14,13 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.atomic import remove, replacing
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import DevelopedView, Development, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
 from mrgs.scene import PointCloud
+from mrgs.system.atomic import remove, replacing
 
 TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
 
@@ -36,23 +37,26 @@ def write_scene(
     eval_every: int,
     bounds: tuple[float, float] | None,
 ) -> None:
-    """Write ``transforms.json``, ``sparse_pc.ply`` and ``temperature_bounds.json``, so that ``load_scene`` reads them.
+    """Write ``transforms.json``, ``sparse_pc.ply`` and ``temperature_bounds.json``, so that
+    ``load_scene`` reads them.
 
-    Only registered views are in the scene, in the order of the developed views. ``transforms.json`` is written last,
-    so that a folder whose making was cut off is not taken for a scene. Where an earlier call left points or bounds that
-    this one has not, they are removed.
+    Only registered views are in the scene, in the order of the developed views. ``transforms.json``
+    is written last, so that a folder whose making was cut off is not taken for a scene. Where an
+    earlier call left points or bounds that this one has not, they are removed.
 
     Args:
         scene: the folder that holds the developed images.
         development: the images.
-        reconstruction: poses and points in the scene's world, that is, after ``georeference`` has been applied.
-        rig: the thermal camera, calibrated in that same world; None where one camera serves both images (if their
-            sizes differ, both are taken to show the same field of view).
+        reconstruction: poses and points in the scene's world, that is, after ``georeference`` has
+            been applied.
+        rig: the thermal camera, calibrated in that same world; None where one camera serves both
+            images (if their sizes differ, both are taken to show the same field of view).
         georeference: noted in the file; None if nothing is known of scale and north.
-        eval_every: every so-many-th view is held out, beginning with the first, as Mip-NeRF 360 and 3DGS do; 0 holds
-            none out.
-        bounds: coldest and hottest temperature of the scale, °C (of black and white in grey images); None for the range
-            of the registered views' images, rounded outwards to whole degrees, if they hold temperatures.
+        eval_every: every so-many-th view is held out, beginning with the first, as Mip-NeRF 360 and
+            3DGS do; 0 holds none out.
+        bounds: coldest and hottest temperature of the scale, °C (of black and white in grey
+            images); None for the range of the registered views' images, rounded outwards to whole
+            degrees, if they hold temperatures.
 
     Raises:
         ConfigError: ``eval_every`` would hold out every view.
@@ -60,11 +64,18 @@ def write_scene(
         RunError: a file cannot be written.
     """
     if eval_every < 0 or eval_every == 1:
-        raise ConfigError(f"eval_every = {eval_every} leaves no view to train on; give 0 for none, or 2 or more")
+        raise ConfigError(
+            f"eval_every = {eval_every} leaves no view to train on; give 0 for none, or 2 or more"
+        )
     views = [view for view in development.views if view.name in reconstruction.viewmats]
     if not views:
-        raise SceneError(f"{scene}: no view has a pose, so there is no scene to write; see which views failed and why")
-    held_out = {view.name for view in views[::eval_every]} if eval_every and len(views) > 1 else set()
+        raise SceneError(
+            f"{scene}: no view has a pose, so there is no scene to write; see which views failed "
+            f"and why"
+        )
+    held_out = (
+        {view.name for view in views[::eval_every]} if eval_every and len(views) > 1 else set()
+    )
     _write_points(scene / POINTS, reconstruction.points)
     _write_bounds(scene / BOUNDS, views, bounds)
     content = {
@@ -79,7 +90,9 @@ def write_scene(
     _write_json(scene / TRANSFORMS, content)
 
 
-def _frame(view: DevelopedView, reconstruction: Reconstruction, rig: RigCalibration | None) -> dict[str, Any]:
+def _frame(
+    view: DevelopedView, reconstruction: Reconstruction, rig: RigCalibration | None
+) -> dict[str, Any]:
     """One view as nerfstudio describes it, with a thermal image."""
     viewmat = reconstruction.viewmats[view.name]
     frame: dict[str, Any] = {}
@@ -90,7 +103,9 @@ def _frame(view: DevelopedView, reconstruction: Reconstruction, rig: RigCalibrat
     frame["thermal_file_path"] = view.thermal
     frame["transform_matrix"] = _camera_to_world(viewmat)
     if rig is not None:
-        frame["thermal_transform_matrix"] = _camera_to_world(rig.viewmat(_pair_index(rig, view.name), viewmat))
+        frame["thermal_transform_matrix"] = _camera_to_world(
+            rig.viewmat(_pair_index(rig, view.name), viewmat)
+        )
     return frame
 
 
@@ -103,7 +118,10 @@ def _pair_index(rig: RigCalibration, name: str) -> int:
     for index, view in enumerate(rig.views):
         if view.name == name:
             return index
-    raise SceneError(f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate it too")
+    raise SceneError(
+        f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate it "
+        f"too"
+    )
 
 
 def _camera_to_world(viewmat: Float64[Tensor, "4 4"]) -> list[list[float]]:
@@ -118,13 +136,18 @@ def _one_lens(reconstruction: Reconstruction) -> bool:
     return len({reconstruction.lenses[name] for name in reconstruction.viewmats}) == 1
 
 
-def _shared_camera(views: Sequence[DevelopedView], reconstruction: Reconstruction) -> dict[str, Any]:
+def _shared_camera(
+    views: Sequence[DevelopedView], reconstruction: Reconstruction
+) -> dict[str, Any]:
     """The intrinsics at the top of the file, where all views share them."""
     return _intrinsics(reconstruction.lenses[views[0].name]) if _one_lens(reconstruction) else {}
 
 
 def _thermal_camera(
-    scene: Path, views: Sequence[DevelopedView], reconstruction: Reconstruction, rig: RigCalibration | None
+    scene: Path,
+    views: Sequence[DevelopedView],
+    reconstruction: Reconstruction,
+    rig: RigCalibration | None,
 ) -> dict[str, Any]:
     """The thermal camera's own intrinsics, where they are not those of the posed images."""
     if rig is not None:
@@ -138,8 +161,11 @@ def _thermal_camera(
     return {"thermal_camera": _intrinsics(_resized(lens, info.width, info.height))}
 
 
-def _thermal_offset(rig: RigCalibration | None, georeference: Georeference | None) -> dict[str, Any]:
-    """The rig's motion in metres, where these are known, to be given for other photos of the same two cameras."""
+def _thermal_offset(
+    rig: RigCalibration | None, georeference: Georeference | None
+) -> dict[str, Any]:
+    """The rig's motion in metres, where these are known, to be given for other photos of the same
+    two cameras."""
     if rig is None or georeference is None or not georeference.metric:
         return {}
     return {"thermal_from_rgb_m": rig.thermal_from_rgb.tolist()}
@@ -149,7 +175,15 @@ def _resized(lens: Lens, width: int, height: int) -> Lens:
     """The same rays on another pixel grid."""
     x, y = width / lens.width, height / lens.height
     return Lens(
-        width, height, lens.fx * x, lens.fy * y, lens.cx * x, lens.cy * y, lens.radial, lens.tangential, lens.fisheye
+        width,
+        height,
+        lens.fx * x,
+        lens.fy * y,
+        lens.cx * x,
+        lens.cy * y,
+        lens.radial,
+        lens.tangential,
+        lens.fisheye,
     )
 
 
@@ -157,18 +191,35 @@ def _intrinsics(lens: Lens) -> dict[str, Any]:
     """Nerfstudio's names of a lens's numbers."""
     numbers: dict[str, Any] = {
         "camera_model": "OPENCV_FISHEYE" if lens.fisheye else "OPENCV",
-        **{"w": lens.width, "h": lens.height, "fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx, "cy": lens.cy},
+        **{
+            "w": lens.width,
+            "h": lens.height,
+            "fl_x": lens.fx,
+            "fl_y": lens.fy,
+            "cx": lens.cx,
+            "cy": lens.cy,
+        },
         **{f"k{number}": value for number, value in enumerate(lens.radial, 1)},
     }
-    return numbers if lens.fisheye else numbers | {"p1": lens.tangential[0], "p2": lens.tangential[1]}
+    return (
+        numbers if lens.fisheye else numbers | {"p1": lens.tangential[0], "p2": lens.tangential[1]}
+    )
 
 
-def _split(views: Sequence[DevelopedView], held_out: set[str], reconstruction: Reconstruction) -> dict[str, Any]:
+def _split(
+    views: Sequence[DevelopedView], held_out: set[str], reconstruction: Reconstruction
+) -> dict[str, Any]:
     """Nerfstudio's lists of files; what is held out serves to validate and to test."""
-    paths = {view.name: view.rgb if reconstruction.images == "rgb" else view.thermal for view in views}
+    paths = {
+        view.name: view.rgb if reconstruction.images == "rgb" else view.thermal for view in views
+    }
     eval_paths = [path for name, path in paths.items() if name in held_out]
     train_paths = [path for name, path in paths.items() if name not in held_out]
-    return {"train_filenames": train_paths, "val_filenames": eval_paths, "test_filenames": eval_paths}
+    return {
+        "train_filenames": train_paths,
+        "val_filenames": eval_paths,
+        "test_filenames": eval_paths,
+    }
 
 
 def _georeference(georeference: Georeference | None) -> dict[str, Any]:
@@ -189,11 +240,16 @@ def _georeference(georeference: Georeference | None) -> dict[str, Any]:
     return {"georeference": facts}
 
 
-def _write_bounds(path: Path, views: Sequence[DevelopedView], given: tuple[float, float] | None) -> None:
+def _write_bounds(
+    path: Path, views: Sequence[DevelopedView], given: tuple[float, float] | None
+) -> None:
     """ThermoScenes' file; none where no temperature is known."""
     ranges = [view.range_c for view in views if view.range_c is not None]
     if given is None and ranges:
-        low, high = math.floor(min(low for low, _ in ranges)), math.ceil(max(high for _, high in ranges))
+        low, high = (
+            math.floor(min(low for low, _ in ranges)),
+            math.ceil(max(high for _, high in ranges)),
+        )
         given = float(low), float(max(high, low + 1))
     if given is None:
         remove(path)  # what an earlier call wrote would be wrong now
@@ -211,11 +267,19 @@ def _write_points(path: Path, points: PointCloud) -> None:
     rows["color"] = (points.colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     properties = [f"property float {axis}" for axis in "xyz"]
     properties += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *properties, "end_header"]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(rows)}",
+        *properties,
+        "end_header",
+    ]
     with replacing(path) as temporary:
         temporary.write_bytes(("\n".join(header) + "\n").encode("ascii") + rows.tobytes())
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )

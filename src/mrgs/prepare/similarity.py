@@ -1,4 +1,5 @@
-"""The similarity between two sets of corresponding points: by least squares, and in spite of outliers."""
+"""The similarity between two sets of corresponding points: by least squares, and in spite of
+outliers."""
 
 from __future__ import annotations
 
@@ -43,14 +44,19 @@ class RobustFit:
     freedom: int
 
 
-def fit_similarity(source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]) -> Similarity:
+def fit_similarity(
+    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
+) -> Similarity:
     """Least squares (Umeyama, 1991)."""
     scales, rotations, translations = _umeyama(source[None], target[None])
     return Similarity(float(scales[0]), rotations[0], translations[0])
 
 
-def fit_robustly(source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]) -> RobustFit:
-    """Least median of squares over random triples, then least squares over the inliers (Rousseeuw and Leroy, 1987).
+def fit_robustly(
+    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
+) -> RobustFit:
+    """Least median of squares over random triples, then least squares over the inliers (Rousseeuw
+    and Leroy, 1987).
 
     Up to almost half of the points may be outliers. The same points give the same result.
     """
@@ -68,14 +74,22 @@ def fit_robustly(source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray,
     return RobustFit(best, inliers, math.sqrt(squares / freedom), freedom)
 
 
-def _least_median(source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]) -> Similarity:
-    """Of those through ``TRIALS`` random triples, and that through all, the one with the least median distance."""
+def _least_median(
+    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
+) -> Similarity:
+    """Of those through ``TRIALS`` random triples, and that through all, the one with the least
+    median distance."""
     order = np.random.default_rng(0).random((TRIALS, len(source))).argsort(axis=1)[:, :3]
     scales, rotations, translations = _umeyama(source[order], target[order])
     whole = fit_similarity(source, target)
-    scales, rotations = np.append(scales, whole.scale), np.append(rotations, whole.rotation[None], axis=0)
+    scales, rotations = (
+        np.append(scales, whole.scale),
+        np.append(rotations, whole.rotation[None], axis=0),
+    )
     translations = np.append(translations, whole.translation[None], axis=0)
-    moved = scales[:, None, None] * np.einsum("tij,nj->tni", rotations, source) + translations[:, None]
+    moved = (
+        scales[:, None, None] * np.einsum("tij,nj->tni", rotations, source) + translations[:, None]
+    )
     best = np.median(np.linalg.norm(moved - target, axis=2), axis=1).argmin()
     return Similarity(float(scales[best]), rotations[best], translations[best])
 
@@ -92,4 +106,8 @@ def _umeyama(
     signs[..., -1] = np.sign(np.linalg.det(left) * np.linalg.det(right))
     rotation = np.einsum("...ij,...j,...jk->...ik", left, signs, right)
     scale = (singular * signs).sum(axis=-1) / np.maximum((centred**2).sum(axis=(-2, -1)), 1e-300)
-    return scale, rotation, target_mean - scale[..., None] * np.einsum("...ij,...j->...i", rotation, source_mean)
+    return (
+        scale,
+        rotation,
+        target_mean - scale[..., None] * np.einsum("...ij,...j->...i", rotation, source_mean),
+    )

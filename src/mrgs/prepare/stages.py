@@ -1,4 +1,5 @@
-"""Stages that are done once: each result is kept with the fingerprint of everything that it follows from."""
+"""Stages that are done once: each result is kept with the fingerprint of everything that it follows
+from."""
 
 from __future__ import annotations
 
@@ -68,18 +69,22 @@ class Stages:
 
     Args:
         folder: keeps the results.
-        progress: called with "stage: step", and how many of the step's parts are done and there are.
+        progress: called with "stage: step", and how many of the step's parts are done and there
+            are.
         report: called with each stage's report when it is done.
     """
 
-    def __init__(self, folder: Path, progress: Progress | None, report: Callable[[StageReport], None] | None) -> None:
+    def __init__(
+        self, folder: Path, progress: Progress | None, report: Callable[[StageReport], None] | None
+    ) -> None:
         self._folder = folder
         self._progress = progress or (lambda step, done, total: None)
         self._report = report or (lambda done: None)
         self.reports: list[StageReport] = []
 
     def run(self, stage: Stage[Result]) -> Result:
-        """The stage's result: the stored one if nothing that it follows from has changed, else a new one."""
+        """The stage's result: the stored one if nothing that it follows from has changed, else a
+        new one."""
         file = self._file(stage.title)
         made_from = fingerprint(FORMAT, stage.title, *stage.depends)
         stored = load(file, stage.kind, made_from)
@@ -88,7 +93,9 @@ class Stages:
             return stored.value
         self._progress(stage.title, 0, 0)
         started = time.perf_counter()
-        result = stage.make(lambda step, done, total: self._progress(f"{stage.title}: {step}", done, total))
+        result = stage.make(
+            lambda step, done, total: self._progress(f"{stage.title}: {step}", done, total)
+        )
         save(file, result, made_from)
         self._tell(stage, result, time.perf_counter() - started, reused=False)
         return result
@@ -120,20 +127,24 @@ def only_one(folder: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise RunError(
-            f"{folder.parent} is being prepared by another run: wait for it, or choose another folder"
+            f"{folder.parent} is being prepared by another run: wait for it, or choose another "
+            f"folder"
         ) from None
     except OSError as error:
         raise RunError(
-            f"{folder} cannot be written ({error.strerror}): free the place or choose another folder"
+            f"{folder} cannot be written ({error.strerror}): free the place or choose another "
+            f"folder"
         ) from None
     with lock:
         yield
 
 
 def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
-    """Path, bytes and times (ns) of the last change of content and of rights, of every file below a folder, sorted.
+    """Path, bytes and times (ns) of the last change of content and of rights, of every file below a
+    folder, sorted.
 
-    Links are followed. Hidden files and folders are left out, as they are when photos are looked for.
+    Links are followed. Hidden files and folders are left out, as they are when photos are looked
+    for.
 
     Raises:
         SceneError: the folder cannot be listed.
@@ -151,12 +162,14 @@ def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
         return tuple(sorted(found))
     except OSError as error:
         raise scene_error(
-            error.filename or folder, f"cannot be read ({error.strerror}); give a folder of photos that is readable"
+            error.filename or folder,
+            f"cannot be read ({error.strerror}); give a folder of photos that is readable",
         ) from None
 
 
 def digest(path: Path) -> str:
-    """A digest of a file's content; empty if it cannot be read, which whoever reads it next will tell."""
+    """A digest of a file's content; empty if it cannot be read, which whoever reads it next will
+    tell."""
     try:
         found = hashlib.sha256()
         with open(path, "rb") as file:

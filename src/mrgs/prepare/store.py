@@ -1,4 +1,5 @@
-"""Results of stages as files: plain dataclasses with paths, times and tensors in one safetensors file each.
+"""Results of stages as files: plain dataclasses with paths, times and tensors in one safetensors
+file each.
 
 Reading one runs no code, and a file that does not fit is as good as none: its stage is done again.
 """
@@ -21,8 +22,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from mrgs.atomic import replacing
 from mrgs.errors import MrgsError
+from mrgs.system.atomic import replacing
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,16 @@ def save(path: Path, value: Any, made_from: str) -> None:
     """
     tensors: list[Tensor] = []
     metadata = {"value": json.dumps(_encode(value, tensors)), "made_from": made_from}
-    named = {str(index): tensor.detach().clone().contiguous() for index, tensor in enumerate(tensors)}
+    named = {
+        str(index): tensor.detach().clone().contiguous() for index, tensor in enumerate(tensors)
+    }
     with replacing(path) as temporary:
         save_file(named, temporary, metadata)
 
 
 def load(path: Path, kind: Any, made_from: str) -> Stored | None:
-    """The result that ``save`` wrote, of a type or of a type or None; None if there is none that follows from that."""
+    """The result that ``save`` wrote, of a type or of a type or None; None if there is none that
+    follows from that."""
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata()
@@ -65,7 +69,15 @@ def load(path: Path, kind: Any, made_from: str) -> Stored | None:
                 return None
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         return Stored(_decode(kind, json.loads(metadata["value"]), tensors))
-    except (OSError, SafetensorError, LookupError, TypeError, ValueError, RecursionError, MrgsError):
+    except (
+        OSError,
+        SafetensorError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+        MrgsError,
+    ):
         return None
 
 
@@ -81,7 +93,10 @@ def _encode(value: Any, tensors: list[Tensor]) -> Any:
     if isinstance(value, datetime):
         return value.isoformat()
     if dataclasses.is_dataclass(value):
-        return {field.name: _encode(getattr(value, field.name), tensors) for field in dataclasses.fields(value)}
+        return {
+            field.name: _encode(getattr(value, field.name), tensors)
+            for field in dataclasses.fields(value)
+        }
     if isinstance(value, Mapping):
         return {str(key): _encode(item, tensors) for key, item in value.items()}
     if isinstance(value, tuple | list):
@@ -102,7 +117,9 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
         return {key: _decode(arguments[1], item, tensors) for key, item in value.items()}
     if dataclasses.is_dataclass(hint):
         hints_of = typing.get_type_hints(hint)
-        return hint(**{name: _decode(hints_of[name], item, tensors) for name, item in value.items()})  # type: ignore[operator]
+        return hint(
+            **{name: _decode(hints_of[name], item, tensors) for name, item in value.items()}
+        )  # type: ignore[operator]
     if isinstance(hint, type) and issubclass(hint, AbstractArray):
         return tensors[str(value)]
     if hint is Path:

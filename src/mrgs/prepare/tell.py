@@ -22,15 +22,20 @@ def tell_pairs(pairing: Pairing) -> Told:
 
 
 def tell_photos(development: Development) -> Told:
-    """What the photos hold; the warnings of single photos once each, with how many photos they are about."""
+    """What the photos hold; the warnings of single photos once each, with how many photos they are
+    about."""
     views = development.views
     ranges = [view.range_c for view in views if view.range_c is not None]
     cameras = sorted({view.camera for view in views if view.camera is not None})
     facts = [_count(len(views), "view"), *cameras[:3]]
     if ranges:
-        facts.append(f"{min(low for low, _ in ranges):.1f} °C to {max(high for _, high in ranges):.1f} °C")
+        facts.append(
+            f"{min(low for low, _ in ranges):.1f} °C to {max(high for _, high in ranges):.1f} °C"
+        )
     if len(ranges) < len(views):
-        facts.append("no temperatures" if not ranges else f"{len(views) - len(ranges)} without temperatures")
+        facts.append(
+            "no temperatures" if not ranges else f"{len(views) - len(ranges)} without temperatures"
+        )
     lines = [", ".join(facts) + "."]
     if development.left_out:
         lines.append(f"{_count(len(development.left_out), 'pair')} left out.")
@@ -38,7 +43,10 @@ def tell_photos(development: Development) -> Told:
     for view in views:
         for text in view.warnings:
             by_text.setdefault(text, []).append(view.name)
-    return Told(tuple(lines), (*development.warnings, *(_about(text, names) for text, names in by_text.items())))
+    return Told(
+        tuple(lines),
+        (*development.warnings, *(_about(text, names) for text, names in by_text.items())),
+    )
 
 
 def tell_poses(reconstruction: Reconstruction) -> Told:
@@ -59,13 +67,20 @@ def tell_place(georeference: Georeference) -> Told:
 def tell_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -> Told:
     """The lens, the offset and how well they fit, where there are two cameras."""
     if rig is None:
-        return Told(("There are thermal images alone." if alone else "One camera serves both images.",))
+        return Told(
+            ("There are thermal images alone." if alone else "One camera serves both images.",)
+        )
     width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
     baseline = float(rig.thermal_from_rgb[:3, 3].norm())
     scale = rig.target.metres_per_unit if rig.target is not None and not metric else None
-    offset = f"{100 * baseline * (scale or 1.0):.1f} cm" if metric or scale else f"{baseline:.3g} scene units"
+    offset = (
+        f"{100 * baseline * (scale or 1.0):.1f} cm"
+        if metric or scale
+        else f"{baseline:.3g} scene units"
+    )
     lines = [
-        f"{width_deg:.1f}° wide, {offset} from the RGB camera; {rig.residual_px[0]:.2f} px residual, "
+        f"{width_deg:.1f}° wide, {offset} from the RGB camera; {rig.residual_px[0]:.2f} px "
+        f"residual, "
         f"{rig.uncertainty_px:.2f} px uncertain."
     ]
     if rig.target is not None:
@@ -82,7 +97,8 @@ def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:
     if not metric or told is None or abs(told - 1) <= SCALE_TOLERANCE:
         return ()
     return (
-        f"The target's squares say that the scene is {told:.2f} times as large as GPS or the known distance says: "
+        f"The target's squares say that the scene is {told:.2f} times as large as GPS or the "
+        f"known distance says: "
         "check the side of a square, and the distance.",
     )
 

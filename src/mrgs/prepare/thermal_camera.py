@@ -1,4 +1,5 @@
-"""The thermal camera of a set of photos: what a file says of it, and its calibration from the photos."""
+"""The thermal camera of a set of photos: what a file says of it, and its calibration from the
+photos."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
 from mrgs.scene import Pixels
 
 SHAPE_TOLERANCE = 0.01
-"""Width over height may differ by this share between two images of one camera: sizes are whole numbers."""
+"""Width over height may differ by this share between two images of one camera: sizes are whole
+numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +33,10 @@ class ThermalCamera:
     """What is known of a thermal camera.
 
     Attributes:
-        lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find them.
-        thermal_from_rgb: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to find it.
+        lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find
+            them.
+        thermal_from_rgb: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to
+            find it.
     """
 
     lens: Lens | None
@@ -40,9 +44,11 @@ class ThermalCamera:
 
 
 def read_thermal_camera(path: Path) -> ThermalCamera:
-    """Read ``thermal_camera``, ``thermal_from_rgb_m`` (4×4, OpenCV axes, metres), or both, from a JSON object.
+    """Read ``thermal_camera``, ``thermal_from_rgb_m`` (4×4, OpenCV axes, metres), or both, from a
+    JSON object.
 
-    The keys are those of the ``transforms.json`` of a prepared scene, so that such a file can be given as it is.
+    The keys are those of the ``transforms.json`` of a prepared scene, so that such a file can be
+    given as it is.
 
     Raises:
         SceneError: the file cannot be read, holds neither, or a camera that cannot be used.
@@ -50,14 +56,19 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
     content = read_json_object(path)
     own, motion = content.get("thermal_camera"), content.get("thermal_from_rgb_m")
     if own is None and motion is None:
-        raise scene_error(path, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them")
+        raise scene_error(
+            path, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them"
+        )
     lens = matrix = None
     if own is not None:
         if not isinstance(own, dict):
             raise scene_error(path, f"thermal_camera is {shown(own)}, not an object; correct it")
         lens = lens_from_json(own, "thermal_camera", path)
         if lens.fisheye or any(lens.tangential) or any(lens.radial[2:]):
-            raise scene_error(path, "thermal_camera is distorted by more than k1 and k2; calibrate it with these alone")
+            raise scene_error(
+                path,
+                "thermal_camera is distorted by more than k1 and k2; calibrate it with these alone",
+            )
     if motion is not None:
         given = matrix_from_json(motion, (3, 4), "thermal_from_rgb_m", path)
         matrix = rigid(nearest_rotation(given[:3, :3], "thermal_from_rgb_m", path), given[:3, 3])
@@ -86,7 +97,8 @@ def calibrate_thermal_camera(
         None where one camera serves both images of a pair, or where there are thermal images only.
 
     Raises:
-        SceneError: the photos do not tell where the thermal camera is, or a given one does not fit them.
+        SceneError: the photos do not tell where the thermal camera is, or a given one does not fit
+            them.
         ConfigError: an option on it, for a set of thermal images alone.
     """
     views = [view for view in development.views if view.name in reconstruction.viewmats]
@@ -110,7 +122,8 @@ def _check_alone(options: PrepareOptions) -> None:
     given = (options.thermal_fov_deg, options.thermal_camera, options.target)
     if options.one_camera or any(value is not None for value in given):
         raise ConfigError(
-            "there are thermal images alone, so that --thermal-fov, --thermal-camera, --target and --one-camera cannot "
+            "there are thermal images alone, so that --thermal-fov, --thermal-camera, --target "
+            "and --one-camera cannot "
             "act; leave them out"
         )
 
@@ -126,16 +139,24 @@ def _check_same_shape(scene: Path, view: DevelopedView) -> None:
     if abs(rgb.width * thermal.height / (rgb.height * thermal.width) - 1) > SHAPE_TOLERANCE:
         raise scene_error(
             view.name,
-            f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image {thermal.width}×{thermal.height}: "
+            f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image "
+            f"{thermal.width}×{thermal.height}: "
             "they cannot show the same pixel for pixel; leave --one-camera out",
         )
 
 
 def _rig_pair(view: DevelopedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
     assert view.rgb is not None  # it has a pose, and the poses are those of RGB images
-    source = ImageSource(scene / view.rgb, reconstruction.lenses[view.name], reconstruction.viewmats[view.name])
+    source = ImageSource(
+        scene / view.rgb, reconstruction.lenses[view.name], reconstruction.viewmats[view.name]
+    )
     visible = None if reconstruction.visible is None else reconstruction.visible.get(view.name)
-    return RigPair(view.name, posed_image(source, decode_rgb, None), partial(_load, scene / view.thermal), visible)
+    return RigPair(
+        view.name,
+        posed_image(source, decode_rgb, None),
+        partial(_load, scene / view.thermal),
+        visible,
+    )
 
 
 def _load(path: Path) -> Pixels:
@@ -147,7 +168,8 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
     """What the user knows of the thermal camera, in scene units.
 
     Raises:
-        SceneError: the camera's file does not fit the thermal images, or its offset cannot be used without metres.
+        SceneError: the camera's file does not fit the thermal images, or its offset cannot be used
+            without metres.
     """
     lens = motion = None
     if (file := options.thermal_camera) is not None:
@@ -155,13 +177,16 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
         lens, motion = given.lens, given.thermal_from_rgb if metric else None
         if lens is None and motion is None:
             raise scene_error(
-                file, "its offset is in metres, and these photos have no scale; add --known-distance, or its lens"
+                file,
+                "its offset is in metres, and these photos have no scale; add --known-distance, "
+                "or its lens",
             )
         info = probe(image)
         if lens is not None and (lens.width, lens.height) != (info.width, info.height):
             raise scene_error(
                 file,
-                f"is for images of {lens.width}×{lens.height} px, but {image.name} has {info.width}×{info.height} px; "
+                f"is for images of {lens.width}×{lens.height} px, but {image.name} has "
+                f"{info.width}×{info.height} px; "
                 "give the camera that took these photos",
             )
     return RigOptions(
@@ -173,7 +198,9 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
     )
 
 
-def with_scale_of_target(place: Georeference, rig: RigCalibration | None) -> tuple[Georeference, RigCalibration | None]:
+def with_scale_of_target(
+    place: Georeference, rig: RigCalibration | None
+) -> tuple[Georeference, RigCalibration | None]:
     """The same in metres, where a target told their length and nothing else did."""
     metres = None if rig is None or rig.target is None else rig.target.metres_per_unit
     if rig is None or metres is None or place.metric:
@@ -183,7 +210,8 @@ def with_scale_of_target(place: Georeference, rig: RigCalibration | None) -> tup
         scale=metres * place.scale,
         translation=metres * place.translation,
         metric=True,
-        text=f"The scale is that of the target's squares. {place.text.removeprefix('The scale is arbitrary. ')}",
+        text=f"The scale is that of the target's squares. "
+        f"{place.text.removeprefix('The scale is arbitrary. ')}",
     )
     views = tuple(replace(view, correction=_longer(view.correction, metres)) for view in rig.views)
     return place, replace(rig, thermal_from_rgb=_longer(rig.thermal_from_rgb, metres), views=views)

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.gpu import serves
 from mrgs.rasterizer import cpu, reference
 from mrgs.rasterizer.contract import Blend, Layer, Raster, Rasterizer
+from mrgs.system.gpu import serves
 
 __all__ = ["Blend", "Layer", "Raster", "rasterize"]
 
@@ -27,9 +27,12 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
     antialiased: bool = False,
 ) -> Raster:
-    """``contract.Rasterizer``: the kernels for float32 tensors on a GPU or the CPU, the oracle for everything else."""
+    """``contract.Rasterizer``: the kernels for float32 tensors on a GPU or the CPU, the oracle for
+    everything else."""
     chosen = _kernels_for(means) or reference.rasterize
-    return chosen(means, quats, scales, layers, viewmat, K, width, height, means2d_offset, antialiased)
+    return chosen(
+        means, quats, scales, layers, viewmat, K, width, height, means2d_offset, antialiased
+    )
 
 
 def _kernels_for(means: Tensor) -> Rasterizer | None:

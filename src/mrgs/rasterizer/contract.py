@@ -2,17 +2,17 @@
 
 The image model, for the Gaussian i, the pixel centre x' and a layer with opacities o:
 
-    α_i = min(0.999, o_i · exp(−½ (x' − μ'_i)ᵀ Σ'_i⁻¹ (x' − μ'_i)))        (the paper's alpha-blending equations)
-    w_i = α_i · T_i,  T_i = Π_{j<i} (1 − α_j)                              front to back in z-depth, ties by index
+    α_i = min(0.999, o_i · exp(−½ (x' − μ'_i)ᵀ Σ'_i⁻¹ (x' − μ'_i)))   (the paper's alpha blending)
+    w_i = α_i · T_i,  T_i = Π_{j<i} (1 − α_j)     front to back in z-depth, ties by index
     image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i,  alpha = 1 − T_end
 
-μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I the EWA projection (px²). A Gaussian is left out of a
-pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that brings T below still counts).
-The depth is not divided by alpha, as in the paper.
+μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I the EWA projection (px²). A Gaussian
+is left out of a pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that
+brings T below still counts). The depth is not divided by alpha, as in the paper.
 
-Anti-aliased, every opacity o becomes o · max(det(Σ' − 0.3 I) / det Σ', ε)^½: what the dilation adds to the area of
-a Gaussian that is thinner than a pixel is taken from its opacity, so that its weight does not depend on the distance
-(Mip-Splatting, Yu et al., CVPR 2024).
+Anti-aliased, every opacity o becomes o · max(det(Σ' − 0.3 I) / det Σ', ε)^½: what the dilation adds
+to the area of a Gaussian that is thinner than a pixel is taken from its opacity, so that its weight
+does not depend on the distance (Mip-Splatting, Yu et al., CVPR 2024).
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_MIN = 1e-4
 
 FRUSTUM_MARGIN = 0.3
-"""x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of view."""
+"""x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
+view."""
 
 
 class Layer(NamedTuple):
@@ -55,7 +56,8 @@ class Layer(NamedTuple):
 
 
 class Blend(NamedTuple):
-    """The images of one layer: image [H, W, C], z-depth [H, W] in scene units, accumulated alpha [H, W]."""
+    """The images of one layer: image [H, W, C], z-depth [H, W] in scene units, accumulated alpha
+    [H, W]."""
 
     image: Float[Tensor, "h w c"]
     depth: Float[Tensor, "h w"]
@@ -67,8 +69,8 @@ class Raster(NamedTuple):
 
     Attributes:
         blends: one Blend per layer, in the order of the layers.
-        radii: [N], the largest distance in pixels from the centre at which α reaches 1/255 in any layer; 0 for
-            Gaussians that are left out. Carries no gradient.
+        radii: [N], the largest distance in pixels from the centre at which α reaches 1/255 in any
+            layer; 0 for Gaussians that are left out. Carries no gradient.
     """
 
     blends: tuple[Blend, ...]
@@ -105,8 +107,8 @@ class Rasterizer(Protocol):
             K: intrinsics in pixels, [3, 3]; pixel centres lie at +0.5.
             width: pixels.
             height: pixels.
-            means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the screen-space
-                gradient that densification reads.
+            means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
+                screen-space gradient that densification reads.
             antialiased: whether the opacities are compensated for the dilation.
         """
         ...

@@ -1,9 +1,12 @@
-"""The oracle: the image model of ``contract.py`` in plain torch, one function per equation, any dtype and device.
+"""The oracle: the image model of ``contract.py`` in plain torch, one function per equation, any
+dtype and device.
 
-It is written to be read and to be right, not to be fast, and shares no code with the kernels. Gradients come from
-autograd. Shapes: N Gaussians given, M of them in front of the camera, P pixels, C channels.
+It is written to be read and to be right, not to be fast, and shares no code with the kernels.
+Gradients come from autograd. Shapes: N Gaussians given, M of them in front of the camera, P pixels,
+C channels.
 
-Sources: 3D Gaussian Splatting (Kerbl et al. 2023) for Σ = R S Sᵀ Rᵀ and the blending; EWA Splatting (Zwicker et al.
+Sources: 3D Gaussian Splatting (Kerbl et al. 2023) for Σ = R S Sᵀ Rᵀ and the blending; EWA Splatting
+    (Zwicker et al.
 2001) for the projection of the covariance.
 """
 
@@ -31,7 +34,8 @@ from mrgs.rasterizer.contract import (
 )
 
 CHUNK_ELEMENTS = 2**20
-"""Pixels are blended in chunks of at most so many (pixel, Gaussian) pairs: bounds the memory, not the result."""
+"""Pixels are blended in chunks of at most so many (pixel, Gaussian) pairs: bounds the memory, not
+the result."""
 
 
 class Splats(NamedTuple):
@@ -67,7 +71,8 @@ def rasterize(
     Differentiable by autograd. The camera is converted to the dtype and the device of ``means``.
 
     Raises:
-        ValueError: a shape does not fit, there is not one or two layers, or the image has no pixels.
+        ValueError: a shape does not fit, there is not one or two layers, or the image has no
+            pixels.
     """
     _check_shapes(means, quats, scales, layers, viewmat, K, means2d_offset)
     if width < 1 or height < 1:
@@ -77,14 +82,18 @@ def rasterize(
     opacities = [layer.opacities[splats.indices] for layer in layers]
     if antialiased:
         opacities = [opacity * compensation(splats.covs2d) for opacity in opacities]
-    radii = torch.zeros_like(means[:, 0]).index_put((splats.indices,), extents_px(splats, opacities, width, height))
+    radii = torch.zeros_like(means[:, 0]).index_put(
+        (splats.indices,), extents_px(splats, opacities, width, height)
+    )
     layer_tensors = [
         tensor
         for layer, opacity in zip(layers, opacities, strict=True)
         for tensor in (opacity, layer.features[splats.indices], layer.background)
     ]
     pixels = pixel_centres(width, height, means)
-    images = _BlendInChunks.apply(pixels, splats.means2d, splats.covs2d, splats.depths, *layer_tensors)
+    images = _BlendInChunks.apply(
+        pixels, splats.means2d, splats.covs2d, splats.depths, *layer_tensors
+    )
     images = [image.unflatten(0, (height, width)) for image in images]
     return Raster(tuple(Blend(*images[i : i + 3]) for i in range(0, len(images), 3)), radii)
 
@@ -100,7 +109,9 @@ def rotation_matrices(quats: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
     return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
 
 
-def covariances(quats: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+def covariances(
+    quats: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3 3"]:
     """Σ = R S Sᵀ Rᵀ in world coordinates."""
     rotated_axes = rotation_matrices(quats) * scales[:, None, :]
     return rotated_axes @ rotated_axes.mT
@@ -111,7 +122,9 @@ def to_camera(means: Float[Tensor, "n 3"], viewmat: Float[Tensor, "4 4"]) -> Flo
     return means @ viewmat[:3, :3].T + viewmat[:3, 3]
 
 
-def perspective(means_camera: Float[Tensor, "n 3"], K: Float[Tensor, "3 3"]) -> Float[Tensor, "n 2"]:
+def perspective(
+    means_camera: Float[Tensor, "n 3"], K: Float[Tensor, "3 3"]
+) -> Float[Tensor, "n 2"]:
     """μ' = (fx x/z + cx, fy y/z + cy) in pixels."""
     focal, principal_point = K.diagonal()[:2], K[:2, 2]
     return focal * means_camera[:, :2] / means_camera[:, 2:] + principal_point
@@ -122,8 +135,8 @@ def jacobians(
 ) -> Float[Tensor, "n 2 3"]:
     """J = [[fx/z, 0, −fx u/z], [0, fy/z, −fy v/z]], the derivative of the perspective projection.
 
-    (u, v) = (x/z, y/z), clamped to the image widened by FRUSTUM_MARGIN half fields of view on each side: far outside
-    the image the first-order expansion would stretch Gaussians without bound.
+    (u, v) = (x/z, y/z), clamped to the image widened by FRUSTUM_MARGIN half fields of view on each
+    side: far outside the image the first-order expansion would stretch Gaussians without bound.
     """
     focal, principal_point = K.diagonal()[:2], K[:2, 2]
     size = K.new_tensor([width, height])
@@ -131,7 +144,9 @@ def jacobians(
     lower, upper = -principal_point / focal - margin, (size - principal_point) / focal + margin
     directions = (means_camera[:, :2] / means_camera[:, 2:]).clamp(lower, upper)
     focal_over_depth = focal / means_camera[:, 2:]
-    return torch.cat([torch.diag_embed(focal_over_depth), -(focal_over_depth * directions)[:, :, None]], dim=2)
+    return torch.cat(
+        [torch.diag_embed(focal_over_depth), -(focal_over_depth * directions)[:, :, None]], dim=2
+    )
 
 
 def project_covariances(
@@ -146,7 +161,9 @@ def project_covariances(
 def compensation(covs2d: Float[Tensor, "m 2 2"]) -> Float[Tensor, " m"]:
     """max(det(Σ' − 0.3 I) / det Σ', ε)^½: what is left of the opacity when it is anti-aliased."""
     dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs2d.dtype, device=covs2d.device)
-    before, after = ((c[:, 0, 0] * c[:, 1, 1] - c[:, 0, 1] ** 2) for c in (covs2d - dilation, covs2d))
+    before, after = (
+        (c[:, 0, 0] * c[:, 1, 1] - c[:, 0, 1] ** 2) for c in (covs2d - dilation, covs2d)
+    )
     return (before / after).clamp(min=THINNEST_AREA_RATIO).sqrt()
 
 
@@ -160,7 +177,8 @@ def project(
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Splats:
-    """Drop what lies before the near plane, sort the rest by depth (ties by index) and project it."""
+    """Drop what lies before the near plane, sort the rest by depth (ties by index) and project
+    it."""
     means_camera = to_camera(means, viewmat)
     in_front = torch.nonzero(means_camera[:, 2] >= NEAR_PLANE).squeeze(1)
     indices = in_front[torch.argsort(means_camera[in_front, 2], stable=True)]
@@ -174,8 +192,11 @@ def project(
 
 
 def pixel_centres(width: int, height: int, like: Tensor) -> Float[Tensor, "p 2"]:
-    """x' of every pixel, (column + 0.5, row + 0.5), row by row, with the dtype and the device of ``like``."""
-    columns, rows = (torch.arange(size, dtype=like.dtype, device=like.device) + 0.5 for size in (width, height))
+    """x' of every pixel, (column + 0.5, row + 0.5), row by row, with the dtype and the device of
+    ``like``."""
+    columns, rows = (
+        torch.arange(size, dtype=like.dtype, device=like.device) + 0.5 for size in (width, height)
+    )
     return torch.cartesian_prod(rows, columns).flip(-1)
 
 
@@ -189,39 +210,51 @@ def falloffs(
 
 
 def alphas(opacities: Float[Tensor, " m"], falloff: Float[Tensor, "p m"]) -> Float[Tensor, "p m"]:
-    """α = min(0.999, o · falloff), and 0 where that is below 1/255; no gradient where either bound acts."""
+    """α = min(0.999, o · falloff), and 0 where that is below 1/255; no gradient where either bound
+    acts."""
     alpha = (opacities * falloff).clamp(max=ALPHA_MAX)
     return torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
 
 
 def transmittances(alpha: Float[Tensor, "p m"]) -> Float[Tensor, "p m+1"]:
-    """T_i = Π_{j<i} (1 − α_j): what reaches the Gaussian i from the camera, and at the end what passes them all."""
+    """T_i = Π_{j<i} (1 − α_j): what reaches the Gaussian i from the camera, and at the end what
+    passes them all."""
     ones = alpha.new_ones(len(alpha), 1)
     return torch.cat([ones, 1 - alpha], dim=1).cumprod(dim=1)
 
 
 def unfinished(alpha: Float[Tensor, "p m"]) -> Bool[Tensor, "p m"]:
-    """Whether T_i >= 1e-4 when the turn comes to the Gaussian i; the one that brings T below still counts."""
+    """Whether T_i >= 1e-4 when the turn comes to the Gaussian i; the one that brings T below still
+    counts."""
     return transmittances(alpha.detach())[:, :-1] >= TRANSMITTANCE_MIN
 
 
-def blend(falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], layer: Layer) -> tuple[Tensor, Tensor, Tensor]:
-    """Σ w f + T_end · background [P, C], Σ w z [P] and 1 − T_end [P] of one (sorted) layer, with w = α T."""
+def blend(
+    falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], layer: Layer
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Σ w f + T_end · background [P, C], Σ w z [P] and 1 − T_end [P] of one (sorted) layer, with w
+    = α T."""
     alpha = alphas(layer.opacities, falloff)
     alpha = torch.where(unfinished(alpha), alpha, 0.0)
     transmittance = transmittances(alpha)
     weights, passed = alpha * transmittance[:, :-1], transmittance[:, -1]
-    return weights @ layer.features + passed[:, None] * layer.background, weights @ depths, 1 - passed
+    return (
+        weights @ layer.features + passed[:, None] * layer.background,
+        weights @ depths,
+        1 - passed,
+    )
 
 
 @torch.no_grad()
 def extents_px(
     splats: Splats, opacities: Sequence[Float[Tensor, " m"]], width: int, height: int
 ) -> Float[Tensor, " m"]:
-    """The radii of ``contract.Raster`` of these splats: how far along its longest axis the largest α reaches 1/255.
+    """The radii of ``contract.Raster`` of these splats: how far along its longest axis the largest
+    α reaches 1/255.
 
-    That is at τ standard deviations, τ² = 2 ln(255 o). 0 for a Gaussian that no pixel can see: before the near plane,
-    o < 1/255, or the ellipse's bounding box misses the image [0, width] × [0, height].
+    That is at τ standard deviations, τ² = 2 ln(255 o). 0 for a Gaussian that no pixel can see:
+    before the near plane, o < 1/255, or the ellipse's bounding box misses the image [0, width] ×
+    [0, height].
     """
     max_opacity = torch.stack(list(opacities)).amax(dim=0)
     tau_squared = (2 * torch.log(max_opacity / ALPHA_MIN)).clamp(min=0)
@@ -233,14 +266,22 @@ def extents_px(
     return torch.where(overlaps, (tau_squared * largest_eigenvalue).sqrt(), 0.0)
 
 
-def _blend_layers(pixels: Tensor, means2d: Tensor, covs2d: Tensor, depths: Tensor, *layers: Tensor) -> list[Tensor]:
-    """``blend`` of every layer, its tensors and results in one flat list, as autograd.Function wants them."""
+def _blend_layers(
+    pixels: Tensor, means2d: Tensor, covs2d: Tensor, depths: Tensor, *layers: Tensor
+) -> list[Tensor]:
+    """``blend`` of every layer, its tensors and results in one flat list, as autograd.Function
+    wants them."""
     falloff = falloffs(pixels, means2d, covs2d)
-    return [image for i in range(0, len(layers), 3) for image in blend(falloff, depths, Layer(*layers[i : i + 3]))]
+    return [
+        image
+        for i in range(0, len(layers), 3)
+        for image in blend(falloff, depths, Layer(*layers[i : i + 3]))
+    ]
 
 
 class _BlendInChunks(torch.autograd.Function):
-    """``_blend_layers``, chunk by chunk; backward blends each chunk again, so that only one is ever in memory."""
+    """``_blend_layers``, chunk by chunk; backward blends each chunk again, so that only one is ever
+    in memory."""
 
     @staticmethod
     def forward(ctx: Any, pixels: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:

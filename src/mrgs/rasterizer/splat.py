@@ -1,4 +1,5 @@
-"""The record of a projected Gaussian: sixteen floats, one cache line, read by tilers and blenders of all kernels."""
+"""The record of a projected Gaussian: sixteen floats, one cache line, read by tilers and blenders
+of all kernels."""
 
 from __future__ import annotations
 
@@ -9,10 +10,11 @@ MEAN_Y = 1
 ACROSS = 2
 SHEAR = 3
 ALONG = 4
-"""log2 of the Gaussian is ACROSS·(dx − SHEAR·dy)² + ALONG·dy², a sum of two terms that are never positive.
+"""log2 of the Gaussian is ACROSS·(dx − SHEAR·dy)² + ALONG·dy², a sum of two terms that are never
+positive.
 
-SHEAR is the dx of the ellipse's midline per dy. Written out as a quadratic form of dx and dy, the terms of a thin
-slanting Gaussian would cancel in float32.
+SHEAR is the dx of the ellipse's midline per dy. Written out as a quadratic form of dx and dy, the
+terms of a thin slanting Gaussian would cancel in float32.
 """
 
 THRESHOLD = 5
@@ -32,8 +34,9 @@ THERMAL = 14
 
 SPLAT_FLOATS = 16
 
-# Gradients with respect to the record, summed over the pixels of one tile. dx and dy run from μ' to the pixel's centre
-# and v = α ∂L/∂α of both layers together: the gradients of μ' and Σ' follow from these moments.
+# Gradients with respect to the record, summed over the pixels of one tile. dx and dy run from μ' to
+# the pixel's centre and v = α ∂L/∂α of both layers together: the gradients of μ' and Σ' follow from
+# these moments.
 GRAD_DX = 0
 GRAD_DY = 1
 GRAD_DXDX = 2

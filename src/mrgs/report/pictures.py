@@ -1,4 +1,5 @@
-"""The report's pictures: photo and thermal rendering of one view with the spots marked, and a crop of each spot."""
+"""The report's pictures: photo and thermal rendering of one view with the spots marked, and a crop
+of each spot."""
 
 from __future__ import annotations
 
@@ -11,9 +12,9 @@ import torch
 from jaxtyping import Float
 from PIL import Image, ImageDraw
 
-from mrgs.evaluation.drawing import INK, Scale, draw_text, text_width
-from mrgs.evaluation.palette import colorize
-from mrgs.evaluation.pictures import to_array, to_rgb8
+from mrgs.pictures.drawing import INK, Scale, draw_text, text_width
+from mrgs.pictures.files import to_array, to_rgb8
+from mrgs.pictures.palette import colorize
 from mrgs.render import Rendering
 from mrgs.report.spots import Renderer, Spot
 from mrgs.scene import Camera, View
@@ -58,18 +59,26 @@ class Marked(NamedTuple):
     thermal: Image.Image
 
 
-def overview(views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale, span: Span) -> Marked:
-    """Of some of the views, the one that sees the most spots, all that it sees marked with their names."""
+def overview(
+    views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale, span: Span
+) -> Marked:
+    """Of some of the views, the one that sees the most spots, all that it sees marked with their
+    names."""
     thermal_views = [index for index, view in enumerate(views) if view.thermal is not None]
     step = -(-len(thermal_views) // OVERVIEW_CANDIDATES)
     candidates = thermal_views[::step]
     index, seen = max(
-        ((index, _seen(views[index], spots, render)) for index in candidates), key=lambda pair: len(pair[1])
+        ((index, _seen(views[index], spots, render)) for index in candidates),
+        key=lambda pair: len(pair[1]),
     )
     view = views[index]
     assert view.thermal is not None
     thermal = _enlarged(_thermal_picture(render(view.thermal.camera), scale, span), OVERVIEW_PX)
-    photo = None if view.rgb is None else _enlarged(Image.fromarray(to_rgb8(view.rgb.load().values)), OVERVIEW_PX)
+    photo = (
+        None
+        if view.rgb is None
+        else _enlarged(Image.fromarray(to_rgb8(view.rgb.load().values)), OVERVIEW_PX)
+    )
     for name in seen:
         _mark(thermal, view.thermal.camera, spots[name], name)
         if photo is not None and view.rgb is not None:
@@ -78,7 +87,8 @@ def overview(views: Sequence[View], spots: Mapping[str, Spot], render: Renderer,
 
 
 def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale, span: Span) -> Marked:
-    """The surroundings of a spot in the photo and in the thermal rendering of the view that shows it best."""
+    """The surroundings of a spot in the photo and in the thermal rendering of the view that shows
+    it best."""
     assert view.thermal is not None
     thermal = _crop(_thermal_picture(rendering, scale, span), view.thermal.camera, spot)
     photo = None
@@ -88,7 +98,8 @@ def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale, span: Span
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
-    """What the view's thermal photo shows there: the mean of 3×3 pixels, normalised; None where it is not valid."""
+    """What the view's thermal photo shows there: the mean of 3×3 pixels, normalised; None where it
+    is not valid."""
     assert view.thermal is not None
     pixels = view.thermal.load()
     values = to_array(pixels.values[..., 0])
@@ -115,7 +126,8 @@ def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
 
 
 def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
-    """Column and row of a spot, which may lie outside the image; NaN if it is not before the camera."""
+    """Column and row of a spot, which may lie outside the image; NaN if it is not before the
+    camera."""
     column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
     return column, row
 
@@ -127,7 +139,9 @@ def _thermal_picture(rendering: Rendering, scale: Scale, span: Span) -> Image.Im
 
 
 def _enlarged(image: Image.Image, width: int) -> Image.Image:
-    return image.resize((width, max(1, round(image.height * width / image.width))), Image.Resampling.LANCZOS)
+    return image.resize(
+        (width, max(1, round(image.height * width / image.width))), Image.Resampling.LANCZOS
+    )
 
 
 def _mark(image: Image.Image, camera: Camera, spot: Spot, name: str) -> None:
@@ -152,11 +166,14 @@ def _ring(image: Image.Image, x: float, y: float, radius: int = 10) -> None:
 
 
 def _crop(image: Image.Image, camera: Camera, spot: Spot) -> Image.Image:
-    """A square about the spot, shifted into the image where it would reach beyond, with a ring around the spot."""
+    """A square about the spot, shifted into the image where it would reach beyond, with a ring
+    around the spot."""
     x, y = _pixel(camera, spot)
     side = max(8, round(CROP_SHARE * min(image.size)))
     left = min(max(round(x - side / 2), 0), image.width - side)
     top = min(max(round(y - side / 2), 0), image.height - side)
-    crop = image.crop((left, top, left + side, top + side)).resize((CROP_PX, CROP_PX), Image.Resampling.BICUBIC)
+    crop = image.crop((left, top, left + side, top + side)).resize(
+        (CROP_PX, CROP_PX), Image.Resampling.BICUBIC
+    )
     _ring(crop, (x - left) * CROP_PX / side, (y - top) * CROP_PX / side)
     return crop

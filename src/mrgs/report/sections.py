@@ -12,12 +12,12 @@ from typing import Any
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.evaluation.drawing import Scale, scale_bar
-from mrgs.evaluation.palette import PaletteName
 from mrgs.evaluation.report import COLUMNS
+from mrgs.pictures.drawing import Scale, scale_bar
+from mrgs.pictures.palette import PaletteName
 from mrgs.report.pictures import Span, crops, overview, photo_value
 from mrgs.report.spots import Spot, find_spots
-from mrgs.run import Run
+from mrgs.runs.open import Run
 from mrgs.scene import Camera, Scene, TemperatureRange, View
 
 PALETTE: PaletteName = "inferno"
@@ -26,9 +26,12 @@ SHEET_WIDTH_PX = 1600
 SCALE_BAR_PX = 420
 
 HOW_SPOTS_ARE_FOUND = (
-    "A spot is 3×3 pixels of the thermal rendering, as on a camera's spot meter, on a surface that at least three "
-    "views see. Its value is the median over these views; the range is what four fifths of them say. Places that few "
-    "views see, edges, and single points that float in space do not count. Two spots of one list keep their distance."
+    "A spot is 3×3 pixels of the thermal rendering, as on a camera's spot meter, on a surface "
+    "that at least three "
+    "views see. Its value is the median over these views; the range is what four fifths of them "
+    "say. Places that few "
+    "views see, edges, and single points that float in space do not count. Two spots of one list "
+    "keep their distance."
 )
 
 
@@ -44,21 +47,42 @@ def spots(run: Run, scene: Scene) -> str:
 
     hottest, coldest = find_spots(views, render, ball=scene.reach)
     if not hottest:
-        return title + "<p>No surface is seen by enough views. More steps, or more photos, may help.</p>"
-    named = {f"H{i}": spot for i, spot in enumerate(hottest, 1)} | {f"C{i}": spot for i, spot in enumerate(coldest, 1)}
-    span = Span(0.0, 1.0) if scene.temperature is None else Span(scene.temperature.min_c, scene.temperature.max_c)
+        return (
+            title
+            + "<p>No surface is seen by enough views. More steps, or more photos, may help.</p>"
+        )
+    named = {f"H{i}": spot for i, spot in enumerate(hottest, 1)} | {
+        f"C{i}": spot for i, spot in enumerate(coldest, 1)
+    }
+    span = (
+        Span(0.0, 1.0)
+        if scene.temperature is None
+        else Span(scene.temperature.min_c, scene.temperature.max_c)
+    )
     scale = Scale(PALETTE, *span, "°C" if scene.temperature else "")
     marked = overview(views, named, render, scale, span)
-    pictures = [_image(picture, "the spots marked") for picture in (marked.photo, marked.thermal) if picture]
-    caption = f"View {escape(views[marked.view].name)}: photo and thermal rendering, with the spots that it sees."
-    pictures.append(_image(scale_bar(scale, SCALE_BAR_PX, "horizontal"), "temperature scale", "PNG"))
-    figures = [_spot_figure(name, spot, views[spot.view], run, scale, span) for name, spot in named.items()]
+    pictures = [
+        _image(picture, "the spots marked") for picture in (marked.photo, marked.thermal) if picture
+    ]
+    caption = (
+        f"View {escape(views[marked.view].name)}: photo and thermal rendering, with the "
+        f"spots that it sees."
+    )
+    pictures.append(
+        _image(scale_bar(scale, SCALE_BAR_PX, "horizontal"), "temperature scale", "PNG")
+    )
+    figures = [
+        _spot_figure(name, spot, views[spot.view], run, scale, span) for name, spot in named.items()
+    ]
     return (
         title
-        + f'<figure><div class="pair">{"".join(pictures)}</div><figcaption>{caption}</figcaption></figure>'
+        + f'<figure><div class="pair">{"".join(pictures)}</div>'
+        + f"<figcaption>{caption}</figcaption></figure>"
         + _spot_table(named, views, scene.temperature)
-        + f'<p class="note">{escape(HOW_SPOTS_ARE_FOUND)} Positions are x, y, z in the scene\'s own units and axes; '
-        f'they are metres only if the capture was scaled to metres.</p><div class="spots">{"".join(figures)}</div>'
+        + f'<p class="note">{escape(HOW_SPOTS_ARE_FOUND)} Positions are x, y, z in the scene\'s '
+        f"own units and axes; "
+        f"they are metres only if the capture was scaled to metres.</p><div "
+        f'class="spots">{"".join(figures)}</div>'
     )
 
 
@@ -71,30 +95,47 @@ def limits(temperature: TemperatureRange | None, scaled_anew: bool, depends_on_v
         depends_on_view: whether the model's temperatures change with the viewpoint.
     """
     lines = [
-        "Emissivity: the temperatures are apparent, as the thermal camera computed them with the emissivity that was "
-        "set in it. The scene's files do not say which; look it up in the camera or its original photos. A surface "
+        "Emissivity: the temperatures are apparent, as the thermal camera computed them with the "
+        "emissivity that was "
+        "set in it. The scene's files do not say which; look it up in the camera or its original "
+        "photos. A surface "
         "whose emissivity differs from it is warmer or colder than shown.",
-        "Reflections: bare metal, glass, water, glazed tiles and polished stone mirror what they face, also the sky "
-        "and the person with the camera. A spot whose range over the views is wide may be a reflection.",
+        "Reflections: bare metal, glass, water, glazed tiles and polished stone mirror what they "
+        "face, also the sky "
+        "and the person with the camera. A spot whose range over the views is wide may be a "
+        "reflection.",
         "Air: humidity, distance and wind are not corrected beyond what the camera did.",
-        "Where no photo looked, the model guesses. Walk around such places in the viewer before you judge them.",
-        "Places at the cold end of the range may be missing from the model, because they are as cold as its empty "
+        "Where no photo looked, the model guesses. Walk around such places in the viewer before "
+        "you judge them.",
+        "Places at the cold end of the range may be missing from the model, because they are as "
+        "cold as its empty "
         "background: the true coldest spot can lie there.",
-        "Edges and parts finer than a thermal pixel blend with what is beside them: their true extremes are stronger.",
-        "Moment: the photos are treated as if taken at one instant. What warmed or cooled between them is averaged.",
+        "Edges and parts finer than a thermal pixel blend with what is beside them: their true "
+        "extremes are stronger.",
+        "Moment: the photos are treated as if taken at one instant. What warmed or cooled between "
+        "them is averaged.",
     ]
     if temperature is None:
-        lines.insert(0, "There are no °C: the photos hold relative values, from 0 (coldest) to 1 (warmest).")
+        lines.insert(
+            0, "There are no °C: the photos hold relative values, from 0 (coldest) to 1 (warmest)."
+        )
         if scaled_anew:
-            lines.insert(1, "Each thermal photo was scaled by itself. The values here are on the photos' mean scale.")
+            lines.insert(
+                1,
+                "Each thermal photo was scaled by itself. The values here are on the photos' mean "
+                "scale.",
+            )
     else:
         lines.insert(
             2,
-            f"Range: the photos record {_celsius(temperature.min_c)} to {_celsius(temperature.max_c)}. What was colder "
+            f"Range: the photos record {_celsius(temperature.min_c)} to "
+            f"{_celsius(temperature.max_c)}. What was colder "
             "or warmer shows the end of this range.",
         )
     if depends_on_view:
-        lines.append("Viewpoint: the model's values change a little with the side that a place is seen from.")
+        lines.append(
+            "Viewpoint: the model's values change a little with the side that a place is seen from."
+        )
     return _heading("Limits of the measurement") + _list(lines)
 
 
@@ -105,7 +146,12 @@ def capture(scene: Scene) -> str:
         ("Views", f"{len(scene.train)} to learn from, {len(scene.eval)} held out to check"),
         ("Colour photos", _sizes([view.rgb.camera for view in views if view.rgb])),
         ("Thermal photos", _sizes([view.thermal.camera for view in views if view.thermal])),
-        ("Cameras", "one for both images" if all(view.shares_camera for view in views) else "each image has its own"),
+        (
+            "Cameras",
+            "one for both images"
+            if all(view.shares_camera for view in views)
+            else "each image has its own",
+        ),
         ("Temperature range", _range(scene.temperature)),
         ("Emissivity, reflected temperature, humidity, distance", "not in the scene's files"),
     ]
@@ -127,14 +173,17 @@ def metrics(run: Run) -> str:
         if value is not None
     ]
     stale = (
-        f"<p>Scored at step {document['steps']:,}, but the model is now at step {run.facts.step:,}: {command} scores "
+        f"<p>Scored at step {document['steps']:,}, but the model is now at step "
+        f"{run.facts.step:,}: {command} scores "
         "it anew.</p>"
         if document["steps"] != run.facts.step
         else ""
     )
     note = (
-        "Means over the held-out views. MAE is the mean difference from the thermal photo; foreground is what is "
-        "warmer than its surroundings. A higher PSNR (dB) and an SSIM closer to 1 are better. They compare with the "
+        "Means over the held-out views. MAE is the mean difference from the thermal photo; "
+        "foreground is what is "
+        "warmer than its surroundings. A higher PSNR (dB) and an SSIM closer to 1 are better. "
+        "They compare with the "
         "photos, and so say nothing of errors that the camera made itself."
     )
     return title + stale + _pairs(rows) + f'<p class="note">{note}</p>'
@@ -145,15 +194,26 @@ def contact_sheet(run: Run) -> str:
     path = run.folder.path / "eval" / "contact_sheet.png"
     title = _heading("Held-out views")
     if not path.is_file():
-        return title + f"<p>No contact sheet yet: <code>mrgs eval {escape(str(run.folder.path))}</code> makes it.</p>"
+        return (
+            title
+            + f"<p>No contact sheet yet: <code>mrgs eval {escape(str(run.folder.path))}</code> "
+            f"makes it.</p>"
+        )
     try:
         with Image.open(path) as sheet:
             image = sheet.convert("RGB")
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise RunError(f"{path} cannot be read ({error}); make it anew with `mrgs eval`") from error
     image.thumbnail((SHEET_WIDTH_PX, SHEET_WIDTH_PX * 4))
-    caption = "Photo, rendering, thermal photo, thermal rendering, difference and depth of held-out views."
-    return title + f'<figure class="wide">{_image(image, "contact sheet")}<figcaption>{caption}</figcaption></figure>'
+    caption = (
+        "Photo, rendering, thermal photo, thermal rendering, difference and depth of "
+        "held-out views."
+    )
+    return (
+        title
+        + f'<figure class="wide">{_image(image, "contact sheet")}'
+        + f"<figcaption>{caption}</figcaption></figure>"
+    )
 
 
 def training(run: Run) -> str:
@@ -165,12 +225,19 @@ def training(run: Run) -> str:
         ("Steps", f"{facts.step:,} of {run.config.max_steps:,}"),
         ("Gaussians", f"{len(run.model.gaussians):,}"),
         ("Time", f"{facts.train_seconds / 60:.1f} minutes"),
-        ("Memory", f"{facts.peak_memory_bytes / 2**20:,.0f} MiB" if facts.peak_memory_bytes else "not measured"),
+        (
+            "Memory",
+            f"{facts.peak_memory_bytes / 2**20:,.0f} MiB"
+            if facts.peak_memory_bytes
+            else "not measured",
+        ),
     ]
     return _heading("Training") + _pairs(rows)
 
 
-def _spot_table(named: dict[str, Spot], views: Sequence[View], temperature: TemperatureRange | None) -> str:
+def _spot_table(
+    named: dict[str, Spot], views: Sequence[View], temperature: TemperatureRange | None
+) -> str:
     unit = "°C" if temperature is not None else "relative"
     headings = ["Spot", unit, "range over views", "views", "position x, y, z", "best seen in"]
     lines = ["<tr>" + "".join(f"<th>{escape(heading)}</th>" for heading in headings) + "</tr>"]
@@ -178,7 +245,8 @@ def _spot_table(named: dict[str, Spot], views: Sequence[View], temperature: Temp
         x, y, z = spot.position
         low, high = (_number(value, temperature) for value in (spot.low, spot.high))
         cells = [
-            f'<td class="strong">{name}</td><td class="strong">{_number(spot.value, temperature)}</td>',
+            f'<td class="strong">{name}</td><td '
+            f'class="strong">{_number(spot.value, temperature)}</td>',
             f"<td>{low} to {high}</td><td>{spot.views}</td><td>{x:.3f}, {y:.3f}, {z:.3f}</td>",
             f"<td>{escape(views[spot.view].name)}</td>",
         ]
@@ -190,10 +258,16 @@ def _spot_figure(name: str, spot: Spot, view: View, run: Run, scale: Scale, span
     assert view.thermal is not None
     rendering = run.render(None, view.thermal.camera)
     pictures = crops(view, spot, rendering, scale, span)
-    images = "".join(_image(picture, f"spot {name}") for picture in (pictures.photo, pictures.thermal) if picture)
+    images = "".join(
+        _image(picture, f"spot {name}") for picture in (pictures.photo, pictures.thermal) if picture
+    )
     measured = photo_value(view, spot)
     unit = " °C" if run.temperature is not None else ""
-    reads = "" if measured is None else f" The thermal photo reads {_number(measured, run.temperature)}{unit} there."
+    reads = (
+        ""
+        if measured is None
+        else f" The thermal photo reads {_number(measured, run.temperature)}{unit} there."
+    )
     at_end = not 0 < spot.value < 1 and run.image_model.thermal_gain is None
     end = " At the end of the recorded range: the true value may lie beyond." if at_end else ""
     caption = (
@@ -210,11 +284,18 @@ def _read_metrics(run: Run) -> dict[str, Any] | None:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         groups = [document["mean"][group] for group in ("thermal", "rgb")]
-        values = [value for group in groups for name, value in group.items() if value is not None and COLUMNS[name]]
+        values = [
+            value
+            for group in groups
+            for name, value in group.items()
+            if value is not None and COLUMNS[name]
+        ]
         if not all(isinstance(value, int | float) for value in [*values, document["steps"]]):
             raise ValueError("a figure is not a number")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RunError(f"{path} is not what `mrgs eval` writes ({error}); run `mrgs eval` again") from error
+        raise RunError(
+            f"{path} is not what `mrgs eval` writes ({error}); run `mrgs eval` again"
+        ) from error
     return document
 
 
@@ -247,7 +328,10 @@ def _heading(text: str) -> str:
 
 
 def _pairs(rows: Iterable[tuple[str, str]]) -> str:
-    cells = [f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in rows]
+    cells = [
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
+        for name, value in rows
+    ]
     return f"<table>{''.join(cells)}</table>"
 
 

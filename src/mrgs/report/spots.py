@@ -1,13 +1,18 @@
-"""The hottest and the coldest places of a model: surfaces that several views agree on, never single splats.
+"""The hottest and the coldest places of a model: surfaces that several views agree on, never single
+splats.
 
-A splat's own temperature means little, because neighbours make up for each other, and a floater before one camera can
-be of any temperature. So the spots are read from renderings, as a thermographer reads them from photos:
+A splat's own temperature means little, because neighbours make up for each other, and a floater
+before one camera can be of any temperature. So the spots are read from renderings, as a
+thermographer reads them from photos:
 
-1. Every view's thermal camera is rendered. Pixels that show a surface (accumulated alpha at least 0.9) whose depth
+1. Every view's thermal camera is rendered. Pixels that show a surface (accumulated alpha at least
+  0.9) whose depth
    does not jump within 3×3 pixels become points in the scene.
-2. The points are gathered in cubes of the size of 3×3 pixels, the usual spot of a spot meter. A view's value of a cube
+2. The points are gathered in cubes of the size of 3×3 pixels, the usual spot of a spot meter. A
+  view's value of a cube
    is the mean of its points there.
-3. Cubes that fewer than three views see (all of them, where there are fewer) are left out. The value of the others is
+3. Cubes that fewer than three views see (all of them, where there are fewer) are left out. The
+  value of the others is
    the median over the views: a reflection that few views catch does not count.
 4. The extreme cubes are taken one by one, each at least 15 cube edges from those before it.
 """
@@ -131,11 +136,15 @@ def find_spots(
         return [], []
     sightings, edge = _sightings(points)
     cubes = _agreed(sightings, min(MIN_VIEWS, len(chosen)))
-    hottest, coldest = (_apart(row, sightings, count, SEPARATION_CUBES * edge) for row in (cubes[::-1], cubes))
+    hottest, coldest = (
+        _apart(row, sightings, count, SEPARATION_CUBES * edge) for row in (cubes[::-1], cubes)
+    )
     return hottest, coldest
 
 
-def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: Reach | None) -> _Points | None:
+def _survey(
+    views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: Reach | None
+) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts = []
     for index in chosen:
@@ -158,7 +167,9 @@ def _survey(views: Sequence[View], chosen: Sequence[int], render: Renderer, ball
         parts.append((positions, values, np.full(len(rows), index), central, footprint))
     if not sum(len(part[0]) for part in parts):
         return None
-    positions, values, owners, central, footprints = (np.concatenate(column) for column in zip(*parts, strict=True))
+    positions, values, owners, central, footprints = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
     return _Points(positions, values, owners, central, float(np.median(footprints)))
 
 
@@ -188,12 +199,18 @@ def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
     medians = (values[starts + (numbers - 1) // 2] + values[starts + numbers // 2]) / 2
     enough = np.flatnonzero(numbers >= min_views)
     return [
-        _Cube(medians[i], values[starts[i] : starts[i] + numbers[i]], order[starts[i] : starts[i] + numbers[i]])
+        _Cube(
+            medians[i],
+            values[starts[i] : starts[i] + numbers[i]],
+            order[starts[i] : starts[i] + numbers[i]],
+        )
         for i in enough[np.argsort(medians[enough], kind="stable")]
     ]
 
 
-def _apart(cubes: Iterable[_Cube], sightings: _Sightings, count: int, distance: float) -> list[Spot]:
+def _apart(
+    cubes: Iterable[_Cube], sightings: _Sightings, count: int, distance: float
+) -> list[Spot]:
     """Step 4: the first cubes of the list that keep the distance from each other."""
     kept: list[Spot] = []
     for cube in cubes:
@@ -203,7 +220,14 @@ def _apart(cubes: Iterable[_Cube], sightings: _Sightings, count: int, distance: 
         low, high = np.quantile(cube.values, [0.1, 0.9])
         best = cube.rows[np.argmax(sightings.points[cube.rows])]
         kept.append(
-            Spot(position, float(cube.median), float(low), float(high), len(cube.rows), int(sightings.views[best]))
+            Spot(
+                position,
+                float(cube.median),
+                float(low),
+                float(high),
+                len(cube.rows),
+                int(sightings.views[best]),
+            )
         )
         if len(kept) == count:
             break

@@ -18,12 +18,13 @@ class Gaussians:
         quats: rotations as quaternions wxyz, not necessarily normalised, [N, 4].
         log_scales: natural logarithm of the standard deviations along the rotated axes, [N, 3].
         opacity_rgb_logit: logit of o_c, [N, 1].
-        opacity_thermal_logit: logit of o_t, [N, 1]; [N, 0] if both modalities share o_c (3DGS_RGB-T).
+        opacity_thermal_logit: logit of o_t, [N, 1]; [N, 0] if both modalities share o_c
+            (3DGS_RGB-T).
         sh_dc: spherical-harmonics coefficient of degree 0 per colour channel, [N, 1, 3].
         sh_rest: coefficients of degrees 1 to 3, [N, 15, 3].
         temperature_dc: the same for the normalised temperature t_i, degree 0, [N, 1, 1].
-        temperature_rest: the higher degrees of the temperature; [N, 15, 1] for 3DGS_RGB-T, [N, 0, 1] for MrGS as
-            published, whose t_i does not depend on the view.
+        temperature_rest: the higher degrees of the temperature; [N, 15, 1] for 3DGS_RGB-T, [N, 0,
+            1] for MrGS as published, whose t_i does not depend on the view.
         embedding: the multi-modal embedding e_m, [N, C]; C = 0 for 3DGS_RGB-T.
     """
 
@@ -69,7 +70,9 @@ class Gaussians:
 
     def to(self, device: torch.device) -> Gaussians:
         """Copies on a device, without gradients."""
-        return Gaussians(**{name: tensor.detach().to(device) for name, tensor in self.tensors().items()})
+        return Gaussians(
+            **{name: tensor.detach().to(device) for name, tensor in self.tensors().items()}
+        )
 
     def tensors(self) -> dict[str, Tensor]:
         """The parameters by name, in the order of declaration (not copied)."""

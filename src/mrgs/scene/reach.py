@@ -16,8 +16,8 @@ FARTHEST_SHARE = 0.99
 """A few start points may lie anywhere: those beyond this share of them do not count."""
 
 TIMES_AS_FAR = 8.0
-"""The background is put so many times as far away as the scene reaches: it must not shift against the scene as the
-camera moves from photo to photo."""
+"""The background is put so many times as far away as the scene reaches: it must not shift against
+the scene as the camera moves from photo to photo."""
 
 
 class Reach(NamedTuple):
@@ -37,10 +37,15 @@ class Reach(NamedTuple):
         return TIMES_AS_FAR * self.radius
 
     def is_background(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
-        """Whether points of the world, [..., 3], lie nearer to the background than to the scene; NaN does not."""
-        return (points - self.centre.to(points)).norm(dim=-1) > (self.background_distance + self.radius) / 2
+        """Whether points of the world, [..., 3], lie nearer to the background than to the scene;
+        NaN does not."""
+        return (points - self.centre.to(points)).norm(dim=-1) > (
+            self.background_distance + self.radius
+        ) / 2
 
-    def without_background(self, camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    def without_background(
+        self, camera: Camera, depth: Float[Tensor, "h w"]
+    ) -> Float[Tensor, "h w"]:
         """A camera's z-depths in scene units, infinite where they are those of the background."""
         return torch.where(self.is_background(camera.unproject_image(depth)), torch.inf, depth)
 

@@ -19,7 +19,8 @@ STILL_CAMERAS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Start points of the Gaussians: positions in world coordinates [N, 3] and RGB in [0, 1] [N, 3]."""
+    """Start points of the Gaussians: positions in world coordinates [N, 3] and RGB in [0, 1] [N,
+    3]."""
 
     positions: Float32[Tensor, "n 3"]
     colors: Float32[Tensor, "n 3"]
@@ -47,10 +48,11 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in scene units.
+        """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in
+        scene units.
 
-        Cameras that hardly move (a tripod, a single view) tell nothing of the scene's size: then the median distance
-        of the start points stands in.
+        Cameras that hardly move (a tripod, a single view) tell nothing of the scene's size: then
+        the median distance of the start points stands in.
         """
         positions = torch.stack([camera.position for view in self.train for camera in view.cameras])
         centre = positions.mean(dim=0)

@@ -18,7 +18,8 @@ class Pixels:
 
     Attributes:
         values: [H, W, C]; RGB in [0, 1] (C = 3), or normalised temperature (C = 1).
-        valid: [H, W], False where a pixel must be ignored (masked, or not seen by the lens); None if all count.
+        valid: [H, W], False where a pixel must be ignored (masked, or not seen by the lens); None
+            if all count.
     """
 
     values: Float32[Tensor, "h w c"]
@@ -31,7 +32,8 @@ class PosedImage:
 
     Attributes:
         camera: the pinhole camera of the pixels that ``load`` returns.
-        load: reads, undistorts and resizes the image; may raise SceneError. Reading twice gives the same bits.
+        load: reads, undistorts and resizes the image; may raise SceneError. Reading twice gives the
+            same bits.
     """
 
     camera: Camera
@@ -64,9 +66,14 @@ class View:
     @property
     def shares_camera(self) -> bool:
         """Whether both images are there and one camera serves both."""
-        return self.rgb is not None and self.thermal is not None and self.rgb.camera.coincides_with(self.thermal.camera)
+        return (
+            self.rgb is not None
+            and self.thermal is not None
+            and self.rgb.camera.coincides_with(self.thermal.camera)
+        )
 
 
 def spread(count: int, most: int = 5) -> list[int]:
-    """Indices of at most ``most`` of ``count`` views, evenly spread, the first and the last among them."""
+    """Indices of at most ``most`` of ``count`` views, evenly spread, the first and the last among
+    them."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, most))})

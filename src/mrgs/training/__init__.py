@@ -1,8 +1,18 @@
-"""From a scene folder to a trained run: losses, radiation, optimizers, densification, checkpoints, the loop."""
+"""From a scene folder to a trained run: losses, radiation, optimizers, densification, checkpoints,
+the loop."""
 
-from mrgs.training.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config
+from mrgs.method.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config
 from mrgs.training.memory import estimate_bytes
 from mrgs.training.step import StepStatistics
 from mrgs.training.trainer import train
 
-__all__ = ["METHODS", "PRESETS", "StepStatistics", "TrainConfig", "estimate_bytes", "from_yaml", "make_config", "train"]
+__all__ = [
+    "METHODS",
+    "PRESETS",
+    "StepStatistics",
+    "TrainConfig",
+    "estimate_bytes",
+    "from_yaml",
+    "make_config",
+    "train",
+]

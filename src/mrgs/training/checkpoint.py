@@ -1,4 +1,5 @@
-"""Checkpoints: tensors in safetensors, the rest as JSON in its header. Nothing that is read is ever executed."""
+"""Checkpoints: tensors in safetensors, the rest as JSON in its header. Nothing that is read is ever
+executed."""
 
 from __future__ import annotations
 
@@ -12,17 +13,17 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from mrgs.atomic import replacing
 from mrgs.errors import RunError
 from mrgs.field import RadianceField, nearest_neighbours
-from mrgs.gpu import HOST
+from mrgs.method.camera_model.image_model import Capture, ImageModel
+from mrgs.method.config import TrainConfig
+from mrgs.method.density.densification import ScreenStatistics
+from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import Model
 from mrgs.scene import Gaussians, Scene, TemperatureRange
-from mrgs.training.config import TrainConfig
-from mrgs.training.densification import ScreenStatistics
-from mrgs.training.image_model import Capture, ImageModel
-from mrgs.training.optimizer import GaussianOptimizer
-from mrgs.training.radiation import DepthUncertainty
+from mrgs.system.atomic import replacing
+from mrgs.system.gpu import HOST
 from mrgs.training.step import TrainingState
 from mrgs.training.views import ViewSampler
 
@@ -39,8 +40,8 @@ class CheckpointFacts(NamedTuple):
         capture: what the image model must know of the scene's photos.
         temperature: the scene's scale; None without known °C.
         train_seconds: time spent in training so far.
-        peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU that of its
-            tensors there.
+        peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU
+            that of its tensors there.
         skipped_steps: steps skipped so far because of values that were not finite.
         device: that of the last step: a GPU's name, or "cpu".
     """
@@ -56,16 +57,26 @@ class CheckpointFacts(NamedTuple):
 
 
 def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
-    """Write everything that training needs to go on exactly, in one file that is either whole or not there.
+    """Write everything that training needs to go on exactly, in one file that is either whole or
+    not there.
 
     Raises:
         RunError: the file cannot be written.
     """
-    tensors = {f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()}
+    tensors = {
+        f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()
+    }
     tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
-    tensors |= {f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()}
-    tensors |= {f"image_model.{name}": tensor for name, tensor in state.image_model.state_dict().items()}
-    tensors |= {f"layer_optimizer.{name}": tensor for name, tensor in _layer_moments(state.layer_optimizer).items()}
+    tensors |= {
+        f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()
+    }
+    tensors |= {
+        f"image_model.{name}": tensor for name, tensor in state.image_model.state_dict().items()
+    }
+    tensors |= {
+        f"layer_optimizer.{name}": tensor
+        for name, tensor in _layer_moments(state.layer_optimizer).items()
+    }
     tensors["statistics.gradient_sum"] = state.statistics.gradient_sum
     tensors["statistics.views"] = state.statistics.views
     tensors["sampler.waiting"] = state.sampler.state()
@@ -75,7 +86,9 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     write(path, tensors, facts, int(state.skipped_in_a_row))
 
 
-def write(path: Path, tensors: dict[str, Tensor], facts: CheckpointFacts, skipped_in_a_row: int) -> None:
+def write(
+    path: Path, tensors: dict[str, Tensor], facts: CheckpointFacts, skipped_in_a_row: int
+) -> None:
     """Write a checkpoint of any method.
 
     Raises:
@@ -111,7 +124,9 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     """
     same_views = facts.capture.views == len(scene.train)
     if not same_views or not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
-        raise RunError(f"{scene.name} has other cameras than the run's scene: use {facts.scene} as it was")
+        raise RunError(
+            f"{scene.name} has other cameras than the run's scene: use {facts.scene} as it was"
+        )
     if facts.temperature != scene.temperature:
         raise RunError(
             f"{scene.name} has another temperature range than the run was trained with: "
@@ -133,7 +148,9 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
         image_model.load_state_dict(_below(tensors, "image_model."))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
-    if model.neighbours is None and config.field.neighbours_k > 0:  # saved right after a densification
+    if (
+        model.neighbours is None and config.field.neighbours_k > 0
+    ):  # saved right after a densification
         model.neighbours = nearest_neighbours(model.gaussians.means, config.field.neighbours_k)
     return model, facts, image_model
 
@@ -214,7 +231,10 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dic
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise _damaged(path) from error
     if header.get("format") != FORMAT:
-        raise RunError(f"{path} has checkpoint format {header.get('format')}, this program reads {FORMAT}: train anew")
+        raise RunError(
+            f"{path} has checkpoint format {header.get('format')}, this program reads {FORMAT}: "
+            f"train anew"
+        )
     return tensors, header
 
 
@@ -234,10 +254,15 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
 
 def _model(tensors: dict[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
     parameters = _below(tensors, "gaussians.")
-    gaussians = Gaussians(**{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")})
+    gaussians = Gaussians(
+        **{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")}
+    )
     neighbours = tensors.get("neighbours")
     _check_rows(gaussians, neighbours)
-    if gaussians.temperature_rest.shape[1] != (config.temperature_sh_degree_of(facts.capture) + 1) ** 2 - 1:
+    if (
+        gaussians.temperature_rest.shape[1]
+        != (config.temperature_sh_degree_of(facts.capture) + 1) ** 2 - 1
+    ):
         raise ValueError("the temperatures are of another degree")
     field = RadianceField(config.field)
     field.load_state_dict(_below(tensors, "field."))
@@ -259,7 +284,10 @@ def _check_rows(gaussians: Gaussians, neighbours: Tensor | None) -> None:
         ValueError: tensors of different lengths or of other types, or neighbours that do not exist.
     """
     count = len(gaussians)
-    if any(len(tensor) != count or tensor.dtype != torch.float32 for tensor in gaussians.tensors().values()):
+    if any(
+        len(tensor) != count or tensor.dtype != torch.float32
+        for tensor in gaussians.tensors().values()
+    ):
         raise ValueError("the Gaussians' tensors do not belong together")
     if neighbours is not None and neighbours.numel() > 0:
         lowest, highest = int(neighbours.min()), int(neighbours.max())
@@ -268,7 +296,11 @@ def _check_rows(gaussians: Gaussians, neighbours: Tensor | None) -> None:
 
 
 def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
 
 
 def _layer_parameters(optimizer: torch.optim.Adam) -> list[nn.Parameter]:
@@ -288,14 +320,19 @@ def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor])
     for place, parameter in enumerate(_layer_parameters(optimizer)):
         state = _below(tensors, f"{place}.")
         if state:
-            optimizer.state[parameter] = {key: value.to(parameter.device) for key, value in state.items()}
+            optimizer.state[parameter] = {
+                key: value.to(parameter.device) for key, value in state.items()
+            }
 
 
 def _damaged(path: Path) -> RunError:
     return RunError(
-        f"{path} is not a whole checkpoint: delete it, and the one before it is used; without one, train anew"
+        f"{path} is not a whole checkpoint: delete it, and the one before it is used; without "
+        f"one, train anew"
     )
 
 
 def _mismatch(path: Path) -> RunError:
-    return RunError(f"{path} does not fit the run's config.yaml: restore the configuration it was trained with")
+    return RunError(
+        f"{path} does not fit the run's config.yaml: restore the configuration it was trained with"
+    )

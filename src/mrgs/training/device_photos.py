@@ -11,11 +11,13 @@ from mrgs.scene import Pixels, PosedImage
 from mrgs.training.views import PhotoCache, bytes_of, change_each
 
 SHARE_OF_FREE_MEMORY = 0.25
-"""Of a GPU's free memory at the start, for photos: most of the rest is for the Gaussians, which grow in number."""
+"""Of a GPU's free memory at the start, for photos: most of the rest is for the Gaussians, which
+grow in number."""
 
 
 class DevicePhotos:
-    """Photos on a GPU: kept there while they fit, the others copied from the host, ahead of their turn if told to.
+    """Photos on a GPU: kept there while they fit, the others copied from the host, ahead of their
+    turn if told to.
 
     Args:
         device: a CUDA device.
@@ -51,7 +53,8 @@ class DevicePhotos:
         return pixels
 
     def fetch(self, images: Sequence[PosedImage]) -> None:
-        """Begin to copy these images, the next to be loaded; what was fetched and not loaded is forgotten."""
+        """Begin to copy these images, the next to be loaded; what was fetched and not loaded is
+        forgotten."""
         due = [image for image in images if image not in self._kept]
         self._ahead = {image: copied for image, copied in self._ahead.items() if image in due}
         if self._left_bytes > 0:  # it will be kept: no need to hurry
@@ -61,7 +64,8 @@ class DevicePhotos:
                 self._ahead[image] = self._copier.send(self._host.load(image))
 
     def release(self) -> None:
-        """Give back the memory of the GPU; from now on every photo is copied when its turn comes."""
+        """Give back the memory of the GPU; from now on every photo is copied when its turn
+        comes."""
         self._kept.clear()
         self._ahead.clear()
         self._left_bytes = 0
@@ -97,7 +101,9 @@ class _Copier:
         current.wait_event(copied.arrived)
         for tensor in (copied.pixels.values, copied.pixels.valid):
             if tensor is not None:
-                tensor.record_stream(current)  # its memory is free again when this stream has read it
+                tensor.record_stream(
+                    current
+                )  # its memory is free again when this stream has read it
         return copied.pixels
 
 

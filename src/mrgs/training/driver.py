@@ -10,17 +10,18 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import torch
 
-from mrgs import gpu
 from mrgs.errors import TrainingError
-from mrgs.gpu import HOST
 from mrgs.scene import TemperatureRange
+from mrgs.system import gpu
+from mrgs.system.gpu import HOST
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.run_folder import RunFolder
 
 LOG_EVERY = 10
 LOOK_EVERY = {"cpu": 1, "cuda": LOG_EVERY}
-"""Steps after which the driver looks whether some were skipped; to look at a GPU is to wait for it."""
+"""Steps after which the driver looks whether some were skipped; to look at a GPU is to wait for
+it."""
 
 MAX_SKIPPED_IN_A_ROW = 3
 
@@ -102,7 +103,8 @@ class Driver(ABC, Generic[S]):
         """Write everything that training needs to go on exactly."""
 
     def run(self, stop_at: int | None, on_step: Callable[[S], bool | None] | None) -> None:
-        """Step until the end of the schedule, or until somebody asks to stop; the last step is checkpointed."""
+        """Step until the end of the schedule, or until somebody asks to stop; the last step is
+        checkpointed."""
         last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
         while self._step_done < last:
             statistics = self._take_step()
@@ -127,14 +129,22 @@ class Driver(ABC, Generic[S]):
 
     def _note_skipped(self, statistics: S) -> None:
         self._skipped_steps += 1
-        self._folder.append_log({"step": statistics.step, "skipped": "the loss or a gradient was not finite"})
+        self._folder.append_log(
+            {"step": statistics.step, "skipped": "the loss or a gradient was not finite"}
+        )
         if self._bad_in_a_row >= MAX_SKIPPED_IN_A_ROW:
             found = self._folder.checkpoints()
-            kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
+            kept = (
+                f"the last good checkpoint is {found[-1]}"
+                if found
+                else "there is no checkpoint yet"
+            )
             again = "Resume" if found else "Train anew"
             raise TrainingError(
-                f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step {statistics.step}; "
-                f"{kept}. {again} with a smaller learning rate, or check the scene's poses and images"
+                f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step "
+                f"{statistics.step}; "
+                f"{kept}. {again} with a smaller learning rate, or check the scene's poses and "
+                f"images"
             )
 
     def _log(self, statistics: S) -> None:

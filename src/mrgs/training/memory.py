@@ -6,9 +6,9 @@ import sys
 
 import torch
 
+from mrgs.method.camera_model.image_model import Capture
+from mrgs.method.config import TrainConfig
 from mrgs.scene import Scene
-from mrgs.training.config import TrainConfig
-from mrgs.training.image_model import Capture
 from mrgs.training.views import CACHE_BYTES
 
 _FLOAT = 4
@@ -34,13 +34,23 @@ def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
         parameters += field.embedding_width
         activations = 3 * field.hidden_width + 4 * field.neighbours_k
     per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
-    pixels = max(sum(camera.width * camera.height for camera in view.cameras) for view in scene.train)
-    photos = sum(4 * _FLOAT * camera.width * camera.height for view in scene.train for camera in view.cameras)
-    return _BASE_BYTES + gaussians * per_gaussian + pixels * _PIXEL_FLOATS * _FLOAT + min(photos, CACHE_BYTES)
+    pixels = max(
+        sum(camera.width * camera.height for camera in view.cameras) for view in scene.train
+    )
+    photos = sum(
+        4 * _FLOAT * camera.width * camera.height for view in scene.train for camera in view.cameras
+    )
+    return (
+        _BASE_BYTES
+        + gaussians * per_gaussian
+        + pixels * _PIXEL_FLOATS * _FLOAT
+        + min(photos, CACHE_BYTES)
+    )
 
 
 def peak_memory_bytes(device: torch.device | None = None) -> int:
-    """Largest memory of this process so far: on a GPU that of its tensors there, else resident; 0 if not known."""
+    """Largest memory of this process so far: on a GPU that of its tensors there, else resident; 0
+    if not known."""
     if device is not None and device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
     try:

@@ -10,15 +10,16 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from mrgs.atomic import replacing
 from mrgs.errors import ConfigError, RunError
-from mrgs.training.config import TrainConfig, from_yaml, to_yaml
+from mrgs.method.config import TrainConfig, from_yaml, to_yaml
+from mrgs.system.atomic import replacing
 
 CHECKPOINTS_KEPT = 2
 
 
 class RunFolder:
-    """``config.yaml``, ``log.jsonl``, ``checkpoints/step_NNNNNN.safetensors``; scores and pictures go beside them."""
+    """``config.yaml``, ``log.jsonl``, ``checkpoints/step_NNNNNN.safetensors``; scores and pictures
+    go beside them."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -39,7 +40,10 @@ class RunFolder:
 
     def checkpoints(self) -> list[Path]:
         """All checkpoints, oldest first."""
-        return sorted((self.path / "checkpoints").glob("step_*.safetensors"), key=lambda path: (len(path.name), path))
+        return sorted(
+            (self.path / "checkpoints").glob("step_*.safetensors"),
+            key=lambda path: (len(path.name), path),
+        )
 
     def newest_checkpoint(self) -> Path:
         """The checkpoint to continue or to use.
@@ -48,7 +52,10 @@ class RunFolder:
             RunError: the folder is not a run, or has no checkpoint yet.
         """
         if not self.config_file.is_file():
-            raise RunError(f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` wrote")
+            raise RunError(
+                f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs "
+                f"train` wrote"
+            )
         found = self.checkpoints()
         if not found:
             raise RunError(f"{self.path} has no checkpoint yet: train it first, without --resume")
@@ -61,13 +68,17 @@ class RunFolder:
                 path.unlink()
 
     def require_new(self) -> None:
-        """A folder without checkpoints may become a new run: one that died before its first leaves nothing to keep.
+        """A folder without checkpoints may become a new run: one that died before its first leaves
+        nothing to keep.
 
         Raises:
             RunError: the folder holds a run.
         """
         if self.checkpoints():
-            raise RunError(f"{self.path} already holds a run: continue it with --resume, or choose another --output")
+            raise RunError(
+                f"{self.path} already holds a run: continue it with --resume, or choose another "
+                f"--output"
+            )
         if self.config_file.exists():
             try:
                 self.read_config()
@@ -76,7 +87,9 @@ class RunFolder:
                     f"{self.path} holds a config.yaml that is not a run's: choose another --output"
                 ) from None
         elif self.log_file.exists():
-            raise RunError(f"{self.path} holds a log.jsonl that is not a run's: choose another --output")
+            raise RunError(
+                f"{self.path} holds a log.jsonl that is not a run's: choose another --output"
+            )
 
     def start(self, config: TrainConfig) -> None:
         """Make the folder a new run.
@@ -100,7 +113,8 @@ class RunFolder:
             return from_yaml(self.config_file.read_text(encoding="utf-8"), str(self.config_file))
         except (OSError, UnicodeDecodeError) as error:
             raise RunError(
-                f"{self.path} is not a run: its config.yaml cannot be read; name a folder that `mrgs train` wrote"
+                f"{self.path} is not a run: its config.yaml cannot be read; name a folder that "
+                f"`mrgs train` wrote"
             ) from error
         except ConfigError as error:
             raise RunError(f"{error}; mend the file or train anew") from error
@@ -125,7 +139,8 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for this process; the system gives it back when the process ends, however it ends.
+        """Hold the folder for this process; the system gives it back when the process ends, however
+        it ends.
 
         Raises:
             RunError: another process holds it, or the folder cannot be made.
@@ -136,14 +151,17 @@ class RunFolder:
                 self.path.mkdir(parents=True, exist_ok=True)
                 lock.acquire(timeout=0)
         except Timeout:
-            raise RunError(f"{self.path} is in use by another run: wait for it, or choose another --output") from None
+            raise RunError(
+                f"{self.path} is in use by another run: wait for it, or choose another --output"
+            ) from None
         try:
             yield
         finally:
             lock.release()
 
     def discard(self) -> None:
-        """Remove a run that never came to a checkpoint, and the folder if nothing else is in it; under the lock."""
+        """Remove a run that never came to a checkpoint, and the folder if nothing else is in it;
+        under the lock."""
         for name in ("config.yaml", "log.jsonl", ".lock"):
             (self.path / name).unlink(missing_ok=True)
         with suppress(OSError):  # something else is in it
@@ -158,7 +176,8 @@ class RunFolder:
             raise
         except OSError as error:
             raise RunError(
-                f"{self.path} cannot be written ({error.strerror or error}): free the place or choose another --output"
+                f"{self.path} cannot be written ({error.strerror or error}): free the place or "
+                f"choose another --output"
             ) from error
 
 

@@ -11,16 +11,22 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.field import nearest_neighbours
+from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.config import TrainConfig
+from mrgs.method.density.densification import DensificationCounts, ScreenStatistics, densify
+from mrgs.method.density.relocation import (
+    RelocationConfig,
+    RelocationCounts,
+    explore,
+    relocate,
+    sparsity_loss,
+)
+from mrgs.method.losses.photometric import total_loss
+from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.losses.terms import Photos, SceneScale, loss_terms, loss_weights
+from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
 from mrgs.render import Model, Rendering, render
 from mrgs.scene import View
-from mrgs.training.config import TrainConfig
-from mrgs.training.densification import DensificationCounts, ScreenStatistics, densify
-from mrgs.training.image_model import ImageModel
-from mrgs.training.losses import total_loss
-from mrgs.training.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
-from mrgs.training.radiation import DepthUncertainty
-from mrgs.training.relocation import RelocationConfig, RelocationCounts, explore, relocate, sparsity_loss
-from mrgs.training.terms import Photos, SceneScale, loss_terms, loss_weights
 from mrgs.training.views import ViewSampler
 
 
@@ -38,8 +44,8 @@ class TrainingState:
         statistics: of the screen-space gradients since the last densification.
         sampler: the order of the views.
         generator: of every random choice after the start.
-        skipped_in_a_row: steps skipped since the last good one, because of a value that was not finite; on the
-            model's device.
+        skipped_in_a_row: steps skipped since the last good one, because of a value that was not
+            finite; on the model's device.
     """
 
     step: int
@@ -51,11 +57,14 @@ class TrainingState:
     statistics: ScreenStatistics
     sampler: ViewSampler
     generator: torch.Generator
-    skipped_in_a_row: Int64[Tensor, ""] = field(default_factory=lambda: torch.zeros((), dtype=torch.int64))
+    skipped_in_a_row: Int64[Tensor, ""] = field(
+        default_factory=lambda: torch.zeros((), dtype=torch.int64)
+    )
 
     @property
     def device(self) -> torch.device:
-        """Where it is, but for the order of the views and the generator, which stay with the host."""
+        """Where it is, but for the order of the views and the generator, which stay with the
+        host."""
         return self.model.gaussians.means.device
 
     def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
@@ -74,7 +83,8 @@ class TrainingState:
 
 
 class StepStatistics:
-    """What a step measured. On a GPU the numbers are fetched when the first of them is asked for, which waits for it.
+    """What a step measured. On a GPU the numbers are fetched when the first of them is asked for,
+    which waits for it.
 
     Attributes:
         step: its number, from 1.
@@ -108,7 +118,8 @@ class StepStatistics:
 
     @property
     def thermal_error(self) -> float | None:
-        """Mean absolute error of the normalised temperature on the training view; None without one."""
+        """Mean absolute error of the normalised temperature on the training view; None without
+        one."""
         error = self._read()[2]
         return None if math.isnan(error) else error
 
@@ -129,7 +140,12 @@ def _together(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
     if not tensors:
         return [float(number) for number in numbers]
     like = tensors[0].detach()
-    return torch.stack([n.detach().to(like) if isinstance(n, Tensor) else torch.full_like(like, n) for n in numbers])
+    return torch.stack(
+        [
+            n.detach().to(like) if isinstance(n, Tensor) else torch.full_like(like, n)
+            for n in numbers
+        ]
+    )
 
 
 def training_step(
@@ -142,9 +158,9 @@ def training_step(
 ) -> StepStatistics:
     """Render a view, compare it with its photos, move the parameters.
 
-    On a GPU the host waits for nothing: whether a step counts is decided there, and the statistics tell it when asked.
-    Where its memory does not suffice nothing has moved yet, unless it was at the first step for Adam's moments, which
-    torch makes one parameter after another.
+    On a GPU the host waits for nothing: whether a step counts is decided there, and the statistics
+    tell it when asked. Where its memory does not suffice nothing has moved yet, unless it was at
+    the first step for Adam's moments, which torch makes one parameter after another.
 
     Args:
         state: changed in place.
@@ -201,15 +217,18 @@ def _move(state: TrainingState, config: TrainConfig, good: Bool[Tensor, ""]) -> 
 
 
 def explore_means(state: TrainingState, config: TrainConfig, extent: float) -> None:
-    """The noise of relocation, where a run has it, after a step; nothing where the step was not good.
+    """The noise of relocation, where a run has it, after a step; nothing where the step was not
+    good.
 
-    It depends on where the step has moved the Gaussians, and is apart from it so that each can be repeated alone where
-    a GPU's memory does not suffice.
+    It depends on where the step has moved the Gaussians, and is apart from it so that each can be
+    repeated alone where a GPU's memory does not suffice.
     """
     if config.relocation is None:
         return
     rate = config.optimizer.means_at(state.step / config.max_steps) * extent
-    explore(state.model.gaussians, rate, config.relocation, state.generator, state.skipped_in_a_row == 0)
+    explore(
+        state.model.gaussians, rate, config.relocation, state.generator, state.skipped_in_a_row == 0
+    )
 
 
 def changes_density(config: TrainConfig, step: int) -> bool:
@@ -222,7 +241,8 @@ def changes_density(config: TrainConfig, step: int) -> bool:
 def control_density(
     state: TrainingState, config: TrainConfig, extent: float
 ) -> DensificationCounts | RelocationCounts | None:
-    """Add, remove or move Gaussians and reset opacities where the schedule says so; None if rows stay as they are.
+    """Add, remove or move Gaussians and reset opacities where the schedule says so; None if rows
+    stay as they are.
 
     Where a GPU's memory does not suffice, nothing has changed.
     """
@@ -232,29 +252,45 @@ def control_density(
     else:
         counts = _densify(state, config, extent)
     if counts is not None:
-        state.statistics.clear()  # a relocation that finds nothing to move has not started them anew
+        state.statistics.clear()
         state.model.neighbours = None
     return counts
 
 
-def _relocate(state: TrainingState, schedule: RelocationConfig, budget: int) -> RelocationCounts | None:
+def _relocate(
+    state: TrainingState, schedule: RelocationConfig, budget: int
+) -> RelocationCounts | None:
     if not schedule.relocates_at(state.step):
         return None
-    return relocate(state.gaussian_optimizer, schedule, state.step, budget, state.generator, state.statistics)
+    return relocate(
+        state.gaussian_optimizer, schedule, state.step, budget, state.generator, state.statistics
+    )
 
 
-def _densify(state: TrainingState, config: TrainConfig, extent: float) -> DensificationCounts | None:
+def _densify(
+    state: TrainingState, config: TrainConfig, extent: float
+) -> DensificationCounts | None:
     counts, schedule = None, config.densification
     if schedule.densifies_at(state.step):
-        prunes_large = state.step > schedule.reset_every and not config.distant_points  # the sky is large
-        counts = densify(state.gaussian_optimizer, state.statistics, schedule, extent, prunes_large, state.generator)
+        prunes_large = (
+            state.step > schedule.reset_every and not config.distant_points
+        )  # the sky is large
+        counts = densify(
+            state.gaussian_optimizer,
+            state.statistics,
+            schedule,
+            extent,
+            prunes_large,
+            state.generator,
+        )
     if schedule.resets_at(state.step):
         state.gaussian_optimizer.limit_opacities(schedule.reset_opacity)
     return counts
 
 
 def _refresh_neighbours(state: TrainingState, config: TrainConfig) -> None:
-    """Search the neighbours anew when N has changed, and every so many steps because the Gaussians move."""
+    """Search the neighbours anew when N has changed, and every so many steps because the Gaussians
+    move."""
     k = config.field.neighbours_k
     if k > 0 and (state.model.neighbours is None or state.step % config.neighbours_every == 0):
         state.model.neighbours = nearest_neighbours(state.model.gaussians.means, k)
@@ -262,14 +298,21 @@ def _refresh_neighbours(state: TrainingState, config: TrainConfig) -> None:
 
 def _layer_gradients(state: TrainingState) -> list[Tensor]:
     """Of the field's layers, ψ and the image model, as far as the view had any."""
-    layers = [parameter for group in state.layer_optimizer.param_groups for parameter in group["params"]]
+    layers = [
+        parameter for group in state.layer_optimizer.param_groups for parameter in group["params"]
+    ]
     return [parameter.grad for parameter in layers if parameter.grad is not None]
 
 
 def _thermal_error(rendering: Rendering, photos: Photos) -> Float[Tensor, ""] | None:
-    """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are none."""
+    """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are
+    none."""
     if rendering.thermal is None or photos.thermal is None:
         return None
     error = (rendering.thermal.detach() - photos.thermal.values).abs()
     valid = photos.thermal.valid
-    return error.mean() if valid is None else torch.where(valid[:, :, None], error, 0).sum() / valid.sum()
+    return (
+        error.mean()
+        if valid is None
+        else torch.where(valid[:, :, None], error, 0).sum() / valid.sum()
+    )

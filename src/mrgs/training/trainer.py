@@ -9,23 +9,24 @@ from typing import TypeVar
 
 import torch
 
-from mrgs import gpu
 from mrgs.data import load_scene
 from mrgs.errors import SceneError, TrainingError
 from mrgs.field import RadianceField
-from mrgs.gpu import HOST, DeviceName
+from mrgs.method.camera_model.image_model import Capture, ImageModel
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.losses.terms import Photos, SceneScale
+from mrgs.method.start.initialisation import initial_gaussians
+from mrgs.method.start.start_points import start_points
 from mrgs.render import Model, Photograph
 from mrgs.scene import PosedImage, Scene, View
+from mrgs.system import gpu
+from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
-from mrgs.training.config import TrainConfig
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
-from mrgs.training.image_model import Capture, ImageModel
-from mrgs.training.initialisation import initial_gaussians
-from mrgs.training.radiation import DepthUncertainty
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.start_points import start_points
 from mrgs.training.step import (
     StepStatistics,
     TrainingState,
@@ -34,7 +35,6 @@ from mrgs.training.step import (
     explore_means,
     training_step,
 )
-from mrgs.training.terms import Photos, SceneScale
 from mrgs.training.views import PhotoCache, PhotoSource
 
 Result = TypeVar("Result")
@@ -61,20 +61,23 @@ def train(
         scene: the scene's folder.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
-        resume: continue the run from its newest checkpoint, exactly; on another device up to rounding.
+        resume: continue the run from its newest checkpoint, exactly; on another device up to
+            rounding.
         device: "auto" takes the GPU where there is one that can be used.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
-        on_model: called after it with the model that is trained, which ``on_step`` may look at and must not change, and
-            with what the scene's cameras are taken to do to its renderings, as far as is learned by then.
+        on_model: called after it with the model that is trained, which ``on_step`` may look at and
+            must not change, and with what the scene's cameras are taken to do to its renderings, as
+            far as is learned by then.
 
     Raises:
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used.
         DeviceError: the GPU was asked for and cannot be used.
-        TrainingError: three steps in a row gave values that are not finite (on a GPU this is found up to ten steps
-            later), or the GPU's memory does not suffice; the last good checkpoint is kept.
+        TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
+            up to ten steps later), or the GPU's memory does not suffice; the last good checkpoint
+            is kept.
     """
     chosen = gpu.choose_device(device)
     folder = RunFolder(output)
@@ -94,7 +97,10 @@ def train(
             if on_model is not None:
                 on_model(trainer.model, _photograph_with(trainer.image_model, chosen))
             trainer.run(stop_at, on_step)
-        except (SceneError, KeyboardInterrupt):  # a photo that cannot be decoded is found when its turn comes
+        except (
+            SceneError,
+            KeyboardInterrupt,
+        ):  # a photo that cannot be decoded is found when its turn comes
             if not folder.checkpoints():
                 folder.discard()
             raise
@@ -102,12 +108,14 @@ def train(
 
 
 def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST) -> TrainingState:
-    """The state at step 0; every random choice follows from the seed, and torch's own generators are left alone.
+    """The state at step 0; every random choice follows from the seed, and torch's own generators
+    are left alone.
 
     It is made on the CPU, and so the same whatever the device.
     """
     capture = Capture.of(scene)
-    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian from being pruned.
+    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian
+    # from being pruned.
     shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
@@ -136,7 +144,8 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
 
 
 def _photograph_with(image_model: ImageModel, device: torch.device) -> Photograph:
-    """Turns a rendering in the host's memory into what the cameras write, as far as is learned when it is called."""
+    """Turns a rendering in the host's memory into what the cameras write, as far as is learned when
+    it is called."""
     if device == HOST:
         return image_model.expected
     return lambda rendering, camera: deepcopy(image_model).to(HOST).expected(rendering, camera)
@@ -196,7 +205,10 @@ class _Trainer(Driver[StepStatistics]):
         state = self._state
         number = state.sampler.next()
         view = self._scene.train[number]
-        rgb, thermal = (None if image is None else self._photos.load(image) for image in (view.rgb, view.thermal))
+        rgb, thermal = (
+            None if image is None else self._photos.load(image)
+            for image in (view.rgb, view.thermal)
+        )
         photos = Photos(rgb, thermal, view.shares_camera)
         return training_step(state, view, number, photos, self._config, self._scale)
 
@@ -214,10 +226,12 @@ class _Trainer(Driver[StepStatistics]):
             self._photos.release()
 
     def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
-        """Do something; once more, should a GPU's memory be full, with all given back that torch holds in reserve.
+        """Do something; once more, should a GPU's memory be full, with all given back that torch
+        holds in reserve.
 
-        An action changes the model when it has all the memory that it needs, so that to repeat it does nothing twice.
-        But for one case: Adam makes its moments at the first step, one parameter after another.
+        An action changes the model when it has all the memory that it needs, so that to repeat it
+        does nothing twice. But for one case: Adam makes its moments at the first step, one
+        parameter after another.
 
         Raises:
             TrainingError: it is full again; the state before the action is left as a checkpoint.
@@ -241,10 +255,13 @@ class _Trainer(Driver[StepStatistics]):
         if state.step > 0:
             self._save()
         found = self._folder.checkpoints()
-        kept = f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
+        kept = (
+            f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
+        )
         go_on = "go on with --resume --device cpu, or train anew" if found else "train anew"
         return TrainingError(
-            f"the GPU's memory does not suffice for step {state.step + 1:,} with {len(state.model.gaussians):,} "
+            f"the GPU's memory does not suffice for step {state.step + 1:,} with "
+            f"{len(state.model.gaussians):,} "
             f"Gaussians; {kept}: {go_on} with a smaller --max-gaussians or --resolution"
         )
 
@@ -252,10 +269,13 @@ class _Trainer(Driver[StepStatistics]):
         state = self._state
         counts = control_density(state, self._config, self._scale.extent)
         if counts is not None:
-            self._folder.append_log({"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)})
+            self._folder.append_log(
+                {"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)}
+            )
         if len(state.model.gaussians) == 0:
             raise TrainingError(
-                f"every Gaussian has turned transparent by step {state.step}: check the scene's poses and images"
+                f"every Gaussian has turned transparent by step {state.step}: check the scene's "
+                f"poses and images"
             )
 
     @property

@@ -20,7 +20,8 @@ class ViewSampler:
 
     Args:
         count: number of views.
-        generator: of the orders; a checkpoint of it and of ``state()`` continues the sequence exactly.
+        generator: of the orders; a checkpoint of it and of ``state()`` continues the sequence
+            exactly.
     """
 
     def __init__(self, count: int, generator: torch.Generator) -> None:
@@ -36,7 +37,8 @@ class ViewSampler:
         return index
 
     def peek(self) -> int | None:
-        """Index of the view after that; None at the end of a round, since the next one is not drawn yet."""
+        """Index of the view after that; None at the end of a round, since the next one is not drawn
+        yet."""
         return int(self._waiting[0]) if len(self._waiting) > 0 else None
 
     def state(self) -> Tensor:
@@ -59,7 +61,8 @@ class PhotoCache:
 
     Args:
         limit_bytes: of what is held.
-        pinned: whether they are held in page-locked memory, from which a GPU copies without the processor.
+        pinned: whether they are held in page-locked memory, from which a GPU copies without the
+            processor.
     """
 
     def __init__(self, limit_bytes: int = CACHE_BYTES, pinned: bool = False) -> None:

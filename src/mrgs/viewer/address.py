@@ -27,11 +27,14 @@ def require_free(host: str, port: int) -> None:
     if not 0 <= port <= 65535:
         raise ConfigError(f"--port must be from 0 to 65535, not {port}")
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM
+        )[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
         raise ConfigError(
-            f"cannot listen on {host}:{port} ({error.strerror or error}): choose another --port, or end what uses it"
+            f"cannot listen on {host}:{port} ({error.strerror or error}): choose another --port, "
+            f"or end what uses it"
         ) from error

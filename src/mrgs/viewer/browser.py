@@ -1,4 +1,5 @@
-"""One browser: connects the panel's controls and the mouse to an inspection, and sends it pictures."""
+"""One browser: connects the panel's controls and the mouse to an inspection, and sends it
+pictures."""
 
 from __future__ import annotations
 
@@ -42,7 +43,12 @@ class Browser:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, subject: Subject, start: Pose, note: str, splats: BrowserSplats | None
+        self,
+        client: viser.ClientHandle,
+        subject: Subject,
+        start: Pose,
+        note: str,
+        splats: BrowserSplats | None,
     ) -> None:
         self._client = client
         self._subject = subject
@@ -95,7 +101,8 @@ class Browser:
         panel.render_video.on_click(self._contained(self._render_video))
 
     async def _moved(self, _: viser.CameraHandle) -> None:
-        """The camera has moved. Being asynchronous, it runs on the server's own thread, whose time it accounts for."""
+        """The camera has moved. Being asynchronous, it runs on the server's own thread, whose time
+        it accounts for."""
         self._subject.source.charge()
         self._scheduler.moved()
 
@@ -124,7 +131,8 @@ class Browser:
     def _camera(self) -> Camera:
         camera = self._client.camera
         return pinhole(
-            np.asarray(camera.wxyz), np.asarray(camera.position), float(camera.fov), max(camera.image_width, 1),
+            np.asarray(camera.wxyz), np.asarray(camera.position), float(camera.fov),
+            max(camera.image_width, 1),
             max(camera.image_height, 1),
         )  # fmt: skip
 
@@ -168,7 +176,9 @@ class Browser:
         mode = self.inspection.settings.mode
         if mode not in ("rgb", "temperature"):
             self._panel.browser_splats.value = False
-            raise ConfigError(f"the browser can draw colour or temperature, not: {MODE_LABELS[mode]}")
+            raise ConfigError(
+                f"the browser can draw colour or temperature, not: {MODE_LABELS[mode]}"
+            )
         self._say("Sending the model to the browser ...")
         baked = self._splats.baked()
         opacities = baked.opacity_thermal if mode == "temperature" else baked.opacity_rgb
@@ -211,7 +221,9 @@ class Browser:
         def selected(event: Any) -> None:
             scene.remove_rect_select_callback("all")
             self._say("")
-            self.inspection.add_box(*(float(value) for value in (*event.screen_min, *event.screen_max)))
+            self.inspection.add_box(
+                *(float(value) for value in (*event.screen_min, *event.screen_max))
+            )
             self._scheduler.refresh()
 
         scene.on_rect_select()(self._contained(selected))
@@ -219,7 +231,9 @@ class Browser:
 
     def _photo_chosen(self, event: Any) -> None:
         if event.client is not None:
-            self._go_to_photo([view.name for view in self._subject.views].index(self._panel.photo.value))
+            self._go_to_photo(
+                [view.name for view in self._subject.views].index(self._panel.photo.value)
+            )
 
     def _step_photo(self, step: int) -> None:
         views = self._subject.views
@@ -247,7 +261,11 @@ class Browser:
     def _place_frustums(self) -> None:
         """Symbols of the captured cameras, where the picture is one undivided view."""
         mode = self.inspection.settings.mode
-        wanted = self._panel.show_cameras.value and mode not in ("side_by_side", "photos", "difference")
+        wanted = self._panel.show_cameras.value and mode not in (
+            "side_by_side",
+            "photos",
+            "difference",
+        )
         if wanted == bool(self._frustums):
             return
         for frustum in self._frustums:
@@ -260,7 +278,8 @@ class Browser:
             camera = view.cameras[0]
             frustum = self._client.scene.add_camera_frustum(
                 f"/cameras/{index}", vertical_fov(camera), camera.width / camera.height,
-                scale=FRUSTUM_SCALE * scene.extent, color=(255, 170, 0), thickness=1.5, thickness_units="screen",
+                scale=FRUSTUM_SCALE * scene.extent, color=(255, 170, 0), thickness=1.5,
+                thickness_units="screen",
                 wxyz=rotation_wxyz(camera),
                 position=camera.position.numpy(),
             )  # fmt: skip
@@ -284,7 +303,9 @@ class Browser:
 
     def _path_changed(self) -> None:
         count = len(self.inspection.keyframes)
-        text = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}.get(count, f"{count} keyframes.")
+        text = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}.get(
+            count, f"{count} keyframes."
+        )
         self._panel.keyframes.content = texts.paragraph(text)
 
     def _save_path(self, _: Any) -> None:
@@ -295,7 +316,8 @@ class Browser:
         panel.render_video.disabled = True
         try:
             path = self.inspection.render_video(
-                panel.seconds.value, lambda done, total: self._say(f"Rendering frame {done} of {total} ...")
+                panel.seconds.value,
+                lambda done, total: self._say(f"Rendering frame {done} of {total} ..."),
             )
             self._say_saved(path)
         finally:

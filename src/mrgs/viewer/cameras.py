@@ -14,10 +14,10 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from mrgs.atomic import replacing
 from mrgs.errors import ConfigError
-from mrgs.evaluation.paths import focus_point
 from mrgs.scene import Camera, View
+from mrgs.scene.camera_paths import focus_point
+from mrgs.system.atomic import replacing
 
 
 class Pose(NamedTuple):
@@ -37,7 +37,11 @@ class Pose(NamedTuple):
 
 
 def pinhole(
-    wxyz: Float[np.ndarray, "4"], position: Float[np.ndarray, "3"], fov: float, width: int, height: int
+    wxyz: Float[np.ndarray, "4"],
+    position: Float[np.ndarray, "3"],
+    fov: float,
+    width: int,
+    height: int,
 ) -> Camera:
     """A camera with square pixels.
 
@@ -49,7 +53,9 @@ def pinhole(
         height: pixels.
     """
     focal = 0.5 * height / math.tan(0.5 * fov)
-    K = torch.tensor([[focal, 0, 0.5 * width], [0, focal, 0.5 * height], [0, 0, 1]], dtype=torch.float64)
+    K = torch.tensor(
+        [[focal, 0, 0.5 * width], [0, focal, 0.5 * height], [0, 0, 1]], dtype=torch.float64
+    )
     rotation = Rotation.from_quat(np.roll(np.asarray(wxyz, dtype=np.float64), -1)).as_matrix().T
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[:3, :3] = torch.from_numpy(rotation.copy())
@@ -68,7 +74,8 @@ def vertical_fov(camera: Camera) -> float:
 
 
 def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
-    """The size, reduced so that its longer side has at most so many pixels; each side at least 1."""
+    """The size, reduced so that its longer side has at most so many pixels; each side at least
+    1."""
     scale = min(1.0, longest / max(width, height, 1))
     return max(1, round(width * scale)), max(1, round(height * scale))
 
@@ -76,7 +83,8 @@ def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
 def pose_at(view: View, views: Sequence[View]) -> Pose:
     """Look from a captured camera, turning about the point that it has in common with the others.
 
-    The target lies on the camera's own axis; upright is the mean of all cameras, so that orbiting stays level.
+    The target lies on the camera's own axis; upright is the mean of all cameras, so that orbiting
+    stays level.
     """
     cameras = [each.cameras[0] for each in views]
     camera = view.cameras[0]
@@ -88,18 +96,28 @@ def pose_at(view: View, views: Sequence[View]) -> Pose:
     up = -np.stack([each.viewmat[1, :3].numpy() for each in cameras]).mean(axis=0)
     if np.linalg.norm(np.cross(up, forward)) < 1e-3:
         up = -camera.viewmat[1, :3].numpy()
-    return Pose(position, position + distance * forward, up / np.linalg.norm(up), vertical_fov(camera))
+    return Pose(
+        position, position + distance * forward, up / np.linalg.norm(up), vertical_fov(camera)
+    )
 
 
 def pose_around(means: Float[np.ndarray, "n 3"]) -> Pose:
     """Look at the middle of a model of which no cameras are known; z is up."""
     centre = np.median(means, axis=0).astype(np.float64)
     radius = float(np.median(np.linalg.norm(means - centre, axis=1))) or 1.0
-    return Pose(centre + 2.5 * radius * np.array([1.0, -1.0, 0.6]), centre, np.array([0.0, 0.0, 1.0]), math.radians(50))
+    return Pose(
+        centre + 2.5 * radius * np.array([1.0, -1.0, 0.6]),
+        centre,
+        np.array([0.0, 0.0, 1.0]),
+        math.radians(50),
+    )
 
 
-def nearest_view(views: Sequence[View], camera: Camera, extent: float, preferred: int | None = None) -> int:
-    """Index of the captured view that looks most alike, by place and direction; ties go to ``preferred``.
+def nearest_view(
+    views: Sequence[View], camera: Camera, extent: float, preferred: int | None = None
+) -> int:
+    """Index of the captured view that looks most alike, by place and direction; ties go to
+    ``preferred``.
 
     Args:
         views: at least one.
@@ -117,7 +135,8 @@ def nearest_view(views: Sequence[View], camera: Camera, extent: float, preferred
 
 
 def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
-    """Cameras along a smooth curve through the keyframes, evenly in time; the size is that of the first.
+    """Cameras along a smooth curve through the keyframes, evenly in time; the size is that of the
+    first.
 
     Raises:
         ConfigError: fewer than two keyframes.
@@ -126,8 +145,12 @@ def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
         raise ConfigError("a camera path needs at least two keyframes: add them from two places")
     times = np.arange(len(keyframes), dtype=np.float64)
     wanted = np.linspace(0, times[-1], max(frames, 2))
-    positions = CubicSpline(times, np.stack([camera.position.numpy() for camera in keyframes]), bc_type="natural")
-    turns = Rotation.from_quat(np.stack([np.roll(rotation_wxyz(camera), -1) for camera in keyframes]))
+    positions = CubicSpline(
+        times, np.stack([camera.position.numpy() for camera in keyframes]), bc_type="natural"
+    )
+    turns = Rotation.from_quat(
+        np.stack([np.roll(rotation_wxyz(camera), -1) for camera in keyframes])
+    )
     rotations = RotationSpline(times, turns)(wanted).as_quat()
     fovs = np.interp(wanted, times, [vertical_fov(camera) for camera in keyframes])
     width, height = keyframes[0].width, keyframes[0].height
@@ -138,7 +161,8 @@ def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
 
 
 def save_path(path: Path, keyframes: Sequence[Camera], seconds: float, fps: int) -> Path:
-    """Write the keyframes as nerfstudio's camera-path JSON (camera to world, OpenGL axes); returns the path.
+    """Write the keyframes as nerfstudio's camera-path JSON (camera to world, OpenGL axes); returns
+    the path.
 
     Raises:
         ConfigError: there are no keyframes.
@@ -151,7 +175,11 @@ def save_path(path: Path, keyframes: Sequence[Camera], seconds: float, fps: int)
         world = np.linalg.inv(camera.viewmat.numpy()) * [1, -1, -1, 1]
         degrees = math.degrees(vertical_fov(camera))
         entries.append(
-            {"camera_to_world": world.flatten().tolist(), "fov": degrees, "aspect": camera.width / camera.height}
+            {
+                "camera_to_world": world.flatten().tolist(),
+                "fov": degrees,
+                "aspect": camera.width / camera.height,
+            }
         )
     document = {
         "camera_type": "perspective",

@@ -1,4 +1,5 @@
-"""What a pane is painted from: colours, temperatures and depths on one pixel grid, from the model or from a photo."""
+"""What a pane is painted from: colours, temperatures and depths on one pixel grid, from the model
+or from a photo."""
 
 from __future__ import annotations
 
@@ -9,13 +10,14 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from mrgs.evaluation.pictures import to_array, to_rgb8
+from mrgs.pictures.files import to_array, to_rgb8
 from mrgs.render import Model, Rendering, render
 from mrgs.scene import Camera, PosedImage, TemperatureRange
 from mrgs.viewer.settings import Subject
 
 SOLID_ALPHA = 0.5
-"""Pixels that neither blend of the model covers as much are counted as empty: they have no temperature and no depth."""
+"""Pixels that neither blend of the model covers as much are counted as empty: they have no
+temperature and no depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +26,10 @@ class Fields:
 
     Attributes:
         rgb: [h, w, 3].
-        values: °C (normalised without °C), or their difference to the photo, [h, w]; NaN where the photo is masked.
-        depth: z-depth in scene units, blended and divided by alpha, [h, w]; NaN where the model is empty.
+        values: °C (normalised without °C), or their difference to the photo, [h, w]; NaN where the
+            photo is masked.
+        depth: z-depth in scene units, blended and divided by alpha, [h, w]; NaN where the model is
+            empty.
         solid: where the model, or the photo, shows something, [h, w].
     """
 
@@ -35,34 +39,41 @@ class Fields:
     solid: Bool[np.ndarray, "h w"]
 
 
-def render_pane(model: Model, camera: Camera, subject: Subject, as_photo_of: Camera | None = None) -> Fields:
+def render_pane(
+    model: Model, camera: Camera, subject: Subject, as_photo_of: Camera | None = None
+) -> Fields:
     """Render the modalities that the model has.
 
     Args:
         model: to render.
         camera: of the pane, at the size to render.
         subject: says what the model has.
-        as_photo_of: the first camera of a captured view, to show what its cameras would have written; None to show what
-            is there.
+        as_photo_of: the first camera of a captured view, to show what its cameras would have
+            written; None to show what is there.
     """
     with torch.no_grad():
-        rendering, _ = render(model, camera if subject.has_rgb else None, camera if subject.has_thermal else None)
+        rendering, _ = render(
+            model, camera if subject.has_rgb else None, camera if subject.has_thermal else None
+        )
     depth = to_array(surface_depth(rendering))
     if as_photo_of is not None:
         rendering = subject.photograph(rendering, as_photo_of)
     return Fields(
         rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
-        values=None if rendering.thermal is None else thermal_array(rendering.thermal, subject.temperature),
+        values=None
+        if rendering.thermal is None
+        else thermal_array(rendering.thermal, subject.temperature),
         depth=depth,
         solid=np.isfinite(depth),
     )
 
 
 def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
-    """z-depth of what is seen, blended and divided by alpha; NaN where no blend covers a pixel by half.
+    """z-depth of what is seen, blended and divided by alpha; NaN where no blend covers a pixel by
+    half.
 
-    The thermal blend's where it covers the pixel, else the colour blend's: over a black background the coldest things
-    may well be transparent in the thermal blend.
+    The thermal blend's where it covers the pixel, else the colour blend's: over a black background
+    the coldest things may well be transparent in the thermal blend.
     """
     if rendering.thermal is None:
         return rendering.surface_depth("rgb", SOLID_ALPHA)
@@ -96,6 +107,10 @@ def difference(rendered: Fields, photo: Fields) -> Fields:
     return Fields(None, values, rendered.depth, solid)
 
 
-def thermal_array(thermal: Float[Tensor, "h w 1"], temperature: TemperatureRange | None) -> Float[np.ndarray, "h w"]:
+def thermal_array(
+    thermal: Float[Tensor, "h w 1"], temperature: TemperatureRange | None
+) -> Float[np.ndarray, "h w"]:
     """Normalised values as °C, or as they are without °C."""
-    return to_array(thermal[..., 0] if temperature is None else temperature.to_celsius(thermal[..., 0]))
+    return to_array(
+        thermal[..., 0] if temperature is None else temperature.to_celsius(thermal[..., 0])
+    )

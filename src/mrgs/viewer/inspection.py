@@ -1,4 +1,5 @@
-"""What one person does with a model: look, read points, keep spots and boxes, record a path. No browser in it."""
+"""What one person does with a model: look, read points, keep spots and boxes, record a path. No
+browser in it."""
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from mrgs.errors import ConfigError
-from mrgs.evaluation.pictures import write_png
-from mrgs.evaluation.video import VIDEO_FPS, can_write_mp4, frame_writer
+from mrgs.pictures.files import write_png
+from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, View
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import Fields, difference, photo_fields, render_pane
@@ -39,14 +40,16 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class PointReading:
-    """A reading, and what the photo has there: °C, or normalised; None where no thermal photo is shown."""
+    """A reading, and what the photo has there: °C, or normalised; None where no thermal photo is
+    shown."""
 
     reading: Reading
     photo_value: float | None
 
 
 class Inspection:
-    """State and actions of one browser. Pictures are drawn on one thread; actions may come from others.
+    """State and actions of one browser. Pictures are drawn on one thread; actions may come from
+    others.
 
     Attributes:
         subject: what is looked at.
@@ -96,18 +99,25 @@ class Inspection:
 
         Args:
             camera: the browser's, as large as its window.
-            coarse: few pixels, and the scales of the last sharp picture, so that colours do not flicker on the way.
+            coarse: few pixels, and the scales of the last sharp picture, so that colours do not
+                flicker on the way.
         """
-        camera = camera.resized(*fitted_size(camera.width, camera.height, self.subject.source.max_side_px))
+        camera = camera.resized(
+            *fitted_size(camera.width, camera.height, self.subject.source.max_side_px)
+        )
         if self.subject.scene is not None:
-            self.view_index = nearest_view(self.subject.views, camera, self.subject.scene.extent, self.view_index)
+            self.view_index = nearest_view(
+                self.subject.views, camera, self.subject.scene.extent, self.view_index
+            )
         settings = self.settings
         frame = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
         scales = measure_scales(frame.panes, frame.fields, settings, self.subject.unit, self._ball)
         if coarse:
             scales = _known(self._scales, scales, settings)
         boxes = [(box, [_box_reading(field, box) for field in frame.fields]) for box in self.boxes]
-        image = compose(frame.size, frame.panes, frame.fields, scales, settings, self._marks(), boxes)
+        image = compose(
+            frame.size, frame.panes, frame.fields, scales, settings, self._marks(), boxes
+        )
         self.camera, self._frame = camera, frame
         if not coarse:
             self._scales = scales
@@ -132,8 +142,12 @@ class Inspection:
             assert self.view is not None
             camera, compared_with = pane.photo.camera, self.view.cameras[0]
         elif scale < 1:
-            camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        fields = subject.source.run(lambda model: render_pane(model, camera, subject, compared_with))
+            camera = camera.resized(
+                max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+            )
+        fields = subject.source.run(
+            lambda model: render_pane(model, camera, subject, compared_with)
+        )
         return fields if compared_with is None else difference(fields, self._photo(pane))
 
     def _photo(self, pane: Pane) -> Fields:
@@ -156,15 +170,20 @@ class Inspection:
         return [*self.spots, Mark(point.reading.position, label)]
 
     def click(self, x: float, y: float) -> PointReading | None:
-        """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None if it is empty."""
+        """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None
+        if it is empty."""
         self.point = None
         frame = self._frame
-        place = None if frame is None else place_at(frame.panes, x * frame.size[0], y * frame.size[1])
+        place = (
+            None if frame is None else place_at(frame.panes, x * frame.size[0], y * frame.size[1])
+        )
         if place is None:
             return None
         pane, subject = place.pane, self.subject
         camera = pane.photo.camera if pane.photo is not None else pane.camera
-        reading = subject.source.run(lambda model: read_point(model, camera, place.u, place.v, subject))
+        reading = subject.source.run(
+            lambda model: read_point(model, camera, place.u, place.v, subject)
+        )
         if reading is not None:
             self.point = PointReading(reading, self._photo_value(pane, place.u, place.v))
         return self.point
@@ -186,11 +205,14 @@ class Inspection:
             raise ConfigError("click on the picture first, then keep the point as a spot")
         reading = self.point.reading
         name = f"S{len(self.spots) + 1}"
-        label = name if reading.value is None else f"{name}  {self.subject.format_value(reading.value)}"
+        label = (
+            name if reading.value is None else f"{name}  {self.subject.format_value(reading.value)}"
+        )
         self.spots, self.point = (*self.spots, Mark(reading.position, label)), None
 
     def add_box(self, x0: float, y0: float, x1: float, y1: float) -> None:
-        """Add a box over a rectangle of the latest picture, corners 0 to 1; it stays at its place of the pane.
+        """Add a box over a rectangle of the latest picture, corners 0 to 1; it stays at its place
+        of the pane.
 
         Raises:
             ConfigError: the rectangle does not begin in the picture, or is a mere line.
@@ -223,7 +245,8 @@ class Inspection:
         self.keyframes = (*self.keyframes, self.camera)
 
     def screenshot(self) -> Path:
-        """Write the current view, sharp and with its marks, into ``renders/screenshots``; returns the file.
+        """Write the current view, sharp and with its marks, into ``renders/screenshots``; returns
+        the file.
 
         Raises:
             ConfigError: no picture has been drawn yet.
@@ -245,7 +268,8 @@ class Inspection:
         return save_path(_next_free(folder, ".json"), self.keyframes, seconds, VIDEO_FPS)
 
     def render_video(self, seconds: float, progress: Callable[[int, int], None]) -> Path:
-        """Render the path with the current settings into ``renders/videos``; returns the mp4, or the frames' folder.
+        """Render the path with the current settings into ``renders/videos``; returns the mp4, or
+        the frames' folder.
 
         The colour scale is the current one throughout. Spots are drawn, boxes are not.
 
@@ -258,7 +282,9 @@ class Inspection:
             RunError: a file cannot be written.
         """
         if self.shows_photos:
-            raise ConfigError("a video needs a free camera: choose another picture than those with photos")
+            raise ConfigError(
+                "a video needs a free camera: choose another picture than those with photos"
+            )
         path = smooth_path(self.keyframes, round(seconds * VIDEO_FPS))
         size = fitted_size(path[0].width, path[0].height, VIDEO_SIDE_PX)
         folder = self.subject.folder / "renders" / "videos"
@@ -274,7 +300,9 @@ class Inspection:
         settings, scales, marks = self.settings, self._scales, self.spots
         for number, camera in enumerate(cameras, start=1):
             frame = self._render(settings, camera, None)
-            measured = measure_scales(frame.panes, frame.fields, settings, self.subject.unit, self._ball)
+            measured = measure_scales(
+                frame.panes, frame.fields, settings, self.subject.unit, self._ball
+            )
             scales = _known(scales, measured, settings)
             yield compose(frame.size, frame.panes, frame.fields, scales, settings, marks)
             self.subject.source.charge()
@@ -282,7 +310,8 @@ class Inspection:
 
 
 def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
-    """The known scales; the measured ones where there is none, or where the user's choices have changed."""
+    """The known scales; the measured ones where there is none, or where the user's choices have
+    changed."""
     thermal = known.thermal
     if thermal is None or settings.limits is not None or measured.thermal is None:
         thermal = measured.thermal

@@ -11,7 +11,9 @@ import torch
 from mrgs.scene import Camera, PosedImage, View
 from mrgs.viewer.settings import Mode
 
-Content = Literal["rgb", "temperature", "depth", "blend", "split", "rgb_photo", "thermal_photo", "difference"]
+Content = Literal[
+    "rgb", "temperature", "depth", "blend", "split", "rgb_photo", "thermal_photo", "difference"
+]
 
 _GAP_PX = 4
 
@@ -61,7 +63,9 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
     if mode == "side_by_side":
         half = _cropped(camera, camera.width // 2)
         right = camera.width - half.width
-        return Pane("rgb", half, title="Colour"), Pane("temperature", half, left=right, title="Temperature")
+        return Pane("rgb", half, title="Colour"), Pane(
+            "temperature", half, left=right, title="Temperature"
+        )
     if mode == "photos":
         assert view is not None
         return _photo_panes(view, camera.width, camera.height)
@@ -102,8 +106,11 @@ def _photo_panes(view: View, width: int, height: int) -> tuple[Pane, ...]:
     return tuple(panes)
 
 
-def _fitted(content: Content, camera: Camera, box: tuple[int, int, int, int], title: str, photo: PosedImage) -> Pane:
-    """The whole of a captured image, as large as the box (left, top, width, height) allows, in its middle."""
+def _fitted(
+    content: Content, camera: Camera, box: tuple[int, int, int, int], title: str, photo: PosedImage
+) -> Pane:
+    """The whole of a captured image, as large as the box (left, top, width, height) allows, in its
+    middle."""
     left, top, width, height = box
     scale = min(width / camera.width, height / camera.height)
     size = max(1, int(camera.width * scale)), max(1, int(camera.height * scale))

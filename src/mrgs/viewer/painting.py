@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw
 
-from mrgs.evaluation.drawing import INK, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
-from mrgs.evaluation.palette import PaletteName, colorize, display_range
+from mrgs.pictures.drawing import INK, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
+from mrgs.pictures.palette import PaletteName, colorize, display_range
 from mrgs.scene import Camera, Reach
 from mrgs.viewer.fields import Fields
 from mrgs.viewer.layout import Pane
@@ -53,13 +53,24 @@ class Scales:
         """The scale of a pane's colours."""
         if pane.content == "difference":
             return self.difference
-        return self.depth if pane.content == "depth" else self.thermal if pane.shows_temperature else None
+        return (
+            self.depth
+            if pane.content == "depth"
+            else self.thermal
+            if pane.shows_temperature
+            else None
+        )
 
 
 def measure_scales(
-    panes: Sequence[Pane], fields: Sequence[Fields], settings: Settings, unit: str, ball: Reach | None = None
+    panes: Sequence[Pane],
+    fields: Sequence[Fields],
+    settings: Settings,
+    unit: str,
+    ball: Reach | None = None,
 ) -> Scales:
-    """The scales that suit a picture: percentiles of what is seen, or the limits that the user has set.
+    """The scales that suit a picture: percentiles of what is seen, or the limits that the user has
+    set.
 
     The background of ``ball``, how far the scene reaches, does not count on the scale of the depth.
     """
@@ -81,7 +92,9 @@ def measure_scales(
     )
 
 
-def _scene_depth(camera: Camera, depth: Float[np.ndarray, "h w"], ball: Reach | None) -> Float[np.ndarray, "h w"]:
+def _scene_depth(
+    camera: Camera, depth: Float[np.ndarray, "h w"], ball: Reach | None
+) -> Float[np.ndarray, "h w"]:
     """The depth, infinite where it is the background's."""
     if ball is None:
         return depth
@@ -89,7 +102,9 @@ def _scene_depth(camera: Camera, depth: Float[np.ndarray, "h w"], ball: Reach | 
     return ball.without_background(camera.resized(width, height), torch.from_numpy(depth)).numpy()
 
 
-def paint(pane: Pane, fields: Fields, scales: Scales, settings: Settings) -> UInt8[np.ndarray, "h w 3"]:
+def paint(
+    pane: Pane, fields: Fields, scales: Scales, settings: Settings
+) -> UInt8[np.ndarray, "h w 3"]:
     """The colours of a pane at the size of its fields."""
     scale = scales.of(pane)
     if pane.content in ("rgb", "rgb_photo"):
@@ -100,12 +115,17 @@ def paint(pane: Pane, fields: Fields, scales: Scales, settings: Settings) -> UIn
         assert fields.depth is not None
         return colorize(fields.depth, scale.low, scale.high, "depth")
     assert fields.values is not None
-    # What the model does not cover has no temperature; the background's colour would look like a cold one.
-    heat = colorize(np.where(fields.solid, fields.values, np.nan), scale.low, scale.high, scale.palette)
+    # What the model does not cover has no temperature; the background's colour would look like a
+    # cold one.
+    heat = colorize(
+        np.where(fields.solid, fields.values, np.nan), scale.low, scale.high, scale.palette
+    )
     if pane.content == "difference":
         return heat
     if settings.isotherm is not None:
-        heat[fields.solid & _in_band(fields.values, settings.isotherm)] = isotherm_color(settings.palette)
+        heat[fields.solid & _in_band(fields.values, settings.isotherm)] = isotherm_color(
+            settings.palette
+        )
     if pane.content not in ("blend", "split"):
         return heat
     assert fields.rgb is not None
@@ -136,7 +156,9 @@ def split(
     return image
 
 
-def _in_band(values: Float[np.ndarray, "h w"], band: tuple[float, float]) -> Bool[np.ndarray, "h w"]:
+def _in_band(
+    values: Float[np.ndarray, "h w"], band: tuple[float, float]
+) -> Bool[np.ndarray, "h w"]:
     low, high = min(band), max(band)
     return (values >= low) & (values <= high)
 
@@ -184,7 +206,9 @@ def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[
     draw = ImageDraw.Draw(image)
     for mark in marks:
         pixel, depth = pane.camera.project(torch.from_numpy(mark.position))
-        if not pane.camera.contains(pixel) or _is_hidden((*pixel.tolist(), depth.item()), fields, image.size):
+        if not pane.camera.contains(pixel) or _is_hidden(
+            (*pixel.tolist(), depth.item()), fields, image.size
+        ):
             continue
         x, y = (round(value) for value in pixel.tolist())
         for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
@@ -194,7 +218,8 @@ def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[
 
 
 def _is_hidden(place: tuple[float, float, float], fields: Fields, size: tuple[int, int]) -> bool:
-    """Whether something stands before a point (x, y, z-depth); without depth (photos) nothing does."""
+    """Whether something stands before a point (x, y, z-depth); without depth (photos) nothing
+    does."""
     if fields.depth is None:
         return False
     height, width = fields.depth.shape
@@ -204,7 +229,12 @@ def _is_hidden(place: tuple[float, float, float], fields: Fields, size: tuple[in
 
 def _draw_box(image: Image.Image, box: Box, name: str, reading: BoxReading | None) -> None:
     draw = ImageDraw.Draw(image)
-    corners = (box.u0 * image.width, box.v0 * image.height, box.u1 * image.width - 1, box.v1 * image.height - 1)
+    corners = (
+        box.u0 * image.width,
+        box.v0 * image.height,
+        box.u1 * image.width - 1,
+        box.v1 * image.height - 1,
+    )
     for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
         draw.rectangle(corners, outline=color, width=width)
     _draw_card(image, (corners[0], corners[1] - TEXT_PX - 9), name)

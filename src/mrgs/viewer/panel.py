@@ -1,4 +1,5 @@
-"""The panel's controls: what stands where, in the words of its users. What the controls do is in ``browser.py``."""
+"""The panel's controls: what stands where, in the words of its users. What the controls do is in
+``browser.py``."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ DEFAULT_SECONDS = 8.0
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The handles of the controls; those of a modality or a capture that is not there are hidden, not missing."""
+    """The handles of the controls; those of a modality or a capture that is not there are hidden,
+    not missing."""
 
     header: viser.GuiHtmlHandle
     point: viser.GuiHtmlHandle
@@ -53,7 +55,10 @@ class Panel:
         """What the controls say."""
         limits = band = None
         if not self.automatic.value and self.coldest.value != self.hottest.value:
-            limits = (min(self.coldest.value, self.hottest.value), max(self.coldest.value, self.hottest.value))
+            limits = (
+                min(self.coldest.value, self.hottest.value),
+                max(self.coldest.value, self.hottest.value),
+            )
         if self.marks_band.value:
             band = (self.band_from.value, self.band_to.value)
         palette = next(name for name in PALETTE_CHOICES if name == self.palette.value)
@@ -62,7 +67,8 @@ class Panel:
     def pictures(self) -> tuple[Any, ...]:
         """The controls that change the picture."""
         return (
-            self.mode, self.share, self.palette, self.automatic, self.coldest, self.hottest, self.marks_band,
+            self.mode, self.share, self.palette, self.automatic, self.coldest, self.hottest,
+            self.marks_band,
             self.band_from, self.band_to,
         )  # fmt: skip
 
@@ -108,23 +114,30 @@ def _view_tab(gui: viser.GuiApi, subject: Subject, can_bake: bool) -> dict[str, 
     step = 0.01 if scale is None else 0.1
     handles: dict[str, Any] = {
         "mode": gui.add_dropdown("Show", [MODE_LABELS[mode] for mode in subject.modes]),
-        "share": gui.add_slider("Temperature, %", 0, 100, 1, 50, hint="0: all colour. 100: all temperature."),
+        "share": gui.add_slider(
+            "Temperature, %", 0, 100, 1, 50, hint="0: all colour. 100: all temperature."
+        ),
     }
     with gui.add_folder("Temperature scale", visible=thermal):
         handles["palette"] = gui.add_dropdown("Palette", PALETTE_CHOICES)
         handles["automatic"] = gui.add_checkbox(
-            "Automatic", True, hint="The range follows the picture. Switch it off to set the range by hand."
+            "Automatic",
+            True,
+            hint="The range follows the picture. Switch it off to set the range by hand.",
         )
         handles["coldest"] = gui.add_number(f"Coldest, {unit}", low, step=step)
         handles["hottest"] = gui.add_number(f"Hottest, {unit}", high, step=step)
         handles["marks_band"] = gui.add_checkbox(
             "Isotherm", False, hint="Marks all temperatures from-to in one bright colour."
         )
-        handles["band_from"] = gui.add_number(f"From, {unit}", round(low + 0.6 * (high - low), 2), step=step)
+        handles["band_from"] = gui.add_number(
+            f"From, {unit}", round(low + 0.6 * (high - low), 2), step=step
+        )
         handles["band_to"] = gui.add_number(f"To, {unit}", round(high, 2), step=step)
     handles["browser_splats"] = gui.add_checkbox(
         "Let the browser draw", False, visible=can_bake,
-        hint="Smooth, but needs a graphics card. Colour or temperature only; clicking reads as before.",
+        hint="Smooth, but needs a graphics card. Colour or temperature only; clicking reads as "
+             "before.",
     )  # fmt: skip
     handles["screenshot"] = gui.add_button("Screenshot", icon="camera")
     return handles
@@ -133,11 +146,13 @@ def _view_tab(gui: viser.GuiApi, subject: Subject, can_bake: bool) -> dict[str, 
 def _measure_tab(gui: viser.GuiApi, inspection: Inspection) -> dict[str, Any]:
     return {
         "keep_spot": gui.add_button(
-            "Keep the point as a spot", icon="map-pin", hint="A spot stays on the object with the value that was read."
+            "Keep the point as a "
+            "spot", icon="map-pin", hint="A spot stays on the object with the value that was read."
         ),
         "spots": gui.add_html(texts.spots(inspection)),
         "draw_box": gui.add_button(
-            "Draw a box", icon="square", hint="Press, then drag over the picture. A box stays in the picture.",
+            "Draw a box", icon="square", hint="Press, then drag over the picture. A box stays in "
+                                              "the picture.",
             visible=inspection.subject.has_thermal,
         ),
         "boxes": gui.add_html(
@@ -151,7 +166,10 @@ def _photos_tab(gui: viser.GuiApi, subject: Subject) -> dict[str, Any]:
     names = [view.name for view in subject.views]
     there = bool(names)
     if there:
-        text = "Go to where a photo was taken. 'Photos beside the model' and 'Difference' are under View, Show."
+        text = (
+            "Go to where a photo was taken. 'Photos beside the model' and 'Difference' are "
+            "under View, Show."
+        )
     else:
         text = "The photos are not at hand: name the scene's folder with --scene."
     gui.add_html(texts.paragraph(text, "#6b7280"))
@@ -167,13 +185,18 @@ def _photos_tab(gui: viser.GuiApi, subject: Subject) -> dict[str, Any]:
 
 def _video_tab(gui: viser.GuiApi) -> dict[str, Any]:
     gui.add_html(
-        texts.paragraph("Go to a place, add a keyframe, go to the next. The video flies through them.", "#6b7280")
+        texts.paragraph(
+            "Go to a place, add a keyframe, go to the next. The video flies through them.",
+            "#6b7280",
+        )
     )
     return {
         "add_keyframe": gui.add_button("Add keyframe", icon="plus"),
         "keyframes": gui.add_html(texts.paragraph("No keyframes yet.", "#6b7280")),
         "seconds": gui.add_number("Seconds", DEFAULT_SECONDS, min=0.5, max=600.0, step=0.5),
         "render_video": gui.add_button("Render video", icon="movie"),
-        "save_path": gui.add_button("Save the path", icon="device-floppy", hint="As nerfstudio's camera-path JSON."),
+        "save_path": gui.add_button(
+            "Save the path", icon="device-floppy", hint="As nerfstudio's camera-path JSON."
+        ),
         "clear_path": gui.add_button("Remove all keyframes", icon="trash"),
     }

@@ -16,17 +16,21 @@ _log = logging.getLogger(__name__)
 class RenderScheduler:
     """One worker thread that always draws the newest state.
 
-    Requests that come while a picture is being drawn are merged into one. A sharp picture that was overtaken by a
-    change is not drawn.
+    Requests that come while a picture is being drawn are merged into one. A sharp picture that was
+    overtaken by a change is not drawn.
 
     Args:
-        draw: draws and shows a picture; called with True for a coarse one. What it raises is passed to ``on_error``.
+        draw: draws and shows a picture; called with True for a coarse one. What it raises is passed
+            to ``on_error``.
         on_error: told of every exception of ``draw``.
         rest_s: time without a change before the sharp picture.
     """
 
     def __init__(
-        self, draw: Callable[[bool], None], on_error: Callable[[Exception], None], rest_s: float = REST_S
+        self,
+        draw: Callable[[bool], None],
+        on_error: Callable[[Exception], None],
+        rest_s: float = REST_S,
     ) -> None:
         self._draw = draw
         self._on_error = on_error

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mrgs.render import Model, Photograph
-from mrgs.run import Run
+from mrgs.runs.open import Run
 from mrgs.scene import Scene
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.address import require_free, require_viser
@@ -42,7 +42,8 @@ def view(
 
     Args:
         run: what ``load_run`` returns.
-        scene: what ``run.load_scene`` returns; without it there are no photos and no cameras to go to.
+        scene: what ``run.load_scene`` returns; without it there are no photos and no cameras to go
+            to.
         host: the address to listen on.
         port: TCP port; 0 takes a free one.
         on_ready: told the address to open.
@@ -71,8 +72,8 @@ def view(
 class LiveView:
     """Shows a model while it trains; pass its methods to ``mrgs.training.train``.
 
-    It takes at most 5 % of the training's time, and none while no browser is open. Whatever fails in it is logged, and
-    the training goes on.
+    It takes at most 5 % of the training's time, and none while no browser is open. Whatever fails
+    in it is logged, and the training goes on.
 
     Args:
         output: the run's folder.
@@ -110,7 +111,8 @@ class LiveView:
         self._scene, self._max_steps = scene, config.max_steps
 
     def on_model(self, model: Model, photograph: Photograph) -> None:
-        """Begin to serve the model, compared with photos through ``photograph``; for ``train(on_model=...)``."""
+        """Begin to serve the model, compared with photos through ``photograph``; for
+        ``train(on_model=...)``."""
         self._model = model
         try:
             from mrgs.viewer.web import Viewer, start_pose
@@ -118,15 +120,20 @@ class LiveView:
             scene = self._scene
             temperature = None if scene is None else scene.temperature
             name = self._output.resolve().name
-            subject = Subject(name, self._source, temperature, scene, self._output, "Training begins.", photograph)
-            self._viewer = self._served = Viewer(subject, start_pose(scene, model), self._host, self._port)
+            subject = Subject(
+                name, self._source, temperature, scene, self._output, "Training begins.", photograph
+            )
+            self._viewer = self._served = Viewer(
+                subject, start_pose(scene, model), self._host, self._port
+            )
             if self._on_ready is not None:
                 self._on_ready(self._viewer.url)
         except Exception as error:
             _log.warning("the training goes on without its view: %s", error)
 
     def on_step(self, statistics: StepStatistics) -> None:
-        """Draw, if somebody looks and the share of time allows; for ``train(on_step=...)``. Raises nothing."""
+        """Draw, if somebody looks and the share of time allows; for ``train(on_step=...)``. Raises
+        nothing."""
         viewer = self._viewer
         if viewer is None or self._model is None:
             return
@@ -145,7 +152,9 @@ class LiveView:
         """Stop serving. Raises nothing."""
         self._source.close()
         viewer = self._served
-        self._viewer = self._served = self._model = self._scene = None  # a closed view keeps nothing in memory
+        self._viewer = self._served = self._model = self._scene = (
+            None  # a closed view keeps nothing in memory
+        )
         try:
             if viewer is not None:
                 viewer.close()

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from mrgs.evaluation.palette import PaletteName
+from mrgs.pictures.palette import PaletteName
 from mrgs.render import Photograph, as_it_is
 from mrgs.scene import Scene, TemperatureRange, View
 from mrgs.viewer.source import Source
 
-Mode = Literal["rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"]
+Mode = Literal[
+    "rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"
+]
 
 MODE_LABELS: dict[Mode, str] = {
     "temperature": "Temperature",
@@ -35,9 +37,11 @@ class Settings:
     Attributes:
         mode: what is shown.
         palette: colours of the temperatures.
-        limits: temperatures of the palette's ends, °C (normalised without °C); None follows the picture.
+        limits: temperatures of the palette's ends, °C (normalised without °C); None follows the
+            picture.
         isotherm: temperatures from-to that are marked in one colour; None marks nothing.
-        share: of the slider in the modes ``blend`` and ``split``, 0 (all colour) to 1 (all temperature).
+        share: of the slider in the modes ``blend`` and ``split``, 0 (all colour) to 1 (all
+            temperature).
     """
 
     mode: Mode = "temperature"
@@ -58,7 +62,8 @@ class Subject:
         scene: the capture, for its cameras and photos; None where it cannot be had.
         folder: the run's folder; screenshots and videos go into its ``renders``.
         note: a sentence for the user at the top of the panel; may be empty.
-        photograph: what the captured cameras do to the images; used where the model is compared with photos.
+        photograph: what the captured cameras do to the images; used where the model is compared
+            with photos.
     """
 
     name: str
@@ -76,12 +81,14 @@ class Subject:
 
     @property
     def has_rgb(self) -> bool:
-        """Whether the model was trained on colour photos; assumed where the scene is not at hand."""
+        """Whether the model was trained on colour photos; assumed where the scene is not at
+        hand."""
         return self.scene is None or self.scene.has_rgb
 
     @property
     def has_thermal(self) -> bool:
-        """Whether the model was trained on thermal photos; assumed where the scene is not at hand."""
+        """Whether the model was trained on thermal photos; assumed where the scene is not at
+        hand."""
         return self.scene is None or self.scene.has_thermal
 
     @property

@@ -1,7 +1,7 @@
 """Access to the model: at once for a trained run, between two steps while it trains.
 
-Kernels may not run from two threads at once (Numba's portable threading layer ends the process), so every use of the
-model goes through a source, one after the other.
+Kernels may not run from two threads at once (Numba's portable threading layer ends the process), so
+every use of the model goes through a source, one after the other.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeAlias, TypeVar
 
-from mrgs.gpu import HOST
 from mrgs.render import Model
+from mrgs.system.gpu import HOST
 
 Result = TypeVar("Result")
 
@@ -45,7 +45,8 @@ class TrainedSource:
 
 
 class LiveSource:
-    """A model in training: jobs run on the training's thread between two steps, within a share of its time.
+    """A model in training: jobs run on the training's thread between two steps, within a share of
+    its time.
 
     Args:
         share: of the time that jobs may take.
@@ -93,9 +94,11 @@ class LiveSource:
         return future.result()
 
     def charge(self) -> None:
-        """Account for the processor time that the calling thread has used since it last called this, or since it began.
+        """Account for the processor time that the calling thread has used since it last called
+        this, or since it began.
 
-        For the viewer's own threads: painting and serving take time from the training as rendering does.
+        For the viewer's own threads: painting and serving take time from the training as rendering
+        does.
         """
         now = self._thread_clock()
         with self._lock:
@@ -103,9 +106,11 @@ class LiveSource:
         self._charged.until_s = now
 
     def serve(self, model: Model) -> None:
-        """Run the oldest job if the credit allows; called by the training between two steps. Raises nothing.
+        """Run the oldest job if the credit allows; called by the training between two steps. Raises
+        nothing.
 
-        What the jobs draw with is on the host, so a model that trains on a GPU is copied there first.
+        What the jobs draw with is on the host, so a model that trains on a GPU is copied there
+        first.
         """
         now = self._clock()
         with self._lock:

@@ -1,4 +1,5 @@
-"""The model as plain splats for the browser's own renderer: smooth where there is a graphics card."""
+"""The model as plain splats for the browser's own renderer: smooth where there is a graphics
+card."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from mrgs.baked import BakedModel
-from mrgs.evaluation.palette import colorize
 from mrgs.field.spherical_harmonics import C0
+from mrgs.pictures.palette import colorize
+from mrgs.runs.baked import BakedModel
 from mrgs.viewer.painting import Scales, isotherm_color
 from mrgs.viewer.settings import Settings
 
@@ -38,7 +39,8 @@ class BrowserSplats:
 
 
 def splat_colors(baked: BakedModel, settings: Settings, scales: Scales) -> UInt8[np.ndarray, "n 3"]:
-    """One colour per splat: of its temperature by the palette, or its mean colour over all directions."""
+    """One colour per splat: of its temperature by the palette, or its mean colour over all
+    directions."""
     if settings.mode != "temperature":
         return np.rint((baked.sh[:, 0] * C0 + 0.5).clamp(0, 1).numpy() * 255).astype(np.uint8)
     values = (baked.temperatures if baked.temperature is None else baked.temperatures_c).numpy()
@@ -50,7 +52,9 @@ def splat_colors(baked: BakedModel, settings: Settings, scales: Scales) -> UInt8
     return colors
 
 
-def covariances(quats: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+def covariances(
+    quats: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3 3"]:
     """R diag(s²) Rᵀ of each splat."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(dim=1)
     rotation = torch.stack(

@@ -43,7 +43,10 @@ def point(inspection: Inspection) -> str:
     lines = []
     if reading.value is not None and reading.value_spread is not None:
         spread = subject.format_value(reading.value_spread)
-        big = f'<span class="mrgs-value" style="font-size:22px;font-weight:600">{subject.format_value(reading.value)}'
+        big = (
+            f'<span class="mrgs-value" '
+            f'style="font-size:22px;font-weight:600">{subject.format_value(reading.value)}'
+        )
         unit = " (normalised)" if subject.temperature is None else ""
         lines.append(f"{big}</span> <span>± {spread} spread{unit}</span>")
     if shown.photo_value is not None and reading.value is not None:
@@ -76,7 +79,9 @@ def boxes(readings: Sequence[BoxReading | None], subject: Subject) -> str:
     """Minimum, mean and maximum of each box, as a table."""
     if not readings:
         return paragraph("No boxes yet.", "#6b7280")
-    rows = "".join(_box_row(f"B{number}", reading, subject) for number, reading in enumerate(readings, start=1))
+    rows = "".join(
+        _box_row(f"B{number}", reading, subject) for number, reading in enumerate(readings, start=1)
+    )
     unit = subject.unit
     head = f"<tr><th></th><th>min</th><th>mean</th><th>max</th><th>{unit}</th></tr>"
     table = f'<table class="mrgs-boxes" style="width:100%;text-align:right">{head}{rows}</table>'

@@ -1,4 +1,5 @@
-"""The web server: one model, any number of browsers. Needs viser; ``server.py`` says so where it is missing."""
+"""The web server: one model, any number of browsers. Needs viser; ``server.py`` says so where it is
+missing."""
 
 from __future__ import annotations
 
@@ -12,10 +13,10 @@ from typing import Any
 import viser
 from filelock import FileLock, Timeout
 
-from mrgs.baked import bake
 from mrgs.errors import ConfigError, MrgsWarning, RunError
 from mrgs.render import Model
-from mrgs.run import Run
+from mrgs.runs.baked import bake
+from mrgs.runs.open import Run
 from mrgs.scene import Scene
 from mrgs.viewer.address import require_free
 from mrgs.viewer.browser import Browser
@@ -31,7 +32,8 @@ class Viewer:
     Args:
         subject: the model.
         start: where browsers look from at first.
-        host: the address to listen on; anything but this computer's own makes the model visible to the network.
+        host: the address to listen on; anything but this computer's own makes the model visible to
+            the network.
         port: TCP port; 0 takes a free one.
         splats: the model as plain splats; None where browsers cannot draw it.
 
@@ -40,7 +42,12 @@ class Viewer:
     """
 
     def __init__(
-        self, subject: Subject, start: Pose, host: str, port: int, splats: BrowserSplats | None = None
+        self,
+        subject: Subject,
+        start: Pose,
+        host: str,
+        port: int,
+        splats: BrowserSplats | None = None,
     ) -> None:
         self._subject = subject
         self._start = start
@@ -49,7 +56,9 @@ class Viewer:
         self._lock = threading.Lock()
         self.note = subject.note
         self._server = _serve(host, port, subject.name)
-        self._server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        self._server.gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="medium"
+        )
         self._server.gui.main_panel.dock_right()
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._disconnected)
@@ -88,23 +97,36 @@ class Viewer:
 
 
 def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
-    """Start to serve a run, and return at once; the arguments and errors are those of ``server.view``."""
+    """Start to serve a run, and return at once; the arguments and errors are those of
+    ``server.view``."""
     _require_gaussians(run.model, run.folder.path)
     note = ""
     if is_training(run.folder.path):
         step = f"step {run.facts.step:,} of {run.config.max_steps:,}"
-        note = f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
+        note = (
+            f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
+        )
         warnings.warn(
-            f"{run.folder.path} is still training: showing its checkpoint of {step}", MrgsWarning, stacklevel=2
+            f"{run.folder.path} is still training: showing its checkpoint of {step}",
+            MrgsWarning,
+            stacklevel=2,
         )
     source = TrainedSource(run.model)
     subject = Subject(
-        run.folder.path.resolve().name, source, run.temperature, scene, run.folder.path, note, run.photograph
+        run.folder.path.resolve().name,
+        source,
+        run.temperature,
+        scene,
+        run.folder.path,
+        note,
+        run.photograph,
     )
     splats = None
     if scene is not None:
         cameras = scene.train_cameras
-        splats = BrowserSplats(lambda: source.run(lambda model: bake(model, cameras, run.temperature)))
+        splats = BrowserSplats(
+            lambda: source.run(lambda model: bake(model, cameras, run.temperature))
+        )
     return Viewer(subject, start_pose(scene, run.model), host, port, splats)
 
 
@@ -126,7 +148,9 @@ def is_training(folder: Path) -> bool:
 
 def _require_gaussians(model: Model, path: Path) -> None:
     if len(model.gaussians) == 0:
-        raise RunError(f"{path}: the model has no Gaussians, so there is nothing to see; train it anew")
+        raise RunError(
+            f"{path}: the model has no Gaussians, so there is nothing to see; train it anew"
+        )
 
 
 def _serve(host: str, port: int, title: str) -> viser.ViserServer:
@@ -135,7 +159,9 @@ def _serve(host: str, port: int, title: str) -> viser.ViserServer:
         server: Any = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if port not in (0, server.get_port()):
         server.stop()
-        raise ConfigError(f"cannot listen on {host}:{port}: choose another --port, or end what uses it")
+        raise ConfigError(
+            f"cannot listen on {host}:{port}: choose another --port, or end what uses it"
+        )
     return server
 
 

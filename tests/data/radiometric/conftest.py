@@ -68,7 +68,9 @@ class FlirPhoto:
         put(0, "3H", 2, width, height)
         p, planck = self.parameters, self.planck
         put(0x20, "2f", p["emissivity"], p["distance_m"])
-        put(0x28, "3f", *(p[name] + ZERO_K for name in ("reflected_c", "atmospheric_c", "window_c")))
+        put(
+            0x28, "3f", *(p[name] + ZERO_K for name in ("reflected_c", "atmospheric_c", "window_c"))
+        )
         put(0x34, "f", p["window_transmission"])
         put(0x3C, "f", p["humidity"])
         put(0x58, "3f", planck["r1"], planck["b"], planck["f"])
@@ -107,7 +109,9 @@ class FlirPhoto:
         for kind, content in contents.items():
             directory += struct.pack(">HHIIII12x", kind, 1, 100, 1, at, len(content))
             at += len(content)
-        header = b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, len(contents) + 1)
+        header = (
+            b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, len(contents) + 1)
+        )
         return header.ljust(64, b"\0") + directory + b"".join(contents.values())
 
     def jpeg(self, record: bytes | None = None) -> bytes:

@@ -43,7 +43,9 @@ def test_all_sizes_differ_in_bytes():
 @pytest.mark.parametrize(("form", "factor"), [("<f4", 1), ("<i2", 10)])
 def test_bare_numbers(save, form, factor):
     celsius = np.linspace(-12, 45, 512 * 640).reshape(512, 640)
-    photo = read_thermal_photo(save("a.raw", np.rint(celsius * 10 / (10 / factor)).astype(form).tobytes()))
+    photo = read_thermal_photo(
+        save("a.raw", np.rint(celsius * 10 / (10 / factor)).astype(form).tobytes())
+    )
     np.testing.assert_allclose(photo.temperature_c, celsius, atol=0.51 if factor == 1 else 0.051)
     assert photo.facts.source == "output of DJI's Thermal SDK"
 

@@ -29,7 +29,9 @@ def test_facts(form):
         t271="Maker",
         t306="2020:01:02 03:04:05",
     )
-    assert read_exif(data) == ExifFacts("Maker", None, datetime(2020, 1, 2, 3, 4, 5), GpsPosition(48.5, -9.26, 430.5))
+    assert read_exif(data) == ExifFacts(
+        "Maker", None, datetime(2020, 1, 2, 3, 4, 5), GpsPosition(48.5, -9.26, 430.5)
+    )
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,13 @@ from mrgs.errors import SceneError
 
 
 def expected_celsius(counts: np.ndarray, planck: dict, parameters: dict) -> np.ndarray:
-    """The measurement formula, solved by bisection on the object's temperature: nothing is inverted by hand."""
+    """The measurement formula, solved by bisection on the object's temperature: nothing is inverted
+    by hand."""
     alpha1, alpha2, beta1, beta2, x = 0.006569, 0.01262, -0.002276, -0.00667, 1.9
     t = parameters["atmospheric_c"]
-    water = parameters["humidity"] * np.exp(1.5587 + 6.939e-2 * t - 2.7816e-4 * t**2 + 6.8455e-7 * t**3)
+    water = parameters["humidity"] * np.exp(
+        1.5587 + 6.939e-2 * t - 2.7816e-4 * t**2 + 6.8455e-7 * t**3
+    )
     root = np.sqrt(parameters["distance_m"])
     tau = x * np.exp(-root * (alpha1 + beta1 * np.sqrt(water)))
     tau += (1 - x) * np.exp(-root * (alpha2 + beta2 * np.sqrt(water)))
@@ -29,7 +32,9 @@ def expected_celsius(counts: np.ndarray, planck: dict, parameters: dict) -> np.n
         return planck["r1"] / (planck["r2"] * (exponential - planck["f"])) - planck["o"]
 
     def total(celsius):
-        at_window = eps * tau * signal(celsius) + (1 - eps) * tau * signal(parameters["reflected_c"])
+        at_window = eps * tau * signal(celsius) + (1 - eps) * tau * signal(
+            parameters["reflected_c"]
+        )
         at_window += (1 - tau) * signal(parameters["atmospheric_c"])
         return window * at_window + (1 - window) * signal(parameters["window_c"])
 
@@ -88,7 +93,9 @@ def test_facts(flir, save):
     exif[0x010F], exif[0x0110] = "FLIR Systems AB", "Ex"
     exif.get_ifd(0x8769)[0x9003] = "2024:02:03 04:05:06"
     exif.get_ifd(0x8769)[0x9291] = "50"
-    exif.get_ifd(0x8825).update({1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 0.0, 0.0), 5: b"\1", 6: 12.5})
+    exif.get_ifd(0x8825).update(
+        {1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 0.0, 0.0), 5: b"\1", 6: 12.5}
+    )
     facts = read_thermal_photo(save("a.jpg", flir(exif=exif).jpeg())).facts
     assert (facts.camera, facts.serial) == ("Test Camera", "4711")
     assert facts.taken == datetime(2024, 2, 3, 4, 5, 6, 500_000)
@@ -132,7 +139,11 @@ def test_visible_photo_as_jpeg(flir, save):
     visible = read_thermal_photo(save("a.jpg", flir(visible=file.getvalue()).jpeg())).facts.visible
     assert visible.data == file.getvalue()
     assert np.abs(visible.pixels().astype(int) - colours())[:, [2, 20]].max() < 12
-    assert (visible.alignment.real_to_ir, visible.alignment.offset_x_px, visible.alignment.offset_y_px) == (1.5, 3, -4)
+    assert (
+        visible.alignment.real_to_ir,
+        visible.alignment.offset_x_px,
+        visible.alignment.offset_y_px,
+    ) == (1.5, 3, -4)
     assert visible.alignment.picture_in_picture_px == (10, 20, 30, 40)
 
 
@@ -180,27 +191,39 @@ def test_temperatures_outside_of_the_calibration_are_said(flir, save):
 
 def test_overrides_without_effect_are_said(flir, save):
     photo = read_thermal_photo(save("a.jpg", flir().jpeg()), Overrides(unit="kelvin"))
-    assert "unit had no effect: the temperatures follow from the camera's signal." in photo.facts.warnings
+    assert (
+        "unit had no effect: the temperatures follow from the camera's signal."
+        in photo.facts.warnings
+    )
 
 
 @pytest.mark.parametrize("record", [0x01, 0x20])
 def test_a_missing_record(flir, save, record, monkeypatch):
     whole = flir().contents()
-    monkeypatch.setattr(flir, "contents", lambda self: {kind: whole[kind] for kind in whole if kind != record})
-    with pytest.raises(SceneError, match=r"its thermal record holds no (raw image|camera info with the Planck)"):
+    monkeypatch.setattr(
+        flir, "contents", lambda self: {kind: whole[kind] for kind in whole if kind != record}
+    )
+    with pytest.raises(
+        SceneError, match=r"its thermal record holds no (raw image|camera info with the Planck)"
+    ):
         read_thermal_photo(save("a.jpg", flir().jpeg()))
 
 
 @pytest.mark.parametrize("kept", [30, 100, 500, 1400, 2000])
 def test_a_record_that_is_cut_off(flir, save, kept):
-    with pytest.raises(SceneError, match=r"its thermal record (is cut off|does not start as FLIR's do)"):
+    with pytest.raises(
+        SceneError, match=r"its thermal record (is cut off|does not start as FLIR's do)"
+    ):
         read_thermal_photo(save("a.jpg", flir().jpeg(flir().record()[:kept])))
 
 
 def test_a_file_that_is_cut_off(flir, save):
     whole = flir(part_bytes=1000).jpeg()
     for kept in (500, 1500, len(whole) - 900):
-        with pytest.raises(SceneError, match=r"its thermal record is cut off or damaged \(\d of 3 parts are whole\)"):
+        with pytest.raises(
+            SceneError,
+            match=r"its thermal record is cut off or damaged \(\d of 3 parts are whole\)",
+        ):
             read_thermal_photo(save("a.jpg", whole[:kept]))
 
 
@@ -208,14 +231,29 @@ def test_a_file_that_is_cut_off(flir, save):
     ("fields", "message"),
     [
         ({0x58: bytes(12), 0x308: bytes(8)}, "its Planck constants are missing"),
-        ({0x58: struct.pack("<f", float("nan"))}, r"its Planck constants are absurd \(not a number\)"),
+        (
+            {0x58: struct.pack("<f", float("nan"))},
+            r"its Planck constants are absurd \(not a number\)",
+        ),
         ({0x58: struct.pack("<f", -3.0)}, r"its Planck constants are absurd \(R1 = -3"),
         ({0x5C: struct.pack("<f", 3.0)}, r"its Planck constants are absurd \(B = 3\)"),
         ({0x60: struct.pack("<f", 99.0)}, r"its Planck constants are absurd \(F = 99\)"),
-        ({0x308: struct.pack("<i", -(10**9))}, "its Planck constants are absurd: they give no plausible"),
-        ({0x20: struct.pack("<f", 0.0)}, "its emissivity of 0 is not between 0.01 and 1; .* --emissivity"),
-        ({0x24: struct.pack("<f", float("inf"))}, "its distance_m of inf is not between .* --distance"),
-        ({0x2C: struct.pack("<f", 0.0)}, "its atmospheric_c of -273.15 is not between .* --atmospheric"),
+        (
+            {0x308: struct.pack("<i", -(10**9))},
+            "its Planck constants are absurd: they give no plausible",
+        ),
+        (
+            {0x20: struct.pack("<f", 0.0)},
+            "its emissivity of 0 is not between 0.01 and 1; .* --emissivity",
+        ),
+        (
+            {0x24: struct.pack("<f", float("inf"))},
+            "its distance_m of inf is not between .* --distance",
+        ),
+        (
+            {0x2C: struct.pack("<f", 0.0)},
+            "its atmospheric_c of -273.15 is not between .* --atmospheric",
+        ),
         ({0x70: struct.pack("<5f", 9, 9, 9, 9, 9)}, "of the radiation pass; give --distance 0"),
         ({0x00: b"\7\7"}, "its camera info is damaged"),
     ],
@@ -241,8 +279,14 @@ def with_raw_data(flir, monkeypatch, content: bytes) -> bytes:
         (struct.pack("<3H26x", 2, 0, 9), "its raw image of 0 x 9 pixels cannot be"),
         (struct.pack("<3H26x", 2, 60000, 60000), "its raw image of 60000 x 60000 pixels cannot be"),
         (struct.pack("<3H26x", 0, 8, 8), "the header of its raw image is damaged"),
-        (struct.pack("<3H26x", 2, 8, 8) + bytes(100), r"cut off \(100 of 128 bytes of the raw image\)"),
-        (struct.pack("<3H26x", 2, 8, 8) + b"\xff\xd8\xff\xf7", "compressed with JPEG-LS, which is not read"),
+        (
+            struct.pack("<3H26x", 2, 8, 8) + bytes(100),
+            r"cut off \(100 of 128 bytes of the raw image\)",
+        ),
+        (
+            struct.pack("<3H26x", 2, 8, 8) + b"\xff\xd8\xff\xf7",
+            "compressed with JPEG-LS, which is not read",
+        ),
         (struct.pack("<3H26x", 2, 8, 8) + b"\x89PNG\r\n\x1a\n", "its raw image cannot be decoded"),
     ],
 )
@@ -254,7 +298,9 @@ def test_raw_images_that_cannot_be(flir, save, monkeypatch, content, message):
 def test_a_raw_png_of_another_size(flir, save, monkeypatch):
     written = flir(storage="png").raw_data()
     content = struct.pack("<3H26x", 2, 8, 8) + written[32:]
-    with pytest.raises(SceneError, match=r"32 x 24 pixels of type .* where 8 x 8 of 16 bits are announced"):
+    with pytest.raises(
+        SceneError, match=r"32 x 24 pixels of type .* where 8 x 8 of 16 bits are announced"
+    ):
         read_thermal_photo(save("a.jpg", with_raw_data(flir, monkeypatch, content)))
 
 

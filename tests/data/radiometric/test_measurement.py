@@ -18,7 +18,9 @@ def test_planck_and_back(celsius):
 
 
 @given(st.floats(0.1, 1), st.floats(0, 500), st.floats(-50, 80), st.floats(0, 1), st.floats(0.3, 1))
-def test_everything_at_one_temperature_is_measured_as_it_is(emissivity, distance, celsius, humidity, window):
+def test_everything_at_one_temperature_is_measured_as_it_is(
+    emissivity, distance, celsius, humidity, window
+):
     """In a cavity of one temperature, emissivity, air and window do not matter."""
     parameters = ObjectParameters(emissivity, distance, celsius, celsius, humidity, celsius, window)
     tau = AIR.transmission(distance, celsius, humidity)

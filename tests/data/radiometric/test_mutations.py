@@ -1,6 +1,8 @@
-"""Whatever happens to the bytes of a thermal photo, the answer is a photo whose mask is true, or a SceneError.
+"""Whatever happens to the bytes of a thermal photo, the answer is a photo whose mask is true, or a
+SceneError.
 
-``MRGS_MUTATIONS`` sets how many damaged files are tried (5,000 take some minutes), ``MRGS_MUTATION_SEED`` which.
+``MRGS_MUTATIONS`` sets how many damaged files are tried (5,000 take some minutes),
+``MRGS_MUTATION_SEED`` which.
 """
 
 from __future__ import annotations
@@ -26,9 +28,22 @@ PHOTOS = Path(__file__).parents[4] / "shared/radiometric"
 
 T = TypeVar("T")
 
-ODD_FLOATS = (0.0, -1.0, 1e-30, 1e30, -1e30, float("nan"), float("inf"), float("-inf"), 293.15, 1400.0)
+ODD_FLOATS = (
+    0.0,
+    -1.0,
+    1e-30,
+    1e30,
+    -1e30,
+    float("nan"),
+    float("inf"),
+    float("-inf"),
+    293.15,
+    1400.0,
+)
 ODD_WORDS = [struct.pack(f"{order}f", value) for value in ODD_FLOATS for order in "<>"] + [
-    struct.pack(f"{order}I", value) for value in (1, 31, 32, 65_535, 2**20, 2**31 - 1, 2**32 - 1) for order in "<>"
+    struct.pack(f"{order}I", value)
+    for value in (1, 31, 32, 65_535, 2**20, 2**31 - 1, 2**32 - 1)
+    for order in "<>"
 ]
 
 
@@ -91,10 +106,19 @@ def image_bytes(pixels: np.ndarray, form: str) -> bytes:
 def originals(flir) -> list[tuple[str, bytes]]:
     """Whole files of every kind, by extension: FLIR's as a photo and as a bare record."""
     visible = image_bytes(np.full((24, 32, 3), 90, dtype=np.uint8), "PNG")
-    written = [flir(), flir(storage="swapped png", visible=visible), flir(order=">", part_bytes=2000)]
-    files = [(".jpg", photo.jpeg()) for photo in written] + [(".fff", photo.record()) for photo in written]
+    written = [
+        flir(),
+        flir(storage="swapped png", visible=visible),
+        flir(order=">", part_bytes=2000),
+    ]
+    files = [(".jpg", photo.jpeg()) for photo in written] + [
+        (".fff", photo.record()) for photo in written
+    ]
     celsius = np.linspace(5, 30, 600, dtype=np.float32).reshape(20, 30)
-    files += [(".tif", image_bytes(celsius, "TIFF")), (".png", image_bytes((100 * celsius).astype(np.uint16), "PNG"))]
+    files += [
+        (".tif", image_bytes(celsius, "TIFF")),
+        (".png", image_bytes((100 * celsius).astype(np.uint16), "PNG")),
+    ]
     files.append((".csv", "\n".join(";".join(f"{v:.1f}" for v in row) for row in celsius).encode()))
     return files
 

@@ -35,7 +35,9 @@ def test_sixteen_bits_whose_unit_is_plain(save, name, unit, counts):
     ],
 )
 def test_a_given_unit(save, unit, counts):
-    photo = read_thermal_photo(save("a.png", np.rint(counts).astype(np.uint16)), Overrides(unit=unit))
+    photo = read_thermal_photo(
+        save("a.png", np.rint(counts).astype(np.uint16)), Overrides(unit=unit)
+    )
     np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.51)
     assert photo.facts.notes == ()
 
@@ -48,19 +50,25 @@ def test_signed_sixteen_bits(save):
 def test_two_units_that_both_fit_are_not_guessed(save):
     path = save("a.png", np.rint(10 * (SCENE_C + 285)).astype(np.uint16))
     with pytest.raises(
-        SceneError, match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) may be celsius\*100 or kelvin\*10; give the unit"
+        SceneError,
+        match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) may be celsius\*100 or kelvin\*10; give the "
+        r"unit",
     ):
         read_thermal_photo(path)
 
 
 def test_no_unit_that_fits(save):
-    with pytest.raises(SceneError, match=r"fit no usual unit; give the unit, such as --unit celsius\*100"):
+    with pytest.raises(
+        SceneError, match=r"fit no usual unit; give the unit, such as --unit celsius\*100"
+    ):
         read_thermal_photo(save("a.png", np.full((4, 5), 60000, dtype=np.uint16)))
 
 
 def test_a_unit_that_cannot_be(save):
     with pytest.raises(SceneError, match="none of its numbers is a temperature in celsius"):
-        read_thermal_photo(save("a.png", np.full((4, 5), 60000, dtype=np.uint16)), Overrides(unit="celsius"))
+        read_thermal_photo(
+            save("a.png", np.full((4, 5), 60000, dtype=np.uint16)), Overrides(unit="celsius")
+        )
 
 
 def test_nothing_but_zeros(save):
@@ -122,7 +130,9 @@ def test_a_colour_palette_has_no_temperatures_but_is_used(save):
     assert photo.valid.all()
     assert 0 < photo.relative[0, 0] < photo.relative[0, 5] < 1
     assert "shows colours and holds no temperatures" in photo.facts.warnings[0]
-    assert photo.facts.warnings[1].startswith("emissivity had no effect: the file holds finished numbers")
+    assert photo.facts.warnings[1].startswith(
+        "emissivity had no effect: the file holds finished numbers"
+    )
     with pytest.raises(SceneError, match="shows a colour palette, from which °C cannot be had"):
         read_thermal_photo(path, Overrides(bounds_c=(0, 1)))
 
@@ -136,7 +146,10 @@ def test_grey_with_a_unit(save):
     ("content", "message"),
     [
         (b"", "a.tif: is empty; copy the photo from the camera again"),
-        (b"hello", "a.tif: is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables"),
+        (
+            b"hello",
+            "a.tif: is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables",
+        ),
         (b"\x89PNG\r\n\x1a\n", "a.tif: it cannot be decoded as an image"),
         (b"\xff\xd8\xff\xe0", "a.tif: it cannot be decoded as an image"),
     ],
@@ -187,5 +200,9 @@ def test_bounds_without_effect_are_said(save):
 
 
 def test_bounds_for_other_integers(save):
-    with pytest.raises(SceneError, match="no 16-bit shades of grey; give --unit instead of --bounds"):
-        read_thermal_photo(save("a.tif", np.full((3, 4), -5, dtype=np.int16)), Overrides(bounds_c=(0, 50)))
+    with pytest.raises(
+        SceneError, match="no 16-bit shades of grey; give --unit instead of --bounds"
+    ):
+        read_thermal_photo(
+            save("a.tif", np.full((3, 4), -5, dtype=np.int16)), Overrides(bounds_c=(0, 50))
+        )

@@ -1,4 +1,5 @@
-"""Real photos, where they are at hand: the numbers that the cameras printed into their pictures are the truth."""
+"""Real photos, where they are at hand: the numbers that the cameras printed into their pictures are
+the truth."""
 
 from __future__ import annotations
 
@@ -10,10 +11,13 @@ import pytest
 from mrgs.data.radiometric import read_thermal_photo
 
 PHOTOS = Path(__file__).parents[4] / "shared/radiometric"
-pytestmark = pytest.mark.skipif(not PHOTOS.is_dir(), reason="the real photos do not lie beside the repository")
+pytestmark = pytest.mark.skipif(
+    not PHOTOS.is_dir(), reason="the real photos do not lie beside the repository"
+)
 
-# Beside each photo: its camera, size, and the ends of the printed colour scale with their unit and tolerance. Live
-# pictures of moving cars, and cameras that cut decimals off, differ from their record by up to one printed step.
+# Beside each photo: its camera, size, and the ends of the printed colour scale with their unit and
+# tolerance. Live pictures of moving cars, and cameras that cut decimals off, differ from their
+# record by up to one printed step.
 PRINTED = {
     "01_200_deg_neutral": ("InfraCAM Wester", (120, 120), (90, 161), "F", 1.0),
     "03_Thermal_image_of_four_ducks_swimming": ("FLIR_i7", (120, 120), (45, 64), "F", 0.5),
@@ -44,7 +48,10 @@ def test_the_printed_scale(name):
 
 @pytest.mark.parametrize(
     ("name", "spot_c", "tolerance_c"),
-    [("05_Aqua_Tower_thermal_image", (19.0 - 32) / 1.8, 0.3), ("10_IR_Fussbodenheizung", 21.1, 0.05)],
+    [
+        ("05_Aqua_Tower_thermal_image", (19.0 - 32) / 1.8, 0.3),
+        ("10_IR_Fussbodenheizung", 21.1, 0.05),
+    ],
 )
 def test_the_printed_spot_of_a_still_scene(name, spot_c, tolerance_c):
     celsius = photo(name).temperature_c
@@ -62,5 +69,7 @@ def test_the_visible_photo():
     pixels = visible.pixels().astype(int)
     assert pixels.shape == (480, 480, 3)
     sky = pixels[20:60, 30:100].mean(axis=(0, 1))
-    assert sky[2] > sky[1] > sky[0] > 100  # blue, as a winter sky is; luma and chroma taken for RGB would be orange
+    assert (
+        sky[2] > sky[1] > sky[0] > 100
+    )  # blue, as a winter sky is; luma and chroma taken for RGB would be orange
     assert visible.alignment.real_to_ir == pytest.approx(1.7187, abs=1e-4)

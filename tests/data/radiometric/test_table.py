@@ -21,7 +21,10 @@ def read(tmp_path, text: str, encoding: str = "utf-8", overrides: Overrides | No
 
 
 def lines(separator: str, decimal: str = ".") -> str:
-    return "".join(separator.join(str(v).replace(".", decimal) for v in row) + "\r\n" for row in TABLE_C.tolist())
+    return "".join(
+        separator.join(str(v).replace(".", decimal) for v in row) + "\r\n"
+        for row in TABLE_C.tolist()
+    )
 
 
 @pytest.mark.parametrize(
@@ -50,11 +53,17 @@ def test_locales_and_headers(tmp_path, text, encoding):
 
 
 def test_units(tmp_path):
-    assert read(tmp_path, "Temperatur °F\n68;50;32\n14;50;77\n", "latin-1").temperature_c[0].tolist() == [20, 10, 0]
+    assert read(tmp_path, "Temperatur °F\n68;50;32\n14;50;77\n", "latin-1").temperature_c[
+        0
+    ].tolist() == [20, 10, 0]
     np.testing.assert_allclose(
-        read(tmp_path, "293.15,283.15,273.15\n280,281,282\n").temperature_c[0], [20, 10, 0], atol=1e-4
+        read(tmp_path, "293.15,283.15,273.15\n280,281,282\n").temperature_c[0],
+        [20, 10, 0],
+        atol=1e-4,
     )
-    given = read(tmp_path, "273.15,283.15,573.15\n573,573,573\n", overrides=Overrides(unit="kelvin"))
+    given = read(
+        tmp_path, "273.15,283.15,573.15\n573,573,573\n", overrides=Overrides(unit="kelvin")
+    )
     np.testing.assert_allclose(given.temperature_c[0], [0, 10, 300], atol=1e-4)
 
 
@@ -66,7 +75,9 @@ def test_missing_numbers_are_masked(tmp_path):
 
 @pytest.mark.parametrize("text", ["no table here\n", "a,b,c\nd,e,f\n", "1;2\n", "\n\n"])
 def test_no_table(tmp_path, text):
-    with pytest.raises(SceneError, match="holds no table of numbers; export the temperatures of all pixels as CSV"):
+    with pytest.raises(
+        SceneError, match="holds no table of numbers; export the temperatures of all pixels as CSV"
+    ):
         read(tmp_path, text)
 
 
@@ -75,10 +86,15 @@ def test_a_text_that_is_too_long(tmp_path):
         read(tmp_path, "1" * (MAX_BYTES + 1))
 
 
-@given(st.lists(st.lists(st.floats(-50, 90), min_size=4, max_size=4), min_size=2, max_size=6), st.sampled_from(";\t"))
+@given(
+    st.lists(st.lists(st.floats(-50, 90), min_size=4, max_size=4), min_size=2, max_size=6),
+    st.sampled_from(";\t"),
+)
 def test_every_table_comes_back(tmp_path_factory, rows, separator):
     path = tmp_path_factory.mktemp("tables") / "a.csv"
-    path.write_text("\n".join(separator.join(f"{v:.3f}".replace(".", ",") for v in row) for row in rows))
+    path.write_text(
+        "\n".join(separator.join(f"{v:.3f}".replace(".", ",") for v in row) for row in rows)
+    )
     photo = read_thermal_photo(path, Overrides(unit="celsius"))
     np.testing.assert_allclose(photo.temperature_c, rows, atol=6e-4)
 

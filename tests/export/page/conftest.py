@@ -5,13 +5,16 @@ import math
 import pytest
 import torch
 
-from mrgs.baked import BakedModel
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, TemperatureRange
 
 
 def look_at_origin(angle: float, height: float = 0.8, width: int = 96, rows: int = 64) -> Camera:
-    """A camera at a distance of about 3; fx and fy differ, and the axis misses the image's centre."""
-    position = torch.tensor([2.8 * math.cos(angle), 2.8 * math.sin(angle), height], dtype=torch.float64)
+    """A camera at a distance of about 3; fx and fy differ, and the axis misses the image's
+    centre."""
+    position = torch.tensor(
+        [2.8 * math.cos(angle), 2.8 * math.sin(angle), height], dtype=torch.float64
+    )
     forward = -position / position.norm()
     right = torch.linalg.cross(forward, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     right = right / right.norm()
@@ -42,5 +45,12 @@ def baked() -> BakedModel:
     temperatures = 0.5 + 0.3 * means[:, 0].clamp(-1, 1) + 0.05 * normal(600)
     quats = torch.nn.functional.normalize(normal(600, 4), dim=1)
     return BakedModel(
-        means, quats, scales, opacity[:, 0], opacity[:, 1], sh, temperatures, TemperatureRange(-10.0, 90.0)
+        means,
+        quats,
+        scales,
+        opacity[:, 0],
+        opacity[:, 1],
+        sh,
+        temperatures,
+        TemperatureRange(-10.0, 90.0),
     )

@@ -14,18 +14,29 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.baked import BakedModel
-from mrgs.evaluation.palette import colorize
 from mrgs.export.page import write_page
+from mrgs.pictures.palette import colorize
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync",
-    "--disable-component-update", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader",
+    "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+    "--disable-sync",
+    "--disable-component-update", "--enable-unsafe-swiftshader", "--use-gl=angle",
+    "--use-angle=swiftshader",
 ]  # fmt: skip
 SETTLED = "#view[data-settled=true]"
-PIXELS = [(0.5, 0.5), (0.4, 0.45), (0.6, 0.5), (0.45, 0.62), (0.55, 0.4), (0.5, 0.35), (0.35, 0.55), (0.62, 0.6)]
+PIXELS = [
+    (0.5, 0.5),
+    (0.4, 0.45),
+    (0.6, 0.5),
+    (0.45, 0.62),
+    (0.55, 0.4),
+    (0.5, 0.35),
+    (0.35, 0.55),
+    (0.62, 0.6),
+]
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
@@ -46,14 +57,27 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
     errors: list[str] = []
     contexts = []
 
-    def open_it(shown: BakedModel = baked, *, modalities: tuple[str, ...] = ("rgb", "thermal"), **options: Any) -> Any:
-        write_page(shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities)
+    def open_it(
+        shown: BakedModel = baked,
+        *,
+        modalities: tuple[str, ...] = ("rgb", "thermal"),
+        **options: Any,
+    ) -> Any:
+        write_page(
+            shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities
+        )
         context = browser.new_context(offline=True, **options)
         contexts.append(context)
         page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
-        page.on("request", lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None)
+        page.on(
+            "console",
+            lambda message: errors.append(message.text) if message.type == "error" else None,
+        )
+        page.on(
+            "request",
+            lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None,
+        )
         page.goto(path.as_uri())
         page.wait_for_selector(SETTLED, timeout=60_000)
         return page
@@ -75,7 +99,9 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 
 
 def picture(page: Any) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(page.locator("#view").screenshot())).convert("RGB"), dtype=np.float64)
+    return np.asarray(
+        Image.open(io.BytesIO(page.locator("#view").screenshot())).convert("RGB"), dtype=np.float64
+    )
 
 
 def psnr(got: np.ndarray, expected: np.ndarray) -> float:
@@ -93,7 +119,9 @@ def read(page: Any, x: int, y: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path, antialiased):
+def test_the_page_shows_and_tells_what_the_model_renders(
+    open_page, baked, cameras, tmp_path, antialiased
+):
     baked = replace(baked, antialiased=antialiased)
     page = open_page(baked, viewport={"width": 800, "height": 420})
     page.select_option("#camera", "view 3")

@@ -1,4 +1,5 @@
-"""The packed model is read back here by a decoder of its own, which follows the module's description."""
+"""The packed model is read back here by a decoder of its own, which follows the module's
+description."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.baked import BakedModel
 from mrgs.errors import ConfigError
 from mrgs.export.page.packing import PackedModel, morton_order, pack, smallest_three
+from mrgs.runs.baked import BakedModel
 
 
 def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
@@ -52,7 +53,9 @@ def ten_bits(codes: np.ndarray) -> np.ndarray:
 def quaternions(codes: np.ndarray) -> np.ndarray:
     small = (ten_bits(codes) / 1023 * 2 - 1) * math.sqrt(0.5)
     largest = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
-    return np.stack([np.insert(s, code >> 30, big) for s, code, big in zip(small, codes, largest, strict=True)])
+    return np.stack(
+        [np.insert(s, code >> 30, big) for s, code, big in zip(small, codes, largest, strict=True)]
+    )
 
 
 def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
@@ -65,7 +68,9 @@ def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
 def test_every_parameter_comes_back_within_half_a_step(baked):
     packed = pack(baked)
     content = unpack(packed)
-    rows = np.argmin(np.linalg.norm(content["means"][:, None] - baked.means.numpy(), axis=2), axis=1)
+    rows = np.argmin(
+        np.linalg.norm(content["means"][:, None] - baked.means.numpy(), axis=2), axis=1
+    )
     assert sorted(rows) == list(range(600))
     expected = {name: getattr(baked, name).numpy()[rows] for name in content}
     np.testing.assert_allclose(content["means"], expected["means"], atol=5 / 65535)
@@ -73,14 +78,20 @@ def test_every_parameter_comes_back_within_half_a_step(baked):
     alike = np.abs((content["quats"] * expected["quats"]).sum(axis=1))
     assert np.degrees(2 * np.arccos(alike.clip(0, 1))).max() < 0.25
     np.testing.assert_allclose(content["opacity_rgb"], expected["opacity_rgb"], atol=0.51 / 255)
-    np.testing.assert_allclose(content["opacity_thermal"], expected["opacity_thermal"], atol=0.51 / 65535)
+    np.testing.assert_allclose(
+        content["opacity_thermal"], expected["opacity_thermal"], atol=0.51 / 65535
+    )
     np.testing.assert_allclose(content["temperatures"], expected["temperatures"], atol=1e-5)
     steps = [
         (high - low) / steps
-        for (low, high), steps in zip(packed.header["limits"]["sh"], packed.header["sh_steps"], strict=True)
+        for (low, high), steps in zip(
+            packed.header["limits"]["sh"], packed.header["sh_steps"], strict=True
+        )
     ]
     tolerance = 0.51 * np.repeat(steps, [1, 3, 5, 7])[:, None]
-    assert (np.abs(content["sh"] - expected["sh"]) <= tolerance).mean() > 0.999  # all but the clipped ones
+    assert (
+        np.abs(content["sh"] - expected["sh"]) <= tolerance
+    ).mean() > 0.999  # all but the clipped ones
 
 
 def test_the_packed_model_renders_as_the_baked_one(baked, cameras):
@@ -121,7 +132,9 @@ def test_packing_is_deterministic(baked):
 
 def test_an_invisible_model_is_named(baked):
     nothing = torch.zeros_like(baked.opacity_rgb)
-    with pytest.raises(ConfigError, match="no splat that can be seen, so there is nothing to show; train it longer"):
+    with pytest.raises(
+        ConfigError, match="no splat that can be seen, so there is nothing to show; train it longer"
+    ):
         pack(replace(baked, opacity_rgb=nothing, opacity_thermal=nothing))
 
 

@@ -11,14 +11,18 @@ def test_weights_add_up_to_the_accumulated_alpha(baked, cameras):
     camera = next(iter(cameras.values())).resized(320, 213)
     equal = replace(baked, opacity_thermal=baked.opacity_rgb)
     weights = blending_weights(equal, [camera])
-    torch.testing.assert_close(weights.sum(), equal.render(camera).alpha_rgb.sum(), rtol=1e-3, atol=0)
+    torch.testing.assert_close(
+        weights.sum(), equal.render(camera).alpha_rgb.sum(), rtol=1e-3, atol=0
+    )
 
 
 def test_what_is_hidden_goes_first(baked, cameras):
     hidden = torch.zeros(600, dtype=torch.bool)
     hidden[::3] = True
     opacity = torch.where(hidden, 0.01, 0.9)
-    kept = most_visible(replace(baked, opacity_rgb=opacity, opacity_thermal=opacity), list(cameras.values()), 200)
+    kept = most_visible(
+        replace(baked, opacity_rgb=opacity, opacity_thermal=opacity), list(cameras.values()), 200
+    )
     assert len(kept) == 200
     assert not hidden[kept].any()
 

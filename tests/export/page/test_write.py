@@ -16,7 +16,8 @@ from mrgs.export.page.write import visible_range
 
 
 class Elements(HTMLParser):
-    """Tags with their attributes, and the text of each element with an id, of the title and of the script."""
+    """Tags with their attributes, and the text of each element with an id, of the title and of the
+    script."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -38,7 +39,9 @@ class Elements(HTMLParser):
 
 @pytest.fixture
 def page(baked, cameras, tmp_path):
-    return Elements(write_page(baked, cameras, "Kettle", tmp_path / "page.html").read_text(encoding="utf-8"))
+    return Elements(
+        write_page(baked, cameras, "Kettle", tmp_path / "page.html").read_text(encoding="utf-8")
+    )
 
 
 def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras):
@@ -53,10 +56,19 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
 
 
 def test_nothing_comes_from_elsewhere(page):
-    assert not [tag for tag in page.tags if tag[0] in ("link", "img", "iframe", "object", "embed", "base")]
-    assert not [value for _, attributes in page.tags for name, value in attributes.items() if name in ("src", "href")]
     assert not [
-        text for name, text in page.texts.items() if name != "model" and re.search(r"https?:|//cdn|@import", text)
+        tag for tag in page.tags if tag[0] in ("link", "img", "iframe", "object", "embed", "base")
+    ]
+    assert not [
+        value
+        for _, attributes in page.tags
+        for name, value in attributes.items()
+        if name in ("src", "href")
+    ]
+    assert not [
+        text
+        for name, text in page.texts.items()
+        if name != "model" and re.search(r"https?:|//cdn|@import", text)
     ]
 
 
@@ -72,9 +84,13 @@ def test_the_policy_allows_this_script_and_style_only(page):
 def test_all_text_is_escaped(baked, cameras, tmp_path):
     evil = "</title><script>alert('x')</script>&\""
     named = {evil + name: camera for name, camera in cameras.items()}
-    text = write_page(baked, named, evil, tmp_path / "page.html", notes=[evil]).read_text(encoding="utf-8")
+    text = write_page(baked, named, evil, tmp_path / "page.html", notes=[evil]).read_text(
+        encoding="utf-8"
+    )
     assert "alert('x')" not in text
-    assert text.count("&lt;/title&gt;&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt;&amp;&quot;") == 3 + len(cameras)
+    assert text.count(
+        "&lt;/title&gt;&lt;script&gt;alert(&#x27;x&#x27;)&lt;/script&gt;&amp;&quot;"
+    ) == 3 + len(cameras)
     assert Elements(text).texts["title"] == evil
 
 
@@ -90,12 +106,25 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
 
 def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
     path = write_page(
-        baked, cameras, "t", tmp_path / "p.html", palette="iron", range_c=(10.0, 30.0), max_splats=150, sh_degree=1
+        baked,
+        cameras,
+        "t",
+        tmp_path / "p.html",
+        palette="iron",
+        range_c=(10.0, 30.0),
+        max_splats=150,
+        sh_degree=1,
     )
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
-    assert (facts["range"], facts["model"]["count"], facts["model"]["sh_degree"]) == ([10.0, 30.0], 150, 1)
-    assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [{"selected": None}]
+    assert (facts["range"], facts["model"]["count"], facts["model"]["sh_degree"]) == (
+        [10.0, 30.0],
+        150,
+        1,
+    )
+    assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [
+        {"selected": None}
+    ]
     assert "<option selected>iron</option>" in path.read_text(encoding="utf-8")
 
 
@@ -103,7 +132,10 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
     ("options", "message"),
     [
         ({"modalities": ()}, "the page needs rgb or thermal to show"),
-        ({"palette": "depth"}, "the page has no palette depth; choose one of inferno, iron, grey, rainbow"),
+        (
+            {"palette": "depth"},
+            "the page has no palette depth; choose one of inferno, iron, grey, rainbow",
+        ),
         ({"range_c": (30.0, 30.0)}, "the temperature range 30 to 30 must rise"),
         ({"range_c": (float("nan"), 30.0)}, "the temperature range nan to 30 must rise"),
         ({"max_splats": 0}, "max_splats is 0; it must be at least 1"),

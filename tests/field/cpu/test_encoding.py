@@ -30,5 +30,7 @@ def test_encoding_gradient():
     weights = torch.linspace(-1, 2, 24, dtype=torch.float64)
     (expected,) = torch.autograd.grad((plain[0] * weights).sum(), point)
     gradient = np.ones(3, np.float32)
-    encode_backward(plain.detach().float().numpy(), weights[None].float().numpy(), 0, 0, 4, gradient)
+    encode_backward(
+        plain.detach().float().numpy(), weights[None].float().numpy(), 0, 0, 4, gradient
+    )
     np.testing.assert_allclose(gradient - 1, expected[0], rtol=1e-5)

@@ -17,7 +17,9 @@ from mrgs.scene import Gaussians
 CAMERA = torch.tensor([0.3, -0.2, -4.0])
 
 
-def make_case(count: int = 150, bands: int = 15, **options) -> tuple[RadianceField, Gaussians, torch.Tensor | None]:
+def make_case(
+    count: int = 150, bands: int = 15, **options
+) -> tuple[RadianceField, Gaussians, torch.Tensor | None]:
     """A field and Gaussians in float32, with neighbours."""
     torch.manual_seed(0)
     field = RadianceField(FieldConfig(residual_scale=0.5, **options))
@@ -38,7 +40,9 @@ def make_case(count: int = 150, bands: int = 15, **options) -> tuple[RadianceFie
 def values_and_gradients(field, gaussians, neighbours, rows, degree=3) -> dict[str, torch.Tensor]:
     """Colours, temperatures, and the gradient of everything that they depend on, by name."""
     dtype = gaussians.means.dtype
-    gaussians = Gaussians(**{name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()})
+    gaussians = Gaussians(
+        **{name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
+    )
     camera = CAMERA.to(dtype, copy=True).requires_grad_()
     colors = field.colors(gaussians, camera, degree, rows)
     temperatures = field.temperatures(gaussians, neighbours, camera, degree, rows)
@@ -127,7 +131,10 @@ def test_passes_do_not_share_what_they_keep():
     other = dataclasses.replace(gaussians, embedding=-gaussians.embedding.detach())
 
     def both(which):
-        return field.colors(which, CAMERA, 3).sum() + field.temperatures(which, neighbours, CAMERA, 3).sum()
+        return (
+            field.colors(which, CAMERA, 3).sum()
+            + field.temperatures(which, neighbours, CAMERA, 3).sum()
+        )
 
     (expected,) = torch.autograd.grad(both(gaussians), gaussians.embedding)
     loss = both(gaussians)
@@ -144,7 +151,11 @@ def test_what_is_not_finite_is_not_hidden(name):
     field, gaussians, neighbours = make_case()
     getattr(gaussians, name)[7] = torch.nan
     found = values_and_gradients(field, gaussians, neighbours, None)
-    assert any(not value.isfinite().all() for key, value in found.items() if key in ("colors", "temperatures"))
+    assert any(
+        not value.isfinite().all()
+        for key, value in found.items()
+        if key in ("colors", "temperatures")
+    )
 
 
 def test_a_gaussian_at_the_camera_has_a_colour_and_a_finite_gradient():

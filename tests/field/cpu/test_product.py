@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.field.cpu.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, add_product, multiply, panels, rounded_up
+from mrgs.field.cpu.product import (
+    BLOCK_ROWS,
+    TILE_COLUMNS,
+    TILE_ROWS,
+    add_product,
+    multiply,
+    panels,
+    rounded_up,
+)
 from mrgs.field.cpu.small_product import product
 
 
@@ -26,7 +34,11 @@ def test_multiply_is_the_product_plus_the_bias(k, n):
 
 @pytest.mark.parametrize(("m", "n"), [(TILE_ROWS, TILE_COLUMNS), (12, 128), (128, 48)])
 def test_products_are_added_to_the_sums(m, n):
-    a, b, start = random_array(BLOCK_ROWS, m), random_array(BLOCK_ROWS, n, seed=1), random_array(m, n, seed=2)
+    a, b, start = (
+        random_array(BLOCK_ROWS, m),
+        random_array(BLOCK_ROWS, n, seed=1),
+        random_array(m, n, seed=2),
+    )
     sums = start.copy()
     add_product(a, b, sums)
     np.testing.assert_allclose(sums, start + a.T.astype(np.float64) @ b, atol=1e-5)
@@ -42,4 +54,6 @@ def test_small_products_and_their_gradients(m, k, n):
     torch.testing.assert_close(result.double(), expected, atol=1e-5, rtol=0)
     grads = torch.autograd.grad((result * weights).sum(), single)
     expected_grads = torch.autograd.grad((expected * weights).sum(), double)
-    torch.testing.assert_close([grad.double() for grad in grads], list(expected_grads), atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        [grad.double() for grad in grads], list(expected_grads), atol=1e-4, rtol=0
+    )

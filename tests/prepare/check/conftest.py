@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from mrgs.check.images import image_problems
+from mrgs.check.looks import Look, look_at
+from mrgs.check.poses import pose_problems
+from mrgs.check.problems import Problem
 from mrgs.data import load_scene
-from mrgs.prepare.check.images import image_problems
-from mrgs.prepare.check.looks import Look, look_at
-from mrgs.prepare.check.poses import pose_problems
-from mrgs.prepare.check.problems import Problem
 from mrgs.scene import Pixels, PosedImage, Scene, View
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
@@ -25,7 +25,10 @@ class Looked:
 
     def problems(self) -> list[Problem]:
         views = [*self.scene.train, *self.scene.eval]
-        return [*pose_problems(self.scene), *image_problems(self.scene, [self.looks[view.name] for view in views])]
+        return [
+            *pose_problems(self.scene),
+            *image_problems(self.scene, [self.looks[view.name] for view in views]),
+        ]
 
     def changed(self, change: Callable[[View], View], every: int = 1, first: int = 0) -> Looked:
         """Some of the training views changed: ``first``, and each ``every``-th after it."""
@@ -38,12 +41,15 @@ class Looked:
         return Looked(replace(self.scene, train=tuple(train)), looks)
 
     def posed(self, change: Callable[[View], View], every: int = 1, first: int = 0) -> Looked:
-        """The same for changes of the cameras alone, in all views: the pixels are not read again."""
+        """The same for changes of the cameras alone, in all views: the pixels are not read
+        again."""
         views = [*self.scene.train, *self.scene.eval]
         for index in range(first, len(views), every):
             views[index] = change(views[index])
         count = len(self.scene.train)
-        return Looked(replace(self.scene, train=tuple(views[:count]), eval=tuple(views[count:])), self.looks)
+        return Looked(
+            replace(self.scene, train=tuple(views[:count]), eval=tuple(views[count:])), self.looks
+        )
 
 
 def with_pixels(image: PosedImage, change: Callable[[Pixels], Pixels]) -> PosedImage:
@@ -57,7 +63,9 @@ def tabletop() -> Looked:
     scene = load_scene(TABLETOP)
     scene = replace(scene, train=scene.train[::2])
     views = [*scene.train, *scene.eval]
-    return Looked(scene, {view.name: look_at(view, "training", scene.temperature, 320) for view in views})
+    return Looked(
+        scene, {view.name: look_at(view, "training", scene.temperature, 320) for view in views}
+    )
 
 
 @pytest.fixture(scope="session")

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
+from mrgs.check import Problem, check_scene
+from mrgs.check.problems import worst_first
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare.check import Problem, check_scene
-from mrgs.prepare.check.problems import worst_first
 
 
 def texts(check) -> str:
@@ -27,7 +27,14 @@ def test_a_usable_scene_is_described_and_drawn(make_scene):
     assert "warning: There are only 6 views to train on" in texts(check)
     assert check.page == folder / "check.html"
     page = check.page.read_text(encoding="utf-8")
-    for words in ("Scene check: scene", "only 6 views", "40×30 px", "frame_eval_00002", "From above", "mean that the"):
+    for words in (
+        "Scene check: scene",
+        "only 6 views",
+        "40×30 px",
+        "frame_eval_00002",
+        "From above",
+        "mean that the",
+    ):
         assert words in page
     assert steps[-1] == ("reading images", 8, 8)
     assert all(path.read_bytes() == content for path, content in before.items())
@@ -83,7 +90,9 @@ def test_file_names_are_no_markup(make_scene):
 @pytest.mark.parametrize("name", ["nowhere", "notes.txt"])
 def test_what_is_no_folder_is_told(tmp_path, name):
     (tmp_path / "notes.txt").write_text("no scene")
-    with pytest.raises(SceneError, match=f"{name}: is not a folder; give the folder that holds the scene"):
+    with pytest.raises(
+        SceneError, match=f"{name}: is not a folder; give the folder that holds the scene"
+    ):
         check_scene(tmp_path / name)
 
 
@@ -95,5 +104,10 @@ def test_a_folder_that_cannot_be_written_is_told(make_scene):
 
 
 def test_the_worst_comes_first():
-    problems = [Problem("note", "a"), Problem("error", "b"), Problem("warning", "c"), Problem("error", "d")]
+    problems = [
+        Problem("note", "a"),
+        Problem("error", "b"),
+        Problem("warning", "c"),
+        Problem("error", "d"),
+    ]
     assert [problem.text for problem in worst_first(problems)] == ["b", "d", "c", "a"]

@@ -9,9 +9,9 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
+from mrgs.check.images import image_problems
+from mrgs.check.looks import sharpness
 from mrgs.data.files import scene_error
-from mrgs.prepare.check.images import image_problems
-from mrgs.prepare.check.looks import sharpness
 from mrgs.scene import Pixels, View
 
 
@@ -25,9 +25,13 @@ def only_problem(looked, severity: str = "warning"):
 
 def test_an_image_that_cannot_be_decoded_is_told(tabletop):
     def fail() -> Pixels:
-        raise scene_error("images/a.jpg", "cannot be decoded as an image (truncated); replace the file")
+        raise scene_error(
+            "images/a.jpg", "cannot be decoded as an image (truncated); replace the file"
+        )
 
-    broken = tabletop.changed(lambda view: replace(view, rgb=replace(view.rgb, load=fail)), every=100)
+    broken = tabletop.changed(
+        lambda view: replace(view, rgb=replace(view.rgb, load=fail)), every=100
+    )
     (problem,) = image_problems(broken.scene, list(broken.looks.values()))
     assert problem.severity == "error"
     assert "images/a.jpg: cannot be decoded" in problem.text
@@ -37,19 +41,27 @@ def test_an_image_that_cannot_be_decoded_is_told(tabletop):
 def test_views_that_lack_an_image_are_told(tabletop, kind):
     lacking = tabletop.changed(lambda view: replace(view, **{kind: None}), every=10)
     names = f"{tabletop.scene.train[0].name}, {tabletop.scene.train[10].name}"
-    assert f"no {'RGB' if kind == 'rgb' else kind} image in 2 views ({names})" in only_problem(lacking)
+    assert f"no {'RGB' if kind == 'rgb' else kind} image in 2 views ({names})" in only_problem(
+        lacking
+    )
 
 
 def test_a_scene_of_photos_alone_is_told(tabletop):
     scene = tabletop.scene
-    views = [tuple(View(view.name, view.rgb, None) for view in part) for part in (scene.train, scene.eval)]
+    views = [
+        tuple(View(view.name, view.rgb, None) for view in part)
+        for part in (scene.train, scene.eval)
+    ]
     (problem,) = image_problems(replace(scene, train=views[0], eval=views[1], temperature=None), [])
     assert "No view has a thermal image" in problem.text
 
 
 def test_thermal_images_alone_are_a_note(tabletop):
     scene = tabletop.scene
-    views = [tuple(View(view.name, None, view.thermal) for view in part) for part in (scene.train, scene.eval)]
+    views = [
+        tuple(View(view.name, None, view.thermal) for view in part)
+        for part in (scene.train, scene.eval)
+    ]
     (problem,) = image_problems(replace(scene, train=views[0], eval=views[1]), [])
     assert problem.severity == "note"
     assert "No view has a RGB image" in problem.text.replace("an RGB", "a RGB")
@@ -63,7 +75,9 @@ def test_missing_bounds_are_told(tabletop):
 
 def test_images_of_several_sizes_are_told(tabletop):
     def half(view: View) -> View:
-        return replace(view, thermal=replace(view.thermal, camera=view.thermal.camera.resized(160, 120)))
+        return replace(
+            view, thermal=replace(view.thermal, camera=view.thermal.camera.resized(160, 120))
+        )
 
     problem = only_problem(tabletop.posed(half, every=48), "note")
     assert "The thermal images are not of one size: 1 of 160×120 px, 27 of 320×240 px" in problem
@@ -73,10 +87,15 @@ def test_flat_thermal_images_are_told(tabletop, repainted):
     def flat(pixels: Pixels) -> Pixels:
         return replace(pixels, values=torch.full_like(pixels.values, 0.3))
 
-    changed = tabletop.changed(lambda view: replace(view, thermal=repainted(view.thermal, flat)), every=100, first=2)
-    texts = [problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))]
+    changed = tabletop.changed(
+        lambda view: replace(view, thermal=repainted(view.thermal, flat)), every=100, first=2
+    )
+    texts = [
+        problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))
+    ]
     assert any(
-        f"The thermal image of 1 view ({tabletop.scene.train[2].name}) shows next to nothing" in t for t in texts
+        f"The thermal image of 1 view ({tabletop.scene.train[2].name}) shows next to nothing" in t
+        for t in texts
     )
 
 
@@ -85,7 +104,9 @@ def test_saturated_thermal_images_are_told(tabletop, repainted):
         return replace(pixels, values=pixels.values.clamp(max=0.27) / 0.27)
 
     changed = tabletop.changed(lambda view: replace(view, thermal=repainted(view.thermal, clipped)))
-    texts = [problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))]
+    texts = [
+        problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))
+    ]
     assert any("of the thermal pixels lie at the upper end of the scale" in text for text in texts)
     assert not any("lower end" in text for text in texts)
 
@@ -95,17 +116,25 @@ def test_automatic_gain_is_told(tabletop, repainted, gain, offset):
     def changed_gain(pixels: Pixels) -> Pixels:
         return replace(pixels, values=pixels.values * gain + offset)
 
-    changed = tabletop.changed(lambda view: replace(view, thermal=repainted(view.thermal, changed_gain)), every=9)
+    changed = tabletop.changed(
+        lambda view: replace(view, thermal=repainted(view.thermal, changed_gain)), every=9
+    )
     names = ", ".join(tabletop.scene.train[index].name for index in (0, 9, 18))
-    texts = [problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))]
-    assert any(f"In 3 views ({names}) the same places are warmer or colder" in text for text in texts), texts
+    texts = [
+        problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))
+    ]
+    assert any(
+        f"In 3 views ({names}) the same places are warmer or colder" in text for text in texts
+    ), texts
 
 
 def test_automatic_exposure_is_told(tabletop, repainted):
     def darker(pixels: Pixels) -> Pixels:
         return replace(pixels, values=pixels.values * 0.7)
 
-    changed = tabletop.changed(lambda view: replace(view, rgb=repainted(view.rgb, darker)), every=12)
+    changed = tabletop.changed(
+        lambda view: replace(view, rgb=repainted(view.rgb, darker)), every=12
+    )
     names = ", ".join(tabletop.scene.train[index].name for index in (0, 12))
     assert f"In 2 views ({names}) the same places are brighter or darker" in only_problem(changed)
 
@@ -118,7 +147,9 @@ def test_blurred_photos_are_told(tabletop, repainted, blur):
     def blurred(pixels: Pixels) -> Pixels:
         return replace(pixels, values=torch.from_numpy(blur(pixels.values.numpy())))
 
-    changed = tabletop.changed(lambda view: replace(view, rgb=repainted(view.rgb, blurred)), every=100, first=9)
+    changed = tabletop.changed(
+        lambda view: replace(view, rgb=repainted(view.rgb, blurred)), every=100, first=9
+    )
     assert f"1 view ({tabletop.scene.train[9].name}) is much less sharp" in only_problem(changed)
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from mrgs.check.poses import NO_POINTS, pose_problems
 from mrgs.data import load_scene
-from mrgs.prepare.check.poses import NO_POINTS, pose_problems
 from mrgs.scene import Camera, PointCloud, View
 
 FLIP = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
@@ -46,7 +46,11 @@ def test_the_bundled_scene_has_no_problems(tabletop):
 @pytest.mark.parametrize(
     ("read", "words", "remedy"),
     [
-        (lambda viewmat: FLIP @ viewmat, "camera axes as in OpenCV", "second and the third column of each"),
+        (
+            lambda viewmat: FLIP @ viewmat,
+            "camera axes as in OpenCV",
+            "second and the third column of each",
+        ),
         (
             lambda viewmat: FLIP @ torch.linalg.inv(viewmat),
             "world-to-camera matrices with OpenCV axes",
@@ -60,8 +64,11 @@ def test_the_bundled_scene_has_no_problems(tabletop):
     ],
 )
 def test_a_mixed_up_convention_is_named(tabletop, read, words, remedy):
-    """``read`` gives the view matrix that the reader makes of a file which holds ``words``, from the right one."""
-    broken = tabletop.posed(lambda view: with_cameras(view, lambda camera: moved(camera, read(camera.viewmat))))
+    """``read`` gives the view matrix that the reader makes of a file which holds ``words``, from
+    the right one."""
+    broken = tabletop.posed(
+        lambda view: with_cameras(view, lambda camera: moved(camera, read(camera.viewmat)))
+    )
     problem = pose_problems(broken.scene)[0]
     assert problem.severity == "error"
     assert words in problem.text
@@ -78,7 +85,9 @@ def test_points_of_another_world_are_told(tabletop):
 
 
 def test_a_camera_that_looks_away_is_named(tabletop):
-    turned = tabletop.posed(lambda view: with_cameras(view, lambda c: moved(c, FLIP @ c.viewmat)), every=100, first=5)
+    turned = tabletop.posed(
+        lambda view: with_cameras(view, lambda c: moved(c, FLIP @ c.viewmat)), every=100, first=5
+    )
     (problem,) = pose_problems(turned.scene)
     assert f"({tabletop.scene.train[5].name})" in problem.text
     assert "looks away" in problem.text
@@ -104,7 +113,9 @@ def test_a_scale_that_is_wildly_off_is_told(tabletop, factor):
 def test_a_scene_in_map_coordinates_is_told(tabletop):
     offset = torch.tensor([690_000.0, 5_330_000.0, 0], dtype=torch.float64)
     far = tabletop.posed(lambda view: with_cameras(view, lambda c: at(c, c.position + offset)))
-    points = PointCloud(tabletop.scene.points.positions + offset.float(), tabletop.scene.points.colors)
+    points = PointCloud(
+        tabletop.scene.points.positions + offset.float(), tabletop.scene.points.colors
+    )
     texts = [problem.text for problem in pose_problems(replace(far.scene, points=points))]
     assert any("units from the origin" in text for text in texts)
 
@@ -113,7 +124,10 @@ def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
     scene = tabletop.scene
     again = replace(scene.train[3], name="again")
     (problem,) = pose_problems(replace(scene, train=(*scene.train, again)))
-    assert f"1 pair of views has nearly the same pose ({scene.train[3].name} and again)" in problem.text
+    assert (
+        f"1 pair of views has nearly the same pose ({scene.train[3].name} and again)"
+        in problem.text
+    )
     assert "held out" not in problem.text
     (problem,) = pose_problems(replace(scene, eval=(*scene.eval, again)))
     assert "Of 1 of them one is held out" in problem.text
@@ -140,10 +154,14 @@ def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
     ],
 )
 def test_intrinsics_that_no_camera_has_are_told(tabletop, change, words):
-    odd = tabletop.posed(lambda view: with_cameras(view, lambda camera: zoomed(camera, change)), every=12)
+    odd = tabletop.posed(
+        lambda view: with_cameras(view, lambda camera: zoomed(camera, change)), every=12
+    )
     texts = [problem.text for problem in pose_problems(odd.scene)]
     for kind in ("RGB", "thermal"):
-        assert any(f"The {kind} intrinsics of 3 views" in text and words in text for text in texts), texts
+        assert any(
+            f"The {kind} intrinsics of 3 views" in text and words in text for text in texts
+        ), texts
 
 
 @pytest.mark.parametrize(("count", "severity"), [(2, "error"), (8, "warning")])

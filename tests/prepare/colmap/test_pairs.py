@@ -3,7 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.prepare.colmap.pairs import ALIKE, MAX_EXHAUSTIVE, NEIGHBOURS, image_signatures, pairs_to_match
+from mrgs.prepare.colmap.pairs import (
+    ALIKE,
+    MAX_EXHAUSTIVE,
+    NEIGHBOURS,
+    image_signatures,
+    pairs_to_match,
+)
 
 
 def around_a_place(place: int, seed: int) -> np.ndarray:

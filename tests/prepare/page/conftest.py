@@ -11,7 +11,14 @@ import torch
 
 from mrgs.data.nerfstudio import read_transforms
 from mrgs.data.radiometric import ExifFacts
-from mrgs.prepare.contract import DevelopedView, Development, Georeference, LeftOut, Reconstruction, StageReport
+from mrgs.prepare.contract import (
+    DevelopedView,
+    Development,
+    Georeference,
+    LeftOut,
+    Reconstruction,
+    StageReport,
+)
 from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
 from mrgs.prepare.scene_files import write_scene
 from mrgs.scene import PointCloud
@@ -56,7 +63,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
     reconstruction = Reconstruction(
         {name: shot.rgb.viewmat for name, shot in zip(names, shots, strict=False)},
         dict.fromkeys(names, shots[0].rgb.lens),
-        points, None, (LeftOut(HOSTILE, "too few features <b>match</b>"),), 0.61, "Structure from motion.",
+        points, None, (LeftOut(HOSTILE, "too few features "
+                                        "<b>match</b>"),), 0.61, "Structure from motion.",
     )  # fmt: skip
     offset = torch.eye(4, dtype=torch.float64)
     offset[0, 3] = -0.031
@@ -65,7 +73,9 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
         shots[0].thermal.lens, offset, tuple(RigView(name, still, 80, 0.5, 0.4) for name in names),
         (0.6, 1.4), 0.4, 0.2, (), TargetFit(4, 0, (0.31, 0.7), None),
     )  # fmt: skip
-    georeference = Georeference(1.0, still[:3, :3], torch.zeros(3).double(), True, True, None, 0.4, "By GPS.")
+    georeference = Georeference(
+        1.0, still[:3, :3], torch.zeros(3).double(), True, True, None, 0.4, "By GPS."
+    )
     development = Development(tuple(views), (LeftOut("IMG_7.jpg", "is cut off"),))
     stages = [
         StageReport("pairs", ("6 pairs.",), ("One photo was taken a day later.",), 0.2),

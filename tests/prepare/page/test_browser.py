@@ -11,7 +11,13 @@ import pytest
 from mrgs.prepare.page import write_page
 
 CHROMIUM = shutil.which("chromium")
-FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-sync",
+]
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
@@ -27,8 +33,14 @@ def page(prepared) -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         page = browser.new_context(offline=True, viewport={"width": 390, "height": 800}).new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
-        page.on("request", lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "data") else None)
+        page.on(
+            "console",
+            lambda message: errors.append(message.text) if message.type == "error" else None,
+        )
+        page.on(
+            "request",
+            lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "data") else None,
+        )
         page.goto(path.as_uri())
         yield page
         browser.close()
@@ -45,8 +57,14 @@ def test_the_thermal_image_is_laid_over_the_photo_in_three_ways(page):
     seen = {}
     for name in ("Checkerboard", "Blend", "Thermal outlines"):
         page.get_by_role("button", name=name).click()
-        seen[name] = [page.evaluate(shown.format(layer)) == "block" for layer in ("warped", "edges")]
-    assert seen == {"Checkerboard": [True, False], "Blend": [True, False], "Thermal outlines": [False, True]}
+        seen[name] = [
+            page.evaluate(shown.format(layer)) == "block" for layer in ("warped", "edges")
+        ]
+    assert seen == {
+        "Checkerboard": [True, False],
+        "Blend": [True, False],
+        "Thermal outlines": [False, True],
+    }
 
 
 def test_two_clicks_and_a_length_give_the_option_in_pixels_of_the_file(page):

@@ -33,16 +33,21 @@ def wall(depth: float) -> PointCloud:
     """Points of a plane across the axis."""
     x, y = torch.meshgrid(torch.linspace(-3, 3, 25), torch.linspace(-3, 3, 25), indexing="ij")
     positions = torch.stack([x, y, torch.full_like(x, depth)], dim=-1).reshape(-1, 3)
-    return PointCloud(positions, torch.rand(positions.shape, generator=torch.Generator().manual_seed(0)))
+    return PointCloud(
+        positions, torch.rand(positions.shape, generator=torch.Generator().manual_seed(0))
+    )
 
 
 def shot_of(thermal: np.ndarray, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Shot:
     rgb = np.full((48, 64, 3), 90, dtype=np.uint8)
-    return Shot("view", "training", True, rgb, rgb_camera, thermal.astype(np.float32), thermal_camera)
+    return Shot(
+        "view", "training", True, rgb, rgb_camera, thermal.astype(np.float32), thermal_camera
+    )
 
 
 def test_the_thermal_image_lands_where_the_photo_shows_the_same_thing():
-    """Thermal camera 0.5 to the right, wall at 5: what the photo has at column c, it has at c - 6."""
+    """Thermal camera 0.5 to the right, wall at 5: what the photo has at column c, it has at c -
+    6."""
     columns = np.tile(np.arange(64.0), (48, 1))
     overlay = thermal_on_rgb(shot_of(columns, camera(), camera(0.5)), wall(5.0))
     np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
@@ -74,15 +79,25 @@ def test_edges_are_drawn_where_the_temperature_jumps_and_not_where_the_image_end
 
 
 def test_a_flat_image_has_no_edges():
-    assert np.asarray(edge_layer(np.full((20, 30), 7.0, dtype=np.float32)).convert("RGBA"))[..., 3].max() == 0
+    assert (
+        np.asarray(edge_layer(np.full((20, 30), 7.0, dtype=np.float32)).convert("RGBA"))[
+            ..., 3
+        ].max()
+        == 0
+    )
 
 
 def test_points_of_the_orbit_view_come_back_from_their_integers():
     world = world_of({"a": camera(), "b": camera(1.0)}, frozenset({"b"}), wall(5.0), True, False)
     facts = orbit_facts(world)
     quantised = np.frombuffer(base64.b64decode(facts["points"]), dtype="<u2").reshape(-1, 3)
-    np.testing.assert_allclose(quantised * facts["step"] + facts["low"], world.points, atol=facts["step"])
-    assert [(item["name"], item["heldOut"]) for item in facts["cameras"]] == [("a", False), ("b", True)]
+    np.testing.assert_allclose(
+        quantised * facts["step"] + facts["low"], world.points, atol=facts["step"]
+    )
+    assert [(item["name"], item["heldOut"]) for item in facts["cameras"]] == [
+        ("a", False),
+        ("b", True),
+    ]
     np.testing.assert_allclose(facts["up"], [0, -1, 0], atol=1e-6)  # the images' upper edges
     np.testing.assert_allclose(facts["cameras"][1]["position"], [1, 0, 0], atol=1e-6)
 
@@ -142,9 +157,12 @@ def test_charts_have_axes_with_units_and_escaped_names():
 
 def test_a_lens_is_told_with_its_field_of_view():
     assert lens_text(Lens(320, 240, 160.0, 120.0, 160.0, 120.0)) == (
-        "320 × 240 px, 90.0° × 90.0°, focal length 160.0 × 120.0 px, centre 160.0, 120.0 px, no distortion"
+        "320 × 240 px, 90.0° × 90.0°, focal length 160.0 × 120.0 px, centre 160.0, 120.0 px, no "
+        "distortion"
     )
-    assert lens_text(Lens(4, 4, 2.0, 2.0, 2.0, 2.0, (-0.1, 0, 0, 0), (0, 0.02))).endswith("distortion k1 -0.1, p2 0.02")
+    assert lens_text(Lens(4, 4, 2.0, 2.0, 2.0, 2.0, (-0.1, 0, 0, 0), (0, 0.02))).endswith(
+        "distortion k1 -0.1, p2 0.02"
+    )
     assert lens_text(Lens(4, 4, 2.0, 2.0, 2.0, 2.0, fisheye=True)).endswith("fisheye distortion")
 
 
@@ -161,8 +179,12 @@ def test_a_hundred_pairs_stay_under_six_megabytes():
     for index in range(10):
         coarse = np.kron(rng.uniform(30, 220, (18, 24, 3)), np.ones((10, 10, 1)))
         rgb = np.clip(coarse + rng.normal(0, 12, coarse.shape), 0, 255).astype(np.uint8)
-        thermal = np.kron(rng.uniform(10, 40, (9, 12)), np.ones((20, 20))) + rng.normal(0, 0.1, (180, 240))
-        shots.append(Shot(f"v{index}", "training", True, rgb, None, thermal.astype(np.float32), None))
+        thermal = np.kron(rng.uniform(10, 40, (9, 12)), np.ones((20, 20))) + rng.normal(
+            0, 0.1, (180, 240)
+        )
+        shots.append(
+            Shot(f"v{index}", "training", True, rgb, None, thermal.astype(np.float32), None)
+        )
         overlays[f"v{index}"] = thermal.astype(np.float32)
     assert rgb.shape[1] == width
     assert 10 * len(pairs_section(shots, overlays, "°C", 10)) < 6e6

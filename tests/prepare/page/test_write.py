@@ -33,7 +33,9 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
         self.sources += [value for name, value in attributes if name in ("src", "href") and value]
-        self.handlers += [name for name, _ in attributes if name.startswith("on") or name == "style"]
+        self.handlers += [
+            name for name, _ in attributes if name.startswith("on") or name == "style"
+        ]
 
     def handle_data(self, data):
         self.words.append(data)
@@ -42,20 +44,25 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def page(prepared) -> Page:
     p = prepared
-    path = write_page(p.scene, p.stages, p.development, p.reconstruction, p.rig, p.georeference, left_out=LEFT_OUT)
+    path = write_page(
+        p.scene, p.stages, p.development, p.reconstruction, p.rig, p.georeference, left_out=LEFT_OUT
+    )
     assert path == p.scene / "prepare.html"
     return Page(path)
 
 
 def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
     for words in (
-        "5 of 6 views are in the scene: 4 to train on, 1 held out", "mrgs train '", "table & chairs'",
+        "5 of 6 views are in the scene: 4 to train on, 1 held "
+        "out", "mrgs train '", "table & chairs'",
         "1 thing to look at first:", "One photo was taken a day later.",
         "pairs", "6 pairs.", "5 min 12 s", "from before",
         "From above, north is up", "0.5 m",
         "view 0", "held out", "view 1", "training", "not in the scene: too few features",
-        "6 with °C", "FLIR E60 (6 photos)", "-1 to 83 °C", "Emissivity 0.95, as the file says. (6 photos)",
-        "RGB lens, 5 views", "320 × 240 px, 55.0° × 42.7°", "3.1 cm: the thermal camera is 3.1 right",
+        "6 with °C", "FLIR E60 (6 photos)", "-1 to 83 °C", "Emissivity 0.95, as the file says. (6 "
+                                                           "photos)",
+        "RGB lens, 5 views", "320 × 240 px, 55.0° × "
+                             "42.7°", "3.1 cm: the thermal camera is 3.1 right",
         "0.60 px (median), 1.40 px", "in 4 pairs; 0.31 px", "By GPS.", "0.40 m (median)",
         "Set the scale by a known distance", "The scene is in metres already.",
         "IMG_7.jpg", "is cut off", "is no photo",

@@ -34,7 +34,9 @@ def test_as_many_pairs_as_can_be_and_the_nearest(rgb, thermal, tolerance_s):
     count, squares = best_by_trying(rgb, thermal, tolerance_s)
     assert len(pairs) == count
     if count:
-        assert -sum((rgb[i] - thermal[j]) ** 2 for i, j in pairs) == pytest.approx(squares, abs=1e-3)
+        assert -sum((rgb[i] - thermal[j]) ** 2 for i, j in pairs) == pytest.approx(
+            squares, abs=1e-3
+        )
 
 
 def test_the_nearest_alone_would_lose_a_pair():

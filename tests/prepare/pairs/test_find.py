@@ -22,7 +22,10 @@ NOON = datetime(2024, 5, 1, 12, 0, 0)
 def files(root: Path, found: Pairing) -> list[tuple[str | None, str]]:
     """The pairs by the paths of their files."""
     return [
-        (None if pair.rgb is None else pair.rgb.relative_to(root).as_posix(), pair.thermal.relative_to(root).as_posix())
+        (
+            None if pair.rgb is None else pair.rgb.relative_to(root).as_posix(),
+            pair.thermal.relative_to(root).as_posix(),
+        )
         for pair in found.pairs
     ]
 
@@ -45,14 +48,31 @@ def at(seconds: float, **more: object) -> dict[str, object]:
                 "DJI_0010_T.JPG": "celsius",
                 "DJI_0010_W.JPG": "jpg",
             },
-            [("DJI_0002", "DJI_0002_W.JPG", "DJI_0002_T.JPG"), ("DJI_0010", "DJI_0010_W.JPG", "DJI_0010_T.JPG")],
+            [
+                ("DJI_0002", "DJI_0002_W.JPG", "DJI_0002_T.JPG"),
+                ("DJI_0010", "DJI_0010_W.JPG", "DJI_0010_T.JPG"),
+            ],
         ),
         (
-            {"DCIM/A/DJI_20230101120000_0001_T.JPG": "jpg", "DCIM/A/DJI_20230101120001_0001_V.JPG": "jpg"},
-            [("DJI_0001", "DCIM/A/DJI_20230101120001_0001_V.JPG", "DCIM/A/DJI_20230101120000_0001_T.JPG")],
+            {
+                "DCIM/A/DJI_20230101120000_0001_T.JPG": "jpg",
+                "DCIM/A/DJI_20230101120001_0001_V.JPG": "jpg",
+            },
+            [
+                (
+                    "DJI_0001",
+                    "DCIM/A/DJI_20230101120001_0001_V.JPG",
+                    "DCIM/A/DJI_20230101120000_0001_T.JPG",
+                )
+            ],
         ),
         (
-            {"wall.jpg": "jpg", "wall_thermal.png": "png", "door.jpg": "jpg", "door_thermal.png": "png"},
+            {
+                "wall.jpg": "jpg",
+                "wall_thermal.png": "png",
+                "door.jpg": "jpg",
+                "door_thermal.png": "png",
+            },
             [("door", "door.jpg", "door_thermal.png"), ("wall", "wall.jpg", "wall_thermal.png")],
         ),
         ({"a.jpg": "jpg", "a.tif": "celsius"}, [("a", "a.jpg", "a.tif")]),
@@ -66,8 +86,12 @@ def test_names(photos, content, pairs):
     root = photos(content)
     for rule in ("auto", "names"):
         found = find_pairs(root, rule=rule)
-        assert [(pair.name, *both) for pair, both in zip(found.pairs, files(root, found), strict=True)] == pairs
-        assert found.rule.startswith("The names of a pair differ only in the camera's mark, such as ")
+        assert [
+            (pair.name, *both) for pair, both in zip(found.pairs, files(root, found), strict=True)
+        ] == pairs
+        assert found.rule.startswith(
+            "The names of a pair differ only in the camera's mark, such as "
+        )
         assert found.left_out == found.warnings == ()
 
 
@@ -76,11 +100,21 @@ def test_names(photos, content, pairs):
     [
         ({"rgb/1.jpg": "jpg", "thermal/1.png": "png"}, [("rgb/1.jpg", "thermal/1.png")]),
         (
-            {"Images/train/1_rgb.jpg": "jpg", "IR/train/1_ir.jpg": "jpg", "IR/test/1_ir.jpg": "jpg"},
+            {
+                "Images/train/1_rgb.jpg": "jpg",
+                "IR/train/1_ir.jpg": "jpg",
+                "IR/test/1_ir.jpg": "jpg",
+            },
             [("Images/train/1_rgb.jpg", "IR/train/1_ir.jpg")],
         ),
-        ({"visible/100/1.jpg": "jpg", "thermal/101/1.jpg": "jpg"}, [("visible/100/1.jpg", "thermal/101/1.jpg")]),
-        ({"house/rgb/1.jpg": "jpg", "house/flir/1.jpg": "flir"}, [("house/rgb/1.jpg", "house/flir/1.jpg")]),
+        (
+            {"visible/100/1.jpg": "jpg", "thermal/101/1.jpg": "jpg"},
+            [("visible/100/1.jpg", "thermal/101/1.jpg")],
+        ),
+        (
+            {"house/rgb/1.jpg": "jpg", "house/flir/1.jpg": "flir"},
+            [("house/rgb/1.jpg", "house/flir/1.jpg")],
+        ),
     ],
 )
 def test_folders(photos, content, pairs):
@@ -110,13 +144,21 @@ def test_neighbours_of_other_names(photos):
 def test_neighbours_that_were_taken_far_apart_are_no_pair(photos):
     root = photos({"IR_1.jpg": ("flir", at(0)), "DC_2.jpg": ("jpg", at(60))})
     with pytest.raises(
-        SceneError, match="its 1 thermal and 1 other photos make no pairs: neither names nor times tell"
+        SceneError,
+        match="its 1 thermal and 1 other photos make no pairs: neither names nor times tell",
     ):
         find_pairs(root)
 
 
 def test_visible_photos_inside(photos):
-    root = photos({"a.jpg": "flir with visible", "b.jpg": "flir with visible", "c.jpg": "flir", "d.jpg": "jpg"})
+    root = photos(
+        {
+            "a.jpg": "flir with visible",
+            "b.jpg": "flir with visible",
+            "c.jpg": "flir",
+            "d.jpg": "jpg",
+        }
+    )
     found = find_pairs(root)
     assert files(root, found) == [(None, "a.jpg"), (None, "b.jpg")]
     assert all(pair.embedded for pair in found.pairs)
@@ -176,16 +218,31 @@ def test_clocks_that_cannot_be_told_apart(photos):
 @pytest.mark.parametrize("converted", ["DJI_0001_T.tif", "celsius/DJI_0001_T.tiff"])
 def test_a_converted_photo_stands_for_its_original(photos, converted):
     original = ("dji", at(0, model="DJI M3T"))
-    root = photos({"card/DJI_0001_T.JPG": original, "card/DJI_0001_W.JPG": "jpg", f"card/{converted}": "celsius"})
+    root = photos(
+        {
+            "card/DJI_0001_T.JPG": original,
+            "card/DJI_0001_W.JPG": "jpg",
+            f"card/{converted}": "celsius",
+        }
+    )
     found = find_pairs(root)
     assert files(root, found) == [("card/DJI_0001_W.JPG", f"card/{converted}")]
-    assert reasons(found) == {"card/DJI_0001_T.JPG": f"the temperatures are taken from card/{converted}"}
+    assert reasons(found) == {
+        "card/DJI_0001_T.JPG": f"the temperatures are taken from card/{converted}"
+    }
 
 
 def test_the_best_of_several_thermal_files(photos):
     table = b"\n".join([b"20,5;" * 20] * 4)
     root = photos(
-        {"a.jpg": "flir", "a.csv": table, "a_rgb.jpg": "jpg", "b.tif": "celsius", "b_8b.jpg": "png", "b_rgb.jpg": "jpg"}
+        {
+            "a.jpg": "flir",
+            "a.csv": table,
+            "a_rgb.jpg": "jpg",
+            "b.tif": "celsius",
+            "b_8b.jpg": "png",
+            "b_rgb.jpg": "jpg",
+        }
     )
     found = find_pairs(root)
     assert files(root, found) == [("a_rgb.jpg", "a.jpg"), ("b_rgb.jpg", "b.tif")]
@@ -211,8 +268,13 @@ def test_the_wide_photos_are_preferred(photos):
 
 def test_one_lens_in_folders_too(photos):
     content = {f"thermal/DJI_000{i}_T.JPG": "jpg" for i in (1, 2, 3)}
-    content |= {f"rgb/DJI_000{i}_W.JPG": "jpg" for i in (1, 2)} | {f"rgb/DJI_000{i}_Z.JPG": "jpg" for i in (1, 3)}
-    assert [pair.rgb.name for pair in find_pairs(photos(content)).pairs] == ["DJI_0001_W.JPG", "DJI_0002_W.JPG"]
+    content |= {f"rgb/DJI_000{i}_W.JPG": "jpg" for i in (1, 2)} | {
+        f"rgb/DJI_000{i}_Z.JPG": "jpg" for i in (1, 3)
+    }
+    assert [pair.rgb.name for pair in find_pairs(photos(content)).pairs] == [
+        "DJI_0001_W.JPG",
+        "DJI_0002_W.JPG",
+    ]
 
 
 def test_names_are_surer_than_neighbouring_numbers(photos):
@@ -234,7 +296,11 @@ def test_numbers_that_start_again(photos):
 
 @pytest.mark.parametrize("name", ["card", "thermal"])
 def test_thermal_photos_alone(photos, name):
-    files_ = {"thermal/1.png": "png", "thermal/2.png": "png"} if name == "card" else {"1.png": "png", "2.png": "png"}
+    files_ = (
+        {"thermal/1.png": "png", "thermal/2.png": "png"}
+        if name == "card"
+        else {"1.png": "png", "2.png": "png"}
+    )
     root = photos(files_, name)
     found = find_pairs(root)
     assert files(root, found) == [(None, path) for path in files_]
@@ -244,7 +310,12 @@ def test_thermal_photos_alone(photos, name):
 def test_thermal_photos_alone_although_there_are_others(photos):
     """Visible photos taken in the dark are of no use, neither beside nor inside."""
     root = photos(
-        {"IR_1.jpg": "flir with visible", "DC_2.jpg": "jpg", "IR_3.jpg": "flir with visible", "IR_5.jpg": "flir"}
+        {
+            "IR_1.jpg": "flir with visible",
+            "DC_2.jpg": "jpg",
+            "IR_3.jpg": "flir with visible",
+            "IR_5.jpg": "flir",
+        }
     )
     found = find_pairs(root, rule="thermal")
     assert files(root, found) == [(None, "IR_1.jpg"), (None, "IR_3.jpg"), (None, "IR_5.jpg")]
@@ -253,7 +324,9 @@ def test_thermal_photos_alone_although_there_are_others(photos):
     assert reasons(found) == {"DC_2.jpg": "the thermal photos are used alone"}
 
 
-@pytest.mark.parametrize("names", [("rgb/Küche 0.jpg", "thermal/Küche 0.png"), ("Küche_rgb.jpg", "Küche_thermal.png")])
+@pytest.mark.parametrize(
+    "names", [("rgb/Küche 0.jpg", "thermal/Küche 0.png"), ("Küche_rgb.jpg", "Küche_thermal.png")]
+)
 def test_names_in_both_unicode_forms(photos, names):
     """A Mac and a PC write the same name differently."""
     rgb, thermal = unicodedata.normalize("NFC", names[0]), unicodedata.normalize("NFD", names[1])
@@ -266,10 +339,14 @@ def test_names_in_both_unicode_forms(photos, names):
 def test_names_that_are_no_utf8_can_be_printed(photos):
     """Two of them may look the same, yet are two photos."""
     odd = [os.fsdecode(name) for name in (b"K\xfcche", b"K\xf6che")]
-    root = photos({f"{name}_{mark}.jpg": "jpg" for name in odd for mark in ("rgb", "wide", "thermal")})
+    root = photos(
+        {f"{name}_{mark}.jpg": "jpg" for name in odd for mark in ("rgb", "wide", "thermal")}
+    )
     root = photos({f"{odd[0]}.srt": b"x"})
     found = find_pairs(root)
-    assert sorted(pair.thermal.name for pair in found.pairs) == sorted(f"{name}_thermal.jpg" for name in odd)
+    assert sorted(pair.thermal.name for pair in found.pairs) == sorted(
+        f"{name}_thermal.jpg" for name in odd
+    )
     assert found.rule.endswith(", such as K\ufffdche_wide.jpg and K\ufffdche_thermal.jpg.")
     assert [(item.name, item.reason) for item in found.left_out] == [
         ("K\ufffdche.srt", "is no photo"),
@@ -278,16 +355,27 @@ def test_names_that_are_no_utf8_can_be_printed(photos):
 
 
 def test_a_few_other_photos_do_not_make_pairs(photos):
-    content = {f"{i}.jpg": "flir" for i in range(8)} | {"7.jpg": "flir with visible", "team.jpg": "jpg"}
+    content = {f"{i}.jpg": "flir" for i in range(8)} | {
+        "7.jpg": "flir with visible",
+        "team.jpg": "jpg",
+    }
     found = find_pairs(photos(content))
     assert len(found.pairs) == 8
     assert not any(pair.embedded for pair in found.pairs)
-    assert found.warnings[0].startswith("There are 8 thermal photos, yet only 2 in visible light: the thermal photos")
+    assert found.warnings[0].startswith(
+        "There are 8 thermal photos, yet only 2 in visible light: the thermal photos"
+    )
     assert reasons(found) == {"team.jpg": "most thermal photos have no RGB photo"}
 
 
 def test_hidden_files_do_not_count_and_others_are_listed(photos):
-    content = {"rgb/1.jpg": "jpg", "thermal/1.png": "png", ".DS_Store": b"x", "rgb/._1.jpg": b"x", "log.srt": b"x"}
+    content = {
+        "rgb/1.jpg": "jpg",
+        "thermal/1.png": "png",
+        ".DS_Store": b"x",
+        "rgb/._1.jpg": b"x",
+        "log.srt": b"x",
+    }
     root = photos({**content, "sub/2.heic": b"x"})
     os.symlink(root / "sub", root / "again")
     assert reasons(find_pairs(root)) == {
@@ -298,9 +386,13 @@ def test_hidden_files_do_not_count_and_others_are_listed(photos):
 
 
 def test_zoomed_photos_are_told(photos):
-    rgb = {f"rgb/{i}.jpg": ("jpg", {"focal_mm": focal}) for i, focal in enumerate((24.0, 24.1, 70.0))}
+    rgb = {
+        f"rgb/{i}.jpg": ("jpg", {"focal_mm": focal}) for i, focal in enumerate((24.0, 24.1, 70.0))
+    }
     found = find_pairs(photos(rgb | {f"thermal/{i}.png": "png" for i in range(3)}))
-    assert found.warnings[0].startswith("The RGB photos were taken with focal lengths of 24 mm to 70 mm, yet one lens")
+    assert found.warnings[0].startswith(
+        "The RGB photos were taken with focal lengths of 24 mm to 70 mm, yet one lens"
+    )
 
 
 @pytest.mark.parametrize(
@@ -309,17 +401,27 @@ def test_zoomed_photos_are_told(photos):
         ({}, r"card: holds no photos; give the folder with the camera's JPEG, PNG or TIFF files"),
         (
             {"a.mp4": b"x"},
-            r"none of its 1 files is a photo that can be read, such as a\.mp4, which is no photo; give the",
+            r"none of its 1 files is a photo that can be read, such as a\.mp4, which is no photo; "
+            r"give the",
         ),
         (
             {"a.jpg": "jpg", "b.jpg": "jpg"},
             r"none of its 2 photos can be told to be thermal; put them into folders named",
         ),
-        ({"a.jpg": "flir", "b.jpg": "jpg"}, r"its 1 thermal and 1 other photos make no pairs: neither names nor times"),
         (
-            {f"{c}/{i}.jpg": ("jpg", {"model": f"M{i % 2}"}) for c in ("rgb", "thermal") for i in range(3)},
-            r"card: the RGB photos are of 2 cameras or sizes: 2 of M0 with 16 x 12 pixels such as rgb/0\.jpg, and "
-            r"1 of M1 with 16 x 12 pixels such as rgb/1\.jpg; prepare them apart, each with its own folder",
+            {"a.jpg": "flir", "b.jpg": "jpg"},
+            r"its 1 thermal and 1 other photos make no pairs: neither names nor times",
+        ),
+        (
+            {
+                f"{c}/{i}.jpg": ("jpg", {"model": f"M{i % 2}"})
+                for c in ("rgb", "thermal")
+                for i in range(3)
+            },
+            r"card: the RGB photos are of 2 cameras or sizes: 2 of M0 with 16 x 12 pixels such as "
+            r"rgb/0\.jpg, and "
+            r"1 of M1 with 16 x 12 pixels such as rgb/1\.jpg; prepare them apart, each with its "
+            r"own folder",
         ),
         (
             {
@@ -328,7 +430,8 @@ def test_zoomed_photos_are_told(photos):
                 "thermal/1.png": "png",
                 "thermal/2.png": ("png", {"size": (8, 6)}),
             },
-            r"the thermal photos are of 2 cameras or sizes: 1 of a camera with 16 x 12 pixels such as thermal/1\.png",
+            r"the thermal photos are of 2 cameras or sizes: 1 of a camera with 16 x 12 pixels "
+            r"such as thermal/1\.png",
         ),
     ],
 )
@@ -340,13 +443,21 @@ def test_sets_that_cannot_be_used(photos, content, message):
 @pytest.mark.parametrize(
     ("rule", "content", "message"),
     [
-        ("thermal", {"a.jpg": "jpg", "b.jpg": "jpg"}, r"none of its 2 photos can be told to be thermal; put them into"),
+        (
+            "thermal",
+            {"a.jpg": "jpg", "b.jpg": "jpg"},
+            r"none of its 2 photos can be told to be thermal; put them into",
+        ),
         (
             "names",
             {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"},
             r"no names differ only in the camera's mark, such as _T and",
         ),
-        ("folders", {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"}, r"the folders of the two cameras hold no equal names"),
+        (
+            "folders",
+            {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"},
+            r"the folders of the two cameras hold no equal names",
+        ),
         (
             "time",
             {"rgb/1.jpg": "jpg", "t/1.tif": "celsius"},
@@ -360,7 +471,8 @@ def test_sets_that_cannot_be_used(photos, content, message):
         (
             "time",
             {"rgb/1.jpg": ("jpg", at(9)), "t/1.tif": ("celsius", at(0))},
-            r"none were taken within 2 s; give more with --tolerance, or list the pairs in a CSV file and give it with",
+            r"none were taken within 2 s; give more with --tolerance, or list the pairs in a CSV "
+            r"file and give it with",
         ),
     ],
 )
@@ -370,19 +482,27 @@ def test_rules_that_do_not_fit(photos, rule, content, message):
 
 
 def test_a_folder_that_is_none(tmp_path):
-    with pytest.raises(SceneError, match="nothing: is not a folder; give the folder that holds the photos"):
+    with pytest.raises(
+        SceneError, match="nothing: is not a folder; give the folder that holds the photos"
+    ):
         find_pairs(tmp_path / "nothing")
 
 
 @pytest.mark.parametrize("tolerance_s", [-1.0, float("nan"), float("inf")])
 def test_a_tolerance_that_is_no_time(tmp_path, tolerance_s):
-    with pytest.raises(ConfigError, match=r"a pair's photos cannot lie .* s apart; give a time of 0 s or more"):
+    with pytest.raises(
+        ConfigError, match=r"a pair's photos cannot lie .* s apart; give a time of 0 s or more"
+    ):
         find_pairs(tmp_path, tolerance_s=tolerance_s)
 
 
 FOLDERS = st.sampled_from(["", "rgb/", "thermal/", "IR/100/", "x/"])
-STEMS = st.sampled_from(["1", "2", "a_rgb", "a_t", "DJI_0001_T", "DJI_0001_W", "DJI_0001_Z", "IR_3", "DC_4"])
-STEMS |= st.sampled_from(["DJI_20230101120000_0001_T", "DJI_20230101120001_0001_W", "DJI_20230101120300_0001_T"])
+STEMS = st.sampled_from(
+    ["1", "2", "a_rgb", "a_t", "DJI_0001_T", "DJI_0001_W", "DJI_0001_Z", "IR_3", "DC_4"]
+)
+STEMS |= st.sampled_from(
+    ["DJI_20230101120000_0001_T", "DJI_20230101120001_0001_W", "DJI_20230101120300_0001_T"]
+)
 SUFFIXES = st.sampled_from([".jpg", ".jpg", ".jpg", ".png", ".tif", ".txt"])
 NAMES = st.builds(lambda folder, stem, suffix: f"{folder}{stem}{suffix}", FOLDERS, STEMS, SUFFIXES)
 
@@ -409,7 +529,12 @@ def test_every_file_is_in_one_pair_or_left_out(photo, names, data):
             found = find_pairs(root)
         except SceneError:
             return
-        used = [path.relative_to(root).as_posix() for pair in found.pairs for path in (pair.rgb, pair.thermal) if path]
+        used = [
+            path.relative_to(root).as_posix()
+            for pair in found.pairs
+            for path in (pair.rgb, pair.thermal)
+            if path
+        ]
         assert sorted([*used, *reasons(found)]) == sorted(names)
         assert len({pair.name.lower() for pair in found.pairs}) == len(found.pairs)
         assert len({(pair.rgb is None, pair.embedded) for pair in found.pairs}) == 1

@@ -67,7 +67,14 @@ def test_folders(folders, role, rest):
 
 
 def test_natural_order():
-    assert sorted(["a10", "a2", "A1", "b", "10", "9"], key=natural) == ["9", "10", "A1", "a2", "a10", "b"]
+    assert sorted(["a10", "a2", "A1", "b", "10", "9"], key=natural) == [
+        "9",
+        "10",
+        "A1",
+        "a2",
+        "a10",
+        "b",
+    ]
 
 
 @settings(max_examples=30)
@@ -102,4 +109,7 @@ def test_view_names_are_unique_and_valid_files(parts):
     shots = [PurePosixPath("x", *(part.replace("/", "_") for part in path)) for path in parts]
     names = view_names(shots)
     assert len({name.lower() for name in names}) == len(shots)
-    assert all(name and len(name) < 110 and name.isascii() and not set(name) & set('/\\.:*?"<>| \0') for name in names)
+    assert all(
+        name and len(name) < 110 and name.isascii() and not set(name) & set('/\\.:*?"<>| \0')
+        for name in names
+    )

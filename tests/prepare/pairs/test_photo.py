@@ -25,7 +25,12 @@ def seen(tmp_path):
 
 def test_a_plain_photo(seen, photo):
     found = seen("a.jpg", photo("jpg", size=(20, 10), taken=NOON, model="X100", focal_mm=23.0))
-    assert (found.kind, found.size, found.is_thermal, found.embedded) == ("image", (20, 10), False, False)
+    assert (found.kind, found.size, found.is_thermal, found.embedded) == (
+        "image",
+        (20, 10),
+        False,
+        False,
+    )
     assert (found.exif.taken, found.exif.model, found.focal_mm) == (NOON, "X100", 23.0)
     assert found.shot == PurePosixPath("folder/a")
 
@@ -63,7 +68,10 @@ def test_a_dji_photo(seen, photo):
 
 def test_a_table(seen):
     assert seen("a.csv", b"\n".join([b"1,5;" * 20] * 4)).kind == "table"
-    assert seen("a.txt", b"20\t21\t22\t23\t24\t25\t26\t27\t28\n".decode().encode("utf-16")).kind == "table"
+    assert (
+        seen("a.txt", b"20\t21\t22\t23\t24\t25\t26\t27\t28\n".decode().encode("utf-16")).kind
+        == "table"
+    )
 
 
 def test_a_photo_with_a_long_header_is_read_whole(seen, photo):
@@ -77,7 +85,11 @@ def test_a_photo_with_a_long_header_is_read_whole(seen, photo):
     [
         ("a.jpg", b"", "is empty; copy it again"),
         ("a.jpg", b"\xff\xd8\xff\xe0 no", "cannot be decoded as an image; copy or export it again"),
-        ("a.png", b"\x89PNG\r\n\x1a\n no", "cannot be decoded as an image; copy or export it again"),
+        (
+            "a.png",
+            b"\x89PNG\r\n\x1a\n no",
+            "cannot be decoded as an image; copy or export it again",
+        ),
         ("a.heic", b"ftypheic", "is a HEIC file, which is not read; save it as JPEG or PNG"),
         ("a.csv", b"rgb,thermal\na,b\n", "is no photo"),
         ("a.raw", b"1234", "is no photo"),

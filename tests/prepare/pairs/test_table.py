@@ -7,7 +7,13 @@ import pytest
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.pairs import find_pairs
 
-FILES = {"eye/1.jpg": "jpg", "eye/2.jpg": "jpg", "heat/a.jpg": "png", "heat/b.jpg": "png", "notes.md": b"..."}
+FILES = {
+    "eye/1.jpg": "jpg",
+    "eye/2.jpg": "jpg",
+    "heat/a.jpg": "png",
+    "heat/b.jpg": "png",
+    "notes.md": b"...",
+}
 
 
 @pytest.fixture
@@ -59,7 +65,9 @@ def test_photos_that_the_table_does_not_name(photos, tmp_path):
 def test_names_in_another_unicode_form(photos, tmp_path, in_table, on_disk):
     table = tmp_path / "pairs.csv"
     table.write_text(unicodedata.normalize(in_table, "Küche/ä.jpg,Küche/ö.jpg"), encoding="utf-8")
-    content = {unicodedata.normalize(on_disk, name): "jpg" for name in ("Küche/ä.jpg", "Küche/ö.jpg")}
+    content = {
+        unicodedata.normalize(on_disk, name): "jpg" for name in ("Küche/ä.jpg", "Küche/ö.jpg")
+    }
     found = find_pairs(photos(content), table=table)
     assert [(pair.rgb.name, pair.thermal.name) for pair in found.pairs] == [
         (unicodedata.normalize(on_disk, "ä.jpg"), unicodedata.normalize(on_disk, "ö.jpg"))
@@ -77,12 +85,24 @@ def test_thermal_photos_alone(paired):
         ("eye/1.jpg", r"line 1 does not name an RGB and a thermal photo; write lines such as"),
         ("a,b,c", r"line 1 does not name an RGB and a thermal photo"),
         ("eye/1.jpg,", r"line 1 does not name an RGB and a thermal photo"),
-        ("rgb,thermal\neye/9.jpg,heat/a.jpg", r"line 2: there is no 'eye/9\.jpg' in .*card; correct the name"),
-        ("../x.jpg,heat/a.jpg", r"line 1: '\.\./x\.jpg' lies outside .*card; name photos relative to that folder"),
+        (
+            "rgb,thermal\neye/9.jpg,heat/a.jpg",
+            r"line 2: there is no 'eye/9\.jpg' in .*card; correct the name",
+        ),
+        (
+            "../x.jpg,heat/a.jpg",
+            r"line 1: '\.\./x\.jpg' lies outside .*card; name photos relative to that folder",
+        ),
         ("/etc/passwd,heat/a.jpg", r"line 1: '/etc/passwd' lies outside"),
         ("eye/1.jpg,notes.md", r"line 1: 'notes\.md' is no photo; name another file"),
-        ("eye/1.jpg,heat/a.jpg\neye/1.jpg,heat/b.jpg", r"lines 1 and 2 both name eye/1\.jpg; delete one of them"),
-        ("eye/1.jpg,eye/1.jpg", r"line 1 names one photo twice; leave out the RGB photo if it lies inside"),
+        (
+            "eye/1.jpg,heat/a.jpg\neye/1.jpg,heat/b.jpg",
+            r"lines 1 and 2 both name eye/1\.jpg; delete one of them",
+        ),
+        (
+            "eye/1.jpg,eye/1.jpg",
+            r"line 1 names one photo twice; leave out the RGB photo if it lies inside",
+        ),
         (
             '"' + "a" * 200_000 + '",b',
             r"line 1 cannot be read \(field larger than field limit.*\); write lines such as",
@@ -108,7 +128,10 @@ def test_a_table_that_is_missing(photos, tmp_path):
 
 
 def test_a_table_and_a_rule(photos, tmp_path):
-    with pytest.raises(ConfigError, match="a table of pairs and another way to pair are both given; give one of the"):
+    with pytest.raises(
+        ConfigError,
+        match="a table of pairs and another way to pair are both given; give one of the",
+    ):
         find_pairs(photos(FILES), table=tmp_path / "pairs.csv", rule="time")
 
 
@@ -116,5 +139,7 @@ def test_visible_photos_inside_and_outside_are_two_cameras(photos, tmp_path):
     root = photos({"a.jpg": "flir with visible", "b.jpg": "flir", "b_rgb.jpg": "jpg"})
     table = tmp_path / "pairs.csv"
     table.write_text(",a.jpg\nb_rgb.jpg,b.jpg")
-    with pytest.raises(SceneError, match=r"that of a\.jpg lies inside, b_rgb\.jpg is a file of its own; use one of"):
+    with pytest.raises(
+        SceneError, match=r"that of a\.jpg lies inside, b_rgb\.jpg is a file of its own; use one of"
+    ):
         find_pairs(root, table=table)

@@ -1,7 +1,8 @@
-"""A room of two walls, the nearer one hiding part of the farther, photographed by two cameras with exact truth.
+"""A room of two walls, the nearer one hiding part of the farther, photographed by two cameras with
+exact truth.
 
-Surfaces are tiled with materials; each has a brightness and, unrelated to it, a temperature. So edges agree between the
-photo and the thermal image, and contrasts do not.
+Surfaces are tiled with materials; each has a brightness and, unrelated to it, a temperature. So
+edges agree between the photo and the thermal image, and contrasts do not.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from mrgs.scene import Camera, Pixels, PointCloud, PosedImage
 
 RGB = Lens(320, 240, 230.0, 230.0, 160.0, 120.0)
 THERMAL = Lens(160, 120, 150.0, 150.6, 77.0, 63.0, (-0.15, 0.05, 0.0, 0.0))
-THERMAL_FROM_RGB = rigid_motion(torch.tensor([0.02, -0.05, 0.015, 0.12, 0.03, -0.02], dtype=torch.float64))
+THERMAL_FROM_RGB = rigid_motion(
+    torch.tensor([0.02, -0.05, 0.015, 0.12, 0.03, -0.02], dtype=torch.float64)
+)
 NEAR_M, FAR_M = 3.0, 5.0
 _NEAR_EDGES = (-0.9, 0.8, -0.8, 1.0)
 
@@ -46,15 +49,22 @@ class Board:
     @property
     def corners(self) -> np.ndarray:
         """In the world, row by row."""
-        plane = np.stack(np.meshgrid(*(np.arange(count) for count in self.inner)), axis=-1).reshape(-1, 2)
+        plane = np.stack(np.meshgrid(*(np.arange(count) for count in self.inner)), axis=-1).reshape(
+            -1, 2
+        )
         flat = np.column_stack([plane * self.square_m, np.zeros(len(plane))])
         return flat @ self.world_from_board[:3, :3].T + self.world_from_board[:3, 3]
 
-    def over(self, values: np.ndarray, centre: np.ndarray, rays: np.ndarray, shades: tuple[float, float]) -> np.ndarray:
-        """The values seen along rays from a centre, with the board before them; its squares have two shades."""
+    def over(
+        self, values: np.ndarray, centre: np.ndarray, rays: np.ndarray, shades: tuple[float, float]
+    ) -> np.ndarray:
+        """The values seen along rays from a centre, with the board before them; its squares have
+        two shades."""
         turn, place = self.world_from_board[:3, :3], self.world_from_board[:3, 3]
         reach = ((place - centre) @ turn[:, 2]) / (rays @ turn[:, 2])
-        x, y = np.moveaxis((centre + reach[..., None] * rays - place) @ turn[:, :2] / self.square_m, -1, 0)
+        x, y = np.moveaxis(
+            (centre + reach[..., None] * rays - place) @ turn[:, :2] / self.square_m, -1, 0
+        )
         columns, rows = self.inner
         inside = (x > -1) & (x < columns) & (y > -1) & (y < rows) & (reach > 0)
         margin = (x > -1.4) & (x < columns + 0.4) & (y > -1.4) & (y < rows + 0.4) & (reach > 0)
@@ -74,13 +84,18 @@ class Room:
     thermal_from_rgb: torch.Tensor = THERMAL_FROM_RGB
 
     def errors_px(self, found: RigCalibration) -> list[float]:
-        """For each pair, the median distance between where its thermal camera shows points and where it truly does."""
+        """For each pair, the median distance between where its thermal camera shows points and
+        where it truly does."""
         errors = []
         for index, pair in enumerate(self.pairs):
-            world = torch.cat([self.points.positions.double(), torch.ones(len(self.points.positions), 1)], dim=1)
+            world = torch.cat(
+                [self.points.positions.double(), torch.ones(len(self.points.positions), 1)], dim=1
+            )
             rgb = world @ pair.rgb.camera.viewmat.T
             true = self.pixels(self.lens, rgb @ (self.motions[index] @ self.thermal_from_rgb).T)
-            own = self.pixels(found.lens, rgb @ (found.views[index].correction @ found.thermal_from_rgb).T)
+            own = self.pixels(
+                found.lens, rgb @ (found.views[index].correction @ found.thermal_from_rgb).T
+            )
             seen = ((true > 0) & (true < (self.lens.width, self.lens.height))).all(axis=1)
             errors.append(float(np.median(np.linalg.norm(own - true, axis=1)[seen])))
         return errors
@@ -98,7 +113,8 @@ def _tiles(far: bool) -> cKDTree:
 
 
 def materials(position: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """The material, 0 to 63, at points of the walls: irregular tiles, those nearest to scattered centres."""
+    """The material, 0 to 63, at points of the walls: irregular tiles, those nearest to scattered
+    centres."""
     tile = np.empty(far.shape, dtype=np.int64)
     for wall, chosen in ((False, ~far), (True, far)):
         tile[chosen] = _tiles(wall).query(position[chosen, :2])[1]
@@ -124,7 +140,12 @@ def picture(
     centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
     near = centre + rays * ((NEAR_M - centre[2]) / rays[..., 2])[..., None]
     left, right, top, bottom = _NEAR_EDGES
-    on_near = (near[..., 0] > left) & (near[..., 0] < right) & (near[..., 1] > top) & (near[..., 1] < bottom)
+    on_near = (
+        (near[..., 0] > left)
+        & (near[..., 0] < right)
+        & (near[..., 1] > top)
+        & (near[..., 1] < bottom)
+    )
     far = centre + rays * ((FAR_M - centre[2]) / rays[..., 2])[..., None]
     values = of_material[materials(np.where(on_near[..., None], near, far), ~on_near)]
     if board is not None:
@@ -137,14 +158,21 @@ def walls(count: int) -> PointCloud:
     """Points on both walls; those of the far one that the near one hides are among them."""
     rng = np.random.default_rng(1)
     left, right, top, bottom = _NEAR_EDGES
-    near = np.column_stack([rng.uniform(left, right, count), rng.uniform(top, bottom, count), np.full(count, NEAR_M)])
-    far = np.column_stack([rng.uniform(-5, 5, count), rng.uniform(-4, 4, count), np.full(count, FAR_M)])
+    near = np.column_stack(
+        [rng.uniform(left, right, count), rng.uniform(top, bottom, count), np.full(count, NEAR_M)]
+    )
+    far = np.column_stack(
+        [rng.uniform(-5, 5, count), rng.uniform(-4, 4, count), np.full(count, FAR_M)]
+    )
     positions = torch.from_numpy(np.concatenate([near, far])).float()
     return PointCloud(positions, torch.full_like(positions, 0.5))
 
 
 def build_room(
-    views: int = 6, motion_rad: float = 0.0, inverted: bool = False, boards: Sequence[Board | None] = ()
+    views: int = 6,
+    motion_rad: float = 0.0,
+    inverted: bool = False,
+    boards: Sequence[Board | None] = (),
 ) -> Room:
     """Pairs around the room.
 
@@ -163,13 +191,21 @@ def build_room(
         turn = rng.normal(0, 0.06, 3)
         place = rng.normal(0, 0.25, 3) * [1, 1, 0.6]
         viewmat = rigid_motion(torch.from_numpy(np.concatenate([turn, -place])))
-        motion = rigid_motion(torch.cat([torch.from_numpy(rng.normal(0, motion_rad, 3)), torch.zeros(3)]))
+        motion = rigid_motion(
+            torch.cat([torch.from_numpy(rng.normal(0, motion_rad, 3)), torch.zeros(3)])
+        )
         board = boards[view] if boards else None
         rgb = picture(RGB, viewmat.numpy(), brightness, 0.5, board)[..., None].expand(-1, -1, 3)
         thermal_viewmat = (motion @ THERMAL_FROM_RGB @ viewmat).numpy()
-        thermal = picture(THERMAL, thermal_viewmat, temperature_c, 1.0, board, (27.0, 22.0))[..., None]
+        thermal = picture(THERMAL, thermal_viewmat, temperature_c, 1.0, board, (27.0, 22.0))[
+            ..., None
+        ]
         camera = Camera(K, viewmat, RGB.width, RGB.height)
-        pairs.append(RigPair(f"view_{view}", PosedImage(camera, _returns(Pixels(rgb))), _returns(Pixels(thermal))))
+        pairs.append(
+            RigPair(
+                f"view_{view}", PosedImage(camera, _returns(Pixels(rgb))), _returns(Pixels(thermal))
+            )
+        )
         motions.append(motion)
     return Room(pairs, walls(1500), motions)
 
@@ -192,7 +228,8 @@ def room() -> Room:
 
 @pytest.fixture(scope="session")
 def make_board() -> Callable[..., Board]:
-    """``make_board(motion, inner=..., square_m=...)``: motion is six numbers, a rotation vector and a translation."""
+    """``make_board(motion, inner=..., square_m=...)``: motion is six numbers, a rotation vector and
+    a translation."""
 
     def made(motion: Sequence[float], **facts) -> Board:
         return Board(rigid_motion(torch.tensor(motion, dtype=torch.float64)).numpy(), **facts)
@@ -202,14 +239,21 @@ def make_board() -> Callable[..., Board]:
 
 @pytest.fixture(scope="session")
 def draw_board() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
-    """``draw_board(board, lens, shades=..., blur_px=...)``: a sharp drawing from the origin, and its corners."""
+    """``draw_board(board, lens, shades=..., blur_px=...)``: a sharp drawing from the origin, and
+    its corners."""
 
-    def drawn(board: Board, lens: Lens, shades=(0.2, 0.8), blur_px: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-        x, y = np.meshgrid((np.arange(4 * lens.width) + 0.5) / 4, (np.arange(4 * lens.height) + 0.5) / 4)
+    def drawn(
+        board: Board, lens: Lens, shades=(0.2, 0.8), blur_px: float = 0.5
+    ) -> tuple[np.ndarray, np.ndarray]:
+        x, y = np.meshgrid(
+            (np.arange(4 * lens.width) + 0.5) / 4, (np.arange(4 * lens.height) + 0.5) / 4
+        )
         x, y = (x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy
         if not lens.is_pinhole:
             x, y = lens.undistort(x, y)
-        values = board.over(np.full(x.shape, 0.5), np.zeros(3), np.stack([x, y, np.ones_like(x)], axis=-1), shades)
+        values = board.over(
+            np.full(x.shape, 0.5), np.zeros(3), np.stack([x, y, np.ones_like(x)], axis=-1), shades
+        )
         image = values.reshape(lens.height, 4, lens.width, 4).mean(axis=(1, 3))
         return gaussian_filter(image, blur_px), Room.pixels(lens, torch.from_numpy(board.corners))
 

@@ -18,26 +18,38 @@ MOTION_SIGMA = torch.tensor([0.005] * 3 + [0.05] * 3, dtype=torch.float64)
 def observed(outliers: float, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, Observations]:
     """The true rig and motions, and patches with noise, a share of them wild."""
     rng = torch.Generator().manual_seed(seed)
-    rig = torch.cat([lens_parameters(LENS), torch.tensor([0.01, 0.03, -0.01, 0.2, 0.05, -0.05]).double()])
+    rig = torch.cat(
+        [lens_parameters(LENS), torch.tensor([0.01, 0.03, -0.01, 0.2, 0.05, -0.05]).double()]
+    )
     motions = torch.randn(VIEWS, MOTION, generator=rng, dtype=torch.float64) * MOTION_SIGMA
     views = torch.arange(VIEWS).repeat_interleave(PER_VIEW)
     count = len(views)
     depth = 4 + 8 * torch.rand(count, generator=rng, dtype=torch.float64)
-    slopes = (torch.rand(count, 2, generator=rng, dtype=torch.float64) - 0.5) * torch.tensor([0.9, 0.7])
+    slopes = (torch.rand(count, 2, generator=rng, dtype=torch.float64) - 0.5) * torch.tensor(
+        [0.9, 0.7]
+    )
     points = torch.cat([slopes * depth[:, None], depth[:, None]], dim=1)
     pixels = project(rig, motions[views], points)
     pixels = pixels + NOISE_PX * torch.randn(count, 2, generator=rng, dtype=torch.float64)
     wild = torch.rand(count, generator=rng) < outliers
     pixels[wild] += 15 * torch.randn(int(wild.sum()), 2, generator=rng, dtype=torch.float64)
     information = torch.eye(2, dtype=torch.float64).expand(count, 2, 2).clone()
-    return rig, motions, Observations(views, points, pixels, information, torch.ones(count).double(), views * 0)
+    return (
+        rig,
+        motions,
+        Observations(views, points, pixels, information, torch.ones(count).double(), views * 0),
+    )
 
 
 def start_and_prior() -> tuple[ThermalCameras, Prior]:
     rig = torch.zeros(12, dtype=torch.float64)
     rig[:4] = torch.tensor([np.log(620.0), 0.0, 320.0, 240.0])
-    sigma = torch.tensor([0.1, 0.005, 20, 20, 0.3, 0.3, 0.3, 0.3, 0.3, 0.4, 0.4, 0.4], dtype=torch.float64)
-    return ThermalCameras(rig, torch.zeros(VIEWS, MOTION, dtype=torch.float64)), Prior(rig, sigma, MOTION_SIGMA)
+    sigma = torch.tensor(
+        [0.1, 0.005, 20, 20, 0.3, 0.3, 0.3, 0.3, 0.3, 0.4, 0.4, 0.4], dtype=torch.float64
+    )
+    return ThermalCameras(rig, torch.zeros(VIEWS, MOTION, dtype=torch.float64)), Prior(
+        rig, sigma, MOTION_SIGMA
+    )
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
@@ -62,7 +74,9 @@ def test_what_is_given_stays():
     known = torch.cat([lens_parameters(LENS), start.rig[6:]])
     sigma = prior.rig_sigma.clone()
     sigma[:6] = 0.0
-    found = adjust(observations, Prior(known, sigma, MOTION_SIGMA), ThermalCameras(known, start.motions))
+    found = adjust(
+        observations, Prior(known, sigma, MOTION_SIGMA), ThermalCameras(known, start.motions)
+    )
     assert torch.allclose(found.cameras.rig[:6], known[:6], atol=1e-6)
     assert found.residual_px.median() < 2 * NOISE_PX
 
@@ -72,14 +86,18 @@ def test_fewer_independent_patches_are_less_certain():
     start, prior = start_and_prior()
     few = replace(observations, independent=0.1 * observations.independent)
     points = observations.points[:PER_VIEW]
-    all_sigma, few_sigma = (pixel_sigma(adjust(o, prior, start), 0, points).median() for o in (observations, few))
+    all_sigma, few_sigma = (
+        pixel_sigma(adjust(o, prior, start), 0, points).median() for o in (observations, few)
+    )
     assert few_sigma > 1.5 * all_sigma
 
 
 def test_each_kind_is_trusted_as_far_as_its_own_residuals_go():
     rig, motions, precise = observed(0.0)
     start, prior = start_and_prior()
-    noise = 3 * torch.randn(precise.pixels.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    noise = 3 * torch.randn(
+        precise.pixels.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64
+    )
     wild = replace(precise, pixels=precise.pixels + noise, kinds=torch.ones_like(precise.kinds))
     found = adjust(Observations.joined([precise, wild]), prior, start)
     assert found.residual_px[: len(precise.views)].median() < 1.5 * NOISE_PX
@@ -99,7 +117,9 @@ def test_cameras_are_aimed_at_what_they_observe():
     found = aimed(ThermalCameras(rig, far), observations)
     own = observations.views == 2
     before, after = (
-        (project(rig, m[observations.views], observations.points) - observations.pixels)[own].mean(dim=0).norm()
+        (project(rig, m[observations.views], observations.points) - observations.pixels)[own]
+        .mean(dim=0)
+        .norm()
         for m in (far, found.motions)
     )
     assert after < 0.2 * before

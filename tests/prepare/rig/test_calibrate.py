@@ -14,7 +14,9 @@ KNOWN_FIELD = RigOptions(field_of_view_deg=56.0)
 
 def test_the_thermal_camera_is_found_from_edges_alone(room):
     stages = []
-    found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD, lambda stage, done, total: stages.append(stage))
+    found = calibrate_rig(
+        room.pairs, room.points, KNOWN_FIELD, lambda stage, done, total: stages.append(stage)
+    )
     errors_px = room.errors_px(found)
     assert max(errors_px) < 0.5
     assert found.uncertainty_px < 0.6
@@ -23,7 +25,11 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
     assert found.lens.fx == pytest.approx(room.lens.fx, rel=0.03)
     assert found.motion_px < 0.5
     assert found.warnings == ()
-    assert list(dict.fromkeys(stages)) == ["reading pairs", "searching the thermal camera", "matching"]
+    assert list(dict.fromkeys(stages)) == [
+        "reading pairs",
+        "searching the thermal camera",
+        "matching",
+    ]
     world_to_thermal = found.viewmat(2, room.pairs[2].rgb.camera.viewmat)
     expected = found.views[2].correction @ found.thermal_from_rgb @ room.pairs[2].rgb.camera.viewmat
     assert torch.equal(world_to_thermal, expected)
@@ -63,7 +69,9 @@ def test_a_given_lens_and_offset_stay_and_their_residual_is_told(room):
 def test_unrelated_images_are_refused(room):
     rng = torch.Generator().manual_seed(0)
     noise = [Pixels(torch.rand(120, 160, 1, generator=rng)) for _ in range(3)]
-    pairs = [replace(pair, load_thermal=lambda i=i: noise[i]) for i, pair in enumerate(room.pairs[:3])]
+    pairs = [
+        replace(pair, load_thermal=lambda i=i: noise[i]) for i, pair in enumerate(room.pairs[:3])
+    ]
     with pytest.raises(SceneError, match="agree with those in the photos no better than by chance"):
         calibrate_rig(pairs, room.points, KNOWN_FIELD)
 
@@ -74,13 +82,18 @@ def test_flat_thermal_images_are_refused(room):
     with pytest.raises(SceneError, match="no better than by chance"):
         calibrate_rig(pairs, room.points, KNOWN_FIELD)
     given = RigOptions(thermal_lens=room.lens, thermal_from_rgb=room.thermal_from_rgb)
-    with pytest.raises(SceneError, match="hardly any patch of the photos is found in the thermal images"):
+    with pytest.raises(
+        SceneError, match="hardly any patch of the photos is found in the thermal images"
+    ):
         calibrate_rig(pairs, room.points, given)
 
 
 def test_an_uncertain_result_is_refused(room):
     strict = RigOptions(thermal_lens=room.lens, max_uncertainty_px=1e-3)
-    with pytest.raises(SceneError, match=r"leave 0\.\d px open \(one standard deviation\), and 0\.001 px is the limit"):
+    with pytest.raises(
+        SceneError,
+        match=r"leave 0\.\d px open \(one standard deviation\), and 0\.001 px is the limit",
+    ):
         calibrate_rig(room.pairs[:3], room.points, strict)
 
 
@@ -97,7 +110,9 @@ def test_thermal_images_of_two_cameras_are_told(room):
 
 
 def test_an_image_without_a_usable_pixel_is_told(room):
-    blind = replace(room.pairs[1], load_thermal=lambda: Pixels(torch.full((120, 160, 1), float("nan"))))
+    blind = replace(
+        room.pairs[1], load_thermal=lambda: Pixels(torch.full((120, 160, 1), float("nan")))
+    )
     with pytest.raises(SceneError, match="no pixel of view_1 can be used; remove the pair"):
         calibrate_rig([room.pairs[0], blind], room.points)
 
@@ -108,7 +123,9 @@ def test_a_photo_that_sees_no_points_gets_the_rigs_motion_and_is_named(room):
     found = calibrate_rig([*room.pairs[:3], blind], room.points, given)
     assert torch.equal(found.views[3].correction, torch.eye(4, dtype=torch.float64))
     assert found.views[3].uncertainty_px == float("inf")
-    assert found.warnings == ("1 photos see too few points to correct their thermal camera: view_3.",)
+    assert found.warnings == (
+        "1 photos see too few points to correct their thermal camera: view_3.",
+    )
 
 
 def test_a_pair_that_does_not_agree_is_named(room):
@@ -117,4 +134,6 @@ def test_a_pair_that_does_not_agree_is_named(room):
     found = calibrate_rig([*room.pairs[:3], flat], room.points, given)
     assert found.views[3].matches == 0
     assert len(found.warnings) == 1
-    assert found.warnings[0].startswith("1 thermal images could not be placed well (view_3): few edges agree")
+    assert found.warnings[0].startswith(
+        "1 thermal images could not be placed well (view_3): few edges agree"
+    )

@@ -33,7 +33,9 @@ def test_a_plane_is_exact():
 
 def test_points_behind_a_surface_are_left_out():
     rng = np.random.default_rng(1)
-    near = np.column_stack([rng.uniform(-0.4, 0.4, 600), rng.uniform(-0.4, 0.4, 600), np.full(600, 2.0)])
+    near = np.column_stack(
+        [rng.uniform(-0.4, 0.4, 600), rng.uniform(-0.4, 0.4, 600), np.full(600, 2.0)]
+    )
     far = np.column_stack([rng.uniform(-2, 2, 600), rng.uniform(-2, 2, 600), np.full(600, 4.0)])
     found = inverse_depth(np.concatenate([near, far]), CAMERA)
     middle = found.values[16:24, 20:30]
@@ -42,7 +44,9 @@ def test_points_behind_a_surface_are_left_out():
 
 
 def test_known_visibility_is_taken_as_it_is():
-    near = np.column_stack([np.tile([-0.5, 0.0, 0.5], 3), np.repeat([-0.5, 0.0, 0.5], 3), np.full(9, 2.0)])
+    near = np.column_stack(
+        [np.tile([-0.5, 0.0, 0.5], 3), np.repeat([-0.5, 0.0, 0.5], 3), np.full(9, 2.0)]
+    )
     found = inverse_depth(np.concatenate([near * 2, near]), CAMERA, np.arange(9))
     np.testing.assert_allclose(found.values, 1 / 4.0, rtol=1e-6)
 

@@ -18,14 +18,18 @@ def test_a_shifted_and_inverted_image_is_found_to_a_tenth_of_a_pixel(right, down
     found = match(Masked(structure(moved, 2.0)), Masked(structure(IMAGE, 2.0)), PATCHES)
     assert len(found.scores) > 60
     inner = np.all((found.centres > 30) & (found.centres < (130, 90)), axis=1)
-    np.testing.assert_allclose(np.median(found.displacements[inner], axis=0), (right, down), atol=0.1)
+    np.testing.assert_allclose(
+        np.median(found.displacements[inner], axis=0), (right, down), atol=0.1
+    )
     assert found.scores[inner].min() > 0.9
 
 
 def test_information_lies_across_an_edge():
     step = gaussian_filter(np.where(np.arange(160) > 80, 1.0, 0.0)[None].repeat(120, axis=0), 1.0)
     noise = np.random.default_rng(0).normal(0, 0.02, (2, *step.shape))
-    found = match(Masked(structure(step + noise[0], 2.0)), Masked(structure(step + noise[1], 2.0)), PATCHES)
+    found = match(
+        Masked(structure(step + noise[0], 2.0)), Masked(structure(step + noise[1], 2.0)), PATCHES
+    )
     at_edge = np.abs(found.centres[:, 0] - 80) < 8
     assert at_edge.any()
     across, along = found.information[at_edge, 0, 0], found.information[at_edge, 1, 1]
@@ -53,5 +57,7 @@ def test_overlapping_windows_count_for_less():
 def test_the_displacement_of_a_whole_image(right, down):
     large = gaussian_filter(np.random.default_rng(4).uniform(size=(160, 200)), 3.0)
     moved = -large[20 - down : 140 - down, 20 - right : 180 - right]
-    found = whole_displacement(Masked(structure(moved, 1.5)), Masked(structure(large[20:140, 20:180], 1.5)), reach=16)
+    found = whole_displacement(
+        Masked(structure(moved, 1.5)), Masked(structure(large[20:140, 20:180], 1.5)), reach=16
+    )
     assert found == (right, down)

@@ -50,14 +50,18 @@ def test_project_is_the_lens_after_both_motions(rig_motion, own_motion):
 
 
 def test_a_lens_survives_its_parameters():
-    cameras = ThermalCameras(rig_of(LENS_OF_TEST, torch.zeros(6, dtype=torch.float64)), torch.zeros(1, 6).double())
+    cameras = ThermalCameras(
+        rig_of(LENS_OF_TEST, torch.zeros(6, dtype=torch.float64)), torch.zeros(1, 6).double()
+    )
     lens = cameras.lens(640, 480)
     for name in ("fx", "fy", "cx", "cy", "radial"):
         np.testing.assert_allclose(getattr(lens, name), getattr(LENS_OF_TEST, name), rtol=1e-12)
 
 
 def test_jacobian_matches_differences():
-    rig = rig_of(LENS_OF_TEST, torch.tensor([0.01, 0.03, -0.02, 0.1, 0.02, 0.05], dtype=torch.float64))
+    rig = rig_of(
+        LENS_OF_TEST, torch.tensor([0.01, 0.03, -0.02, 0.1, 0.02, 0.05], dtype=torch.float64)
+    )
     motion = torch.full((1, 6), 0.002, dtype=torch.float64)
     point = torch.tensor([[0.4, -0.3, 3.0]], dtype=torch.float64)
     by_rig, by_motion = project_jacobian(rig, motion, point).split([12, 6], dim=2)
@@ -65,12 +69,16 @@ def test_jacobian_matches_differences():
     for index in range(12):
         moved = torch.zeros(12, dtype=torch.float64)
         moved[index] = step
-        slope = (project(rig + moved, motion, point) - project(rig - moved, motion, point)) / (2 * step)
+        slope = (project(rig + moved, motion, point) - project(rig - moved, motion, point)) / (
+            2 * step
+        )
         assert torch.allclose(slope, by_rig[..., index], rtol=1e-4, atol=1e-4)
     for index in range(6):
         moved = torch.zeros(1, 6, dtype=torch.float64)
         moved[0, index] = step
-        slope = (project(rig, motion + moved, point) - project(rig, motion - moved, point)) / (2 * step)
+        slope = (project(rig, motion + moved, point) - project(rig, motion - moved, point)) / (
+            2 * step
+        )
         assert torch.allclose(slope, by_motion[..., index], rtol=1e-4, atol=1e-4)
 
 

@@ -19,7 +19,9 @@ CAMERA = Camera(
 )
 
 
-def pairs(focal_widths: float, turn_deg: float, shift_widths: tuple[float, float]) -> list[ReducedPair]:
+def pairs(
+    focal_widths: float, turn_deg: float, shift_widths: tuple[float, float]
+) -> list[ReducedPair]:
     """Three photos of blots, and their inverted images, scaled, turned and shifted, 160×120 px."""
     rng = np.random.default_rng(0)
     made = []
@@ -39,7 +41,8 @@ def pairs(focal_widths: float, turn_deg: float, shift_widths: tuple[float, float
 
 
 @pytest.mark.parametrize(
-    ("focal", "turn_deg", "shift"), [(1.1, 0.0, (0.05, -0.04)), (1.4, 3.0, (-0.1, 0.02)), (0.9, -3.0, (0.0, 0.08))]
+    ("focal", "turn_deg", "shift"),
+    [(1.1, 0.0, (0.05, -0.04)), (1.4, 3.0, (-0.1, 0.02)), (0.9, -3.0, (0.0, 0.08))],
 )
 def test_scale_turn_and_shift_are_found(focal, turn_deg, shift):
     field_of_view_deg = float(np.degrees(2 * np.arctan(0.5 / focal))) * 1.04

@@ -24,7 +24,10 @@ def still_room(make_room, make_board):
 def test_a_target_that_stands_still(still_room):
     stages = []
     found = calibrate_rig(
-        still_room.pairs, still_room.points, RigOptions(target=TARGET), lambda stage, done, total: stages.append(stage)
+        still_room.pairs,
+        still_room.points,
+        RigOptions(target=TARGET),
+        lambda stage, done, total: stages.append(stage),
     )
     errors_px = still_room.errors_px(found)
     assert max(errors_px[:3]) < 0.3
@@ -39,7 +42,9 @@ def test_a_target_that_stands_still(still_room):
 
 def test_a_target_that_is_moved(make_room, make_board):
     boards = [
-        make_board((0.15, 0.2 * view - 0.2, 0.1, -0.475, -0.42, 2.4 + 0.1 * view), square_m=SQUARE_UNITS)
+        make_board(
+            (0.15, 0.2 * view - 0.2, 0.1, -0.475, -0.42, 2.4 + 0.1 * view), square_m=SQUARE_UNITS
+        )
         for view in range(3)
     ]
     room = make_room(views=3, boards=boards)
@@ -52,9 +57,13 @@ def test_a_target_that_is_moved(make_room, make_board):
 
 def test_a_target_that_is_not_there_is_told(still_room):
     with pytest.raises(
-        SceneError, match=r"no pair shows the chessboard of 5×4 inner corners in both images \(it was found in 0 photos"
+        SceneError,
+        match=r"no pair shows the chessboard of 5×4 inner corners in both images \(it was found "
+        r"in 0 photos",
     ):
-        calibrate_rig(still_room.pairs[:1], still_room.points, RigOptions(target=ChessboardTarget((5, 4))))
+        calibrate_rig(
+            still_room.pairs[:1], still_room.points, RigOptions(target=ChessboardTarget((5, 4)))
+        )
     blank = replace(still_room.pairs[0], load_thermal=still_room.pairs[3].load_thermal)
     with pytest.raises(SceneError, match="found in 1 photos and 0 thermal images of 1"):
         calibrate_rig([blank], still_room.points, RigOptions(target=TARGET))
@@ -62,11 +71,15 @@ def test_a_target_that_is_not_there_is_told(still_room):
 
 @pytest.mark.parametrize("inner", [(2, 5), (6, 51)])
 def test_counts_that_no_target_has(inner):
-    with pytest.raises(ConfigError, match=rf"a chessboard of {inner[0]}×{inner[1]} inner corners cannot be used"):
+    with pytest.raises(
+        ConfigError, match=rf"a chessboard of {inner[0]}×{inner[1]} inner corners cannot be used"
+    ):
         ChessboardTarget(inner)
 
 
 @pytest.mark.parametrize("square_m", [0.0, -0.1, float("nan"), float("inf")])
 def test_squares_that_no_target_has(square_m):
-    with pytest.raises(ConfigError, match=r"the target's squares cannot be .* m wide: give their width in metres"):
+    with pytest.raises(
+        ConfigError, match=r"the target's squares cannot be .* m wide: give their width in metres"
+    ):
         ChessboardTarget((6, 5), square_m)

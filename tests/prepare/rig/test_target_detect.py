@@ -25,12 +25,20 @@ RNG = np.random.default_rng(0)
 def errors_px(found: Corners | None, true: np.ndarray) -> np.ndarray:
     """Distances of the corners from the true ones, in the order that fits best."""
     assert found is not None
-    return min((np.linalg.norm(each.pixels - true, axis=1) for each in found.turned()), key=np.median)
+    return min(
+        (np.linalg.norm(each.pixels - true, axis=1) for each in found.turned()), key=np.median
+    )
 
 
 @pytest.mark.parametrize(
     ("motion", "lens", "blur_px"),
-    [(FRONTAL, LENS, 0.5), (SLANTED, LENS, 0.5), (FAR, LENS, 0.7), (FRONTAL, LENS, 2.5), (FRONTAL, BENT, 1.0)],
+    [
+        (FRONTAL, LENS, 0.5),
+        (SLANTED, LENS, 0.5),
+        (FAR, LENS, 0.7),
+        (FRONTAL, LENS, 2.5),
+        (FRONTAL, BENT, 1.0),
+    ],
     ids=["frontal", "slanted", "small", "blurred", "distorted"],
 )
 def test_corners_are_found_to_a_tenth_of_a_pixel(motion, lens, blur_px, make_board, draw_board):
@@ -80,7 +88,12 @@ def test_rows_are_clockwise_from_columns(make_board, draw_board):
 @settings(max_examples=4, deadline=None)
 def test_which_squares_are_bright_does_not_matter(drawn, scale, shift, inverted):
     image, true = drawn
-    assert errors_px(detect_chessboard((-scale if inverted else scale) * image + shift, (6, 5)), true).max() < 0.15
+    assert (
+        errors_px(
+            detect_chessboard((-scale if inverted else scale) * image + shift, (6, 5)), true
+        ).max()
+        < 0.15
+    )
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +118,9 @@ def test_there_is_no_board_in_noise(blur_px):
     assert detect_chessboard(np.zeros((60, 80)), (3, 3)) is None
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in (TABLETOP / "images").iterdir())[::24])
+@pytest.mark.parametrize(
+    "name", sorted(path.name for path in (TABLETOP / "images").iterdir())[::24]
+)
 def test_there_is_no_board_in_a_photo_with_a_chequered_cloth(name):
     photo = np.asarray(Image.open(TABLETOP / "images" / name).convert("L"), dtype=np.float64)
     for inner in ((3, 3), (6, 5), (4, 7)):

@@ -23,7 +23,8 @@ def camera(view: int, apart: float = 0.15) -> Camera:
 
 
 def sighting(view: int, board, camera: Camera, quarters: int = 0) -> tuple[Sighting, np.ndarray]:
-    """What the camera sees of a board, with noise, and the corners in its axes, both in the order of the sighting."""
+    """What the camera sees of a board, with noise, and the corners in its axes, both in the order
+    of the sighting."""
     rows, columns = board.inner[::-1]
     inside = board.corners @ camera.viewmat[:3, :3].numpy().T + camera.viewmat[:3, 3].numpy()
     pixels = inside[:, :2] / inside[:, 2:] * 300 + (160, 120)
@@ -55,7 +56,10 @@ def test_a_target_that_stands_still_is_placed_and_tells_its_size(inner, make_boa
 
 
 def test_a_target_that_is_moved_is_placed_by_the_width_of_its_squares(make_board):
-    boards = [make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2 + 0.05 * view, 1.0 + 0.1 * view)) for view in range(4)]
+    boards = [
+        make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2 + 0.05 * view, 1.0 + 0.1 * view))
+        for view in range(4)
+    ]
     made = [sighting(view, board, camera(view)) for view, board in enumerate(boards)]
     placed = place([each for each, _ in made], 0.1)
     assert placed.still == 0
@@ -74,7 +78,11 @@ def test_one_that_is_moved_among_those_that_stand_still(make_board):
 def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told(make_board):
     boards = [make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2, 1.0 + 0.1 * view)) for view in range(4)]
     moved = [sighting(view, board, camera(view))[0] for view, board in enumerate(boards)]
-    same_place = [sighting(view, make_board(STILL), camera(view, apart=1e-4))[0] for view in range(4)]
+    same_place = [
+        sighting(view, make_board(STILL), camera(view, apart=1e-4))[0] for view in range(4)
+    ]
     for sightings in (moved, same_place, moved[:1]):
-        with pytest.raises(SceneError, match="the target cannot be used: its distance is not known"):
+        with pytest.raises(
+            SceneError, match="the target cannot be used: its distance is not known"
+        ):
             place(sightings)

@@ -15,7 +15,9 @@ small = st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3)
 @given(small, small)
 @settings(max_examples=15, deadline=None)
 def test_the_pose_of_a_plane_is_found(turn, place):
-    motion = rigid_motion(torch.tensor([*turn, *(np.array(place) - (2.5, 2.0, -9.0))], dtype=torch.float64)).numpy()
+    motion = rigid_motion(
+        torch.tensor([*turn, *(np.array(place) - (2.5, 2.0, -9.0))], dtype=torch.float64)
+    ).numpy()
     points = PLANE @ motion[:3, :2].T + motion[:3, 3]
     found = plane_pose(points[:, :2] / points[:, 2:], PLANE)
     np.testing.assert_allclose(found, motion, atol=1e-5)

@@ -26,7 +26,9 @@ def slanted_pair(valid: np.ndarray | None = None) -> ReducedPair:
     slope = ((np.arange(rows) + 0.5) * STEP_PX - 80) / 200
     depth = InverseDepth(np.repeat((1 - slope)[:, None] / 4, columns, axis=1), 0.25)
     photo = np.tile((np.arange(200) + 0.5).astype(np.float32), (160, 1))
-    return ReducedPair("one", Plane(photo, valid), CAMERA, depth, Plane(np.zeros((64, 80), dtype=np.float32)))
+    return ReducedPair(
+        "one", Plane(photo, valid), CAMERA, depth, Plane(np.zeros((64, 80), dtype=np.float32))
+    )
 
 
 def test_points_lie_on_the_ray_of_their_pixel_and_on_the_surface():
@@ -41,7 +43,9 @@ def test_points_lie_on_the_ray_of_their_pixel_and_on_the_surface():
 
 
 def test_the_photo_is_sampled_where_it_shows_the_point():
-    warped = warp(slanted_pair(), thermal_rays(THERMAL, 80, 64), torch.linalg.inv(MOTION).numpy(), 1.0)
+    warped = warp(
+        slanted_pair(), thermal_rays(THERMAL, 80, 64), torch.linalg.inv(MOTION).numpy(), 1.0
+    )
     column = 200 * warped.points[..., 0] / warped.points[..., 2] + 100
     np.testing.assert_allclose(warped.values[warped.seen], column[warped.seen], atol=1e-3)
 

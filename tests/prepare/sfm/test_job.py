@@ -21,7 +21,9 @@ def photos(tmp_path):
     images = {}
     for index, name in enumerate(["wall 1", "wall 2", "Tür"]):
         images[name] = tmp_path / f"{name}.png"
-        Image.fromarray(np.random.default_rng(index).integers(0, 256, (12, 16), dtype=np.uint8)).save(images[name])
+        Image.fromarray(
+            np.random.default_rng(index).integers(0, 256, (12, 16), dtype=np.uint8)
+        ).save(images[name])
     return images
 
 
@@ -66,7 +68,9 @@ def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
 
 def test_stretched_images_are_made_and_counted(photos, tmp_path):
     steps = []
-    set_up(tmp_path / "sfm", photos, dict.fromkeys(photos, "a"), True, lambda *step: steps.append(step))
+    set_up(
+        tmp_path / "sfm", photos, dict.fromkeys(photos, "a"), True, lambda *step: steps.append(step)
+    )
     assert steps == [("contrast", 1, 3), ("contrast", 2, 3), ("contrast", 3, 3)]
     with Image.open(tmp_path / "sfm" / "images" / "000003.png") as image:
         assert image.mode == "L"
@@ -77,7 +81,8 @@ def test_photos_of_one_camera_are_of_one_size(photos, tmp_path):
     with pytest.raises(SceneError) as error:
         set_up(tmp_path / "sfm", photos, dict.fromkeys(photos, "a"), False, silent)
     assert str(error.value) == (
-        f"{photos['Tür']} is 12×16 px, but wall 1.png of the same camera is 16×12 px; prepare photos of different "
+        f"{photos['Tür']} is 12×16 px, but wall 1.png of the same camera is 16×12 px; prepare "
+        f"photos of different "
         "cameras, crops or zooms as different scenes"
     )
     set_up(tmp_path / "sfm", photos, {**dict.fromkeys(photos, "a"), "Tür": "b"}, False, silent)
@@ -85,5 +90,7 @@ def test_photos_of_one_camera_are_of_one_size(photos, tmp_path):
 
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match=r"file/sfm cannot be written \(.+\); free the place or choose another"):
+    with pytest.raises(
+        RunError, match=r"file/sfm cannot be written \(.+\); free the place or choose another"
+    ):
         set_up(tmp_path / "file" / "sfm", photos, dict.fromkeys(photos, "a"), False, silent)

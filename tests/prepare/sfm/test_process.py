@@ -19,7 +19,9 @@ def silent(step: str, done: int, of: int) -> None:
 def child(monkeypatch):
     """Puts a script in the place of the process; its folder is ``sys.argv[1]``."""
     monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.4")
-    return lambda script: monkeypatch.setattr(process, "CHILD", ("-c", "import json, os, sys, time\n" + script))
+    return lambda script: monkeypatch.setattr(
+        process, "CHILD", ("-c", "import json, os, sys, time\n" + script)
+    )
 
 
 def test_progress_is_forwarded(child, tmp_path):
@@ -36,8 +38,10 @@ print(json.dumps({"end": "done"}))
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
-        ("print(json.dumps({'end': 'error', 'message': 'the disk is full'})); sys.exit(1)", "the disk is full"),
-        ("os.kill(os.getpid(), 9)", "the system ended the process (signal 9), most likely for want of memory; close "
+        ("print(json.dumps({'end': 'error', 'message': 'the disk is full'})); "
+         "sys.exit(1)", "the disk is full"),
+        ("os.kill(os.getpid(), "
+         "9)", "the system ended the process (signal 9), most likely for want of memory; close "
          "other programs or use smaller photos, and call again to continue"),
         ("os.abort()", "the process ended with status -6; call again to continue"),
         ("pass", "the process ended with status 0; call again to continue"),
@@ -74,7 +78,8 @@ time.sleep(600)
 
 
 def test_a_poisoned_current_folder_is_not_imported_from(monkeypatch, tmp_path):
-    """The real child, which fails for want of a job: all that it imports before comes from elsewhere."""
+    """The real child, which fails for want of a job: all that it imports before comes from
+    elsewhere."""
     monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.4")
     monkeypatch.chdir(tmp_path)
     for name in ("json", "mrgs", "numpy", "pycolmap"):
@@ -90,7 +95,8 @@ def test_a_folder_that_cannot_be_written(child, tmp_path):
     with pytest.raises(RunError) as error:
         run_colmap(tmp_path, silent)
     assert str(error.value) == (
-        f"{tmp_path / 'log.txt'} cannot be written (Is a directory); free the place or choose another"
+        f"{tmp_path / 'log.txt'} cannot be written (Is a directory); free the place or choose "
+        f"another"
     )
 
 

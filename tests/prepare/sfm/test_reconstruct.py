@@ -24,13 +24,16 @@ class StoppedError(Exception):
 
 
 def noise(path: Path, seed: int) -> Path:
-    Image.fromarray(np.random.default_rng(seed).integers(0, 256, (120, 160), dtype=np.uint8)).save(path)
+    Image.fromarray(np.random.default_rng(seed).integers(0, 256, (120, 160), dtype=np.uint8)).save(
+        path
+    )
     return path
 
 
 @needs_pycolmap
 def test_poses_of_the_table_top_after_an_interruption(tmp_path):
-    """Stopped after the features, continued with the matches; one photo belongs to something else."""
+    """Stopped after the features, continued with the matches; one photo belongs to something
+    else."""
     truth = {view.name: view.rgb.camera.viewmat for view in load_scene(TABLETOP).train[:6]}
     images = {name: TABLETOP / "images" / f"{name}.jpg" for name in truth}
     images["elsewhere"] = noise(tmp_path / "elsewhere.png", 1)
@@ -66,7 +69,9 @@ def test_poses_of_the_table_top_after_an_interruption(tmp_path):
 @needs_pycolmap
 def test_photos_that_share_nothing(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(3)}
-    with pytest.raises(SceneError, match=r"^only 0 of 3 photos could be placed, and 3 are needed \(photo_0"):
+    with pytest.raises(
+        SceneError, match=r"^only 0 of 3 photos could be placed, and 3 are needed \(photo_0"
+    ):
         reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
 
 
@@ -74,4 +79,6 @@ def test_two_photos_are_too_few(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
     with pytest.raises(SceneError) as error:
         reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
-    assert str(error.value) == "poses need 3 photos at least, and 2 can be used; take more, all around"
+    assert (
+        str(error.value) == "poses need 3 photos at least, and 2 can be used; take more, all around"
+    )

@@ -11,23 +11,39 @@ from mrgs.prepare.sfm.result import read_result
 
 
 def image(group: int | None, features: int | None = 900, matches: int = 200) -> dict:
-    return {"features": features, "matches": matches, "with": "000001.jpg" if matches else None, "group": group}
+    return {
+        "features": features,
+        "matches": matches,
+        "with": "000001.jpg" if matches else None,
+        "group": group,
+    }
 
 
 def write(folder, images: list[dict], groups: list[int], reprojection_px: float = 0.5) -> None:
-    """What the process leaves: views named a, b, c, …; the largest model has one camera, and three points."""
+    """What the process leaves: views named a, b, c, …; the largest model has one camera, and three
+    points."""
     files = [f"{number:06d}.jpg" for number in range(1, len(images) + 1)]
     names = [{"file": file, "name": "abcdefghijklmno"[index]} for index, file in enumerate(files)]
     (folder / "job.json").write_text(json.dumps({"images": names}))
     model = folder / "model"
     model.mkdir()
-    report = {"images": images, "groups": groups, "reprojection_px": reprojection_px if groups else None}
+    report = {
+        "images": images,
+        "groups": groups,
+        "reprojection_px": reprojection_px if groups else None,
+    }
     (model / "report.json").write_text(json.dumps(report))
     registered = [index for index, own in enumerate(images) if own["group"] == 0]
-    (model / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 1, 2, 40, 30, 35.0, 20.0, 15.0, 0.01))
+    (model / "cameras.bin").write_bytes(
+        struct.pack("<QIiQQ4d", 1, 1, 2, 40, 30, 35.0, 20.0, 15.0, 0.01)
+    )
     body = struct.pack("<Q", len(registered))
     for index in registered:
-        body += struct.pack("<I7dI", index + 7, 1, 0, 0, 0, 0.1 * index, 0, 3, 1) + files[index].encode() + b"\0"
+        body += (
+            struct.pack("<I7dI", index + 7, 1, 0, 0, 0, 0.1 * index, 0, 3, 1)
+            + files[index].encode()
+            + b"\0"
+        )
         body += struct.pack("<Q", 0)
     (model / "images.bin").write_bytes(body)
     np.savez(
@@ -46,7 +62,11 @@ def test_poses_points_and_what_each_view_sees(tmp_path):
     assert found.lenses["a"].radial[0] == 0.01
     assert found.points.positions.shape == (3, 3)
     assert found.points.colors[0].tolist() == pytest.approx([1, 0, 0.2])
-    assert {name: seen.tolist() for name, seen in found.visible.items()} == {"a": [0, 2], "b": [1], "d": [0]}
+    assert {name: seen.tolist() for name, seen in found.visible.items()} == {
+        "a": [0, 2],
+        "b": [1],
+        "d": [0],
+    }
     assert (found.reprojection_px, found.images, found.warnings) == (0.5, "rgb", ())
     assert found.source == "Structure from motion with COLMAP: 3 of 4 photos, 3 points."
     assert [(left.name, left.reason) for left in found.failed] == [
@@ -73,7 +93,8 @@ def test_why_an_image_has_no_pose(tmp_path, own, reason):
 def test_groups_that_are_not_connected_are_told(tmp_path):
     write(tmp_path, [image(0)] * 5 + [image(1)] * 3, [5, 3])
     assert read_result(tmp_path, "thermal").warnings == (
-        "The photos fall into 2 groups that are not connected (5, 3 photos); the largest is used. Photos that overlap "
+        "The photos fall into 2 groups that are not connected (5, 3 photos); the largest is used. "
+        "Photos that overlap "
         "both would join them.",
     )
 
@@ -81,18 +102,25 @@ def test_groups_that_are_not_connected_are_told(tmp_path):
 def test_rough_poses_are_told(tmp_path):
     write(tmp_path, [image(0)] * 4, [4], reprojection_px=1.34)
     assert read_result(tmp_path, "thermal").warnings == (
-        "The poses are rough: points lie 1.3 px from where they were seen (mean). Sharper photos with more texture "
+        "The poses are rough: points lie 1.3 px from where they were seen (mean). Sharper photos "
+        "with more texture "
         "would help.",
     )
 
 
 def test_too_few_views(tmp_path):
-    write(tmp_path, [image(0), image(0)] + [image(None, features=12)] * 8 + [image(None, matches=0)], [2])
+    write(
+        tmp_path,
+        [image(0), image(0)] + [image(None, features=12)] * 8 + [image(None, matches=0)],
+        [2],
+    )
     with pytest.raises(SceneError) as error:
         read_result(tmp_path, "rgb")
     assert str(error.value) == (
-        "only 2 of 11 photos could be placed, and 3 are needed (c, d, e, f, g, h and 2 more: too little texture, or "
-        "blurred; k: little in common with any other photo); take photos that overlap by two thirds, sharp and with "
+        "only 2 of 11 photos could be placed, and 3 are needed (c, d, e, f, g, h and 2 more: too "
+        "little texture, or "
+        "blurred; k: little in common with any other photo); take photos that overlap by two "
+        "thirds, sharp and with "
         "texture"
     )
 

@@ -32,7 +32,10 @@ def test_faint_edges_become_strong(tmp_path):
 
 
 def test_one_span_for_the_set(tmp_path):
-    files = [save(tmp_path / f"{low}.tiff", np.linspace(low, low + 10, 400).reshape(20, 20)) for low in (0, 20)]
+    files = [
+        save(tmp_path / f"{low}.tiff", np.linspace(low, low + 10, 400).reshape(20, 20))
+        for low in (0, 20)
+    ]
     assert span_of(files) == pytest.approx((0.2, 29.8), abs=0.2)
 
 
@@ -63,7 +66,9 @@ def test_local_contrast_stays_in_range_and_keeps_the_order_within_a_tile(seed, h
 
 
 def test_local_contrast_of_one_tile_is_monotonic():
-    shares = np.sort(np.random.default_rng(0).uniform(0, 1, 4096).astype(np.float32)).reshape(64, 64)
+    shares = np.sort(np.random.default_rng(0).uniform(0, 1, 4096).astype(np.float32)).reshape(
+        64, 64
+    )
     one_column = local_contrast(shares)[:, 32]
     assert (np.diff(one_column.reshape(8, 8)[0]) >= -1e-6).all()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.thermonerf.cpu import CHANNELS, encode
+from mrgs.baselines.thermonerf.cpu import CHANNELS, encode
 
 RESOLUTIONS = torch.tensor([2, 3, 9, 40])
 SIZES = [27, 64, 256, 128]
@@ -28,7 +28,9 @@ def naive(points: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
                 else:
                     entry = (x ^ (y * 2654435761) % 2**32 ^ (z * 805459861) % 2**32) % SIZES[level]
                 near = [place[axis] - cell[axis] for axis in range(3)]
-                weight = np.prod([near[axis] if corner[axis] else 1 - near[axis] for axis in range(3)])
+                weight = np.prod(
+                    [near[axis] if corner[axis] else 1 - near[axis] for axis in range(3)]
+                )
                 total = total + weight * table[OFFSETS[level] + entry]
             row.append(total)
         rows.append(torch.cat(row))
@@ -52,12 +54,16 @@ def test_features_are_those_of_a_naive_loop(dtype):
 def test_the_gradient_of_the_table_is_that_of_finite_differences():
     points, table = example(9, torch.float64)
     table.requires_grad_()
-    assert torch.autograd.gradcheck(lambda entries: encode(points, entries, RESOLUTIONS, OFFSETS), table)
+    assert torch.autograd.gradcheck(
+        lambda entries: encode(points, entries, RESOLUTIONS, OFFSETS), table
+    )
 
 
 def test_float32_gradients_are_those_of_float64():
     points, table = example(500, torch.float64)
-    upstream = torch.randn(500, CHANNELS * len(SIZES), generator=torch.Generator().manual_seed(1), dtype=points.dtype)
+    upstream = torch.randn(
+        500, CHANNELS * len(SIZES), generator=torch.Generator().manual_seed(1), dtype=points.dtype
+    )
     gradients = []
     for dtype in (torch.float32, torch.float64):
         entries = table.to(dtype).requires_grad_()

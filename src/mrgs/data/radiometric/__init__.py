@@ -1,4 +1,5 @@
-"""Thermal photos of many makers in; temperatures in °C, their mask, and what the camera noted about them out."""
+"""Thermal photos of many makers in; temperatures in °C, their mask, and what the camera noted about
+them out."""
 
 from mrgs.data.radiometric.exif import ExifFacts, GpsPosition, read_exif
 from mrgs.data.radiometric.measurement import ObjectParameters

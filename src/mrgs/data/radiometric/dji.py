@@ -1,4 +1,5 @@
-"""DJI: what its R-JPEGs need before they can be read, and the bare numbers that DJI's own tool makes of them."""
+"""DJI: what its R-JPEGs need before they can be read, and the bare numbers that DJI's own tool
+makes of them."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from mrgs.data.radiometric.units import FLOAT_UNITS
 from mrgs.errors import SceneError
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))
-"""Width and height of the thermal images of DJI's cameras; the bare numbers do not say their own."""
+"""Width and height of the thermal images of DJI's cameras; the bare numbers do not say their
+own."""
 
 
 def needs_converting(path: Path) -> SceneError:
@@ -21,12 +23,14 @@ def needs_converting(path: Path) -> SceneError:
     return scene_error(
         path,
         "is a DJI R-JPEG, whose temperatures only DJI's Thermal SDK can read; convert it with "
-        f"dji_irp -s {path.name} -a measure -o {path.stem}.raw --measurefmt float32, and use the .raw file instead",
+        f"dji_irp -s {path.name} -a measure -o {path.stem}.raw --measurefmt float32, and use the "
+        f".raw file instead",
     )
 
 
 def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    """The photo in a ``.raw`` file of ``dji_irp -a measure``: float32 in °C, or int16 in 0.1 °C; little-endian.
+    """The photo in a ``.raw`` file of ``dji_irp -a measure``: float32 in °C, or int16 in 0.1 °C;
+    little-endian.
 
     The size follows from the number of bytes: all of ``SIZES`` differ in both.
 
@@ -40,5 +44,7 @@ def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalP
                 facts = PhotoFacts("output of DJI's Thermal SDK")
                 return finished(values, unit, path, facts, overrides)
     raise scene_error(
-        path, f"has {len(data)} bytes, which is no image of a DJI camera; make it with dji_irp -a measure"
+        path,
+        f"has {len(data)} bytes, which is no image of a DJI camera; make it with dji_irp -a "
+        f"measure",
     )

@@ -20,7 +20,8 @@ _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE =
 
 @dataclass(frozen=True)
 class GpsPosition:
-    """A position on WGS 84: degrees, north and east positive; metres above sea level, None if not known."""
+    """A position on WGS 84: degrees, north and east positive; metres above sea level, None if not
+    known."""
 
     latitude_deg: float
     longitude_deg: float
@@ -45,7 +46,8 @@ class ExifFacts:
 
 
 def read_exif(data: bytes) -> ExifFacts:
-    """The facts in the EXIF of an image file (JPEG, PNG or TIFF), given its content. Damage makes facts None."""
+    """The facts in the EXIF of an image file (JPEG, PNG or TIFF), given its content. Damage makes
+    facts None."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of damaged tags; what is left is used
@@ -58,12 +60,20 @@ def read_exif(data: bytes) -> ExifFacts:
 
 def _facts(main: Mapping[int, Any], photo: Mapping[int, Any], gps: Mapping[int, Any]) -> ExifFacts:
     taken = _time(photo.get(_DATE_TIME_ORIGINAL) or main.get(_DATE_TIME), photo.get(_SUBSECONDS))
-    return ExifFacts(clean_text(main.get(_MAKE)), clean_text(main.get(_MODEL)), taken, _position(gps))
+    return ExifFacts(
+        clean_text(main.get(_MAKE)), clean_text(main.get(_MODEL)), taken, _position(gps)
+    )
 
 
 def clean_text(value: object) -> str | None:
     """A short printable text from a file up to its first null; None if nothing is left."""
-    text = value.decode("latin-1") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+    text = (
+        value.decode("latin-1")
+        if isinstance(value, bytes)
+        else value
+        if isinstance(value, str)
+        else ""
+    )
     text = "".join(char for char in text.partition("\0")[0] if char.isprintable())
     return text.strip()[:64] or None
 
@@ -90,10 +100,14 @@ def _position(gps: Mapping[int, Any]) -> GpsPosition | None:
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return GpsPosition(latitude, longitude)
     plausible = -1e3 <= altitude_m <= 1e5
-    return GpsPosition(latitude, longitude, (-altitude_m if below else altitude_m) if plausible else None)
+    return GpsPosition(
+        latitude, longitude, (-altitude_m if below else altitude_m) if plausible else None
+    )
 
 
-def _degrees(value: Any, reference: object, positive: str, negative: str, limit: float) -> float | None:
+def _degrees(
+    value: Any, reference: object, positive: str, negative: str, limit: float
+) -> float | None:
     side = clean_text(reference)
     try:
         degrees, minutes, seconds = (float(part) for part in value)

@@ -34,7 +34,11 @@ class Fields:
     def read(self, offset: int, form: str) -> tuple[float | int, ...] | None:
         """The numbers of :mod:`struct`'s ``form`` at ``offset``."""
         end = offset + struct.calcsize(f"{self.order}{form}")
-        return struct.unpack(f"{self.order}{form}", self.data[offset:end]) if end <= len(self.data) else None
+        return (
+            struct.unpack(f"{self.order}{form}", self.data[offset:end])
+            if end <= len(self.data)
+            else None
+        )
 
     def number(self, offset: int) -> float | None:
         """A 32-bit float: the shortest decimal number that it stands for, so that 0.95 is 0.95."""
@@ -83,7 +87,10 @@ class Records:
         """
         entry = self._entries.get(type_)
         if entry is None:
-            raise scene_error(self._path, f"its thermal record holds no {what}; use the photo as the camera saved it")
+            raise scene_error(
+                self._path,
+                f"its thermal record holds no {what}; use the photo as the camera saved it",
+            )
         found = self.get(type_)
         if found is None:
             raise cut_off(self._path, what, len(self._data), entry.offset + entry.length)
@@ -93,7 +100,9 @@ class Records:
 def cut_off(path: Path, what: str, there: int, wanted: int) -> SceneError:
     """The error of a record that ends too early."""
     return scene_error(
-        path, f"its thermal record is cut off ({there} of {wanted} bytes of the {what}); copy the photo again"
+        path,
+        f"its thermal record is cut off ({there} of {wanted} bytes of the {what}); copy the photo "
+        f"again",
     )
 
 
@@ -104,11 +113,16 @@ def _directory(data: bytes, path: Path) -> list[_Entry]:
         SceneError: the header or the directory is damaged or cut off.
     """
     if len(data) < _HEADER_BYTES or data[:4] not in SIGNATURES:
-        raise scene_error(path, "its thermal record does not start as FLIR's do; copy the photo from the camera again")
+        raise scene_error(
+            path,
+            "its thermal record does not start as FLIR's do; copy the photo from the camera again",
+        )
     order: ByteOrder = ">" if 100 <= int.from_bytes(data[0x14:0x18], "big") < 200 else "<"
     offset, count = struct.unpack_from(f"{order}II", data, 0x18)
     if count > _MAX_ENTRIES:
-        raise scene_error(path, f"its thermal record lists {count} parts; it is damaged, copy the photo again")
+        raise scene_error(
+            path, f"its thermal record lists {count} parts; it is damaged, copy the photo again"
+        )
     end = offset + count * _ENTRY_BYTES
     if end > len(data):
         raise cut_off(path, "directory", len(data), end)

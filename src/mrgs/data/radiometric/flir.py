@@ -47,7 +47,8 @@ _OPTIONS = {
     "window_transmission": "--window-transmission",
 }
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
-"""A photo whose middle temperature lies outside of these was not computed with its camera's constants."""
+"""A photo whose middle temperature lies outside of these was not computed with its camera's
+constants."""
 
 
 def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
@@ -69,11 +70,19 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     parameters = overrides.applied_to(_parameters(info, path))
     if problem := parameters.problem():
         name, sentence = problem
-        raise scene_error(path, f"its {name} of {sentence}; give the true one with {_OPTIONS[name]}")
+        raise scene_error(
+            path, f"its {name} of {sentence}; give the true one with {_OPTIONS[name]}"
+        )
     measurement = Measurement(planck, parameters, _transmission(info, parameters, path))
     celsius, valid = object_temperature(raw, measurement)
-    if not valid.any() or not _MEDIAN_LIMITS_C[0] <= float(np.median(celsius[valid])) <= _MEDIAN_LIMITS_C[1]:
-        raise scene_error(path, "its Planck constants are absurd: they give no plausible temperature; copy it again")
+    if (
+        not valid.any()
+        or not _MEDIAN_LIMITS_C[0] <= float(np.median(celsius[valid])) <= _MEDIAN_LIMITS_C[1]
+    ):
+        raise scene_error(
+            path,
+            "its Planck constants are absurd: they give no plausible temperature; copy it again",
+        )
     facts = _facts(info, records, path, exif, measurement)
     return ThermalPhoto(celsius, None, valid, facts.adding(warnings=_doubts(celsius, valid, facts)))
 
@@ -87,20 +96,30 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
     order = order_of(record)
     size = None if order is None else Fields(record, order).read(2, "HH")
     if order is None or size is None:
-        raise scene_error(path, "the header of its raw image is damaged; copy the photo from the camera again")
+        raise scene_error(
+            path, "the header of its raw image is damaged; copy the photo from the camera again"
+        )
     width, height = int(size[0]), int(size[1])
     content = record[_IMAGE_OFFSET:]
     if width * height == 0 or width * height > MAX_PIXELS:
-        raise scene_error(path, f"its raw image of {width} x {height} pixels cannot be; copy the photo again")
+        raise scene_error(
+            path, f"its raw image of {width} x {height} pixels cannot be; copy the photo again"
+        )
     if content.startswith(b"\x89PNG"):
         return _from_png(content, width, height, path)
     if content.startswith(b"\xff\xd8\xff"):
         raise scene_error(
-            path, "its raw image is compressed with JPEG-LS, which is not read; export it from FLIR's program as CSV"
+            path,
+            "its raw image is compressed with JPEG-LS, which is not read; export it from FLIR's "
+            "program as CSV",
         )
     if len(content) < 2 * width * height:
         raise cut_off(path, "raw image", len(content), 2 * width * height)
-    return np.frombuffer(content, f"{order}u2", width * height).reshape(height, width).astype(np.uint16)
+    return (
+        np.frombuffer(content, f"{order}u2", width * height)
+        .reshape(height, width)
+        .astype(np.uint16)
+    )
 
 
 def _from_png(content: bytes, width: int, height: int, path: Path) -> UInt16[np.ndarray, "h w"]:
@@ -108,12 +127,15 @@ def _from_png(content: bytes, width: int, height: int, path: Path) -> UInt16[np.
         if image.size != (width, height) or not image.mode.startswith("I"):
             raise scene_error(
                 path,
-                f"its raw image is {image.width} x {image.height} pixels of type {image.mode}, where "
-                f"{width} x {height} of 16 bits are announced; copy the photo from the camera again",
+                f"its raw image is {image.width} x {image.height} pixels of type {image.mode}, "
+                f"where "
+                f"{width} x {height} of 16 bits are announced; copy the photo from the camera "
+                f"again",
             )
         values = np.array(image).astype(np.uint16)
     swapped = values.byteswap()
-    # PNG is big-endian, yet most of these cameras write little-endian: in the wrong order, each step of 1 becomes 256.
+    # PNG is big-endian, yet most of these cameras write little-endian: in the wrong order, each
+    # step of 1 becomes 256.
     return values if _roughness(values) < _roughness(swapped) else swapped
 
 
@@ -132,29 +154,45 @@ def _camera_info(records: Records, path: Path) -> Fields:
 
 def _planck(info: Fields, path: Path) -> Planck:
     o = info.read(0x308, "i")
-    stored = [info.number(offset) for offset in (0x58, 0x30C, 0x5C, 0x60)] + [None if o is None else float(o[0])]
+    stored = [info.number(offset) for offset in (0x58, 0x30C, 0x5C, 0x60)] + [
+        None if o is None else float(o[0])
+    ]
     constants = [value for value in stored if value is not None]
     if len(constants) < len(stored) or not any(constants):
         raise scene_error(
             path,
-            "its Planck constants are missing, without which there are no °C; use the photo as the camera saved it",
+            "its Planck constants are missing, without which there are no °C; use the photo as "
+            "the camera saved it",
         )
     planck = Planck(*constants)
     if problem := planck.problem():
-        raise scene_error(path, f"its Planck constants are absurd ({problem}); copy the photo from the camera again")
+        raise scene_error(
+            path,
+            f"its Planck constants are absurd ({problem}); copy the photo from the camera again",
+        )
     return planck
 
 
 def _parameters(info: Fields, path: Path) -> ObjectParameters:
-    stored = [info.number(0x20), info.number(0x24), info.celsius(0x28), info.celsius(0x2C), info.number(0x3C)]
+    stored = [
+        info.number(0x20),
+        info.number(0x24),
+        info.celsius(0x28),
+        info.celsius(0x2C),
+        info.number(0x3C),
+    ]
     stored += [info.celsius(0x30), info.number(0x34)]
     found = [value for value in stored if value is not None]
     if len(found) < len(stored):
         raise scene_error(path, "its camera info is cut off; copy the photo from the camera again")
-    emissivity, distance_m, reflected_c, atmospheric_c, humidity, window_c, window_transmission = found
+    emissivity, distance_m, reflected_c, atmospheric_c, humidity, window_c, window_transmission = (
+        found
+    )
     if 1 < humidity <= 100:  # some cameras store per cent
         humidity /= 100
-    return ObjectParameters(emissivity, distance_m, reflected_c, atmospheric_c, humidity, window_c, window_transmission)
+    return ObjectParameters(
+        emissivity, distance_m, reflected_c, atmospheric_c, humidity, window_c, window_transmission
+    )
 
 
 def _transmission(info: Fields, parameters: ObjectParameters, path: Path) -> float:
@@ -165,12 +203,16 @@ def _transmission(info: Fields, parameters: ObjectParameters, path: Path) -> flo
     )  # fmt: skip
     if not 0.01 <= tau <= MAX_TRANSMISSION:
         raise scene_error(
-            path, f"the air between camera and object would let {tau:.3g} of the radiation pass; give --distance 0"
+            path,
+            f"the air between camera and object would let {tau:.3g} of the radiation pass; give "
+            f"--distance 0",
         )
     return tau
 
 
-def _facts(info: Fields, records: Records, path: Path, exif: ExifFacts, measurement: Measurement) -> PhotoFacts:
+def _facts(
+    info: Fields, records: Records, path: Path, exif: ExifFacts, measurement: Measurement
+) -> PhotoFacts:
     serial = clean_text(info.data[0x104:0x114])
     visible, warnings = _visible(records, path)
     return PhotoFacts(
@@ -195,7 +237,8 @@ def _range(low: float | None, high: float | None) -> tuple[float, float] | None:
 
 
 def _scale(info: Fields, measurement: Measurement) -> tuple[float, float] | None:
-    """What is printed at the ends of the colour scale: the camera stores its middle and its width in counts."""
+    """What is printed at the ends of the colour scale: the camera stores its middle and its width
+    in counts."""
     middle, width = info.read(0x338, "H"), info.read(0x33C, "H")
     if middle is None or width is None or width[0] == 0:
         return None
@@ -218,7 +261,9 @@ def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[s
         return None, ()
     image = content[_IMAGE_OFFSET:]
     if not image.startswith((b"\x89PNG", b"\xff\xd8\xff")):
-        return None, ("The photo in visible light inside the file is of an unknown kind; left out.",)
+        return None, (
+            "The photo in visible light inside the file is of an unknown kind; left out.",
+        )
     return VisibleImage(image, path, _alignment(records.get(PICTURE_IN_PICTURE))), ()
 
 
@@ -232,16 +277,21 @@ def _alignment(record: bytes | None) -> Alignment | None:
     return None
 
 
-def _doubts(celsius: Float32[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], facts: PhotoFacts) -> tuple[str, ...]:
+def _doubts(
+    celsius: Float32[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"], facts: PhotoFacts
+) -> tuple[str, ...]:
     doubts = []
     if not valid.all():
-        doubts.append(f"{100 * (1 - valid.mean()):.1f} % of the pixels have no temperature; they are masked.")
+        doubts.append(
+            f"{100 * (1 - valid.mean()):.1f} % of the pixels have no temperature; they are masked."
+        )
     if facts.calibrated_c is not None:
         low, high = facts.calibrated_c
         outside = float(np.mean((celsius[valid] < low) | (celsius[valid] > high)))
         if outside > 0.01:
             doubts.append(
-                f"{100 * outside:.0f} % of the pixels are outside the {low:.0f} to {high:.0f} °C that the camera is "
+                f"{100 * outside:.0f} % of the pixels are outside the {low:.0f} to {high:.0f} °C "
+                f"that the camera is "
                 "calibrated for: their temperatures are rough."
             )
     return tuple(doubts)

@@ -59,7 +59,11 @@ def flir_record(data: bytes, path: Path) -> bytes | None:
     last = parts[0].content[7]
     numbers = [part.content[6] for part in parts]
     # The number is one byte: it starts again at 0 after 255.
-    if numbers != [index & 0xFF for index in range(len(parts))] or numbers[-1] != last or not parts[-1].whole:
+    if (
+        numbers != [index & 0xFF for index in range(len(parts))]
+        or numbers[-1] != last
+        or not parts[-1].whole
+    ):
         whole = sum(part.whole for part in parts)
         raise scene_error(
             path,

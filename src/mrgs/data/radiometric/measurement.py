@@ -1,8 +1,9 @@
 """From the signal of an infrared detector to the temperature of what it looks at.
 
-Planck's law in the form of a camera's calibration, and the measurement formula with its reflected, atmospheric and
-window terms are in the user manuals of FLIR's cameras, chapter "The measurement formula"; the transmission of the air
-is FLIR's, with the constants that its cameras store. Both are discussed in W. Minkina and S. Dudzik, *Infrared
+Planck's law in the form of a camera's calibration, and the measurement formula with its reflected,
+atmospheric and window terms are in the user manuals of FLIR's cameras, chapter "The measurement
+formula"; the transmission of the air is FLIR's, with the constants that its cameras store. Both are
+discussed in W. Minkina and S. Dudzik, *Infrared
 Thermography: Errors and Uncertainties*, Wiley 2009.
 """
 
@@ -31,7 +32,8 @@ class ObjectParameters:
     Attributes:
         emissivity: of the object's surface, over 0 to 1.
         distance_m: from the camera to the object, m.
-        reflected_c: reflected apparent temperature: what the surroundings, mirrored in the surface, look like, °C.
+        reflected_c: reflected apparent temperature: what the surroundings, mirrored in the surface,
+            look like, °C.
         atmospheric_c: temperature of the air between the camera and the object, °C.
         humidity: relative humidity of that air, 0 to 1.
         window_c: temperature of an infrared window or an external lens at the camera, °C.
@@ -70,7 +72,8 @@ PARAMETER_LIMITS = {
 
 
 class Planck(NamedTuple):
-    """A camera's calibration: S = r1 / (r2 (exp(b / T) − f)) − o, for a black body of T kelvin and a signal S."""
+    """A camera's calibration: S = r1 / (r2 (exp(b / T) − f)) − o, for a black body of T kelvin and
+    a signal S."""
 
     r1: float
     r2: float
@@ -81,8 +84,8 @@ class Planck(NamedTuple):
     def problem(self) -> str | None:
         """Why these cannot be a camera's constants; None if they can.
 
-        b is the second radiation constant (14,388 µm K) over the effective wavelength: 500 K and 20,000 K would be
-        29 µm and 0.7 µm.
+        b is the second radiation constant (14,388 µm K) over the effective wavelength: 500 K and
+        20,000 K would be 29 µm and 0.7 µm.
         """
         if not all(math.isfinite(value) for value in self):
             return "not a number"
@@ -101,14 +104,16 @@ class Planck(NamedTuple):
             return float(self.r1 / (self.r2 * (exponential - self.f)) - self.o)
 
     def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """The temperature of the black body with this signal, °C; not finite where there is none."""
+        """The temperature of the black body with this signal, °C; not finite where there is
+        none."""
         with np.errstate(all="ignore"):
             kelvin = self.b / np.log(self.r1 / (self.r2 * (signal + self.o)) + self.f)
             return np.where(signal + self.o > 0, kelvin - ZERO_CELSIUS_K, np.nan)
 
 
 class Atmosphere(NamedTuple):
-    """Constants of the transmission of air, as the camera stores them; ``x`` weighs the two exponentials."""
+    """Constants of the transmission of air, as the camera stores them; ``x`` weighs the two
+    exponentials."""
 
     alpha1: float
     alpha2: float
@@ -122,7 +127,9 @@ class Atmosphere(NamedTuple):
         τ = x exp(−√d (α1 + β1 √ω)) + (1 − x) exp(−√d (α2 + β2 √ω)), with the water in the air
         ω = humidity · exp(1.5587 + 0.06939 t − 2.7816e-4 t² + 6.8455e-7 t³).
         """
-        water = humidity * math.exp(1.5587 + 0.06939 * air_c - 2.7816e-4 * air_c**2 + 6.8455e-7 * air_c**3)
+        water = humidity * math.exp(
+            1.5587 + 0.06939 * air_c - 2.7816e-4 * air_c**2 + 6.8455e-7 * air_c**3
+        )
         root_d, root_w = math.sqrt(distance_m), math.sqrt(water)
         with np.errstate(all="ignore"):
             first = np.exp(-np.float64(root_d) * (self.alpha1 + self.beta1 * root_w))
@@ -132,7 +139,8 @@ class Atmosphere(NamedTuple):
 
 @dataclass(frozen=True)
 class Measurement:
-    """The measurement formula for one photo: S = τ_w (ε τ S_obj + (1 − ε) τ S_refl + (1 − τ) S_atm) + (1 − τ_w) S_win.
+    """The measurement formula for one photo: S = τ_w (ε τ S_obj + (1 − ε) τ S_refl + (1 − τ) S_atm)
+    + (1 − τ_w) S_win.
 
     Attributes:
         planck: the camera's calibration.
@@ -149,12 +157,17 @@ class Measurement:
         p, tau, at = self.parameters, self.transmission, self.planck.signal
         at_lens = signal
         if p.window_transmission < 1:
-            at_lens = (signal - (1 - p.window_transmission) * at(p.window_c)) / p.window_transmission
-        surroundings = (1 - p.emissivity) * tau * at(p.reflected_c) + (1 - tau) * at(p.atmospheric_c)
+            at_lens = (
+                signal - (1 - p.window_transmission) * at(p.window_c)
+            ) / p.window_transmission
+        surroundings = (1 - p.emissivity) * tau * at(p.reflected_c) + (1 - tau) * at(
+            p.atmospheric_c
+        )
         return (at_lens - surroundings) / (p.emissivity * tau)
 
     def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """The object's temperature, °C; not finite where the signal is less than the surroundings' share of it."""
+        """The object's temperature, °C; not finite where the signal is less than the surroundings'
+        share of it."""
         return self.planck.celsius(self.object_signal(signal))
 
 
@@ -163,7 +176,8 @@ def object_temperature(
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Temperatures of a photo, and the mask of those that are measured.
 
-    Masked are the two ends of the detector's numbers (0 and 65535: no data, saturated), and what has no temperature.
+    Masked are the two ends of the detector's numbers (0 and 65535: no data, saturated), and what
+    has no temperature.
     """
     return masked(measurement.celsius(raw.astype(np.float64)), (raw > 0) & (raw < 65535))
 
@@ -171,7 +185,8 @@ def object_temperature(
 def masked(
     celsius: Float64[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"] | None = None
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Temperatures with NaN where they are not usable or not plausible, and the mask of those that are."""
+    """Temperatures with NaN where they are not usable or not plausible, and the mask of those that
+    are."""
     with np.errstate(invalid="ignore"):
         valid = (celsius >= COLDEST_C) & (celsius <= HOTTEST_C)
     if usable is not None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -21,11 +23,13 @@ UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 class Overrides:
     """What the user knows better than the file; None leaves what the file says.
 
-    The first seven are those of :class:`~mrgs.data.radiometric.measurement.ObjectParameters`, and need a file with the
-    camera's raw signal. The last two say what the numbers mean in a file that does not.
+    The first seven are those of :class:`~mrgs.data.radiometric.measurement.ObjectParameters`, and
+    need a file with the camera's raw signal. The last two say what the numbers mean in a file that
+    does not.
 
     Attributes:
-        unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples: ``kelvin*100``.
+        unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples:
+            ``kelvin*100``.
         bounds_c: the temperatures of black and white, °C, for integers that are shades of grey.
 
     Raises:
@@ -46,13 +50,20 @@ class Overrides:
         for name in self.of_parameters():
             value, (low, high, unit) = getattr(self, name), PARAMETER_LIMITS[name]
             if not low <= value <= high:
-                raise ConfigError(f"{name} = {value:g} is not between {low:g} and {high:g}{unit}; correct it")
+                raise ConfigError(
+                    f"{name} = {value:g} is not between {low:g} and {high:g}{unit}; correct it"
+                )
         if self.unit is not None and not (known := UNIT.fullmatch(self.unit)):
-            raise ConfigError(f"the unit {self.unit!r} is not known; write celsius, kelvin, or such as kelvin*100")
+            raise ConfigError(
+                f"the unit {self.unit!r} is not known; write celsius, kelvin, or such as kelvin*100"
+            )
         if self.unit is not None and known and known[2] is not None and float(known[2]) == 0:
             raise ConfigError(f"the unit {self.unit!r} has a factor of 0; write such as kelvin*100")
         if self.bounds_c is not None and not -273.15 <= self.bounds_c[0] < self.bounds_c[1] < 1e5:
-            raise ConfigError(f"{self.bounds_c[0]:g} to {self.bounds_c[1]:g} is no range in °C; give the smaller first")
+            raise ConfigError(
+                f"{self.bounds_c[0]:g} to {self.bounds_c[1]:g} is no range in °C; give the "
+                f"smaller first"
+            )
         if self.unit is not None and self.bounds_c is not None:
             raise ConfigError("a unit and bounds are both given; give one of the two")
 
@@ -76,8 +87,10 @@ class PhotoFacts:
         serial: the camera's serial number; None if the file does not say.
         taken: time by the camera's own clock, without a time zone; None if the file does not say.
         gps: position; None if the file does not say.
-        parameters: with which the temperatures were computed; None where the file holds finished numbers.
-        calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does not say.
+        parameters: with which the temperatures were computed; None where the file holds finished
+            numbers.
+        calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does
+            not say.
         scale_c: ends of the colour scale beside the picture, °C; None if the file does not say.
         visible: a photo in visible light inside the file; None if there is none.
         notes: how the file was understood, one sentence each.
@@ -96,10 +109,16 @@ class PhotoFacts:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
-    def adding(self, **more: object) -> PhotoFacts:
+    def adding(
+        self, *, notes: Iterable[str] = (), warnings: Iterable[str] = (), **changes: Any
+    ) -> PhotoFacts:
         """A copy with other values; ``notes`` and ``warnings`` are appended."""
-        joined = {name: (*getattr(self, name), *more.pop(name, ())) for name in ("notes", "warnings")}  # type: ignore[misc]
-        return replace(self, **joined, **more)  # type: ignore[arg-type]
+        return replace(
+            self,
+            notes=(*self.notes, *notes),
+            warnings=(*self.warnings, *warnings),
+            **changes,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
-"""TIFF, PNG and JPEG images without a thermal record: finished temperatures, shades of grey, or a colour palette."""
+"""TIFF, PNG and JPEG images without a thermal record: finished temperatures, shades of grey, or a
+colour palette."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ _LUMINANCE = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """ITU-R BT.601, as in JPEG."""
 
 _GREY_TOLERANCE = 8
-"""Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG in colour."""
+"""Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
+in colour."""
 
 _NO_CELSIUS = "relative values from 0 to 1 are used, and °C cannot be had from it."
 
@@ -44,28 +46,44 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     values = pixels.astype(np.float32)
     if overrides.bounds_c is not None:
         if values.min() < 0 or values.max() > 65535:
-            raise scene_error(path, "holds integers that are no 16-bit shades of grey; give --unit instead of --bounds")
+            raise scene_error(
+                path,
+                "holds integers that are no 16-bit shades of grey; give --unit instead of --bounds",
+            )
         return _from_grey(values / 65535, path, facts, overrides)
     return finished(values, INTEGER_UNITS, path, facts, overrides)
 
 
 def finished(
-    values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], path: Path, facts: PhotoFacts, overrides: Overrides
+    values: Float[np.ndarray, "h w"],
+    candidates: tuple[str, ...],
+    path: Path,
+    facts: PhotoFacts,
+    overrides: Overrides,
 ) -> ThermalPhoto:
-    """The photo of numbers that are temperatures in the given unit, or in the one candidate that is plausible.
+    """The photo of numbers that are temperatures in the given unit, or in the one candidate that is
+    plausible.
 
     A single candidate is certain: the file says so.
 
     Raises:
         SceneError: the unit is not given and not plain, or no number is a temperature.
     """
-    text = overrides.unit or (candidates[0] if len(candidates) == 1 else guess_unit(values, candidates, path))
+    text = overrides.unit or (
+        candidates[0] if len(candidates) == 1 else guess_unit(values, candidates, path)
+    )
     with np.errstate(invalid="ignore"):  # damaged files hold signalling NaN
         celsius, valid = masked(Unit.parse(text).celsius(values.astype(np.float64)))
     if not valid.any():
-        raise scene_error(path, f"none of its numbers is a temperature in {text}; give the right --unit")
+        raise scene_error(
+            path, f"none of its numbers is a temperature in {text}; give the right --unit"
+        )
     notes = () if overrides.unit else (f"The numbers are taken for {text}.",)
-    unused = () if overrides.bounds_c is None else ("bounds_c had no effect: the numbers are temperatures.",)
+    unused = (
+        ()
+        if overrides.bounds_c is None
+        else ("bounds_c had no effect: the numbers are temperatures.",)
+    )
     return ThermalPhoto(celsius, None, valid, facts.adding(notes=notes, warnings=unused))
 
 
@@ -76,28 +94,44 @@ def _plain_mode(image: Image.Image) -> str:
     return "L" if image.mode in ("1", "L", "LA", "La") else "RGB"
 
 
-def _from_grey(values: Float32[np.ndarray, "h w"], path: Path, facts: PhotoFacts, overrides: Overrides) -> ThermalPhoto:
+def _from_grey(
+    values: Float32[np.ndarray, "h w"], path: Path, facts: PhotoFacts, overrides: Overrides
+) -> ThermalPhoto:
     """Shades of grey, 0 to 1: temperatures if their bounds are given, else relative."""
     if overrides.unit is not None:
-        raise scene_error(path, "holds shades of grey, not temperatures; give --bounds with the °C of black and white")
+        raise scene_error(
+            path,
+            "holds shades of grey, not temperatures; give --bounds with the °C of black and white",
+        )
     everywhere = np.ones(values.shape, dtype=bool)
     if overrides.bounds_c is None:
-        doubt = f"The file holds shades of grey without a scale: {_NO_CELSIUS[:-1]} without --bounds."
+        doubt = (
+            f"The file holds shades of grey without a scale: {_NO_CELSIUS[:-1]} without --bounds."
+        )
         return ThermalPhoto(None, values, everywhere, facts.adding(warnings=(doubt,)))
     low, high = overrides.bounds_c
     return ThermalPhoto(low + values * np.float32(high - low), None, everywhere, facts)
 
 
-def _from_colours(pixels: np.ndarray, path: Path, facts: PhotoFacts, overrides: Overrides) -> ThermalPhoto:
+def _from_colours(
+    pixels: np.ndarray, path: Path, facts: PhotoFacts, overrides: Overrides
+) -> ThermalPhoto:
     grey = pixels.astype(np.float32) @ _LUMINANCE / 255
     if _is_grey(pixels):
         return _from_grey(grey, path, facts, overrides)
     if overrides.bounds_c is not None or overrides.unit is not None:
         raise scene_error(
-            path, "shows a colour palette, from which °C cannot be had; export it in white-hot grey, or as 16-bit TIFF"
+            path,
+            "shows a colour palette, from which °C cannot be had; export it in white-hot grey, or "
+            "as 16-bit TIFF",
         )
-    doubt = f"The file shows colours and holds no temperatures: {_NO_CELSIUS} Brighter need not be warmer."
-    return ThermalPhoto(None, grey, np.ones(grey.shape, dtype=bool), facts.adding(warnings=(doubt,)))
+    doubt = (
+        f"The file shows colours and holds no temperatures: {_NO_CELSIUS} Brighter need not "
+        f"be warmer."
+    )
+    return ThermalPhoto(
+        None, grey, np.ones(grey.shape, dtype=bool), facts.adding(warnings=(doubt,))
+    )
 
 
 def _is_grey(pixels: np.ndarray) -> bool:

@@ -20,15 +20,17 @@ _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 
 def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> ThermalPhoto:
-    """The temperatures of a thermal photo, and what its file says besides. The content decides the kind, not the name.
+    """The temperatures of a thermal photo, and what its file says besides. The content decides the
+    kind, not the name.
 
     Args:
-        path: a FLIR radiometric JPEG or FFF file; a TIFF, PNG or JPEG image; a table (``.csv``, ``.txt``, ``.tsv``); or
-            the bare numbers of DJI's tool (``.raw``).
+        path: a FLIR radiometric JPEG or FFF file; a TIFF, PNG or JPEG image; a table (``.csv``,
+            ``.txt``, ``.tsv``); or the bare numbers of DJI's tool (``.raw``).
         overrides: what the user knows better than the file.
 
     Raises:
-        SceneError: the file cannot be read: empty, damaged, cut off, of an unknown kind or scale, or a DJI R-JPEG.
+        SceneError: the file cannot be read: empty, damaged, cut off, of an unknown kind or scale,
+            or a DJI R-JPEG.
     """
     overrides = overrides or Overrides()
     photo = _read(read_bytes(path, MAX_BYTES), path, overrides)
@@ -53,7 +55,9 @@ def _read(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
         return read_table(data, path, overrides)
     if path.suffix.lower() == ".raw":
         return read_bare_numbers(data, path, overrides)
-    raise scene_error(path, "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)")
+    raise scene_error(
+        path, "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)"
+    )
 
 
 def _with_unused(photo: ThermalPhoto, overrides: Overrides) -> ThermalPhoto:
@@ -67,4 +71,6 @@ def _with_unused(photo: ThermalPhoto, overrides: Overrides) -> ThermalPhoto:
     if not unused:
         return photo
     sentence = f"{', '.join(unused)} had no effect: {why}."
-    return ThermalPhoto(photo.temperature_c, photo.relative, photo.valid, photo.facts.adding(warnings=(sentence,)))
+    return ThermalPhoto(
+        photo.temperature_c, photo.relative, photo.valid, photo.facts.adding(warnings=(sentence,))
+    )

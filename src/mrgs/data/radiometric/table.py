@@ -1,4 +1,5 @@
-"""Temperatures as text: the CSV files that FLIR Tools, ResearchIR and spreadsheets write, in any locale."""
+"""Temperatures as text: the CSV files that FLIR Tools, ResearchIR and spreadsheets write, in any
+locale."""
 
 from __future__ import annotations
 
@@ -15,19 +16,25 @@ from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import FLOAT_UNITS
 
 MAX_BYTES = 32 * 2**20
-"""A table of 3 megapixels takes 25 MB; longer texts are refused, for they take minutes and gigabytes."""
+"""A table of 3 megapixels takes 25 MB; longer texts are refused, for they take minutes and
+gigabytes."""
 
-_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?|[+-]?(?:nan|inf)", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?|[+-]?(?:nan|inf)", re.IGNORECASE
+)
 _FAHRENHEIT = re.compile(r"°\s?F\b|\bfahrenheit\b", re.IGNORECASE)
 _SEPARATORS = (";", "\t", ",")
-"""The first that a line holds several times is the one; where it is no comma, commas are decimal commas."""
+"""The first that a line holds several times is the one; where it is no comma, commas are decimal
+commas."""
 
 
 def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    """The photo in a table of numbers: the largest block of lines with equally many numbers, two or more.
+    """The photo in a table of numbers: the largest block of lines with equally many numbers, two or
+    more.
 
-    Lines before and after it are left out, and so is a text at the start of its lines. The separator is a semicolon, a
-    tab or a comma; a comma inside quotes, or beside another separator, is a decimal comma.
+    Lines before and after it are left out, and so is a text at the start of its lines. The
+    separator is a semicolon, a tab or a comma; a comma inside quotes, or beside another separator,
+    is a decimal comma.
 
     Args:
         data: the file's content; UTF-8, UTF-16 with a byte-order mark, or Latin-1.
@@ -38,12 +45,17 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
         SceneError: there is no such block, or the numbers are no temperatures.
     """
     if len(data) > MAX_BYTES:
-        raise scene_error(path, f"is a text of {len(data)} bytes, too long for a table of one photo; check the export")
+        raise scene_error(
+            path,
+            f"is a text of {len(data)} bytes, too long for a table of one photo; check the export",
+        )
     lines = _decoded(data).splitlines()
     separator = next((s for s in _SEPARATORS if any(line.count(s) > 1 for line in lines)), None)
     rows, header = ([], "") if separator is None else _largest_block(lines, separator)
     if not rows:
-        raise scene_error(path, "holds no table of numbers; export the temperatures of all pixels as CSV")
+        raise scene_error(
+            path, "holds no table of numbers; export the temperatures of all pixels as CSV"
+        )
     values = _without_indices(np.stack(rows))
     candidates = ("fahrenheit",) if _FAHRENHEIT.search(header) else FLOAT_UNITS
     return finished(values, candidates, path, PhotoFacts("table of temperatures"), overrides)
@@ -59,7 +71,8 @@ def _decoded(data: bytes) -> str:
 
 
 def _numbers(line: str, separator: str) -> Float64[np.ndarray, " n"]:
-    """The numbers of a line, without a text in front and an empty cell behind; empty if others are among them."""
+    """The numbers of a line, without a text in front and an empty cell behind; empty if others are
+    among them."""
     cells = _cells(line, separator)
     if cells and not cells[-1]:
         cells.pop()
@@ -79,7 +92,9 @@ def _cells(line: str, separator: str) -> list[str]:
 def _largest_block(lines: list[str], separator: str) -> tuple[list[Float64[np.ndarray, " n"]], str]:
     """The numbers of the longest run of lines with equally many of them, and the text before it."""
     numbered = [(index, _numbers(line, separator)) for index, line in enumerate(lines)]
-    blocks = [list(block) for count, block in groupby(numbered, lambda item: len(item[1])) if count > 1]
+    blocks = [
+        list(block) for count, block in groupby(numbered, lambda item: len(item[1])) if count > 1
+    ]
     if not blocks:
         return [], ""
     largest = max(blocks, key=lambda block: len(block) * len(block[0][1]))
@@ -87,7 +102,8 @@ def _largest_block(lines: list[str], separator: str) -> tuple[list[Float64[np.nd
 
 
 def _without_indices(values: Float64[np.ndarray, "h w"]) -> Float64[np.ndarray, "y x"]:
-    """Without a first column and a first row that only count, as spreadsheets and pandas write them."""
+    """Without a first column and a first row that only count, as spreadsheets and pandas write
+    them."""
     if len(values) > 2 and (np.diff(values[:, 0]) == 1).all():
         values = values[:, 1:]
     if values.shape[1] > 2 and (np.diff(values[0]) == 1).all():

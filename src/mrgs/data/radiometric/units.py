@@ -1,4 +1,5 @@
-"""What the numbers of a file mean: multiples of °C, K or °F, given by the user or told apart by plausibility."""
+"""What the numbers of a file mean: multiples of °C, K or °F, given by the user or told apart by
+plausibility."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ class Unit(NamedTuple):
 def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], path: Path) -> str:
     """The one unit in which most of the pixels are everyday temperatures.
 
-    Zeros, -9999 and less, and numbers that are not finite do not count: files mark missing pixels with them.
+    Zeros, -9999 and less, and numbers that are not finite do not count: files mark missing pixels
+    with them.
 
     Raises:
         SceneError: no candidate fits, or more than one does.
@@ -64,7 +66,9 @@ def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], pa
         may_be = f"may be {' or '.join(fitting)}" if fitting else "fit no usual unit"
         example = (fitting or candidates)[0]
         raise scene_error(
-            path, f"its numbers ({low:.5g} to {high:.5g}) {may_be}; give the unit, such as --unit {example}"
+            path,
+            f"its numbers ({low:.5g} to {high:.5g}) {may_be}; give the unit, such as --unit "
+            f"{example}",
         )
     return fitting[0]
 

@@ -1,4 +1,5 @@
-"""The photo in visible light that many thermal cameras store beside the thermal one, and where it lies on it."""
+"""The photo in visible light that many thermal cameras store beside the thermal one, and where it
+lies on it."""
 
 from __future__ import annotations
 
@@ -15,11 +16,14 @@ from mrgs.data.radiometric.pixels import opened
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the camera lays its visible photo over the thermal one, at the distance it was focused on.
+    """How the camera lays its visible photo over the thermal one, at the distance it was focused
+    on.
 
     Attributes:
-        real_to_ir: width of the visible photo over the width of the part of it that the thermal photo shows.
-        offset_x_px: from the visible photo's centre to that of the thermal photo in it, its pixels, to the right.
+        real_to_ir: width of the visible photo over the width of the part of it that the thermal
+            photo shows.
+        offset_x_px: from the visible photo's centre to that of the thermal photo in it, its pixels,
+            to the right.
         offset_y_px: the same, downwards.
         picture_in_picture_px: the thermal inset in the displayed picture: left, right, top, bottom.
     """
@@ -47,7 +51,8 @@ class VisibleImage:
     def pixels(self) -> UInt8[np.ndarray, "h w 3"]:
         """The photo in RGB.
 
-        Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red, green and blue.
+        Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red,
+        green and blue.
 
         Raises:
             SceneError: the photo is damaged.

@@ -1,12 +1,13 @@
 """Splats in few bytes: what the page embeds and its script decodes.
 
-The splats are ordered along a Morton curve and cut into chunks. Positions are 16-bit numbers between the bounds of
-their chunk, scales 10-bit logarithms, rotations the three smaller components of the quaternion in 10 bits each,
-colours 8 bits and higher harmonics 7, temperatures and the opacity that blends them 16. All planes, little-endian, one
-behind the other, are one gzip stream; the header names them in their order, with the limits that the numbers stand for.
+The splats are ordered along a Morton curve and cut into chunks. Positions are 16-bit numbers
+between the bounds of their chunk, scales 10-bit logarithms, rotations the three smaller components
+of the quaternion in 10 bits each, colours 8 bits and higher harmonics 7, temperatures and the
+opacity that blends them 16. All planes, little-endian, one behind the other, are one gzip stream;
+the header names them in their order, with the limits that the numbers stand for.
 
-The bits are where they count: 8-bit scales would cost 0.3 °C at the edges of hot things, and 5-bit harmonics 10 dB
-where the colours depend much on the view.
+The bits are where they count: 8-bit scales would cost 0.3 °C at the edges of hot things, and 5-bit
+harmonics 10 dB where the colours depend much on the view.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int64, UInt8, UInt16, UInt32
 
-from mrgs.baked import BakedModel
 from mrgs.errors import ConfigError
 from mrgs.rasterizer.contract import ALPHA_MIN
+from mrgs.runs.baked import BakedModel
 
 CHUNK = 256
 """Splats that share the bounds of their positions."""
@@ -40,8 +41,9 @@ class PackedModel(NamedTuple):
     """A model as the page carries it.
 
     Attributes:
-        header: ``count``, ``chunk``, ``sh_degree``, ``planes`` (name, type and length in order), ``limits`` of scales
-            (natural logarithms), temperature (normalised) and the harmonics of each band; plain JSON.
+        header: ``count``, ``chunk``, ``sh_degree``, ``planes`` (name, type and length in order),
+            ``limits`` of scales (natural logarithms), temperature (normalised) and the harmonics of
+            each band; plain JSON.
         data: the planes, compressed.
     """
 
@@ -50,7 +52,8 @@ class PackedModel(NamedTuple):
 
 
 def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
-    """Quantise and compress a model; splats that no pixel can show (both opacities below 1/255) are left out.
+    """Quantise and compress a model; splats that no pixel can show (both opacities below 1/255) are
+    left out.
 
     Args:
         baked: N splats.
@@ -66,13 +69,17 @@ def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
     means = _array(baked.means)
     rows = np.flatnonzero((opacities >= ALPHA_MIN).any(axis=0) & np.isfinite(means).all(axis=1))
     if not rows.size:
-        raise ConfigError("the model has no splat that can be seen, so there is nothing to show; train it longer")
+        raise ConfigError(
+            "the model has no splat that can be seen, so there is nothing to show; train it longer"
+        )
     rows = rows[morton_order(means[rows])]
     low, high, positions = _chunked_positions(means[rows])
     scales, scale_limits = _quantise(np.log(_array(baked.scales)[rows]), 1023)
     temperature, temperature_limits = _quantise(_array(baked.temperatures)[rows], 65535)
     sh = _array(baked.sh)[rows]
-    bands = [_quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(sh_degree + 1)]
+    bands = [
+        _quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(sh_degree + 1)
+    ]
     planes: dict[str, np.ndarray] = {
         "chunk_low": low,
         "chunk_high": high,
@@ -97,7 +104,8 @@ def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
         },
     }
     stream = b"".join(
-        np.ascontiguousarray(plane).astype(plane.dtype.newbyteorder("<")).tobytes() for plane in planes.values()
+        np.ascontiguousarray(plane).astype(plane.dtype.newbyteorder("<")).tobytes()
+        for plane in planes.values()
     )
     return PackedModel(header, gzip.compress(stream, GZIP_LEVEL, mtime=0))
 
@@ -105,11 +113,14 @@ def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
 def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     """The rows along a space-filling curve, so that neighbours in the file are neighbours in space.
 
-    Each axis is ranked rather than measured: a few splats far away would otherwise leave one cell for all others.
+    Each axis is ranked rather than measured: a few splats far away would otherwise leave one cell
+    for all others.
     """
     ranks = np.empty(means.shape, dtype=np.uint64)
     for axis in range(3):
-        ranks[np.argsort(means[:, axis], kind="stable"), axis] = np.arange(len(means), dtype=np.uint64)
+        ranks[np.argsort(means[:, axis], kind="stable"), axis] = np.arange(
+            len(means), dtype=np.uint64
+        )
     code = np.zeros(len(means), dtype=np.uint64)
     for bit in range(MORTON_BITS):
         for axis in range(3):
@@ -118,7 +129,8 @@ def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
 
 
 def smallest_three(quats: Float32[np.ndarray, "n 4"]) -> UInt32[np.ndarray, " n"]:
-    """Unit quaternions wxyz in 32 bits: the index of the largest component on top, then the others, 10 bits each."""
+    """Unit quaternions wxyz in 32 bits: the index of the largest component on top, then the others,
+    10 bits each."""
     quats = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     largest = np.abs(quats).argmax(axis=1)
     sign = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -1.0, 1.0)
@@ -149,18 +161,27 @@ def _three_in_one(codes: Float[np.ndarray, "n 3"]) -> UInt32[np.ndarray, " n"]:
     return first << 20 | second << 10 | third
 
 
-def _quantise(values: Float32[np.ndarray, "..."], steps: int) -> tuple[Float32[np.ndarray, "..."], list[float]]:
+def _quantise(
+    values: Float32[np.ndarray, "..."], steps: int
+) -> tuple[Float32[np.ndarray, "..."], list[float]]:
     """The values as whole numbers from 0 to ``steps`` between their limits."""
     low, high = float(values.min()), float(values.max())
     return np.rint((values - low) / max(high - low, 1e-12) * steps), [low, high]
 
 
-def _quantise_band(sh: Float32[np.ndarray, "n b 3"], band: int) -> tuple[UInt8[np.ndarray, "n b 3"], list[float]]:
+def _quantise_band(
+    sh: Float32[np.ndarray, "n b 3"], band: int
+) -> tuple[UInt8[np.ndarray, "n b 3"], list[float]]:
     """The coefficients of one degree, between limits that all but a few keep."""
     if band == 0:
-        low, high = (float(limit) for limit in np.quantile(sh, [CLIPPED_SHARE / 2, 1 - CLIPPED_SHARE / 2]))
+        low, high = (
+            float(limit) for limit in np.quantile(sh, [CLIPPED_SHARE / 2, 1 - CLIPPED_SHARE / 2])
+        )
     else:
         high = float(np.quantile(np.abs(sh), 1 - CLIPPED_SHARE))
         low = -high
     steps = SH_STEPS[band]
-    return np.rint((sh - low) / max(high - low, 1e-12) * steps).clip(0, steps).astype(np.uint8), [low, high]
+    return np.rint((sh - low) / max(high - low, 1e-12) * steps).clip(0, steps).astype(np.uint8), [
+        low,
+        high,
+    ]

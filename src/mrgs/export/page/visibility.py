@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.baked import BakedModel
 from mrgs.rasterizer import Layer, rasterize
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, spread
 
 VIEWS = 16
@@ -19,18 +19,23 @@ WIDTH_PX = 320
 
 
 def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tensor, " n"]:
-    """Σ w_i over the pixels of some of the views, of the modality in which the splat weighs more, [N].
+    """Σ w_i over the pixels of some of the views, of the modality in which the splat weighs more,
+    [N].
 
-    An image is linear in the features that it blends, so its gradient in them is the sum of the weights.
+    An image is linear in the features that it blends, so its gradient in them is the sum of the
+    weights.
     """
     weights = torch.zeros(2, len(baked))
     for index in spread(len(cameras), VIEWS):
         small = cameras[index].with_width(WIDTH_PX)
         features = [torch.zeros(len(baked), channels, requires_grad=True) for channels in (3, 1)]
         opacities = (baked.opacity_rgb, baked.opacity_thermal)
-        layers = [Layer(o, f, f.new_zeros(f.shape[1])) for o, f in zip(opacities, features, strict=True)]
+        layers = [
+            Layer(o, f, f.new_zeros(f.shape[1])) for o, f in zip(opacities, features, strict=True)
+        ]
         raster = rasterize(
-            baked.means, baked.quats, baked.scales, layers, small.viewmat, small.K, small.width, small.height,
+            baked.means, baked.quats, baked.scales, layers, small.viewmat, small.K, small.width,
+            small.height,
             antialiased=baked.antialiased,
         )  # fmt: skip
         total = torch.stack([blend.image[..., 0].sum() for blend in raster.blends]).sum()
@@ -40,7 +45,8 @@ def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tens
 
 
 def most_visible(baked: BakedModel, cameras: Sequence[Camera], count: int) -> Int64[Tensor, " k"]:
-    """The rows of the ``count`` splats with the largest weights, in ascending order; all rows if there are fewer."""
+    """The rows of the ``count`` splats with the largest weights, in ascending order; all rows if
+    there are fewer."""
     if len(baked) <= count:
         return torch.arange(len(baked))
     return blending_weights(baked, cameras).topk(count).indices.sort().values

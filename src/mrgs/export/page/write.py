@@ -15,16 +15,16 @@ from typing import Any, Literal, get_args
 import numpy as np
 import torch
 
-from mrgs.atomic import replacing
-from mrgs.baked import BakedModel
 from mrgs.errors import ConfigError
-from mrgs.evaluation.palette import PaletteName, display_range, palette_table
-from mrgs.evaluation.paths import focus_point
-from mrgs.evaluation.pictures import to_array
 from mrgs.export.page.packing import pack
 from mrgs.export.page.visibility import most_visible
+from mrgs.pictures.files import to_array
+from mrgs.pictures.palette import PaletteName, display_range, palette_table
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, TemperatureRange, spread
-from mrgs.webpage import policy_hash, script_json
+from mrgs.scene.camera_paths import focus_point
+from mrgs.system.atomic import replacing
+from mrgs.system.webpage import policy_hash, script_json
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
@@ -53,8 +53,9 @@ def write_page(
 ) -> Path:
     """Write the model as one self-contained HTML page; returns its path.
 
-    The page needs WebGL2 and nothing from the network: no script, font, image or style of another place, which its
-    Content-Security-Policy also forbids. It takes about 7 MB for 100,000 splats (4 MB with ``sh_degree=1``).
+    The page needs WebGL2 and nothing from the network: no script, font, image or style of another
+    place, which its Content-Security-Policy also forbids. It takes about 7 MB for 100,000 splats (4
+    MB with ``sh_degree=1``).
 
     Args:
         baked: N splats.
@@ -62,8 +63,8 @@ def write_page(
         title: heading of the page.
         path: ends with .html.
         palette: inferno, iron, grey or rainbow; the reader may choose another.
-        range_c: ends of the palette in °C (normalised values where the scene has no °C); by default those of what
-            some of the cameras see.
+        range_c: ends of the palette in °C (normalised values where the scene has no °C); by default
+            those of what some of the cameras see.
         max_splats: keep only so many, those that paint most of the photos.
         sh_degree: 0 to 3; fewer degrees make a smaller file, whose colours depend less on the view.
         notes: sentences to add to what the page says about its temperatures.
@@ -102,7 +103,8 @@ def write_page(
 
 
 def visible_range(baked: BakedModel, cameras: Sequence[Camera]) -> tuple[float, float]:
-    """Limits that hold all but half a percent, at each end, of what some of the cameras see; °C where known."""
+    """Limits that hold all but half a percent, at each end, of what some of the cameras see; °C
+    where known."""
     seen = []
     for index in spread(len(cameras), RANGE_VIEWS):
         small = cameras[index].with_width(RANGE_WIDTH_PX)
@@ -133,8 +135,12 @@ def _texts(
         "scale_unit": "" if baked.temperature is None else ", °C",
         "palette_options": _options(PALETTES, palette),
         "camera_options": _options(cameras),
-        "notes": "".join(f"<li>{escape(note)}</li>" for note in [*_limits(baked.temperature), *notes]),
-        "facts_list": "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in _about(baked, header)),
+        "notes": "".join(
+            f"<li>{escape(note)}</li>" for note in [*_limits(baked.temperature), *notes]
+        ),
+        "facts_list": "".join(
+            f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in _about(baked, header)
+        ),
     }
 
 
@@ -154,7 +160,8 @@ def _check(
         raise ConfigError(f"the page has no palette {palette}; choose one of {', '.join(PALETTES)}")
     if range_c is not None and not -np.inf < range_c[0] < range_c[1] < np.inf:
         raise ConfigError(
-            f"the temperature range {range_c[0]:g} to {range_c[1]:g} must rise from a number to a larger one"
+            f"the temperature range {range_c[0]:g} to {range_c[1]:g} must rise from a number to a "
+            f"larger one"
         )
     if max_splats is not None and max_splats < 1:
         raise ConfigError(f"max_splats is {max_splats}; it must be at least 1")
@@ -198,18 +205,28 @@ def _recorded(temperature: TemperatureRange | None) -> str:
 def _limits(temperature: TemperatureRange | None) -> list[str]:
     """What a reader of the numbers must know."""
     lines = [
-        "These are apparent temperatures: what the thermal camera computed with the emissivity, reflected temperature "
+        "These are apparent temperatures: what the thermal camera computed with the emissivity, "
+        "reflected temperature "
         "and distance that were set in it. Nothing is corrected here.",
-        "Bare metal, glass, water and other shiny surfaces mirror the temperature of what they face.",
-        "The numbers come from a model fitted to the photos. At edges and on parts finer than a thermal pixel they "
+        "Bare metal, glass, water and other shiny surfaces mirror the temperature of what they "
+        "face.",
+        "The numbers come from a model fitted to the photos. At edges and on parts finer than a "
+        "thermal pixel they "
         "blend with their surroundings; where no photo looked they are a guess.",
-        "Dark grey means that the model shows no surface there. Places at the cold end of the range can look so too, "
+        "Dark grey means that the model shows no surface there. Places at the cold end of the "
+        "range can look so too, "
         "because they are as cold as the model's empty background.",
     ]
     if temperature is None:
-        return ["The photos hold no °C: the values are relative, from 0 (coldest) to 1 (warmest).", *lines[1:]]
+        return [
+            "The photos hold no °C: the values are relative, from 0 (coldest) to 1 (warmest).",
+            *lines[1:],
+        ]
     recorded = f"{temperature.min_c:.4g} to {temperature.max_c:.4g} °C"
-    return [*lines, f"The photos record {recorded}: what was colder or warmer shows the end of this range."]
+    return [
+        *lines,
+        f"The photos record {recorded}: what was colder or warmer shows the end of this range.",
+    ]
 
 
 def _about(baked: BakedModel, header: dict[str, Any]) -> list[tuple[str, str]]:
@@ -219,13 +236,23 @@ def _about(baked: BakedModel, header: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("Model", f"{header['count']:,} Gaussian splats{invisible}"),
         ("Temperature", unit),
-        ("Depth", "along the viewing axis, in scene units; metres only if the capture was scaled to metres"),
-        ("Made with", f"mrgs {version('mrgs')}; everything is in this file, and nothing is sent anywhere"),
+        (
+            "Depth",
+            "along the viewing axis, in scene units; metres only if the capture was scaled to "
+            "metres",
+        ),
+        (
+            "Made with",
+            f"mrgs {version('mrgs')}; everything is in this file, and nothing is sent anywhere",
+        ),
     ]
 
 
 def _options(labels: Iterable[str], selected: str = "") -> str:
-    return "".join(f"<option{' selected' if label == selected else ''}>{escape(label)}</option>" for label in labels)
+    return "".join(
+        f"<option{' selected' if label == selected else ''}>{escape(label)}</option>"
+        for label in labels
+    )
 
 
 def _assemble(content: dict[str, str]) -> str:

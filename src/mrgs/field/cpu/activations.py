@@ -11,7 +11,8 @@ import numpy as np
 class Activations:
     """An array that is not cleared; its memory goes to a later one when this is dropped.
 
-    Fresh memory costs: the system clears each page when it is first touched, which takes as long as filling it.
+    Fresh memory costs: the system clears each page when it is first touched, which takes as long as
+    filling it.
 
     Attributes:
         array: float32, of the given shape.
@@ -22,7 +23,9 @@ class Activations:
 
     def __init__(self, *shape: int) -> None:
         size = math.prod(shape)
-        fitting = [place for place, memory in enumerate(self._spare) if size <= memory.size <= 2 * size]
+        fitting = [
+            place for place, memory in enumerate(self._spare) if size <= memory.size <= 2 * size
+        ]
         self._memory = self._spare.pop(fitting[0]) if fitting else np.empty(size, np.float32)
         self.array = self._memory[:size].reshape(shape)
 

@@ -1,4 +1,5 @@
-"""The colour residual ĉ and its gradient: directions, PE_v and the three layers of ``ColorHead``, block by block."""
+"""The colour residual ĉ and its gradient: directions, PE_v and the three layers of ``ColorHead``,
+block by block."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ def color_residual(
     frequencies: int,
     rows: Int64[Tensor, " v"],
 ) -> Float[Tensor, "v 3"]:
-    """ĉ: three layers on e_m ⊕ PE_v of the viewing direction, with ReLUs between them; floats are float32.
+    """ĉ: three layers on e_m ⊕ PE_v of the viewing direction, with ReLUs between them; floats are
+    float32.
 
     Args:
         layers: weight and bias of each.
@@ -54,7 +56,9 @@ def color_residual(
     """
     weights = [tensor for layer in layers for tensor in layer]
     keep = torch.is_grad_enabled()
-    residual: Tensor = _ColorResidual.apply(embedding, means, camera_position, *weights, frequencies, rows, keep)
+    residual: Tensor = _ColorResidual.apply(
+        embedding, means, camera_position, *weights, frequencies, rows, keep
+    )
     return residual
 
 
@@ -100,11 +104,15 @@ class _ColorResidual(torch.autograd.Function):
         *tensors, rows = ctx.saved_tensors
         hidden, weights = ctx.hidden.array, tensors[3::2]
         units, inputs = hidden.shape[3], rounded_up(weights[0].shape[1], TILE_COLUMNS)
-        sums = _NetworkSums(no_sums(units, inputs), no_sums(units, units), no_sums(TILE_ROWS, units))
+        sums = _NetworkSums(
+            no_sums(units, inputs), no_sums(units, units), no_sums(TILE_ROWS, units)
+        )
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
         grad = grads[0].contiguous().numpy()
-        _backward(gaussians, rows.numpy(), ctx.frequencies, *ctx.network, hidden, grad, *sums, gradients)
+        _backward(
+            gaussians, rows.numpy(), ctx.frequencies, *ctx.network, hidden, grad, *sums, gradients
+        )
         if ctx.needs_input_grad[2]:
             gradients.camera[:] = -gradients.means.sum(axis=0)
         of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
@@ -119,7 +127,9 @@ def _packed(parameters: Sequence[Tensor]) -> _Network:
 def _forward(gaussians, rows, frequencies, first, second, output, hidden, keep, residual):
     for share in prange(SHARES):
         network = _Network(first, second, output)  # here, because prange takes no tuples of tuples
-        _forward_share(np.int64(share), gaussians, rows, frequencies, network, hidden, keep, residual)
+        _forward_share(
+            np.int64(share), gaussians, rows, frequencies, network, hidden, keep, residual
+        )
 
 
 @kernel
@@ -159,11 +169,27 @@ def _fill_inputs(gaussians, rows, frequencies, inputs):
 
 @parallel_kernel
 def _backward(
-    gaussians, rows, frequencies, first, second, output, hidden, grad, first_sums, second_sums, output_sums, gradients
+    gaussians,
+    rows,
+    frequencies,
+    first,
+    second,
+    output,
+    hidden,
+    grad,
+    first_sums,
+    second_sums,
+    output_sums,
+    gradients,
 ):
     for share in prange(SHARES):
-        network, sums = _Network(first, second, output), _NetworkSums(first_sums, second_sums, output_sums)
-        _backward_share(np.int64(share), gaussians, rows, frequencies, network, hidden, grad, sums, gradients)
+        network, sums = (
+            _Network(first, second, output),
+            _NetworkSums(first_sums, second_sums, output_sums),
+        )
+        _backward_share(
+            np.int64(share), gaussians, rows, frequencies, network, hidden, grad, sums, gradients
+        )
 
 
 @kernel

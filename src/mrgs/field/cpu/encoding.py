@@ -8,9 +8,11 @@ import numpy as np
 
 from mrgs.field.cpu.jit import kernel
 
-# sin(πt) / t on [-1/2, 1/2] as a polynomial in t², fitted at the Chebyshev nodes: error 3e-11 before rounding.
+# sin(πt) / t on [-1/2, 1/2] as a polynomial in t², fitted at the Chebyshev nodes: error 3e-11
+# before rounding.
 _SINE = tuple(
-    np.float32(c) for c in (3.141592654, -5.167712765, 2.550163319, -0.5992521978, 0.08205040173, -0.007028386281)
+    np.float32(c)
+    for c in (3.141592654, -5.167712765, 2.550163319, -0.5992521978, 0.08205040173, -0.007028386281)
 )
 _PI = np.float32(math.pi)
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
@@ -50,13 +52,16 @@ def encode_backward(encoded, grad, row, start, frequencies, grad_x):
     for n in range(frequencies):
         for axis in range(3):
             sine, cosine = start + 6 * n + axis, start + 6 * n + 3 + axis
-            grad_x[axis] += factor * (grad[row, sine] * encoded[row, cosine] - grad[row, cosine] * encoded[row, sine])
+            grad_x[axis] += factor * (
+                grad[row, sine] * encoded[row, cosine] - grad[row, cosine] * encoded[row, sine]
+            )
         factor *= _TWO
 
 
 @kernel
 def _sine_and_cosine(half_turns):
-    """sin(πy) and cos(πy) within 3e-7, however large y is: y − round(y) is exact where the product πy is not."""
+    """sin(πy) and cos(πy) within 3e-7, however large y is: y − round(y) is exact where the product
+    πy is not."""
     whole = np.rint(half_turns)
     t = half_turns - whole
     sign = _ONE - _TWO * abs(whole - _TWO * np.rint(_HALF * whole))
@@ -66,4 +71,6 @@ def _sine_and_cosine(half_turns):
 @kernel
 def _sine(t):
     s = t * t
-    return t * (_SINE[0] + s * (_SINE[1] + s * (_SINE[2] + s * (_SINE[3] + s * (_SINE[4] + s * _SINE[5])))))
+    return t * (
+        _SINE[0] + s * (_SINE[1] + s * (_SINE[2] + s * (_SINE[3] + s * (_SINE[4] + s * _SINE[5]))))
+    )

@@ -1,4 +1,5 @@
-"""Spherical harmonics of each Gaussian seen from a camera: SH2RGB of Eq. 4 (rgb_alphblending), where clamped at 0."""
+"""Spherical harmonics of each Gaussian seen from a camera: SH2RGB of Eq. 4 (rgb_alphblending),
+where clamped at 0."""
 
 from __future__ import annotations
 
@@ -21,9 +22,18 @@ _HALF = np.float32(0.5)
 _TWO, _THREE, _FOUR, _SIX, _EIGHT = (np.float32(value) for value in (2, 3, 4, 6, 8))
 _C0 = np.float32(C0)
 _C1 = np.float32(math.sqrt(3 / (4 * math.pi)))
-_C2, _C2_ZONAL = np.float32(math.sqrt(15 / (4 * math.pi))), np.float32(math.sqrt(5 / (16 * math.pi)))
-_C3_ORDER1, _C3_ORDER2 = np.float32(math.sqrt(21 / (32 * math.pi))), np.float32(math.sqrt(105 / (4 * math.pi)))
-_C3_ORDER3, _C3_ZONAL = np.float32(math.sqrt(35 / (32 * math.pi))), np.float32(math.sqrt(7 / (16 * math.pi)))
+_C2, _C2_ZONAL = (
+    np.float32(math.sqrt(15 / (4 * math.pi))),
+    np.float32(math.sqrt(5 / (16 * math.pi))),
+)
+_C3_ORDER1, _C3_ORDER2 = (
+    np.float32(math.sqrt(21 / (32 * math.pi))),
+    np.float32(math.sqrt(105 / (4 * math.pi))),
+)
+_C3_ORDER3, _C3_ZONAL = (
+    np.float32(math.sqrt(35 / (32 * math.pi))),
+    np.float32(math.sqrt(7 / (16 * math.pi))),
+)
 SMALLEST_DISTANCE = np.float32(1e-12)
 
 
@@ -36,12 +46,14 @@ def shade(
     rows: Int64[Tensor, " v"],
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
-    """max(Σ coefficients × basis(direction) + ½, floor) of some Gaussians; all tensors but ``rows`` are float32.
+    """max(Σ coefficients × basis(direction) + ½, floor) of some Gaussians; all tensors but ``rows``
+    are float32.
 
     Args:
         means: centres in world coordinates.
         dc: coefficients of degree 0.
-        rest: coefficients of degrees 1 to 3; those it does not hold count as zero (B = 0, 3, 8 or 15).
+        rest: coefficients of degrees 1 to 3; those it does not hold count as zero (B = 0, 3, 8 or
+            15).
         camera_position: centre of projection in world coordinates.
         degree: highest degree that counts, 0 to 3.
         rows: distinct Gaussians.
@@ -78,7 +90,9 @@ class _Shade(torch.autograd.Function):
 def _forward(means, dc, rest, camera, rows, bands, floor, values):
     for share in prange(SHARES):
         basis = np.zeros(15, np.float32)
-        for place in range(np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES):
+        for place in range(
+            np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES
+        ):
             row = rows[place]
             x, y, z, _ = direction(means, camera, row)
             _set_basis(x, y, z, bands, basis)
@@ -90,8 +104,14 @@ def _forward(means, dc, rest, camera, rows, bands, floor, values):
 @parallel_kernel
 def _backward(means, dc, rest, camera, rows, bands, floor, grad, grad_means, grad_dc, grad_rest):
     for share in prange(SHARES):
-        basis, weights, g = np.zeros(15, np.float32), np.zeros(15, np.float32), np.zeros(dc.shape[2], np.float32)
-        for place in range(np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES):
+        basis, weights, g = (
+            np.zeros(15, np.float32),
+            np.zeros(15, np.float32),
+            np.zeros(dc.shape[2], np.float32),
+        )
+        for place in range(
+            np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES
+        ):
             row = rows[place]
             x, y, z, inverse = direction(means, camera, row)
             _set_basis(x, y, z, bands, basis)
@@ -111,7 +131,8 @@ def _backward(means, dc, rest, camera, rows, bands, floor, grad, grad_means, gra
 
 @kernel
 def _value(dc, rest, row, channel, basis, bands):
-    """Σ coefficients × basis + ½. Takes whole arrays: handing on a slice costs an atomic count of references."""
+    """Σ coefficients × basis + ½. Takes whole arrays: handing on a slice costs an atomic count of
+    references."""
     total = _C0 * dc[row, 0, channel] + _HALF
     for band in range(bands):
         total += basis[band] * rest[row, band, channel]
@@ -128,7 +149,8 @@ def direction(means, camera, row):
 
 @kernel
 def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
-    """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the Gaussian's mean."""
+    """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the Gaussian's
+    mean."""
     along = x * grad[0] + y * grad[1] + z * grad[2]
     grad_means[row, 0] += inverse * (grad[0] - along * x)
     grad_means[row, 1] += inverse * (grad[1] - along * y)
@@ -137,7 +159,8 @@ def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
 
 @kernel
 def _set_basis(x, y, z, bands, basis):
-    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; only ``bands`` of them are set."""
+    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; only ``bands`` of
+    them are set."""
     xx, yy, zz = x * x, y * y, z * z
     if bands >= 3:
         basis[0], basis[1], basis[2] = -_C1 * y, _C1 * z, -_C1 * x
@@ -186,7 +209,8 @@ def _basis_gradient_of_degree_three(x, y, z, weights):
         + w4 * (_FOUR * zz - _THREE * xx - yy) + w5 * x * z + w6 * _THREE * (xx - yy)
     )  # fmt: skip
     gy = (
-        w0 * _THREE * (xx - yy) + w1 * x * z + w2 * (_FOUR * zz - xx - _THREE * yy) - w3 * _SIX * y * z
+        w0 * _THREE * (xx - yy) + w1 * x * z + w2 * (_FOUR * zz - xx - _THREE * yy)
+        - w3 * _SIX * y * z
         - w4 * _TWO * x * y - w5 * y * z - w6 * _SIX * x * y
     )  # fmt: skip
     gz = (

@@ -1,4 +1,5 @@
-"""Heat between neighbouring Gaussians: Eq. 11 and 12 behind the read-out of ``FourierHeatTransformation``."""
+"""Heat between neighbouring Gaussians: Eq. 11 and 12 behind the read-out of
+``FourierHeatTransformation``."""
 
 from __future__ import annotations
 
@@ -52,10 +53,14 @@ class _Refine(torch.autograd.Function):
     def forward(ctx: Any, *inputs: Any) -> Tensor:
         *tensors, weights = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
-        projected, opacity, constants, neighbours, rows = (tensor.detach().numpy() for tensor in tensors)
+        projected, opacity, constants, neighbours, rows = (
+            tensor.detach().numpy() for tensor in tensors
+        )
         ctx.weights = np.asarray(weights, np.float32)
         refined, gradient = np.empty_like(opacity), np.empty_like(opacity)
-        _forward(_Places(rows, neighbours, ctx.weights), projected, opacity, constants, gradient, refined)
+        _forward(
+            _Places(rows, neighbours, ctx.weights), projected, opacity, constants, gradient, refined
+        )
         ctx.save_for_backward(*tensors[1:], torch.from_numpy(gradient))
         ctx.shape = projected.shape
         return torch.from_numpy(refined)
@@ -63,7 +68,9 @@ class _Refine(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        opacity, constants, neighbours, rows, gradient = (tensor.detach().numpy() for tensor in ctx.saved_tensors)
+        opacity, constants, neighbours, rows, gradient = (
+            tensor.detach().numpy() for tensor in ctx.saved_tensors
+        )
         places, grad = _Places(rows, neighbours, ctx.weights), grads[0].contiguous().numpy()
         grad_projected = np.zeros(ctx.shape, np.float32)
         _backward_neighbours(places, opacity, grad, grad_projected, get_num_threads())
@@ -87,15 +94,17 @@ def _forward(places, projected, opacity, constants, gradient, refined):
         gradient[place] = difference
         flux = constants[0] - opacity[place] * difference
         surrounding = levels / np.float32(count)
-        refined[place] = weights[0] * (projected[row, count] + flux) + weights[1] * surrounding + constants[2]
+        refined[place] = (
+            weights[0] * (projected[row, count] + flux) + weights[1] * surrounding + constants[2]
+        )
 
 
 @parallel_kernel
 def _backward_neighbours(places, opacity, grad, grad_projected, parts):
     """The gradient at ``projected``.
 
-    Each thread adds to Gaussians of its own, in the order of the rows: no two threads meet, and the order of a sum does
-    not depend on their number.
+    Each thread adds to Gaussians of its own, in the order of the rows: no two threads meet, and the
+    order of a sum does not depend on their number.
     """
     for part in prange(parts):
         first = np.int64(part) * grad_projected.shape[0] // parts
@@ -125,10 +134,13 @@ def _add_to_range(places, opacity, grad, grad_projected, first, end):
 
 @parallel_kernel
 def _backward_anchors(places, opacity, constants, gradient, grad, grad_opacity, sums):
-    """The gradients at the opacities, and at the constants: one sum for each share of the anchors."""
+    """The gradients at the opacities, and at the constants: one sum for each share of the
+    anchors."""
     anchor_weight = places.weights[0]
     for share in prange(SHARES):
-        for place in range(np.int64(share) * grad.size // SHARES, (np.int64(share) + 1) * grad.size // SHARES):
+        for place in range(
+            np.int64(share) * grad.size // SHARES, (np.int64(share) + 1) * grad.size // SHARES
+        ):
             scaled = anchor_weight * grad[place]
             grad_opacity[place] = -scaled * gradient[place]
             sums[share, 0] += scaled

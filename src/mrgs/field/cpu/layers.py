@@ -1,4 +1,5 @@
-"""A linear layer over blocks of rows, forward and backward, and the shares that the blocks are dealt out in."""
+"""A linear layer over blocks of rows, forward and backward, and the shares that the blocks are
+dealt out in."""
 
 from __future__ import annotations
 
@@ -9,10 +10,18 @@ import torch
 from torch import Tensor
 
 from mrgs.field.cpu.jit import kernel
-from mrgs.field.cpu.product import BLOCK_ROWS, TILE_COLUMNS, add_product, multiply, panels, rounded_up
+from mrgs.field.cpu.product import (
+    BLOCK_ROWS,
+    TILE_COLUMNS,
+    add_product,
+    multiply,
+    panels,
+    rounded_up,
+)
 
 SHARES = 32
-"""Parts that the rows are cut into, each with sums of its own, so that no sum depends on the number of threads."""
+"""Parts that the rows are cut into, each with sums of its own, so that no sum depends on the number
+of threads."""
 
 
 class Layer(NamedTuple):
@@ -21,7 +30,8 @@ class Layer(NamedTuple):
     Attributes:
         forward: ``panels`` of weightᵀ.
         bias: filled up with zeros to whole tiles.
-        back: ``panels`` of the weight, for the gradient of the inputs; or of its first columns only.
+        back: ``panels`` of the weight, for the gradient of the inputs; or of its first columns
+            only.
         no_bias: zeros, where ``back`` takes a bias.
     """
 
@@ -32,18 +42,25 @@ class Layer(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """The gradients of a layer, one for each share: [SHARES, outputs, inputs] and [SHARES, outputs]."""
+    """The gradients of a layer, one for each share: [SHARES, outputs, inputs] and [SHARES,
+    outputs]."""
 
     weight: np.ndarray
     bias: np.ndarray
 
 
 def pack(weight: Tensor, bias: Tensor, back_inputs: int | None = None) -> Layer:
-    """A layer of weight [outputs, inputs]; only its first ``back_inputs`` inputs will get a gradient."""
+    """A layer of weight [outputs, inputs]; only its first ``back_inputs`` inputs will get a
+    gradient."""
     array = weight.detach().numpy()
     back = panels(array[:, :back_inputs])
     widths = rounded_up(len(bias), TILE_COLUMNS), back.shape[0] * TILE_COLUMNS
-    return Layer(panels(array.T), _filled_up(bias.detach().numpy(), widths[0]), back, np.zeros(widths[1], np.float32))
+    return Layer(
+        panels(array.T),
+        _filled_up(bias.detach().numpy(), widths[0]),
+        back,
+        np.zeros(widths[1], np.float32),
+    )
 
 
 def _filled_up(vector: np.ndarray, width: int) -> np.ndarray:
@@ -52,7 +69,9 @@ def _filled_up(vector: np.ndarray, width: int) -> np.ndarray:
 
 def no_sums(outputs: int, inputs: int) -> Sums:
     """Zeros for a layer whose blocks have this many columns."""
-    return Sums(np.zeros((SHARES, outputs, inputs), np.float32), np.zeros((SHARES, outputs), np.float32))
+    return Sums(
+        np.zeros((SHARES, outputs, inputs), np.float32), np.zeros((SHARES, outputs), np.float32)
+    )
 
 
 def total(sums: Sums, weight: Tensor) -> tuple[Tensor, Tensor]:
@@ -65,7 +84,8 @@ def total(sums: Sums, weight: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def slots(rows: int, keep: bool) -> int:
-    """How many blocks of activations a pass needs: all if they are kept for the backward pass, else one per share."""
+    """How many blocks of activations a pass needs: all if they are kept for the backward pass, else
+    one per share."""
     return -(-rows // BLOCK_ROWS) if keep else SHARES
 
 
@@ -95,7 +115,8 @@ def linear_backward(grad, inputs, layer, sums, share, grad_inputs):
 
 @kernel
 def read_in_order(kept, values):
-    """Copy a block: the products read it across its rows, which is slow until it is in the cache."""
+    """Copy a block: the products read it across its rows, which is slow until it is in the
+    cache."""
     for row in range(kept.shape[0]):
         for column in range(kept.shape[1]):
             values[row, column] = kept[row, column]

@@ -1,7 +1,9 @@
-"""Matrix products of one block of rows, small enough to stay in the cache: what the heads spend their time on.
+"""Matrix products of one block of rows, small enough to stay in the cache: what the heads spend
+their time on.
 
-A library's product starts its threads anew for each call, and may sum in another order when their number changes. Here
-each thread multiplies blocks of its own, so that a whole network passes over a block without leaving the cache.
+A library's product starts its threads anew for each call, and may sum in another order when their
+number changes. Here each thread multiplies blocks of its own, so that a whole network passes over a
+block without leaving the cache.
 """
 
 from __future__ import annotations
@@ -78,7 +80,8 @@ def add_product(a, b, out):
 
 @intrinsic
 def _tile(typingctx, out, out_row, start, start_row, a, a_row, a_k, b, b_k, k):
-    """One tile: out[r, :] = start[r, :] + Σ_k a[r, k] b[k, :], from addresses and strides counted in floats."""
+    """One tile: out[r, :] = start[r, :] + Σ_k a[r, k] b[k, :], from addresses and strides counted
+    in floats."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         out, out_row, start, start_row, a, a_row, a_k, b, b_k, k = args
@@ -98,7 +101,9 @@ def _tile(typingctx, out, out_row, start, start_row, a, a_row, a_k, b, b_k, k):
             for row in range(TILE_ROWS):
                 factor = _broadcast(builder, builder.load(at(column, a_row, row, _F32)))
                 product = builder.fmul(factor, vector, flags=_FUSE)
-                builder.store(builder.fadd(builder.load(sums[row]), product, flags=_FUSE), sums[row])
+                builder.store(
+                    builder.fadd(builder.load(sums[row]), product, flags=_FUSE), sums[row]
+                )
         for row in range(TILE_ROWS):
             builder.store(builder.load(sums[row]), at(out, out_row, row, _VECTOR), align=4)
         return context.get_dummy_value()
@@ -109,4 +114,6 @@ def _tile(typingctx, out, out_row, start, start_row, a, a_row, a_k, b, b_k, k):
 def _broadcast(builder: Any, scalar: Any) -> Any:
     undefined = ir.Constant(_VECTOR, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(_I32, 0))
-    return builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(_I32, TILE_COLUMNS), [0] * TILE_COLUMNS))
+    return builder.shuffle_vector(
+        first, undefined, ir.Constant(ir.VectorType(_I32, TILE_COLUMNS), [0] * TILE_COLUMNS)
+    )

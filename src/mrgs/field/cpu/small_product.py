@@ -14,7 +14,8 @@ from mrgs.field.cpu.product import TILE_COLUMNS, TILE_ROWS, multiply, panels, ro
 
 
 def product(a: Float[Tensor, "m k"], b: Float[Tensor, "k n"]) -> Float[Tensor, "m n"]:
-    """a · b for float32 on the CPU; a library's product of some shapes depends on the number of threads."""
+    """a · b for float32 on the CPU; a library's product of some shapes depends on the number of
+    threads."""
     result: Tensor = _Product.apply(a, b)
     return result
 

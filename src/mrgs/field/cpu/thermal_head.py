@@ -1,7 +1,8 @@
 """The thermal chain up to the neighbours, and its gradient, block by block.
 
-Orthogonal extraction (Eq. 7), PE_p (Eq. 9) and two layers: the first is φ_e (Eq. 8) and the thermal head's first layer
-in one, the second the head's last layer and what neighbours read of F_t in one (``RadianceField`` multiplies them).
+Orthogonal extraction (Eq. 7), PE_p (Eq. 9) and two layers: the first is φ_e (Eq. 8) and the thermal
+head's first layer in one, the second the head's last layer and what neighbours read of F_t in one
+(``RadianceField`` multiplies them).
 """
 
 from __future__ import annotations
@@ -49,13 +50,15 @@ def project_features(
     frequencies: int,
     rows: Int64[Tensor, " v"],
 ) -> Float[Tensor, "n r"]:
-    """What neighbours read of each F_t; only ``rows`` are computed, others are 0. No gradient flows to positions.
+    """What neighbours read of each F_t; only ``rows`` are computed, others are 0. No gradient flows
+    to positions.
 
     Args:
         embedding: e_m.
         sh_dc: colour coefficients of degree 0.
         sh_rest: colour coefficients of degrees 1 to 3.
-        layers: weight and bias of φ_SH [C, 48], of the first layer [H, C + 6 L] and of the second [K + 1, H].
+        layers: weight and bias of φ_SH [C, 48], of the first layer [H, C + 6 L] and of the second
+            [K + 1, H].
         positions: normalised to about [-1, 1].
         frequencies: L of PE_p.
         rows: distinct Gaussians.
@@ -80,7 +83,8 @@ class _NetworkSums(NamedTuple):
 
 
 class _Inputs(NamedTuple):
-    """Arrays of all Gaussians (or their gradients): e_m, the 3 and the other 45 colour coefficients."""
+    """Arrays of all Gaussians (or their gradients): e_m, the 3 and the other 45 colour
+    coefficients."""
 
     embedding: np.ndarray
     sh_dc: np.ndarray
@@ -97,7 +101,16 @@ class _Projection(torch.autograd.Function):
         projected = np.zeros((len(positions), len(tensors[-1])), np.float32)
         positions = positions.contiguous()
         gaussians = _flattened(tensors[:3])
-        _forward(gaussians, positions.numpy(), rows.numpy(), frequencies, *network, hidden.array, keep, projected)
+        _forward(
+            gaussians,
+            positions.numpy(),
+            rows.numpy(),
+            frequencies,
+            *network,
+            hidden.array,
+            keep,
+            projected,
+        )
         if keep:
             ctx.save_for_backward(*tensors, positions, rows)
             ctx.frequencies, ctx.network, ctx.hidden = frequencies, network, hidden
@@ -108,10 +121,16 @@ class _Projection(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, positions, rows = ctx.saved_tensors
         hidden, weights = ctx.hidden.array, tensors[3::2]
-        outputs, units, width = rounded_up(len(weights[2]), TILE_ROWS), hidden.shape[2], len(weights[0])
+        outputs, units, width = (
+            rounded_up(len(weights[2]), TILE_ROWS),
+            hidden.shape[2],
+            len(weights[0]),
+        )
         inputs = rounded_up(weights[1].shape[1], TILE_COLUMNS)
         sums = _NetworkSums(
-            no_sums(rounded_up(width, TILE_COLUMNS), _SH), no_sums(units, inputs), no_sums(outputs, units)
+            no_sums(rounded_up(width, TILE_COLUMNS), _SH),
+            no_sums(units, inputs),
+            no_sums(outputs, units),
         )
         gaussians = _flattened(tensors[:3])
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
@@ -120,7 +139,8 @@ class _Projection(torch.autograd.Function):
             grads[0].contiguous().numpy(), *sums, gradients,
         )  # fmt: skip
         of_gaussians = [
-            torch.from_numpy(array).view(tensor.shape) for array, tensor in zip(gradients, tensors[:3], strict=True)
+            torch.from_numpy(array).view(tensor.shape)
+            for array, tensor in zip(gradients, tensors[:3], strict=True)
         ]
         of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
         return (*of_gaussians, *of_layers, None, None, None, None)
@@ -133,18 +153,34 @@ def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
 def _packed(parameters: Sequence[Tensor]) -> _Network:
     """Of the first layer's inputs only e_orth gets a gradient."""
     phi_sh, phi_sh_bias, first, first_bias, output, output_bias = parameters
-    return _Network(pack(phi_sh, phi_sh_bias), pack(first, first_bias, len(phi_sh)), pack(output, output_bias))
+    return _Network(
+        pack(phi_sh, phi_sh_bias), pack(first, first_bias, len(phi_sh)), pack(output, output_bias)
+    )
 
 
 @parallel_kernel
-def _forward(gaussians, positions, rows, frequencies, phi_sh, first, output, hidden, keep, projected):
+def _forward(
+    gaussians, positions, rows, frequencies, phi_sh, first, output, hidden, keep, projected
+):
     for share in prange(SHARES):
         network = _Network(phi_sh, first, output)  # here, because prange takes no tuples of tuples
-        _forward_share(np.int64(share), gaussians, positions, rows, frequencies, network, hidden, keep, projected)
+        _forward_share(
+            np.int64(share),
+            gaussians,
+            positions,
+            rows,
+            frequencies,
+            network,
+            hidden,
+            keep,
+            projected,
+        )
 
 
 @kernel
-def _forward_share(share, gaussians, positions, rows, frequencies, network, hidden, keep, projected):
+def _forward_share(
+    share, gaussians, positions, rows, frequencies, network, hidden, keep, projected
+):
     sh, directions, inputs = _scratch(network)
     outputs = np.empty((BLOCK_ROWS, network.output.bias.size), np.float32)
     first, end = blocks_of(share, rows.size)
@@ -188,7 +224,9 @@ def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, direction
         row = rows[place]
         share, _ = _share_along(gaussians.embedding, row, directions, place)
         for column in range(width):
-            inputs[place, column] = gaussians.embedding[row, column] - share * directions[place, column]
+            inputs[place, column] = (
+                gaussians.embedding[row, column] - share * directions[place, column]
+            )
     encode(points, frequencies, inputs[:, width:])
 
 
@@ -209,14 +247,20 @@ def _backward(
     phi_sh_sums, first_sums, output_sums, gradients,
 ):  # fmt: skip
     for share in prange(SHARES):
-        network, sums = _Network(phi_sh, first, output), _NetworkSums(phi_sh_sums, first_sums, output_sums)
+        network, sums = (
+            _Network(phi_sh, first, output),
+            _NetworkSums(phi_sh_sums, first_sums, output_sums),
+        )
         _backward_share(
-            np.int64(share), gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients
+            np.int64(share), gaussians, positions, rows, frequencies, network, hidden, grad, sums,
+            gradients
         )  # fmt: skip
 
 
 @kernel
-def _backward_share(share, gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients):
+def _backward_share(
+    share, gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients
+):
     sh, directions, inputs = _scratch(network)
     g_outputs = np.zeros((BLOCK_ROWS, sums.output.bias.shape[1]), np.float32)
     h = np.empty((BLOCK_ROWS, hidden.shape[2]), np.float32)
@@ -258,4 +302,6 @@ def _reject_backward(embedding, rows, directions, grad, grad_embedding):
         for column in range(embedding.shape[1]):
             g, direction = grad[place, column], directions[place, column]
             grad_embedding[row, column] = g - along * direction
-            grad[place, column] = along * (two * share * direction - embedding[row, column]) - share * g
+            grad[place, column] = (
+                along * (two * share * direction - embedding[row, column]) - share * g
+            )

@@ -1,4 +1,5 @@
-"""The field's Triton kernels; the plain torch and SciPy code of ``mrgs.field`` is the definition."""
+"""The field's Triton kernels; the plain torch and SciPy code of ``mrgs.field`` is the
+definition."""
 
 from mrgs.field.gpu.neighbours import MAX_K, nearest_neighbours
 

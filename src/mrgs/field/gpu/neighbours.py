@@ -1,12 +1,13 @@
 """Exact k nearest neighbours on the device, in one Triton kernel behind a sort.
 
-The points are sorted along a Z-order curve and cut into blocks, so that a block is small in space. A program searches
-for the points of one block: it walks the blocks' bounding boxes, nearest first within each chunk of them, and compares
-with the points of those that are not farther away than the worst neighbour so far. Nothing is read back to the host,
-and the result is the same on every run.
+The points are sorted along a Z-order curve and cut into blocks, so that a block is small in space.
+A program searches for the points of one block: it walks the blocks' bounding boxes, nearest first
+within each chunk of them, and compares with the points of those that are not farther away than the
+worst neighbour so far. Nothing is read back to the host, and the result is the same on every run.
 
-A neighbour is an int64 key: the bits of the squared distance, which sort as the distance does, above the index of the
-point. So the least key is the nearest point, and of several the one with the lowest index.
+A neighbour is an int64 key: the bits of the squared distance, which sort as the distance does,
+above the index of the point. So the least key is the nearest point, and of several the one with the
+lowest index.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import triton
 import triton.language as tl
 from torch import Tensor, nn
 
-from mrgs.gpu_kernels import Arguments, KernelSpec
+from mrgs.system.gpu_kernels import Arguments, KernelSpec
 
 MAX_K = 16
 """More neighbours would not fit into a thread's registers."""
@@ -70,7 +71,8 @@ def neighbours_kernel(
         points: sorted, [3, N].
         originals: each one's index, int32, [N].
         boxes: bounds of each block of points, the three lower, then the three upper, [6, M].
-        result: receives the neighbours' indices, int64, [N, K]; the point's own where there are fewer others.
+        result: receives the neighbours' indices, int64, [N, K]; the point's own where there are
+            fewer others.
         count: N.
         blocks: M.
     """
@@ -81,7 +83,11 @@ def neighbours_kernel(
     y = tl.load(points + count + queries, mask=exists, other=0.0)
     z = tl.load(points + 2 * count + queries, mask=exists, other=0.0)
     itself = tl.load(originals + queries, mask=exists, other=-1)
-    low_x, low_y, low_z = tl.load(boxes + own), tl.load(boxes + blocks + own), tl.load(boxes + 2 * blocks + own)
+    low_x, low_y, low_z = (
+        tl.load(boxes + own),
+        tl.load(boxes + blocks + own),
+        tl.load(boxes + 2 * blocks + own),
+    )
     high_x, high_y = tl.load(boxes + 3 * blocks + own), tl.load(boxes + 4 * blocks + own)
     high_z = tl.load(boxes + 5 * blocks + own)
 
@@ -110,7 +116,9 @@ def neighbours_kernel(
             low_z - tl.load(boxes + 5 * blocks + places, mask=known, other=0.0),
         )
         gap_x, gap_y, gap_z = tl.maximum(gap_x, 0.0), tl.maximum(gap_y, 0.0), tl.maximum(gap_z, 0.0)
-        gaps = tl.where(known, SLACK * (gap_x * gap_x + gap_y * gap_y + gap_z * gap_z), float("inf"))
+        gaps = tl.where(
+            known, SLACK * (gap_x * gap_x + gap_y * gap_y + gap_z * gap_z), float("inf")
+        )
         nearest = tl.min(gaps, axis=0)
         while (nearest <= limit) & (nearest < float("inf")):
             block = tl.min(tl.where(gaps == nearest, places, 0x7FFFFFFF), axis=0)
@@ -145,10 +153,11 @@ def neighbours_kernel(
 
 
 def nearest_neighbours(means: Tensor, k: int) -> Tensor:
-    """Indices of the k nearest others, nearest first, of several at the same distance the lowest: int64 [N, K].
+    """Indices of the k nearest others, nearest first, of several at the same distance the lowest:
+    int64 [N, K].
 
-    Where fewer than k others exist, the remaining places hold the point itself. A coordinate that is not finite counts
-    as very far away (1e18): to look for it would be a host round trip.
+    Where fewer than k others exist, the remaining places hold the point itself. A coordinate that
+    is not finite counts as very far away (1e18): to look for it would be a host round trip.
 
     Args:
         means: float32, [N, 3].
@@ -165,7 +174,12 @@ def nearest_neighbours(means: Tensor, k: int) -> Tensor:
     boxes = _boxes(points)
     result = torch.empty(count, k, dtype=torch.int64, device=means.device)
     blocks = boxes.shape[1]
-    given: Arguments = {"points": points, "originals": order.int(), "boxes": boxes, "result": result}
+    given: Arguments = {
+        "points": points,
+        "originals": order.int(),
+        "boxes": boxes,
+        "result": result,
+    }
     _spec(k).launch((blocks,), given | {"count": count, "blocks": blocks})
     return result
 
@@ -185,7 +199,9 @@ def _z_order(means: Tensor) -> Tensor:
 def _boxes(points: Tensor) -> Tensor:
     """The bounding box of each block of sorted points: [3, N] -> [6, M]."""
     missing = -points.shape[1] % BLOCK
-    blocks = nn.functional.pad(points[None], (0, missing), mode="replicate")[0].unflatten(1, (-1, BLOCK))
+    blocks = nn.functional.pad(points[None], (0, missing), mode="replicate")[0].unflatten(
+        1, (-1, BLOCK)
+    )
     return torch.cat([blocks.amin(dim=2), blocks.amax(dim=2)])
 
 
@@ -194,7 +210,9 @@ def _spec(k: int) -> KernelSpec:
     signature = {"points": "*fp32", "originals": "*i32", "boxes": "*fp32", "result": "*i64"}
     constants = {"K": k, "SLOTS": triton.next_power_of_2(k), "BLOCK": BLOCK, "CHUNK": CHUNK}
     numbers = {"count": "i32", "blocks": "i32"}
-    return KernelSpec(neighbours_kernel, signature | numbers, constants, NUM_WARPS, variant=f"k={k}")
+    return KernelSpec(
+        neighbours_kernel, signature | numbers, constants, NUM_WARPS, variant=f"k={k}"
+    )
 
 
 KERNELS = tuple(_spec(k) for k in (3, 8, 15))

@@ -40,7 +40,12 @@ def main(folder: Path) -> int:
         map_images(job, report)
     except Exception as error:  # pycolmap's are of many types, and the parent has only these lines
         full = shutil.disk_usage(folder).free < LEAST_FREE_BYTES
-        send(end="error", message="the disk is full" if full else " ".join(f"{type(error).__name__}: {error}".split()))
+        send(
+            end="error",
+            message="the disk is full"
+            if full
+            else " ".join(f"{type(error).__name__}: {error}".split()),
+        )
         return 1
     send(end="done")
     return 0
@@ -49,7 +54,8 @@ def main(folder: Path) -> int:
 def _end_with_parent() -> None:
     while os.read(0, 1024):  # not sys.stdin: its lock would be held when the interpreter ends
         pass
-    os._exit(1)  # nothing half-made matters: the database has transactions, and the model is moved when it is whole
+    # Nothing is lost: the database has transactions, and the model is moved when it is complete.
+    os._exit(1)
 
 
 if __name__ == "__main__":

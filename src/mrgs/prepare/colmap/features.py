@@ -39,7 +39,11 @@ def find_features(job: Job, report: Report) -> None:
         options.sift.domain_size_pooling = True
     batch = 2 * options.num_threads
     for camera in sorted(set(job.cameras)):
-        files = [file for file, own in zip(job.files, job.cameras, strict=True) if own == camera and file in waiting]
+        files = [
+            file
+            for file, own in zip(job.files, job.cameras, strict=True)
+            if own == camera and file in waiting
+        ]
         for start in range(0, len(files), batch):
             _extract(job, files[start : start + batch], camera, options)
             done += len(files[start : start + batch])
@@ -48,11 +52,17 @@ def find_features(job: Job, report: Report) -> None:
 
 def _without_features(job: Job) -> set[str]:
     with pycolmap.Database.open(job.database) as database:
-        found = {image.name for image in database.read_all_images() if database.exists_descriptors(image.image_id)}
+        found = {
+            image.name
+            for image in database.read_all_images()
+            if database.exists_descriptors(image.image_id)
+        }
     return set(job.files) - found
 
 
-def _extract(job: Job, files: list[str], camera: int, options: pycolmap.FeatureExtractionOptions) -> None:
+def _extract(
+    job: Job, files: list[str], camera: int, options: pycolmap.FeatureExtractionOptions
+) -> None:
     reader = pycolmap.ImageReaderOptions()
     reader.existing_camera_id = camera
     reader.camera_model = CAMERA_MODEL
@@ -81,7 +91,9 @@ def _write_camera(job: Job, number: int) -> None:
     low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
     told = [focal_length for focal_length in told if low <= focal_length <= high]
     camera.has_prior_focal_length = bool(told)
-    camera.focal_length = statistics.median(told) if told else 1.2 * max(camera.width, camera.height)
+    camera.focal_length = (
+        statistics.median(told) if told else 1.2 * max(camera.width, camera.height)
+    )
     camera.camera_id = number
     with pycolmap.Database.open(job.database) as database:
         database.write_camera(camera, use_camera_id=True)

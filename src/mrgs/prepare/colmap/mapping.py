@@ -1,4 +1,5 @@
-"""Incremental mapping: poses and points from verified matches, and the largest model of them into files."""
+"""Incremental mapping: poses and points from verified matches, and the largest model of them into
+files."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
 
 
 def map_images(job: Job, report: Report) -> None:
-    """Make the model, or nothing if it is there. Where no two images fit, its report says so and it has no points."""
+    """Make the model, or nothing if it is there. Where no two images fit, its report says so and it
+    has no points."""
     if (job.folder / MODEL_FOLDER).is_dir():
         return
     models = sorted(_models(job, report), key=lambda model: model.num_reg_images(), reverse=True)
@@ -67,7 +69,12 @@ def _models(job: Job, report: Report) -> list[pycolmap.Reconstruction]:
         options.mapper.init_min_num_inliers = FAINT_INITIAL_MATCHES
         options.mapper.abs_pose_min_num_inliers = FAINT_POSE_MATCHES
     models = pycolmap.incremental_mapping(
-        job.database, job.root, folder, options, initial_image_pair_callback=start, next_image_callback=another
+        job.database,
+        job.root,
+        folder,
+        options,
+        initial_image_pair_callback=start,
+        next_image_callback=another,
     )
     shutil.rmtree(folder)
     return list(models.values())
@@ -77,14 +84,17 @@ def _drop_noise(model: pycolmap.Reconstruction, images: int) -> None:
     """Points that few images see, or that are far from where they were seen."""
     least = MIN_TRACK if images >= FEW_IMAGES else 2
     poor = [
-        number for number, point in model.points3D.items() if point.track.length() < least or point.error > MAX_ERROR_PX
+        number
+        for number, point in model.points3D.items()
+        if point.track.length() < least or point.error > MAX_ERROR_PX
     ]
     for number in poor:
         model.delete_point3D(number)
 
 
 def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
-    """Positions, colours (0 to 255), and which image sees which point: rows of (place in ``files``, row of a point)."""
+    """Positions, colours (0 to 255), and which image sees which point: rows of (place in ``files``,
+    row of a point)."""
     places = {name: place for place, name in enumerate(files)}
     points = [model.points3D[number] for number in sorted(model.points3D)]
     seen = {
@@ -104,7 +114,10 @@ def _report(job: Job, models: Sequence[pycolmap.Reconstruction]) -> dict[str, An
     """What happened to each image."""
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
-        features = {file: database.num_keypoints_for_image(ids[file]) if file in ids else None for file in job.files}
+        features = {
+            file: database.num_keypoints_for_image(ids[file]) if file in ids else None
+            for file in job.files
+        }
         pairs, inliers = database.read_two_view_geometry_num_inliers()
     best: dict[int, tuple[int, int]] = {}
     for pair, count in zip(pairs, inliers, strict=True):
@@ -117,7 +130,14 @@ def _report(job: Job, models: Sequence[pycolmap.Reconstruction]) -> dict[str, An
     for file in job.files:
         matches, other = best.get(ids.get(file, 0), (0, 0))
         group = next((index for index, members in enumerate(groups) if file in members), None)
-        images.append({"features": features[file], "matches": matches, "with": names.get(other), "group": group})
+        images.append(
+            {
+                "features": features[file],
+                "matches": matches,
+                "with": names.get(other),
+                "group": group,
+            }
+        )
     return {
         "images": images,
         "groups": [len(members) for members in groups],

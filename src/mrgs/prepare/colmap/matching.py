@@ -29,7 +29,9 @@ def _descriptors(job: Job) -> list[np.ndarray]:
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         none = np.zeros((0, SIFT_LENGTH), dtype=np.uint8)
-        return [database.read_descriptors(ids[file]).data if file in ids else none for file in job.files]
+        return [
+            database.read_descriptors(ids[file]).data if file in ids else none for file in job.files
+        ]
 
 
 def _matched(job: Job) -> set[frozenset[str]]:

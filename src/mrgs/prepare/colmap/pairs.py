@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 MAX_EXHAUSTIVE = 100
-"""A pair takes a tenth of a second on two cores: all pairs of more images outgrow the time that a user has."""
+"""A pair takes a tenth of a second on two cores: all pairs of more images outgrow the time that a
+user has."""
 
 NEIGHBOURS = 10
 ALIKE = 20
@@ -18,8 +19,11 @@ _SAMPLES = 50_000
 _ITERATIONS = 10
 
 
-def pairs_to_match(count: int, descriptors: Callable[[], list[UInt8[np.ndarray, "_ d"]]]) -> list[tuple[int, int]]:
-    """All pairs of a small set; else each image with those taken before and after it, and with those most like it.
+def pairs_to_match(
+    count: int, descriptors: Callable[[], list[UInt8[np.ndarray, "_ d"]]]
+) -> list[tuple[int, int]]:
+    """All pairs of a small set; else each image with those taken before and after it, and with
+    those most like it.
 
     Args:
         count: of images, numbered in the order in which they were taken.
@@ -31,7 +35,9 @@ def pairs_to_match(count: int, descriptors: Callable[[], list[UInt8[np.ndarray, 
     signatures = image_signatures(descriptors())
     likeness = signatures @ signatures.T
     np.fill_diagonal(likeness, -np.inf)
-    for image, others in enumerate(np.argsort(-likeness, axis=1, kind="stable")[:, :ALIKE].tolist()):
+    for image, others in enumerate(
+        np.argsort(-likeness, axis=1, kind="stable")[:, :ALIKE].tolist()
+    ):
         chosen |= {(min(image, other), max(image, other)) for other in others}
     return sorted(chosen)
 
@@ -43,12 +49,15 @@ def _next(first: int, count: int) -> list[tuple[int, int]]:
 def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.ndarray, "n f"]:
     """A unit vector for each image, whose product with another's tells how much alike the two are.
 
-    Vectors of locally aggregated descriptors (Jégou et al., 2010) with normalised residuals (Arandjelović and
-    Zisserman, 2013); the words are those of the images themselves, so that no vocabulary is needed.
+    Vectors of locally aggregated descriptors (Jégou et al., 2010) with normalised residuals
+    (Arandjelović and Zisserman, 2013); the words are those of the images themselves, so that no
+    vocabulary is needed.
     """
     rng = np.random.default_rng(0)
     share = max(_SAMPLES // len(descriptors), 1)
-    sample = np.concatenate([rng.permutation(own)[:share] for own in descriptors]).astype(np.float32)
+    sample = np.concatenate([rng.permutation(own)[:share] for own in descriptors]).astype(
+        np.float32
+    )
     if len(sample) == 0:
         return np.zeros((len(descriptors), 1), dtype=np.float32)
     words = rng.permutation(sample)[:WORDS]
@@ -60,9 +69,13 @@ def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.
     return np.stack([_signature(own.astype(np.float32), words) for own in descriptors])
 
 
-def _signature(own: Float32[np.ndarray, "k d"], words: Float32[np.ndarray, "w d"]) -> Float32[np.ndarray, " f"]:
+def _signature(
+    own: Float32[np.ndarray, "k d"], words: Float32[np.ndarray, "w d"]
+) -> Float32[np.ndarray, " f"]:
     nearest = _nearest(own, words)
-    residuals = np.stack([(own[nearest == word] - words[word]).sum(axis=0) for word in range(len(words))])
+    residuals = np.stack(
+        [(own[nearest == word] - words[word]).sum(axis=0) for word in range(len(words))]
+    )
     residuals /= np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-12)
     return (residuals / max(float(np.linalg.norm(residuals)), 1e-12)).ravel()
 

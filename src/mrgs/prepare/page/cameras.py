@@ -1,4 +1,5 @@
-"""The sections on the cameras: where they stand, their lenses, and the thermal camera against the RGB camera."""
+"""The sections on the cameras: where they stand, their lenses, and the thermal camera against the
+RGB camera."""
 
 from __future__ import annotations
 
@@ -16,7 +17,10 @@ from mrgs.prepare.page.markup import column_table, fact_table, folded, paragraph
 from mrgs.prepare.page.world import World, plans
 from mrgs.prepare.rig import RigCalibration
 
-_ORBIT_HELP = "Drag to turn, wheel or pinch to zoom. Point at a camera for its name; click it to see its photos."
+_ORBIT_HELP = (
+    "Drag to turn, wheel or pinch to zoom. Point at a camera for its name; click it to "
+    "see its photos."
+)
 
 
 def world_section(world: World | None) -> str:
@@ -25,13 +29,16 @@ def world_section(world: World | None) -> str:
         return section("world", "Cameras and points", paragraph("There is no scene yet."))
     north = "" if world.north else " Which way is up is taken from how the cameras were held."
     drawings = "".join(
-        f"<figure>{drawing}<figcaption>{escape(caption)}.</figcaption></figure>" for caption, drawing in plans(world)
+        f"<figure>{drawing}<figcaption>{escape(caption)}.</figcaption></figure>"
+        for caption, drawing in plans(world)
     )
     colors = '<span class="key camera">training</span> <span class="key held">held out</span>'
     content = (
-        '<div id="orbit"><canvas id="orbit-canvas" tabindex="0" aria-label="cameras and points in 3D: drag to turn, '
+        '<div id="orbit"><canvas id="orbit-canvas" tabindex="0" aria-label="cameras and points in '
+        "3D: drag to turn, "
         'arrow keys turn, plus and minus zoom"></canvas><div id="orbit-name" hidden></div></div>'
-        f'<p class="note">{escape(_ORBIT_HELP + north)} {colors}</p><div class="plans">{drawings}</div>'
+        f'<p class="note">{escape(_ORBIT_HELP + north)} {colors}</p><div '
+        f'class="plans">{drawings}</div>'
     )
     return section("world", "Cameras and points", content)
 
@@ -41,7 +48,10 @@ def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
     distinct: dict[Lens, int] = {}
     for lens in lenses.values():
         distinct[lens] = distinct.get(lens, 0) + 1
-    return [(f"{what}, {count} view{'' if count == 1 else 's'}", lens_text(lens)) for lens, count in distinct.items()]
+    return [
+        (f"{what}, {count} view{'' if count == 1 else 's'}", lens_text(lens))
+        for lens, count in distinct.items()
+    ]
 
 
 def lens_text(lens: Lens) -> str:
@@ -51,13 +61,22 @@ def lens_text(lens: Lens) -> str:
         for pixels, focal in ((lens.width, lens.fx), (lens.height, lens.fy))
     )
     text = (
-        f"{lens.width} × {lens.height} px, {wide:.1f}° × {high:.1f}°, focal length {lens.fx:.1f} × {lens.fy:.1f} px, "
+        f"{lens.width} × {lens.height} px, {wide:.1f}° × {high:.1f}°, focal length {lens.fx:.1f} "
+        f"× {lens.fy:.1f} px, "
         f"centre {lens.cx:.1f}, {lens.cy:.1f} px"
     )
     names = ("k1", "k2", "k3", "k4", "p1", "p2")
-    bent = [f"{name} {value:.4g}" for name, value in zip(names, (*lens.radial, *lens.tangential), strict=True) if value]
+    bent = [
+        f"{name} {value:.4g}"
+        for name, value in zip(names, (*lens.radial, *lens.tangential), strict=True)
+        if value
+    ]
     model = "fisheye " if lens.fisheye else ""
-    return f"{text}, {model}distortion {', '.join(bent)}" if bent else f"{text}, {model or 'no '}distortion"
+    return (
+        f"{text}, {model}distortion {', '.join(bent)}"
+        if bent
+        else f"{text}, {model or 'no '}distortion"
+    )
 
 
 def rig_content(rig: RigCalibration, georeference: Georeference | None) -> str:
@@ -68,18 +87,28 @@ def rig_content(rig: RigCalibration, georeference: Georeference | None) -> str:
         ("Thermal lens", lens_text(rig.lens)),
         ("Distance between the lenses", _offset(rig.thermal_from_rgb, unit)),
         ("Angle between the axes", f"{_angle_deg(rig.thermal_from_rgb):.2f}°"),
-        ("Residual", f"{median:.2f} px (median), {most:.2f} px (nine tenths are below), in thermal pixels"),
+        (
+            "Residual",
+            f"{median:.2f} px (median), {most:.2f} px (nine tenths are below), in thermal pixels",
+        ),
         ("Uncertainty", f"{rig.uncertainty_px:.2f} px (one standard deviation)"),
         ("Motion from pair to pair", f"{rig.motion_px:.2f} px (median)"),
     ]
     if rig.target is not None:
         fit = rig.target.residual_px[0]
-        rows.append(("Chessboard", f"seen by both cameras in {rig.target.pairs} pairs; {fit:.2f} px residual (median)"))
+        rows.append(
+            (
+                "Chessboard",
+                f"seen by both cameras in {rig.target.pairs} pairs; {fit:.2f} px residual (median)",
+            )
+        )
     views = column_table(
         ["View", "Matches", "Residual, px", "Uncertainty, px"],
         [
             [view.name, str(view.matches), _number(view.residual_px), _number(view.uncertainty_px)]
-            for view in sorted(rig.views, key=lambda view: (-_finite(view.uncertainty_px), view.name))
+            for view in sorted(
+                rig.views, key=lambda view: (-_finite(view.uncertainty_px), view.name)
+            )
         ],
     )
     return (
@@ -98,7 +127,10 @@ def _offset(thermal_from_rgb: Float64[Tensor, "4 4"], metric: bool) -> str:
         f"{abs(value) * factor:.{digits}f} {plus if value >= 0 else minus}"
         for value, (plus, minus) in zip(position.tolist(), words, strict=True)
     ]
-    return f"{position.norm().item() * factor:.{digits}f} {unit}: the thermal camera is {', '.join(parts)}"
+    return (
+        f"{position.norm().item() * factor:.{digits}f} {unit}: the thermal camera is "
+        f"{', '.join(parts)}"
+    )
 
 
 def _angle_deg(thermal_from_rgb: Float64[Tensor, "4 4"]) -> float:

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 from jaxtyping import Float
 
-from mrgs.evaluation.palette import palette_table, round_ticks, tick_labels
+from mrgs.pictures.palette import palette_table, round_ticks, tick_labels
 
 _WIDTH, _HEIGHT = 900, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 34
@@ -17,7 +17,8 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 34
 
 @dataclass(frozen=True)
 class Span:
-    """Temperatures of one photo, in °C or relative: the extremes, and 5 %, 50 % and 95 % of the pixels lie below."""
+    """Temperatures of one photo, in °C or relative: the extremes, and 5 %, 50 % and 95 % of the
+    pixels lie below."""
 
     name: str
     lowest: float
@@ -55,13 +56,17 @@ def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: st
         if height > 0:
             x, y = _LEFT + index * bar, _HEIGHT - _BOTTOM - height
             color = "#" + bytes(colors[index]).hex()
-            bars.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{bar + 0.3:.1f}" height="{height:.1f}" fill="{color}"/>')
+            bars.append(
+                f'<rect x="{x:.1f}" y="{y:.1f}" width="{bar + 0.3:.1f}" height="{height:.1f}" '
+                f'fill="{color}"/>'
+            )
     axis = _axis_below(low, high, unit)
     return _svg("".join(bars) + axis, "histogram of the temperatures")
 
 
 def span_chart(spans: Sequence[Span], low: float, high: float, unit: str) -> str:
-    """One column per photo: a thin line from its lowest to its highest value, a bar over nine tenths of its pixels."""
+    """One column per photo: a thin line from its lowest to its highest value, a bar over nine
+    tenths of its pixels."""
     if not spans:
         return ""
     step = (_WIDTH - _LEFT - _RIGHT) / len(spans)
@@ -85,7 +90,8 @@ def span_chart(spans: Sequence[Span], low: float, high: float, unit: str) -> str
     first, last = escape(spans[0].name), escape(spans[-1].name)
     below = (
         f'<text x="{_LEFT}" y="{_HEIGHT - 10}">{first}</text>'
-        f'<text x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 10}" text-anchor="end">{last if len(spans) > 1 else ""}</text>'
+        f'<text x="{_WIDTH - _RIGHT}" y="{_HEIGHT - 10}" '
+        f'text-anchor="end">{last if len(spans) > 1 else ""}</text>'
     )
     return _svg(_axis_left(low, high, unit) + "".join(marks) + below, "temperatures of each photo")
 
@@ -98,7 +104,10 @@ def _axis_below(low: float, high: float, unit: str) -> str:
         parts.append(f'<path d="M{x:.1f} {_HEIGHT - _BOTTOM}v5" class="axis"/>')
         text = f"{label} {unit}" if tick == ticks[-1] else label
         anchor = "end" if x > _WIDTH - 60 else "middle"
-        parts.append(f'<text x="{x:.1f}" y="{_HEIGHT - 10}" text-anchor="{anchor}">{escape(text.strip())}</text>')
+        parts.append(
+            f'<text x="{x:.1f}" y="{_HEIGHT - 10}" '
+            f'text-anchor="{anchor}">{escape(text.strip())}</text>'
+        )
     return "".join(parts)
 
 
@@ -109,9 +118,14 @@ def _axis_left(low: float, high: float, unit: str) -> str:
         y = _HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * (tick - low) / (high - low)
         parts.append(f'<path d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}" class="grid"/>')
         text = f"{label} {unit}" if tick == ticks[-1] else label
-        parts.append(f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{escape(text.strip())}</text>')
+        parts.append(
+            f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{escape(text.strip())}</text>'
+        )
     return "".join(parts)
 
 
 def _svg(content: str, text: str) -> str:
-    return f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(text)}">{content}</svg>'
+    return (
+        f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" '
+        f'aria-label="{escape(text)}">{content}</svg>'
+    )

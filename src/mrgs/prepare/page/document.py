@@ -1,4 +1,5 @@
-"""One HTML file with everything in it: it asks the network for nothing, and its policy forbids to."""
+"""One HTML file with everything in it: it asks the network for nothing, and its policy forbids
+to."""
 
 from __future__ import annotations
 
@@ -10,13 +11,15 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from mrgs.atomic import replacing
-from mrgs.webpage import policy_hash, script_json
+from mrgs.system.atomic import replacing
+from mrgs.system.webpage import policy_hash, script_json
 
 SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
 
 
-def write_document(path: Path, title: str, subtitle: str, sections: Sequence[str], facts: Mapping[str, Any]) -> Path:
+def write_document(
+    path: Path, title: str, subtitle: str, sections: Sequence[str], facts: Mapping[str, Any]
+) -> Path:
     """Write the page; returns its path.
 
     Args:
@@ -43,7 +46,9 @@ def write_document(path: Path, title: str, subtitle: str, sections: Sequence[str
         script_hash=policy_hash(script),
     )
     with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="replace")  # names of files need not be valid text
+        temporary.write_text(
+            page, encoding="utf-8", errors="replace"
+        )  # names of files need not be valid text
     return path
 
 

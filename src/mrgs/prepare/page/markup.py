@@ -28,15 +28,21 @@ def bullets(lines: Iterable[str]) -> str:
 
 def fact_table(rows: Iterable[tuple[str, str]]) -> str:
     """Names on the left, what is known on the right."""
-    cells = "".join(f'<tr><th scope="row">{escape(name)}</th><td>{escape(text)}</td></tr>' for name, text in rows)
+    cells = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(text)}</td></tr>'
+        for name, text in rows
+    )
     return f'<table class="facts">{cells}</table>' if cells else ""
 
 
 def column_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table with a heading for each column."""
     head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f'<div class="wide">{table}</div>'
 
 
 def folded(summary: str, content: str) -> str:
@@ -49,7 +55,9 @@ def figure(content: str, caption: str) -> str:
     return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
-def picture(image: Image.Image, text: str, *, kind: str = "", quality: int = 80, png: bool = False) -> str:
+def picture(
+    image: Image.Image, text: str, *, kind: str = "", quality: int = 80, png: bool = False
+) -> str:
     """An image inside the page, as JPEG or PNG, with a text for those who cannot see it."""
     buffer = io.BytesIO()
     if png:

@@ -11,7 +11,7 @@ from PIL import Image
 
 from mrgs.data.posed import decode_rgb
 from mrgs.data.undistort import resize
-from mrgs.evaluation.pictures import to_rgb8
+from mrgs.pictures.files import to_rgb8
 from mrgs.prepare.contract import DevelopedView, Georeference
 from mrgs.prepare.page.markup import paragraph, picture, section
 from mrgs.scene.view import spread
@@ -20,7 +20,9 @@ MOST_PHOTOS = 6
 WIDTH_PX = 760
 
 
-def measure_section(scene: Path, views: Sequence[DevelopedView], georeference: Georeference | None) -> str:
+def measure_section(
+    scene: Path, views: Sequence[DevelopedView], georeference: Georeference | None
+) -> str:
     """The section; nothing where no photo has a pose.
 
     The photos are shown as they lie in the scene, not undistorted: the option takes their pixels.
@@ -41,7 +43,8 @@ def measure_section(scene: Path, views: Sequence[DevelopedView], georeference: G
     content = (
         paragraph(_why(georeference))
         + f'<div class="controls"><label>Photo <select id="measure-view">{options}</select></label>'
-        + '<label>Distance <input id="measure-length" type="number" min="0" step="any" value="1"> m</label>'
+        + '<label>Distance <input id="measure-length" type="number" min="0" step="any" value="1"> '
+        "m</label>"
         + '<button id="measure-clear">Clear</button></div>'
         + f'<div id="measure-photos">{photos}</div>'
         + '<p id="measure-option" role="status">Click the two points in the photo.</p>'
@@ -51,11 +54,16 @@ def measure_section(scene: Path, views: Sequence[DevelopedView], georeference: G
 
 def _why(georeference: Georeference | None) -> str:
     how = (
-        "Click two points whose distance you know and type the distance; then run mrgs prepare again with the option "
-        "that appears below. Choose points on clear marks of one firm surface, as far apart as the photo shows."
+        "Click two points whose distance you know and type the distance; then run mrgs prepare "
+        "again with the option "
+        "that appears below. Choose points on clear marks of one firm surface, as far apart as "
+        "the photo shows."
     )
     if georeference is not None and georeference.metric:
-        return f"The scene is in metres already. Should lengths come out wrong: {how[0].lower()}{how[1:]}"
+        return (
+            f"The scene is in metres already. Should lengths come out wrong: "
+            f"{how[0].lower()}{how[1:]}"
+        )
     return f"The scale of the scene is not known. {how}"
 
 
@@ -65,7 +73,14 @@ def _photo(scene: Path, view: DevelopedView) -> str:
     values, _ = decode_rgb(scene / view.rgb)
     height, width = values.shape[:2]
     if width > WIDTH_PX:
-        values, _ = resize(values.contiguous(), None, WIDTH_PX, max(1, round(height * WIDTH_PX / width)))
-    image = picture(Image.fromarray(to_rgb8(values.to(torch.float32))), f"photo {view.name}", quality=75)
+        values, _ = resize(
+            values.contiguous(), None, WIDTH_PX, max(1, round(height * WIDTH_PX / width))
+        )
+    image = picture(
+        Image.fromarray(to_rgb8(values.to(torch.float32))), f"photo {view.name}", quality=75
+    )
     name = escape(view.name)
-    return f'<div class="clickable" data-view="{name}" data-width="{width}" data-height="{height}" hidden>{image}</div>'
+    return (
+        f'<div class="clickable" data-view="{name}" data-width="{width}" '
+        f'data-height="{height}" hidden>{image}</div>'
+    )

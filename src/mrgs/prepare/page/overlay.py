@@ -1,4 +1,5 @@
-"""The thermal image laid over the photo, by the depth of what the photo shows: a misplaced camera is seen at once."""
+"""The thermal image laid over the photo, by the depth of what the photo shows: a misplaced camera
+is seen at once."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ def thermal_on_rgb(
 ) -> Float32[np.ndarray, "h w"] | None:
     """The thermal image as the photo's camera would have taken it; NaN where it shows nothing.
 
-    Each pixel of the photo is carried to the surface between the sparse points, and from there into the thermal image.
-    What one camera sees and something hides from the other is not told apart.
+    Each pixel of the photo is carried to the surface between the sparse points, and from there into
+    the thermal image. What one camera sees and something hides from the other is not told apart.
 
     Args:
         shot: the view.
@@ -42,7 +43,9 @@ def thermal_on_rgb(
         return None
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     depth = _depth(camera, columns, rows, points, visible)
-    world = camera.unproject(torch.from_numpy(np.stack([columns, rows], axis=-1)), torch.from_numpy(depth))
+    world = camera.unproject(
+        torch.from_numpy(np.stack([columns, rows], axis=-1)), torch.from_numpy(depth)
+    )
     pixels, _ = thermal_camera.project(world)
     inside = thermal_camera.contains(pixels).numpy()
     x, y = np.nan_to_num(pixels.numpy()).transpose(2, 0, 1)
@@ -51,7 +54,8 @@ def thermal_on_rgb(
 
 
 def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
-    """The steepest edges of an image as thin lines on nothing (a palette image whose colours differ in opacity)."""
+    """The steepest edges of an image as thin lines on nothing (a palette image whose colours differ
+    in opacity)."""
     known = np.isfinite(values)
     filled = np.where(known, values, np.median(values[known]) if known.any() else 0.0)
     down, right = np.gradient(gaussian_filter(filled.astype(np.float64), _EDGE_BLUR_PX))
@@ -64,7 +68,9 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
         opacity[:] = 0
     layer = Image.fromarray(_levels(opacity))
     layer.putpalette(bytes(EDGE_COLOR) * _EDGE_LEVELS)
-    layer.info["transparency"] = bytes(round(255 * level / (_EDGE_LEVELS - 1)) for level in range(_EDGE_LEVELS))
+    layer.info["transparency"] = bytes(
+        round(255 * level / (_EDGE_LEVELS - 1)) for level in range(_EDGE_LEVELS)
+    )
     return layer
 
 
@@ -73,12 +79,15 @@ def _levels(opacity: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 
 def _inner(known: np.ndarray) -> np.ndarray:
-    """1 where a pixel and its surroundings are known: the border of what is known is no edge of the scene."""
+    """1 where a pixel and its surroundings are known: the border of what is known is no edge of the
+    scene."""
     return gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
 
 
 def _on_ridge(
-    strength: Float[np.ndarray, "h w"], down: Float[np.ndarray, "h w"], right: Float[np.ndarray, "h w"]
+    strength: Float[np.ndarray, "h w"],
+    down: Float[np.ndarray, "h w"],
+    right: Float[np.ndarray, "h w"],
 ) -> np.ndarray:
     """Where the strength is not smaller than that of both neighbours across the edge."""
     across_rows = np.abs(down) > np.abs(right)
@@ -95,7 +104,8 @@ def _depth(
     points: PointCloud,
     visible: Int64[Tensor, " k"] | None,
 ) -> Float[np.ndarray, "h w"]:
-    """How far each pixel's surface is; the points' median depth where they are too few to tell a surface."""
+    """How far each pixel's surface is; the points' median depth where they are too few to tell a
+    surface."""
     positions = points.positions.double().numpy()
     found = inverse_depth(positions, camera, None if visible is None else visible.numpy())
     if found is not None:

@@ -9,22 +9,26 @@ import numpy as np
 from jaxtyping import Float32
 from PIL import Image
 
-from mrgs.evaluation.drawing import Scale, scale_bar
-from mrgs.evaluation.palette import colorize, display_range
+from mrgs.pictures.drawing import Scale, scale_bar
+from mrgs.pictures.palette import colorize, display_range
 from mrgs.prepare.page.markup import picture, section
 from mrgs.prepare.page.overlay import edge_layer
 from mrgs.prepare.page.shots import Shot
 
 THUMBNAIL_PX, SMALL_THUMBNAIL_PX = 320, 240
 LARGE_UP_TO = 60
-"""With more pairs than this the thumbnails are small, and of more than ``MOST_SHOWN`` some are shown."""
+"""With more pairs than this the thumbnails are small, and of more than ``MOST_SHOWN`` some are
+shown."""
 
 MOST_SHOWN = 120
 _BAR_PX = 420
 _HOW = (
-    "Are they of the same moment, and does one lie on the other? The picture at the right is the photo with the "
-    "thermal image carried onto it by the cameras' poses and the distance of what they see. Outlines that miss "
-    "everywhere in one direction mean that the thermal camera is misplaced; small shifts at the borders of near "
+    "Are they of the same moment, and does one lie on the other? The picture at the right is the "
+    "photo with the "
+    "thermal image carried onto it by the cameras' poses and the distance of what they see. "
+    "Outlines that miss "
+    "everywhere in one direction mean that the thermal camera is misplaced; small shifts at the "
+    "borders of near "
     "things do not."
 )
 
@@ -53,14 +57,26 @@ def pairs_section(
     """
     low, high = common_range(shots)
     scale = Scale("inferno", low, high, unit)
-    some = f"<p>{len(shots)} of {total} views are shown, evenly spread.</p>" if len(shots) < total else ""
+    some = (
+        f"<p>{len(shots)} of {total} views are shown, evenly spread.</p>"
+        if len(shots) < total
+        else ""
+    )
     cards = "".join(_card(shot, overlays.get(shot.name), scale) for shot in shots)
-    bar = picture(scale_bar(scale, _BAR_PX, "horizontal"), "scale of the thermal images", kind="bar", png=True)
+    bar = picture(
+        scale_bar(scale, _BAR_PX, "horizontal"), "scale of the thermal images", kind="bar", png=True
+    )
     what = "Temperatures" if unit else "Relative thermal values"
-    legend = f'<div class="legend"><span>{what}</span>{bar}</div>' if any(s.thermal is not None for s in shots) else ""
+    legend = (
+        f'<div class="legend"><span>{what}</span>{bar}</div>'
+        if any(s.thermal is not None for s in shots)
+        else ""
+    )
     controls = _CONTROLS if overlays else ""
     how = f'<p class="note">{escape(_HOW)}</p>' if overlays else ""
-    return section("pairs", "Photos", f'{how}{some}{legend}{controls}<div class="cards">{cards}</div>')
+    return section(
+        "pairs", "Photos", f'{how}{some}{legend}{controls}<div class="cards">{cards}</div>'
+    )
 
 
 _CONTROLS = (
@@ -68,7 +84,8 @@ _CONTROLS = (
     '<button data-mode="edges" aria-pressed="true">Thermal outlines</button>'
     '<button data-mode="checker" aria-pressed="false">Checkerboard</button>'
     '<button data-mode="blend" aria-pressed="false">Blend</button>'
-    '<label>Share of the thermal image <input id="blend" type="range" min="0" max="100" value="50"></label></div>'
+    '<label>Share of the thermal image <input id="blend" type="range" min="0" max="100" '
+    'value="50"></label></div>'
 )
 
 
@@ -77,19 +94,23 @@ def _card(shot: Shot, overlay: Float32[np.ndarray, "h w"] | None, scale: Scale) 
     kind = "card" if shot.registered else "card failed"
     pictures = ""
     if shot.rgb is not None:
-        pictures += picture(Image.fromarray(shot.rgb), f"photo {shot.name}", kind="photo", quality=78)
+        pictures += picture(
+            Image.fromarray(shot.rgb), f"photo {shot.name}", kind="photo", quality=78
+        )
     if shot.thermal is not None:
         pictures += picture(_colored(shot.thermal, scale), f"thermal image {shot.name}", quality=78)
     if overlay is not None:
         pictures += (
-            '<div class="stack" role="img" aria-label="thermal image over the photo"><img class="base" alt="">'
+            '<div class="stack" role="img" aria-label="thermal image over the photo"><img '
+            'class="base" alt="">'
             + picture(_colored(overlay, scale), "", kind="warped", quality=72)
             + picture(edge_layer(overlay), "", kind="edges", png=True)
             + "</div>"
         )
     caption = f"<strong>{escape(shot.name)}</strong> <span>{escape(shot.status)}</span>"
-    return f'<figure class="{kind}" data-view="{escape(shot.name)}"><figcaption>{caption}</figcaption>' + (
-        f'<div class="images">{pictures}</div></figure>' if pictures else "</figure>"
+    return (
+        f'<figure class="{kind}" data-view="{escape(shot.name)}"><figcaption>{caption}</figcaption>'
+        + (f'<div class="images">{pictures}</div></figure>' if pictures else "</figure>")
     )
 
 

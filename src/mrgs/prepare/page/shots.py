@@ -15,7 +15,7 @@ from mrgs.data.posed import decode_rgb
 from mrgs.data.thermal import LUMINANCE
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
-from mrgs.evaluation.pictures import to_rgb8
+from mrgs.pictures.files import to_rgb8
 from mrgs.prepare.contract import DevelopedView
 from mrgs.scene import Camera, Pixels, TemperatureRange, View
 
@@ -26,11 +26,13 @@ class Shot:
 
     Attributes:
         name: the view's.
-        status: its part in the scene: "training" or "held out"; or why it has none, half a sentence.
+        status: its part in the scene: "training" or "held out"; or why it has none, half a
+            sentence.
         registered: whether it has a pose.
         rgb: None for a view without a colour image.
         rgb_camera: of ``rgb``; None without a pose.
-        thermal: °C, or normalised values where °C are not known; NaN where not valid; None without a thermal image.
+        thermal: °C, or normalised values where °C are not known; NaN where not valid; None without
+            a thermal image.
         thermal_camera: of ``thermal``; None without a pose.
     """
 
@@ -62,22 +64,28 @@ def shot_of_pixels(
     rgb: Pixels | None,
     thermal: Pixels | None,
 ) -> Shot:
-    """The same from images that have been read; None for an image that is not there or could not be read."""
+    """The same from images that have been read; None for an image that is not there or could not be
+    read."""
     return Shot(
         name=view.name,
         status=status,
         registered=True,
         rgb=None if rgb is None else to_rgb8(_reduced(rgb.values, None, width)[0]),
         rgb_camera=None if rgb is None or view.rgb is None else _camera(view.rgb.camera, width),
-        thermal=None if thermal is None else _temperatures(thermal.values, thermal.valid, temperature, width),
-        thermal_camera=None if thermal is None or view.thermal is None else _camera(view.thermal.camera, width),
+        thermal=None
+        if thermal is None
+        else _temperatures(thermal.values, thermal.valid, temperature, width),
+        thermal_camera=None
+        if thermal is None or view.thermal is None
+        else _camera(view.thermal.camera, width),
     )
 
 
 def shot_of_files(
     scene: Path, view: DevelopedView, status: str, temperature: TemperatureRange | None, width: int
 ) -> Shot:
-    """The shot of a view without a pose, from its files as they are. An image that cannot be read is left out."""
+    """The shot of a view without a pose, from its files as they are. An image that cannot be read
+    is left out."""
     rgb = thermal = None
     try:
         if view.rgb is not None:
@@ -85,7 +93,9 @@ def shot_of_files(
             rgb = to_rgb8(_reduced(values, None, width)[0])
         decoded = decode(scene / view.thermal)
         values = decoded.values if decoded.kind != "colour" else decoded.values @ LUMINANCE[:, None]
-        thermal = _temperatures(values, decoded.valid, None if decoded.kind == "float" else temperature, width)
+        thermal = _temperatures(
+            values, decoded.valid, None if decoded.kind == "float" else temperature, width
+        )
     except SceneError as error:
         status = f"{status}; {error}"
     return Shot(view.name, status, False, rgb, None, thermal, None)

@@ -1,4 +1,5 @@
-"""The section on the temperatures: their histogram, each photo's span, and what the files say of them."""
+"""The section on the temperatures: their histogram, each photo's span, and what the files say of
+them."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mrgs.evaluation.palette import display_range
+from mrgs.pictures.palette import display_range
 from mrgs.prepare.page.charts import Span, histogram, span_chart
 from mrgs.prepare.page.markup import bullets, fact_table, figure, paragraph, section
 from mrgs.prepare.page.shots import Shot
@@ -44,7 +45,8 @@ def temperatures_section(
         + figure(bars, f"All photos: how many pixels have which {what}.")
         + figure(
             span_chart(spans, low, high, unit),
-            "Each photo: the line runs from its lowest to its highest value, the bar holds nine tenths of its pixels. "
+            "Each photo: the line runs from its lowest to its highest value, the bar holds nine "
+            "tenths of its pixels. "
             "Neighbours that see the same things should reach about as far.",
         )
         + (paragraph("What the thermal files say:") + bullets(said(notes)) if notes else "")

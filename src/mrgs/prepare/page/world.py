@@ -1,4 +1,5 @@
-"""Where the cameras stand and what they see: what the page's 3D view needs, and two drawings for print."""
+"""Where the cameras stand and what they see: what the page's 3D view needs, and two drawings for
+print."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ class World:
     """Cameras and points in axes for drawing.
 
     Attributes:
-        cameras: by the view's name, in order; the RGB camera, or the thermal one where there is no other.
+        cameras: by the view's name, in order; the RGB camera, or the thermal one where there is no
+            other.
         held_out: names of the views that are not trained on.
         points: [N, 3], in scene units.
         colors: RGB in [0, 1], [N, 3].
@@ -48,17 +50,29 @@ class World:
 
 
 def world_of(
-    cameras: Mapping[str, Camera], held_out: frozenset[str], points: PointCloud, metric: bool, north: bool
+    cameras: Mapping[str, Camera],
+    held_out: frozenset[str],
+    points: PointCloud,
+    metric: bool,
+    north: bool,
 ) -> World:
     """The world; without north, up is where the cameras' upper edges point on average."""
     up = np.array([0.0, 0.0, 1.0])
     if not north and cameras:
-        mean = -torch.stack([camera.viewmat[1, :3] for camera in cameras.values()]).mean(dim=0).numpy()
+        mean = (
+            -torch.stack([camera.viewmat[1, :3] for camera in cameras.values()]).mean(dim=0).numpy()
+        )
         first = -next(iter(cameras.values())).viewmat[1, :3].numpy()
         up = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-6 else first
     shown = spread(len(points.positions), MOST_POINTS)
     return World(
-        cameras, held_out, points.positions[shown].numpy(), points.colors[shown].clamp(0, 1).numpy(), up, metric, north
+        cameras,
+        held_out,
+        points.positions[shown].numpy(),
+        points.colors[shown].clamp(0, 1).numpy(),
+        up,
+        metric,
+        north,
     )
 
 
@@ -71,7 +85,10 @@ def orbit_facts(world: World) -> dict[str, Any]:
     quantised = np.rint((world.points - corner) / step)
     inside = ((quantised >= 0) & (quantised <= 65535)).all(axis=1)
     return {
-        "cameras": [_camera_facts(name, camera, name in world.held_out) for name, camera in world.cameras.items()],
+        "cameras": [
+            _camera_facts(name, camera, name in world.held_out)
+            for name, camera in world.cameras.items()
+        ],
         "points": _base64(quantised[inside].astype("<u2")),
         "colors": _base64(np.rint(world.colors[inside] * 255).astype(np.uint8)),
         "low": _rounded(corner),
@@ -100,7 +117,8 @@ def _slopes(camera: Camera) -> Float[np.ndarray, "2"]:
 
 
 def frustum_size(positions: Float[np.ndarray, "n 3"], size: float) -> float:
-    """How deep cameras are drawn: so that neighbours hardly touch, and visible in a scene of this size."""
+    """How deep cameras are drawn: so that neighbours hardly touch, and visible in a scene of this
+    size."""
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(distances, np.inf)
     nearest = np.median(distances.min(axis=1)) if len(positions) > 1 else np.inf
@@ -115,7 +133,8 @@ def plans(world: World) -> list[tuple[str, str]]:
 
 
 def _horizontal_axes(world: World) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """East and north; where these are not known, so that the cameras look up in the drawing on average."""
+    """East and north; where these are not known, so that the cameras look up in the drawing on
+    average."""
     if world.north:
         return np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     directions = np.stack([camera.forward.numpy() for camera in world.cameras.values()])
@@ -146,7 +165,8 @@ def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray
         outline = _outline(apex, _cone(camera, length) @ axes.T * scale)
         cameras.append(f'<g><title>{escape(name)}</title><path d="{outline}" class="{kind}"/></g>')
     return (
-        f'<svg class="plan" viewBox="0 0 {_PLAN_PX} {_PLAN_PX}" role="img" aria-label="cameras and points">'
+        f'<svg class="plan" viewBox="0 0 {_PLAN_PX} {_PLAN_PX}" role="img" aria-label="cameras '
+        f'and points">'
         f"{dots}{''.join(cameras)}{_scale_bar(world, scale)}</svg>"
     )
 
@@ -173,7 +193,8 @@ def _dots(pixels: Float[np.ndarray, "n 2"], colors: Float[np.ndarray, "n 3"]) ->
     for (x, y), level in zip(pixels[inside], levels[inside], strict=True):
         by_color.setdefault(tuple(level.tolist()), []).append(f"M{x:.0f} {y:.0f}h0")
     return "".join(
-        f'<path class="dot" stroke="#{"".join(f"{40 * value:02x}" for value in level)}" d="{"".join(dots)}"/>'
+        f'<path class="dot" stroke="#{"".join(f"{40 * value:02x}" for value in level)}" '
+        f'd="{"".join(dots)}"/>'
         for level, dots in by_color.items()
     )
 
@@ -182,8 +203,15 @@ def _scale_bar(world: World, scale: float) -> str:
     """A round length, with its unit where that is known."""
     length = round_length(_BAR_SHARE * _PLAN_PX / scale)
     x, y = 14, _PLAN_PX - 14
-    label = f"{length:g} m" if world.metric else f"{length:g} unit{'' if length == 1 else 's'}, scale not known"
-    return f'<path d="M{x} {y - 5}v5h{length * scale:.1f}v-5" class="ruler"/><text x="{x}" y="{y - 10}">{label}</text>'
+    label = (
+        f"{length:g} m"
+        if world.metric
+        else f"{length:g} unit{'' if length == 1 else 's'}, scale not known"
+    )
+    return (
+        f'<path d="M{x} {y - 5}v5h{length * scale:.1f}v-5" class="ruler"/><text x="{x}" '
+        f'y="{y - 10}">{label}</text>'
+    )
 
 
 def round_length(most: float) -> float:
@@ -192,7 +220,9 @@ def round_length(most: float) -> float:
     return float(max(factor * power for factor in (1, 2, 5) if factor * power <= most * (1 + 1e-9)))
 
 
-def _box(world: World, positions: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def _box(
+    world: World, positions: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """The box of the cameras and of nearly all points."""
     low, high = positions.min(axis=0), positions.max(axis=0)
     if len(world.points):

@@ -1,4 +1,5 @@
-"""One camera for all RGB photos and one for all thermal photos: what else there is cannot be one scene."""
+"""One camera for all RGB photos and one for all thermal photos: what else there is cannot be one
+scene."""
 
 from __future__ import annotations
 
@@ -21,7 +22,11 @@ def check_cameras(couples: Sequence[Couple], stock: Inventory) -> tuple[str, ...
     """
     rgb = [couple.rgb for couple in couples if couple.rgb is not None]
     thermal = [couple.thermal for couple in couples]
-    if rgb and (inside := next((couple.thermal for couple in couples if couple.rgb is None), None)) is not None:
+    if (
+        rgb
+        and (inside := next((couple.thermal for couple in couples if couple.rgb is None), None))
+        is not None
+    ):
         raise scene_error(
             stock.root,
             f"the RGB photos are of different cameras: that of {stock.name(inside)} lies inside, "
@@ -33,7 +38,9 @@ def check_cameras(couples: Sequence[Couple], stock: Inventory) -> tuple[str, ...
     return _zoomed(rgb)
 
 
-def _check_alike(what: str, photos: Sequence[Photo], attribute: Callable[[Photo], Hashable], stock: Inventory) -> None:
+def _check_alike(
+    what: str, photos: Sequence[Photo], attribute: Callable[[Photo], Hashable], stock: Inventory
+) -> None:
     groups: dict[Hashable, list[Photo]] = {}
     for photo in photos:
         if (value := attribute(photo)) is not None:
@@ -43,8 +50,10 @@ def _check_alike(what: str, photos: Sequence[Photo], attribute: Callable[[Photo]
     most, other = sorted(groups.values(), key=len, reverse=True)[:2]
     raise scene_error(
         stock.root,
-        f"the {what} photos are of {len(groups)} cameras or sizes: {len(most)} of {_described(most[0], stock)}, and "
-        f"{len(other)} of {_described(other[0], stock)}; prepare them apart, each with its own folder of photos",
+        f"the {what} photos are of {len(groups)} cameras or sizes: {len(most)} of "
+        f"{_described(most[0], stock)}, and "
+        f"{len(other)} of {_described(other[0], stock)}; prepare them apart, each with its own "
+        f"folder of photos",
     )
 
 
@@ -58,6 +67,7 @@ def _zoomed(photos: Sequence[Photo]) -> tuple[str, ...]:
     if not focal_mm or max(focal_mm) <= _ZOOM * min(focal_mm):
         return ()
     return (
-        f"The RGB photos were taken with focal lengths of {min(focal_mm):g} mm to {max(focal_mm):g} mm, yet one "
+        f"The RGB photos were taken with focal lengths of {min(focal_mm):g} mm to "
+        f"{max(focal_mm):g} mm, yet one "
         "lens is assumed for all: leave out those that were zoomed.",
     )

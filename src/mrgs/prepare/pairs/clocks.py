@@ -40,8 +40,11 @@ class ClockOffset:
     rival_s: float | None = None
 
 
-def match_times(rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s: float) -> list[tuple[int, int]]:
-    """Pairs of indices, at most ``tolerance_s`` seconds apart: as many as can be, and then the nearest.
+def match_times(
+    rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s: float
+) -> list[tuple[int, int]]:
+    """Pairs of indices, at most ``tolerance_s`` seconds apart: as many as can be, and then the
+    nearest.
 
     Args:
         rgb_s: times, ascending.
@@ -63,9 +66,15 @@ def _clusters(
     if len(rgb) == 0 or len(thermal) == 0:
         return []
     starts = times[1:][np.diff(times) > tolerance_s]
-    of_rgb, of_thermal = np.searchsorted(starts, rgb, "right"), np.searchsorted(starts, thermal, "right")
+    of_rgb, of_thermal = (
+        np.searchsorted(starts, rgb, "right"),
+        np.searchsorted(starts, thermal, "right"),
+    )
     both = np.intersect1d(of_rgb, of_thermal)
-    return [(np.flatnonzero(of_rgb == cluster), np.flatnonzero(of_thermal == cluster)) for cluster in both]
+    return [
+        (np.flatnonzero(of_rgb == cluster), np.flatnonzero(of_thermal == cluster))
+        for cluster in both
+    ]
 
 
 def _assign(
@@ -82,11 +91,16 @@ def _assign(
     cost = (apart + ranks) ** 2
     forbidden = (1 + cost[near].max(initial=0.0)) * (1 + min(cost.shape))
     rows, columns = linear_sum_assignment(np.where(near, cost, forbidden))
-    return [(int(first[i]), int(second[j])) for i, j in zip(rows, columns, strict=True) if near[i, j]]
+    return [
+        (int(first[i]), int(second[j])) for i, j in zip(rows, columns, strict=True) if near[i, j]
+    ]
 
 
-def clock_offset(rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s: float) -> ClockOffset:
-    """The offset of the clocks with which most photos find a partner: none, where that is nearly as good.
+def clock_offset(
+    rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s: float
+) -> ClockOffset:
+    """The offset of the clocks with which most photos find a partner: none, where that is nearly as
+    good.
 
     Args:
         rgb_s: times by the RGB camera's clock, ascending.
@@ -100,7 +114,10 @@ def clock_offset(rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s
         return in_step
     window_s = max(tolerance_s, 0.5)
     tried = _frequent_differences(rgb, thermal, window_s)
-    found = sorted((ClockOffset(s, _count(rgb - s, thermal, tolerance_s)) for s in tried), key=lambda one: -one.pairs)
+    found = sorted(
+        (ClockOffset(s, _count(rgb - s, thermal, tolerance_s)) for s in tried),
+        key=lambda one: -one.pairs,
+    )
     best = found[0]
     if best.pairs < max(_FEWEST, smaller / 2) or in_step.pairs >= _NEARLY * best.pairs:
         return in_step
@@ -112,7 +129,8 @@ def clock_offset(rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s
 def _frequent_differences(
     rgb: Float64[np.ndarray, " r"], thermal: Float64[np.ndarray, " t"], window_s: float
 ) -> list[float]:
-    """The centres of the windows that hold most of the differences of all RGB times to all thermal times."""
+    """The centres of the windows that hold most of the differences of all RGB times to all thermal
+    times."""
     differences = np.sort((rgb[:, None] - thermal).ravel())
     ends = np.searchsorted(differences, differences + window_s, "right")
     counts = ends - np.arange(len(differences))
@@ -126,7 +144,9 @@ def _frequent_differences(
     return centres
 
 
-def _count(rgb: Float64[np.ndarray, " r"], thermal: Float64[np.ndarray, " t"], tolerance_s: float) -> int:
+def _count(
+    rgb: Float64[np.ndarray, " r"], thermal: Float64[np.ndarray, " t"], tolerance_s: float
+) -> int:
     """How many pairs there can be: with sorted times, taking the first that fits is best."""
     i = j = pairs = 0
     while i < len(rgb) and j < len(thermal):

@@ -48,21 +48,32 @@ def take_stock(root: Path) -> Inventory:
     photos, left_out = [], []
     for path in sorted(_files(root), key=lambda path: natural(path.relative_to(root).as_posix())):
         relative = PurePosixPath(path.relative_to(root))
-        found = "is a link to a folder, which is not followed" if path.is_dir() else inspect(path, relative)
+        found = (
+            "is a link to a folder, which is not followed"
+            if path.is_dir()
+            else inspect(path, relative)
+        )
         if isinstance(found, str):
             left_out.append(LeftOut(below(root, path), found))
         else:
             photos.append(found)
     if not photos:
-        what = f"none of its {len(left_out)} files is a photo that can be read" if left_out else "holds no photos"
+        what = (
+            f"none of its {len(left_out)} files is a photo that can be read"
+            if left_out
+            else "holds no photos"
+        )
         first = f", such as {left_out[0].name}, which {left_out[0].reason}" if left_out else ""
-        raise scene_error(root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files")
+        raise scene_error(
+            root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files"
+        )
     kept, replaced = _one_file_per_shot(root, photos)
     return Inventory(root, tuple(kept), tuple(left_out + replaced))
 
 
 def _files(root: Path) -> Iterator[Path]:
-    """All files, and links to folders; hidden ones, such as those that macOS leaves on cards, are no one's photos."""
+    """All files, and links to folders; hidden ones, such as those that macOS leaves on cards, are
+    no one's photos."""
     for parent, folders, names in os.walk(root, onerror=_raise):
         folders[:] = [name for name in folders if not name.startswith(".")]
         linked = [name for name in folders if os.path.islink(os.path.join(parent, name))]
@@ -72,14 +83,16 @@ def _files(root: Path) -> Iterator[Path]:
 
 
 def _raise(error: OSError) -> None:
-    raise scene_error(error.filename, f"cannot be read ({error.strerror}); give a folder that is readable") from None
+    raise scene_error(
+        error.filename, f"cannot be read ({error.strerror}); give a folder that is readable"
+    ) from None
 
 
 def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[LeftOut]]:
     """Of files that hold the same thermal photo, the best; the others are left out.
 
-    Files of one stem in one folder are the same shot, and so are a DJI R-JPEG and the one file of that stem elsewhere
-    that it was converted to.
+    Files of one stem in one folder are the same shot, and so are a DJI R-JPEG and the one file of
+    that stem elsewhere that it was converted to.
     """
     by_stem: dict[str, list[Photo]] = {}
     for photo in photos:
@@ -88,7 +101,11 @@ def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], li
     for group in by_stem.values():
         finished = [photo for photo in group if photo.kind in ("numbers", "table")]
         for photo in group:
-            beside = [other for other in group if other.path.parent == photo.path.parent and _same(photo, other)]
+            beside = [
+                other
+                for other in group
+                if other.path.parent == photo.path.parent and _same(photo, other)
+            ]
             best[photo] = min([photo, *beside], key=lambda one: PREFERENCE.index(one.kind))
             if best[photo].kind == "dji" and len(finished) == 1:
                 best[photo] = finished[0]
@@ -106,5 +123,6 @@ def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], li
 
 
 def _same(photo: Photo, other: Photo) -> bool:
-    """Whether both can show the same thermal shot: a photo in visible light may share its stem with a thermal TIFF."""
+    """Whether both can show the same thermal shot: a photo in visible light may share its stem with
+    a thermal TIFF."""
     return photo.is_thermal and other.is_thermal

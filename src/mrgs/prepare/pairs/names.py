@@ -14,9 +14,32 @@ from typing import Literal
 
 Role = Literal["rgb", "thermal"]
 
-_THERMAL = {"thermal", "therm", "thrm", "thermo", "thermogram", "thermograms", "thermography", "radiometric"}
+_THERMAL = {
+    "thermal",
+    "therm",
+    "thrm",
+    "thermo",
+    "thermogram",
+    "thermograms",
+    "thermography",
+    "radiometric",
+}
 _THERMAL |= {"ir", "irx", "tir", "lwir", "infrared", "temperature", "temperatures", "celsius", "8b"}
-_RGB = {"rgb", "vis", "visible", "visual", "color", "colour", "dc", "eo", "wide", "zoom", "scrn", "max", "optical"}
+_RGB = {
+    "rgb",
+    "vis",
+    "visible",
+    "visual",
+    "color",
+    "colour",
+    "dc",
+    "eo",
+    "wide",
+    "zoom",
+    "scrn",
+    "max",
+    "optical",
+}
 _RGB_FOLDER = {"image", "images", "photo", "photos"}
 """Names of folders that are RGB's only if nothing in them says thermal."""
 
@@ -24,16 +47,26 @@ _LETTERS: dict[str, Role] = {"t": "thermal", "w": "rgb", "v": "rgb", "z": "rgb",
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
 
 RGB_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
-"""Of several RGB photos of one shot the one whose mark comes first is taken; a wide view covers the thermal one."""
+"""Of several RGB photos of one shot the one whose mark comes first is taken; a wide view covers the
+thermal one."""
 
-_LAST_LETTER = re.compile(r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE)
-"""After a number any of these letters; after a word only the T: ``house_w`` may well be the west side."""
+_LAST_LETTER = re.compile(
+    r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
+)
+"""After a number any of these letters; after a word only the T: ``house_w`` may well be the west
+side."""
 
 _LAST_R = re.compile(r"(?<=\d)[_\-]r$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
-_RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
+_RESERVED = {
+    "con",
+    "prn",
+    "aux",
+    "nul",
+    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
+}
 _LONGEST_NAME = 100
 
 
@@ -55,7 +88,8 @@ class StemFacts:
 
 
 def composed(text: str) -> str:
-    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters, where other systems write one."""
+    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters, where other
+    systems write one."""
     return unicodedata.normalize("NFC", text)
 
 
@@ -69,12 +103,15 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
 
     Args:
         stem: of a file's name.
-        radiometric: whether the file is thermal by content: then an ``_R`` at the end says so, too (FLIR Duo, DJI XT2).
+        radiometric: whether the file is thermal by content: then an ``_R`` at the end says so, too
+            (FLIR Duo, DJI XT2).
     """
     if radiometric and (found := _LAST_R.search(stem)):
         return StemFacts(stem[: found.start()], "thermal", "r")
     if (found := _STAMPED.fullmatch(stem)) and (role := _role_of_word(found[4])) is not None:
-        return StemFacts(_joined(found[1], found[3], found[5] or ""), role, found[4].lower(), _moment(found[2]))
+        return StemFacts(
+            _joined(found[1], found[3], found[5] or ""), role, found[4].lower(), _moment(found[2])
+        )
     if found := _LAST_LETTER.search(stem):
         mark = (found["camera"] or found["thermal"]).lower()
         return StemFacts(stem[: found.start()], _LETTERS[mark], mark)
@@ -127,7 +164,8 @@ def folder_role(folders: Sequence[str]) -> tuple[Role | None, tuple[str, ...]]:
         words = {word.lower() for word in re.findall(r"[A-Za-z]+|[0-9]+", folders[index])}
         thermal, rgb = bool(words & _THERMAL), bool(words & _RGB)
         if not thermal and not rgb:
-            # FLIR's cameras put all their photos into 100_FLIR; a folder of that name alone was made by the user.
+            # FLIR's cameras put all their photos into 100_FLIR; a folder of that name alone was
+            # made by the user.
             thermal, rgb = words == {"flir"}, bool(words & _RGB_FOLDER)
         if thermal != rgb:
             return ("thermal" if thermal else "rgb"), (*folders[:index], *folders[index + 1 :])
@@ -137,12 +175,15 @@ def folder_role(folders: Sequence[str]) -> tuple[Role | None, tuple[str, ...]]:
 def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
     """A key to sort by: numbers by their value, letters without their case."""
     parts = [part for part in re.split(r"([0-9]+)", text) if part]
-    key = [(0, int(part), "") if part[0] in "0123456789" else (1, 0, part.casefold()) for part in parts]
+    key = [
+        (0, int(part), "") if part[0] in "0123456789" else (1, 0, part.casefold()) for part in parts
+    ]
     return key, text
 
 
 def view_names(shots: Sequence[PurePosixPath]) -> list[str]:
-    """Names of views: short, unique even where upper and lower case are one, and valid files' stems on every system.
+    """Names of views: short, unique even where upper and lower case are one, and valid files' stems
+    on every system.
 
     The folders are part of a name only where two shots would be called the same.
     """

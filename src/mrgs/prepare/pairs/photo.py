@@ -1,4 +1,5 @@
-"""One file of a folder of photos, as far as its header tells: what it shows, which camera took it, and when."""
+"""One file of a folder of photos, as far as its header tells: what it shows, which camera took it,
+and when."""
 
 from __future__ import annotations
 
@@ -17,8 +18,9 @@ from mrgs.data.radiometric.read import MAX_BYTES
 from mrgs.errors import SceneError
 
 Kind = Literal["signal", "numbers", "table", "image", "dji"]
-"""A FLIR photo with the camera's raw signal; temperatures in an image file or in DJI's bare numbers; a table of
-temperatures; any other image; a DJI R-JPEG. In this order one is preferred where several show the same."""
+"""A FLIR photo with the camera's raw signal; temperatures in an image file or in DJI's bare
+numbers; a table of temperatures; any other image; a DJI R-JPEG. In this order one is preferred
+where several show the same."""
 
 PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image", "dji")
 
@@ -28,7 +30,8 @@ _HEAD_BYTES = 2**20
 _RASTERS = (jpeg.SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TABLES = {".csv", ".txt", ".tsv"}
 _TABLE_COLUMNS = 8
-"""A text with a line of at least so many cells may be a table of temperatures; one with fewer is not."""
+"""A text with a line of at least so many cells may be a table of temperatures; one with fewer is
+not."""
 
 _UNREAD = {
     ".heic",
@@ -55,8 +58,8 @@ class Photo:
 
     Attributes:
         path: the file.
-        shot: path of the photo as the camera took it, without the extension, relative to the folder of photos; where a
-            file was converted from another, that one's.
+        shot: path of the photo as the camera took it, without the extension, relative to the folder
+            of photos; where a file was converted from another, that one's.
         kind: what it holds.
         size: width and height in pixels; None where the header does not tell.
         embedded: whether a photo in visible light lies inside.
@@ -105,7 +108,9 @@ def _inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         return _raster(path, shot, read_bytes(path, MAX_BYTES))
     if suffix in _TABLES and _is_wide(start):
         return Photo(path, shot, "table")
-    if suffix == ".raw" and path.stat().st_size in {width * height * n for width, height in dji.SIZES for n in (2, 4)}:
+    if suffix == ".raw" and path.stat().st_size in {
+        width * height * n for width, height in dji.SIZES for n in (2, 4)
+    }:
         return Photo(path, shot, "numbers")
     if suffix in _UNREAD:
         return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
@@ -117,11 +122,14 @@ def _start(path: Path, count: int) -> bytes:
         with path.open("rb") as file:
             return file.read(count)
     except OSError as error:
-        raise SceneError(f"cannot be read ({error.strerror}); check that it is there and readable") from None
+        raise SceneError(
+            f"cannot be read ({error.strerror}); check that it is there and readable"
+        ) from None
 
 
 def _jpeg(path: Path, shot: PurePosixPath, start: bytes) -> Photo | str:
-    """A JPEG: only a thermal record, or an unusually long header, makes it worth reading the whole file."""
+    """A JPEG: only a thermal record, or an unusually long header, makes it worth reading the whole
+    file."""
     if jpeg.FLIR in start:
         data = read_bytes(path, MAX_BYTES)
         record = jpeg.flir_record(data, path)
@@ -138,7 +146,9 @@ def _jpeg(path: Path, shot: PurePosixPath, start: bytes) -> Photo | str:
 def _raster(path: Path, shot: PurePosixPath, data: bytes) -> Photo | str:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged tags; the photo's pixels are judged when they are read
+            warnings.simplefilter(
+                "ignore"
+            )  # of damaged tags; the photo's pixels are judged when they are read
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 size, mode = image.size, image.mode
                 focal_mm = _focal_mm(image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_LENGTH))
@@ -161,6 +171,8 @@ def _focal_mm(value: object) -> float | None:
 
 
 def _is_wide(start: bytes) -> bool:
-    text = start.decode("utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1", errors="replace")
+    text = start.decode(
+        "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1", errors="replace"
+    )
     lines = text.splitlines()[:100]
     return any(line.count(separator) >= _TABLE_COLUMNS for line in lines for separator in ";\t,")

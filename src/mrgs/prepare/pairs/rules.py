@@ -11,18 +11,29 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from mrgs.prepare.pairs.clocks import ClockOffset, clock_offset, match_times
-from mrgs.prepare.pairs.names import RGB_MARKS, Role, composed, folder_role, natural, printable, read_stem
+from mrgs.prepare.pairs.names import (
+    RGB_MARKS,
+    Role,
+    composed,
+    folder_role,
+    natural,
+    printable,
+    read_stem,
+)
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo
 
 _NEIGHBOUR_S = 10.0
-"""Photos with neighbouring numbers that were taken farther apart in time, seconds, do not belong together."""
+"""Photos with neighbouring numbers that were taken farther apart in time, seconds, do not belong
+together."""
 
 NEARLY = 0.9
-"""A better camera is taken even if another one has a few photos more: down to this share of the most."""
+"""A better camera is taken even if another one has a few photos more: down to this share of the
+most."""
 
 
 class Couple(NamedTuple):
-    """A thermal photo, and the RGB photo of the same moment: a file, or inside the thermal photo's, or none."""
+    """A thermal photo, and the RGB photo of the same moment: a file, or inside the thermal photo's,
+    or none."""
 
     rgb: Photo | None
     thermal: Photo
@@ -74,7 +85,8 @@ def shot_by_folder(photo: Photo, root_name: str) -> Shot:
 
 
 def roles(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
-    """All RGB and all thermal photos: by content, else by the folder, else by the name; what is left is RGB."""
+    """All RGB and all thermal photos: by content, else by the folder, else by the name; what is
+    left is RGB."""
     rgb: list[Photo] = []
     thermal: list[Photo] = []
     for photo in photos:
@@ -89,12 +101,22 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     if not couples:
         return None
     rgb, thermal, _ = couples[0]
-    example = "" if rgb is None else f", such as {printable(rgb.path.name)} and {printable(thermal.path.name)}"
-    return Match(couples, f"The names of a pair differ only in the camera's mark{example}.", "of its name", reasons)
+    example = (
+        ""
+        if rgb is None
+        else f", such as {printable(rgb.path.name)} and {printable(thermal.path.name)}"
+    )
+    return Match(
+        couples,
+        f"The names of a pair differ only in the camera's mark{example}.",
+        "of its name",
+        reasons,
+    )
 
 
 def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
-    """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or else unique."""
+    """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
+    else unique."""
     shots = [shot_by_folder(photo, root_name) for photo in photos]
     couples, reasons = _by_keys(shots, tolerance_s)
     done = {*reasons, *(photo for couple in couples for photo in couple[:2])}
@@ -108,7 +130,12 @@ def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> M
     if not couples and not more:
         return None
     couples = tuple(sorted([*couples, *more], key=lambda couple: natural(str(couple.thermal.shot))))
-    return Match(couples, "A pair has the same name in the folders of the two cameras.", "of its name", reasons)
+    return Match(
+        couples,
+        "A pair has the same name in the folders of the two cameras.",
+        "of its name",
+        reasons,
+    )
 
 
 def _unique(shots: Sequence[Shot]) -> list[Shot]:
@@ -117,7 +144,9 @@ def _unique(shots: Sequence[Shot]) -> list[Shot]:
     return [shot for shot in shots if counts[shot.role == "thermal", shot.key] == 1]
 
 
-def _by_keys(shots: Sequence[Shot], tolerance_s: float) -> tuple[tuple[Couple, ...], dict[Photo, str]]:
+def _by_keys(
+    shots: Sequence[Shot], tolerance_s: float
+) -> tuple[tuple[Couple, ...], dict[Photo, str]]:
     """Photos of equal keys; where the names hold times, they are compared, too."""
     thermal = _grouped(shot for shot in shots if shot.role == "thermal")
     others = _grouped(shot for shot in shots if shot.role != "thermal")
@@ -141,8 +170,11 @@ def _grouped(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
 
 
 def _best_mark(rgb: Mapping[str, Sequence[Shot]], keys: Collection[str]) -> str:
-    """The mark of the RGB photos to be used, for one camera has one lens: the first of those that nearly all have."""
-    counts = Counter(mark for key in rgb if key in keys for mark in {shot.mark for shot in rgb[key]})
+    """The mark of the RGB photos to be used, for one camera has one lens: the first of those that
+    nearly all have."""
+    counts = Counter(
+        mark for key in rgb if key in keys for mark in {shot.mark for shot in rgb[key]}
+    )
     order = {mark: index for index, mark in enumerate(RGB_MARKS)}
     enough = NEARLY * max(counts.values(), default=0)
     frequent = sorted(mark for mark in counts if counts[mark] >= enough)
@@ -161,7 +193,9 @@ def _within_key(rgb: Sequence[Shot], thermal: Sequence[Shot], tolerance_s: float
 
 
 def _by_moment(shots: Sequence[Shot]) -> list[list[Shot]]:
-    moments = {shot.moment: [other for other in shots if other.moment == shot.moment] for shot in shots}
+    moments = {
+        shot.moment: [other for other in shots if other.moment == shot.moment] for shot in shots
+    }
     return [*moments.values()]
 
 
@@ -175,12 +209,15 @@ def _instead(shots: Sequence[Shot], used: Sequence[Photo | None]) -> dict[Photo,
     if len(used) != 1 or used[0] is None:
         return {}
     return {
-        shot.photo: f"{printable(used[0].path.name)} is used instead" for shot in shots if shot.photo is not used[0]
+        shot.photo: f"{printable(used[0].path.name)} is used instead"
+        for shot in shots
+        if shot.photo is not used[0]
     }
 
 
 def by_numbers(photos: Sequence[Photo]) -> Match | None:
-    """FLIR's ``IR_0001`` and ``DC_0002``: the photo in visible light is the next file, or the one before."""
+    """FLIR's ``IR_0001`` and ``DC_0002``: the photo in visible light is the next file, or the one
+    before."""
     shots = [shot_by_name(photo) for photo in photos]
     thermal = _grouped(shot for shot in shots if shot.role == "thermal")
     rgb = _grouped(shot for shot in shots if shot.role != "thermal")
@@ -190,7 +227,8 @@ def by_numbers(photos: Sequence[Photo]) -> Match | None:
         couples = [
             Couple(rgb[other][0].photo, _best(group).photo)
             for key, group in thermal.items()
-            if (other := _neighbour(key, step)) in rgb and _near(rgb[other][0].photo, _best(group).photo)
+            if (other := _neighbour(key, step)) in rgb
+            and _near(rgb[other][0].photo, _best(group).photo)
         ]
         if len(couples) > len(best):
             best, word = couples, name
@@ -202,7 +240,8 @@ def by_numbers(photos: Sequence[Photo]) -> Match | None:
 
 
 def _neighbour(key: str, step: int) -> str:
-    """The key with the number at its end changed by ``step``, as wide as before; empty if there is none."""
+    """The key with the number at its end changed by ``step``, as wide as before; empty if there is
+    none."""
     found = re.fullmatch(r"(.*?)([0-9]+)", key, re.DOTALL)
     number = -1 if found is None else int(found[2]) + step
     return "" if found is None or number < 0 else f"{found[1]}{number:0{len(found[2])}d}"
@@ -232,15 +271,20 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
     if not rgb or not thermal:
         return None
     start = min(_taken(photo) for photo in [*rgb, *thermal])
-    rgb_s, thermal_s = ([(_taken(photo) - start).total_seconds() for photo in group] for group in (rgb, thermal))
+    rgb_s, thermal_s = (
+        [(_taken(photo) - start).total_seconds() for photo in group] for group in (rgb, thermal)
+    )
     offset = clock_offset(rgb_s, thermal_s, tolerance_s)
     pairs = _matched(rgb, thermal, _taken, offset.seconds, tolerance_s)
     if not pairs:
         return None
     couples = tuple(
-        Couple(first, second) for first, second in sorted(pairs, key=lambda pair: natural(str(pair[1].shot)))
+        Couple(first, second)
+        for first, second in sorted(pairs, key=lambda pair: natural(str(pair[1].shot)))
     )
-    unknown = {photo: "does not say when it was taken" for photo in photos if photo.exif.taken is None}
+    unknown = {
+        photo: "does not say when it was taken" for photo in photos if photo.exif.taken is None
+    }
     rule = f"The photos of a pair were taken within {tolerance_s:g} s."
     if offset.seconds:
         rule = f"{rule[:-1]}, after the clocks were compared: {_ahead(offset.seconds)}."
@@ -258,7 +302,9 @@ def _taken(photo: Photo) -> datetime:
     return photo.exif.taken
 
 
-def _matched(rgb: Sequence, thermal: Sequence, moment_of: Callable, offset_s: float, tolerance_s: float) -> list[tuple]:
+def _matched(
+    rgb: Sequence, thermal: Sequence, moment_of: Callable, offset_s: float, tolerance_s: float
+) -> list[tuple]:
     """One-to-one pairs by time, where the RGB camera's clock is ahead by ``offset_s`` seconds."""
     if not rgb or not thermal:
         return []
@@ -278,6 +324,7 @@ def _doubts(offset: ClockOffset) -> tuple[str, ...]:
     if offset.rival_s is None:
         return ()
     return (
-        f"The clocks of the cameras may also differ by {offset.rival_s:.1f} s instead of {offset.seconds:.1f} s: "
+        f"The clocks of the cameras may also differ by {offset.rival_s:.1f} s instead of "
+        f"{offset.seconds:.1f} s: "
         "check the first pairs, and give a table of pairs if they are wrong.",
     )

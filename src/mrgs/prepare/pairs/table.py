@@ -14,18 +14,23 @@ from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import Couple, Match
 
 _MAX_BYTES = 16 * 2**20
-_HEADINGS = ({"rgb", "visible", "visual", "color", "colour", "image"}, {"thermal", "ir", "infrared"})
+_HEADINGS = (
+    {"rgb", "visible", "visual", "color", "colour", "image"},
+    {"thermal", "ir", "infrared"},
+)
 _EXAMPLE = "write lines such as rgb/a.jpg,thermal/a.jpg"
 
 
 def by_table(table: Path, stock: Inventory) -> Match:
-    """The pairs in a CSV file: the RGB photo and the thermal photo, relative to the folder of photos.
+    """The pairs in a CSV file: the RGB photo and the thermal photo, relative to the folder of
+    photos.
 
-    The RGB photo may be left empty: then it lies in the thermal photo's file, or there is none. A first line with
-    headings (``rgb``, ``thermal``) tells the order of the columns.
+    The RGB photo may be left empty: then it lies in the thermal photo's file, or there is none. A
+    first line with headings (``rgb``, ``thermal``) tells the order of the columns.
 
     Raises:
-        SceneError: the table cannot be read, or a line names something other than two photos of the folder.
+        SceneError: the table cannot be read, or a line names something other than two photos of the
+            folder.
     """
     photos = {photo.path.resolve(): photo for photo in stock.photos}
     couples, used = [], dict[Photo, int]()
@@ -35,17 +40,23 @@ def by_table(table: Path, stock: Inventory) -> Match:
         for photo in (rgb, thermal):
             if photo is not None and (before := used.setdefault(photo, number)) != number:
                 name = stock.name(photo)
-                raise scene_error(table, f"lines {before} and {number} both name {name}; delete one of them")
+                raise scene_error(
+                    table, f"lines {before} and {number} both name {name}; delete one of them"
+                )
         if rgb is thermal:
             raise scene_error(
-                table, f"line {number} names one photo twice; leave out the RGB photo if it lies inside the thermal one"
+                table,
+                f"line {number} names one photo twice; leave out the RGB photo if it lies inside "
+                f"the thermal one",
             )
         couples.append(Couple(rgb, thermal, inside=rgb is None and thermal.embedded))
     if not couples:
         raise scene_error(table, f"holds no pairs; {_EXAMPLE}")
     couples.sort(key=lambda couple: natural(str(couple.thermal.shot)))
     reasons = dict.fromkeys(stock.photos, f"is not in {printable(table.name)}")
-    return Match(tuple(couples), f"The pairs are those of {printable(table.name)}.", reasons=reasons)
+    return Match(
+        tuple(couples), f"The pairs are those of {printable(table.name)}.", reasons=reasons
+    )
 
 
 def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
@@ -60,16 +71,22 @@ def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
     columns = (0, 1)
     for number, line in enumerate(lines, 1):
         try:
-            cells = [cell.strip() for row in csv.reader([line], delimiter=separator) for cell in row]
+            cells = [
+                cell.strip() for row in csv.reader([line], delimiter=separator) for cell in row
+            ]
         except csv.Error as error:
-            raise scene_error(table, f"line {number} cannot be read ({error}); {_EXAMPLE}") from None
+            raise scene_error(
+                table, f"line {number} cannot be read ({error}); {_EXAMPLE}"
+            ) from None
         if not any(cells):
             continue
         headings = _headings(cells)
         if headings is not None:
             columns = headings
         elif len(cells) != 2 or not cells[columns[1]]:
-            raise scene_error(table, f"line {number} does not name an RGB and a thermal photo; {_EXAMPLE}")
+            raise scene_error(
+                table, f"line {number} does not name an RGB and a thermal photo; {_EXAMPLE}"
+            )
         else:
             yield number, cells[columns[0]], cells[columns[1]]
 
@@ -77,27 +94,39 @@ def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
 def _headings(cells: Sequence[str]) -> tuple[int, int] | None:
     """The columns of the RGB and of the thermal photo, if the cells are headings."""
     words = [cell.lower() for cell in cells]
-    found = [next((index for index, word in enumerate(words) if word in known), None) for known in _HEADINGS]
+    found = [
+        next((index for index, word in enumerate(words) if word in known), None)
+        for known in _HEADINGS
+    ]
     return None if len(words) != 2 or None in found else (found[0], found[1])  # type: ignore[return-value]
 
 
-def _photo(text: str, photos: dict[Path, Photo], stock: Inventory, table: Path, number: int) -> Photo:
+def _photo(
+    text: str, photos: dict[Path, Photo], stock: Inventory, table: Path, number: int
+) -> Photo:
     try:
         path = contained(stock.root.resolve(), text, table)
     except SceneError:
         raise scene_error(
-            table, f"line {number}: {shown(text)} lies outside {stock.root}; name photos relative to that folder"
+            table,
+            f"line {number}: {shown(text)} lies outside {stock.root}; name photos relative to "
+            f"that folder",
         ) from None
     path = path if is_file(path) else _spelled(path, stock)
     if not is_file(path):
-        raise scene_error(table, f"line {number}: there is no {shown(text)} in {stock.root}; correct the name")
+        raise scene_error(
+            table, f"line {number}: there is no {shown(text)} in {stock.root}; correct the name"
+        )
     if path.resolve() not in photos:
-        raise scene_error(table, f"line {number}: {shown(text)} {_why(path, stock)}; name another file")
+        raise scene_error(
+            table, f"line {number}: {shown(text)} {_why(path, stock)}; name another file"
+        )
     return photos[path.resolve()]
 
 
 def _spelled(path: Path, stock: Inventory) -> Path:
-    """The file whose name is the same text in another Unicode form; the path itself if there is none."""
+    """The file whose name is the same text in another Unicode form; the path itself if there is
+    none."""
     root, wanted = stock.root.resolve(), composed(str(path))
     names = [photo.path.relative_to(stock.root).as_posix() for photo in stock.photos]
     names += [item.name for item in stock.left_out]

@@ -27,7 +27,8 @@ class Observations:
         views: index of the pair.
         points: what is seen, in the axes of the pair's RGB camera.
         pixels: where the thermal image shows it.
-        information: inverse covariance of ``pixels``, but for a factor that those of one kind share.
+        information: inverse covariance of ``pixels``, but for a factor that those of one kind
+            share.
         independent: the share of those of its kind whose errors are their own.
         kinds: 0, 1, ...
     """
@@ -54,7 +55,8 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known before the images are seen: a normal distribution of the rig and one of the motions about zero.
+    """What is known before the images are seen: a normal distribution of the rig and one of the
+    motions about zero.
 
     Attributes:
         rig: most likely rig.
@@ -73,7 +75,8 @@ class Adjusted:
 
     Attributes:
         cameras: the rig and the motions.
-        covariance: of the rig's parameters and each pair's motion [V, 18, 18], overlapping patches accounted for.
+        covariance: of the rig's parameters and each pair's motion [V, 18, 18], overlapping patches
+            accounted for.
         residual_px: of each observation [N].
         inlier: whether an observation agrees with the result [N].
     """
@@ -95,8 +98,8 @@ def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras
 
 
 def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> Adjusted:
-    """Maximum a posteriori by Gauss-Newton, with Geman and McClure's robust weights; their scale follows from the
-    median of the residuals of each kind."""
+    """Maximum a posteriori by Gauss-Newton, with Geman and McClure's robust weights; their scale
+    follows from the median of the residuals of each kind."""
     rig, motions = start.rig, start.motions
     for _ in range(_STEPS):
         residual, weight = _weights(observations, rig, motions)
@@ -113,11 +116,18 @@ def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> A
     )
 
 
-def pixel_sigma(adjusted: Adjusted, view: int, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
-    """One standard deviation of the thermal pixel positions (their distance) of points in a pair's RGB camera axes."""
+def pixel_sigma(
+    adjusted: Adjusted, view: int, points: Float64[Tensor, "n 3"]
+) -> Float64[Tensor, " n"]:
+    """One standard deviation of the thermal pixel positions (their distance) of points in a pair's
+    RGB camera axes."""
     motions = adjusted.cameras.motions[view].repeat(len(points), 1)
     jacobian = project_jacobian(adjusted.cameras.rig, motions, points)
-    return torch.einsum("nia,ab,nib->n", jacobian, adjusted.covariance[view], jacobian).clamp(min=0).sqrt()
+    return (
+        torch.einsum("nia,ab,nib->n", jacobian, adjusted.covariance[view], jacobian)
+        .clamp(min=0)
+        .sqrt()
+    )
 
 
 def _weights(

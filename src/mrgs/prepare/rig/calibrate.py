@@ -31,8 +31,9 @@ FEWEST_PAIRS = 3
 _SEARCH_PAIRS = 12
 _CLEAR = 1.3
 _LEAST_CORRELATION = 0.35
-"""The best first guess must beat every clearly different one by that factor, and reach this over the root of the number
-of pairs. Pairs that belong together reached 1.5 and 0.7 at the least; pairs that do not, never both."""
+"""The best first guess must beat every clearly different one by that factor, and reach this over
+the root of the number of pairs. Pairs that belong together reached 1.5 and 0.7 at the least; pairs
+that do not, never both."""
 
 
 _MOVING = 1.0
@@ -59,11 +60,12 @@ def calibrate_rig(
 ) -> RigCalibration:
     """Find the thermal camera's intrinsics, radial distortion and motion against the RGB camera.
 
-    First the focal length and the direction, by correlating edges over all scales and shifts (``search``); or from the
-    corners of a target, which then count as observations to the end (``target``). Then, from coarse to fine
-    (``refine``): each photo is warped through its depth into the thermal camera, patches of it are found in the thermal
-    image, and one adjustment over all pairs moves the cameras (``adjust``). Every pair has a small motion of its own
-    besides the rig's, because two shutters rarely fire together.
+    First the focal length and the direction, by correlating edges over all scales and shifts
+    (``search``); or from the corners of a target, which then count as observations to the end
+    (``target``). Then, from coarse to fine (``refine``): each photo is warped through its depth
+    into the thermal camera, patches of it are found in the thermal image, and one adjustment over
+    all pairs moves the cameras (``adjust``). Every pair has a small motion of its own besides the
+    rig's, because two shutters rarely fire together.
 
     Args:
         pairs: photos with poses, and their thermal images; all thermal images of one size.
@@ -72,12 +74,16 @@ def calibrate_rig(
         progress: called with a stage's name, and how many of its steps are done and there are.
 
     Raises:
-        SceneError: too few pairs or points, thermal images of different sizes, images that do not tell, or a target
-            that is not seen or that tells nothing.
+        SceneError: too few pairs or points, thermal images of different sizes, images that do not
+            tell, or a target that is not seen or that tells nothing.
     """
     options = options or RigOptions()
     report = progress or (lambda stage, done, total: None)
-    target = None if options.target is None else see_target(pairs, options.target, options.metres_per_unit, report)
+    target = (
+        None
+        if options.target is None
+        else see_target(pairs, options.target, options.metres_per_unit, report)
+    )
     reduced, size = _reduced(pairs, points, target, report)
     guess = _guess(reduced, size, target, options, report)
     start, prior = _start(reduced, size, guess, options)
@@ -110,7 +116,8 @@ def _reduced(
     if len(sizes) > 1:
         (a, b), (first, second) = list(sizes)[:2], list(sizes.values())[:2]
         raise SceneError(
-            f"the thermal images are of several sizes ({first} has {a[0]}×{a[1]} px, {second} {b[0]}×{b[1]}): "
+            f"the thermal images are of several sizes ({first} has {a[0]}×{a[1]} px, {second} "
+            f"{b[0]}×{b[1]}): "
             "prepare the photos of each camera apart"
         )
     if len(reduced) < FEWEST_PAIRS:
@@ -137,15 +144,21 @@ def _guess(
     report("searching the thermal camera", 0, 1)
     field_of_view_deg = options.field_of_view_deg
     if options.thermal_lens is not None:
-        field_of_view_deg = float(np.degrees(2 * np.arctan(0.5 * size[0] / options.thermal_lens.fx)))
+        field_of_view_deg = float(
+            np.degrees(2 * np.arctan(0.5 * size[0] / options.thermal_lens.fx))
+        )
     chosen = [pairs[index] for index in spread(len(pairs), _SEARCH_PAIRS)]
     found = first_guess(chosen, field_of_view_deg)
     if found.best.score < max(_CLEAR * found.chance, _LEAST_CORRELATION / np.sqrt(len(chosen))):
         raise SceneError(
-            "the thermal camera cannot be placed: the edges in the thermal images agree with those in the photos no "
-            f"better than by chance (correlation {found.best.score:.2f}, by chance {found.chance:.2f}). Check that the "
-            "pairs belong together, and give the thermal camera's field of view (--thermal-fov), its lens and offset "
-            "(--thermal-camera), or a target in sight (--target); if both images show the same, say so (--one-camera)"
+            "the thermal camera cannot be placed: the edges in the thermal images agree with "
+            "those in the photos no "
+            f"better than by chance (correlation {found.best.score:.2f}, by chance "
+            f"{found.chance:.2f}). Check that the "
+            "pairs belong together, and give the thermal camera's field of view (--thermal-fov), "
+            "its lens and offset "
+            "(--thermal-camera), or a target in sight (--target); if both images show the same, "
+            "say so (--one-camera)"
         )
     return found.best
 
@@ -153,13 +166,15 @@ def _guess(
 def _start(
     pairs: Sequence[ReducedPair], size: tuple[int, int], guess: Guess | None, options: RigOptions
 ) -> tuple[ThermalCameras, Prior]:
-    """The cameras to start from, and what is likely. The guess's shift is taken for a turn of the thermal camera."""
+    """The cameras to start from, and what is likely. The guess's shift is taken for a turn of the
+    thermal camera."""
     width, height = size
     depth = float(np.median([1 / pair.depth.median for pair in pairs]))
     rig = torch.zeros(RIG, dtype=torch.float64)
     rig[2], rig[3] = width / 2, height / 2
     sigma = torch.tensor(
-        [_FOCAL_SIGMA, _ASPECT_SIGMA, *(2 * [_CENTRE_SIGMA_WIDTHS * width]), _RADIAL_SIGMA, _RADIAL_SIGMA]
+        [_FOCAL_SIGMA, _ASPECT_SIGMA, *(2 * [_CENTRE_SIGMA_WIDTHS * width]), _RADIAL_SIGMA,
+        _RADIAL_SIGMA]
         + 3 * [_TURN_SIGMA_RAD] + [share * depth for share in _BASELINE_SIGMA_DEPTHS],
         dtype=torch.float64,
     )  # fmt: skip
@@ -172,7 +187,9 @@ def _start(
         rig[LENS], sigma[LENS] = lens_parameters(options.thermal_lens), 0.0
     if options.thermal_from_rgb is not None:
         rig[POSE], sigma[POSE] = motion_parameters(options.thermal_from_rgb), 0.0
-    motion_sigma = torch.tensor(3 * [_MOTION_SIGMA_RAD] + 3 * [_MOTION_SIGMA_DEPTHS * depth], dtype=torch.float64)
+    motion_sigma = torch.tensor(
+        3 * [_MOTION_SIGMA_RAD] + 3 * [_MOTION_SIGMA_DEPTHS * depth], dtype=torch.float64
+    )
     motions = torch.zeros(len(pairs), MOTION, dtype=torch.float64)
     return ThermalCameras(rig, motions), Prior(rig, sigma, motion_sigma)
 
@@ -193,15 +210,19 @@ def _result(
     """
     seen = {pair.name: index for index, pair in enumerate(reduced)}
     views = tuple(
-        _view(pair.name, seen[pair.name], adjusted, observations) if pair.name in seen else _unseen(pair.name)
+        _view(pair.name, seen[pair.name], adjusted, observations)
+        if pair.name in seen
+        else _unseen(pair.name)
         for pair in pairs
     )
     certain = [view for view in views if view.name in seen]
     uncertainty_px = float(np.median([view.uncertainty_px for view in certain]))
     if not uncertainty_px <= options.max_uncertainty_px:
         raise SceneError(
-            f"the thermal camera cannot be placed: the photos leave {uncertainty_px:.1f} px open (one standard "
-            f"deviation), and {options.max_uncertainty_px:g} px is the limit; give its field of view (--thermal-fov), "
+            f"the thermal camera cannot be placed: the photos leave {uncertainty_px:.1f} px open "
+            f"(one standard "
+            f"deviation), and {options.max_uncertainty_px:g} px is the limit; give its field of "
+            f"view (--thermal-fov), "
             "its lens or offset (--thermal-camera), or more pairs"
         )
     residuals = adjusted.residual_px[adjusted.inlier].numpy()
@@ -226,8 +247,12 @@ def _view(name: str, view: int, adjusted: Adjusted, observations: Observations) 
         name=name,
         correction=adjusted.cameras.correction(view),
         matches=int(agreeing.sum()),
-        residual_px=float(adjusted.residual_px[agreeing].median()) if agreeing.any() else float("nan"),
-        uncertainty_px=float(pixel_sigma(adjusted, view, points).median()) if own.any() else float("inf"),
+        residual_px=float(adjusted.residual_px[agreeing].median())
+        if agreeing.any()
+        else float("nan"),
+        uncertainty_px=float(pixel_sigma(adjusted, view, points).median())
+        if own.any()
+        else float("inf"),
     )
 
 
@@ -238,29 +263,44 @@ def _unseen(name: str) -> RigView:
 def _motion_px(cameras: ThermalCameras, observations: Observations, count: int) -> list[float]:
     """How far each pair's own motion moves its patches."""
     moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
-    still = project(cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points)
+    still = project(
+        cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points
+    )
     distance = (moved - still).norm(dim=1)
-    return [float(distance[observations.views == v].median()) for v in range(count) if (observations.views == v).any()]
+    return [
+        float(distance[observations.views == v].median())
+        for v in range(count)
+        if (observations.views == v).any()
+    ]
 
 
-def _warnings(views: Sequence[RigView], seen: set[str], motion_px: float, options: RigOptions) -> list[str]:
+def _warnings(
+    views: Sequence[RigView], seen: set[str], motion_px: float, options: RigOptions
+) -> list[str]:
     found = []
     unseen = [view.name for view in views if view.name not in seen]
     if unseen:
-        found.append(f"{len(unseen)} photos see too few points to correct their thermal camera: {', '.join(unseen)}.")
+        found.append(
+            f"{len(unseen)} photos see too few points to correct their thermal camera: "
+            f"{', '.join(unseen)}."
+        )
     doubtful = [
         view.name
         for view in views
-        if view.name in seen and (view.matches < FEWEST_MATCHES or view.uncertainty_px > options.max_uncertainty_px)
+        if view.name in seen
+        and (view.matches < FEWEST_MATCHES or view.uncertainty_px > options.max_uncertainty_px)
     ]
     if doubtful:
         found.append(
-            f"{len(doubtful)} thermal images could not be placed well ({', '.join(doubtful)}): few edges agree with "
+            f"{len(doubtful)} thermal images could not be placed well ({', '.join(doubtful)}): "
+            f"few edges agree with "
             "their photos. Leave these pairs out if they look wrong."
         )
     if motion_px > _MOVING:
         found.append(
-            f"The thermal camera moved against the RGB camera by {motion_px:.1f} px (median) from pair to pair, as if "
-            "the two did not fire together; each pair got a correction of its own. Hold still while photographing."
+            f"The thermal camera moved against the RGB camera by {motion_px:.1f} px (median) from "
+            f"pair to pair, as if "
+            "the two did not fire together; each pair got a correction of its own. Hold still "
+            "while photographing."
         )
     return found

@@ -24,9 +24,10 @@ class RigPair:
     Attributes:
         name: for messages.
         rgb: the photo, undistorted, with its pose.
-        load_thermal: reads the thermal photo as the camera took it (distorted); one channel in any unit.
-        visible: indices of the points that this photo was seen to see (the tracks of structure from motion); None if
-            that is not known: then hidden points are told by their depth.
+        load_thermal: reads the thermal photo as the camera took it (distorted); one channel in any
+            unit.
+        visible: indices of the points that this photo was seen to see (the tracks of structure from
+            motion); None if that is not known: then hidden points are told by their depth.
     """
 
     name: str
@@ -40,10 +41,10 @@ class ChessboardTarget:
     """A chessboard that both cameras see in some pairs, standing still or moved from pair to pair.
 
     Attributes:
-        inner: how many corners, where four squares meet, there are in a row and in a column; a board of 7×6 squares
-            has 6×5.
-        square_m: width of a square in metres; None if it is not known. With it, a target that stands still tells the
-            scale of the scene.
+        inner: how many corners, where four squares meet, there are in a row and in a column; a
+            board of 7×6 squares has 6×5.
+        square_m: width of a square in metres; None if it is not known. With it, a target that
+            stands still tells the scale of the scene.
 
     Raises:
         ConfigError: numbers that no chessboard has.
@@ -55,12 +56,17 @@ class ChessboardTarget:
     def __post_init__(self) -> None:
         if not all(FEWEST_CORNERS <= count <= _MOST_CORNERS for count in self.inner):
             raise ConfigError(
-                f"a chessboard of {self.inner[0]}×{self.inner[1]} inner corners cannot be used as a target: give how "
-                f"many corners, where four squares meet, are in a row and in a column, {FEWEST_CORNERS} to "
+                f"a chessboard of {self.inner[0]}×{self.inner[1]} inner corners cannot be used as "
+                f"a target: give how "
+                f"many corners, where four squares meet, are in a row and in a column, "
+                f"{FEWEST_CORNERS} to "
                 f"{_MOST_CORNERS} each; a board of 7×6 squares has 6×5"
             )
         if self.square_m is not None and not 0 < self.square_m < math.inf:
-            raise ConfigError(f"the target's squares cannot be {self.square_m:g} m wide: give their width in metres")
+            raise ConfigError(
+                f"the target's squares cannot be {self.square_m:g} m wide: give their width in "
+                f"metres"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +74,16 @@ class RigOptions:
     """What is known beforehand, and what is accepted.
 
     Attributes:
-        thermal_lens: intrinsics and distortion of the thermal camera, taken as they are; None to find them.
-        thermal_from_rgb: rigid motion from the RGB camera to the thermal camera [4, 4] in scene units, taken as it is;
-            None to find it.
-        field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the search to ±10 %.
+        thermal_lens: intrinsics and distortion of the thermal camera, taken as they are; None to
+            find them.
+        thermal_from_rgb: rigid motion from the RGB camera to the thermal camera [4, 4] in scene
+            units, taken as it is; None to find it.
+        field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the
+            search to ±10 %.
         target: a chessboard that is in some of the pairs; None to look for none.
         metres_per_unit: of the scene, if it is known; only needed for a target that is moved.
-        max_uncertainty_px: a result less certain than this (one standard deviation) is refused, in thermal pixels.
+        max_uncertainty_px: a result less certain than this (one standard deviation) is refused, in
+            thermal pixels.
     """
 
     thermal_lens: Lens | None = None
@@ -91,12 +100,13 @@ class RigView:
 
     Attributes:
         name: the pair's.
-        correction: what the rig's motion is followed by in this pair [4, 4], in the thermal camera's axes and scene
-            units: two shutters rarely fire together.
-        matches: number of patches, and of corners of the target, that were found in both images and agree with the
-            result.
+        correction: what the rig's motion is followed by in this pair [4, 4], in the thermal
+            camera's axes and scene units: two shutters rarely fire together.
+        matches: number of patches, and of corners of the target, that were found in both images and
+            agree with the result.
         residual_px: median distance of these from where the result puts them, in thermal pixels.
-        uncertainty_px: one standard deviation of the position of what the RGB camera sees, median over its points.
+        uncertainty_px: one standard deviation of the position of what the RGB camera sees, median
+            over its points.
     """
 
     name: str
@@ -113,9 +123,10 @@ class TargetFit:
     Attributes:
         pairs: how many pairs show it in both images.
         still: how many photos show it at one place in the world; 0 if it was moved.
-        residual_px: median and 90 % quantile of its corners' distances from where the result puts them, in thermal
-            pixels.
-        metres_per_unit: of the scene, from a target that stands still and whose squares' width is known; else None.
+        residual_px: median and 90 % quantile of its corners' distances from where the result puts
+            them, in thermal pixels.
+        metres_per_unit: of the scene, from a target that stands still and whose squares' width is
+            known; else None.
     """
 
     pairs: int
@@ -130,11 +141,14 @@ class RigCalibration:
 
     Attributes:
         lens: the thermal camera's intrinsics and distortion, for its photos as they are.
-        thermal_from_rgb: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in scene units.
+        thermal_from_rgb: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in
+            scene units.
         views: one for each pair, in their order.
-        residual_px: median and 90 % quantile of the distances of what was matched, in thermal pixels.
+        residual_px: median and 90 % quantile of the distances of what was matched, in thermal
+            pixels.
         uncertainty_px: median over the views.
-        motion_px: median over the views of how far the correction moves the image, in thermal pixels.
+        motion_px: median over the views of how far the correction moves the image, in thermal
+            pixels.
         warnings: sentences that the user should read.
         target: what the target told; None if none was looked for.
     """

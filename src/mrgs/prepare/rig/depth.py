@@ -15,8 +15,8 @@ STEP_PX = 4
 """One value of the map for this many photo pixels; sparse points tell no more."""
 
 _BEND = 150.0
-"""Curvature of the lifted surface: a hole of 5 % of the image's width, between points of a near surface, is closed
-against points that are more than about 10 % farther away."""
+"""Curvature of the lifted surface: a hole of 5 % of the image's width, between points of a near
+surface, is closed against points that are more than about 10 % farther away."""
 
 _NEAR_SURFACE = 0.06
 _NEIGHBOURS = 9
@@ -41,12 +41,14 @@ class InverseDepth:
 def inverse_depth(
     points: Float[np.ndarray, "n 3"], camera: Camera, visible: Int[np.ndarray, " k"] | None = None
 ) -> InverseDepth | None:
-    """The inverse depth of a photo, interpolated between the points that it sees; None if they are too few.
+    """The inverse depth of a photo, interpolated between the points that it sees; None if they are
+    too few.
 
     Args:
         points: in world coordinates.
         camera: of the photo.
-        visible: the points that the photo is known to see; None to leave out the hidden ones by their depth.
+        visible: the points that the photo is known to see; None to leave out the hidden ones by
+            their depth.
     """
     uv, inverse = _project(points if visible is None else points[visible], camera)
     if len(uv) < FEWEST_POINTS:
@@ -57,13 +59,16 @@ def inverse_depth(
     if len(uv) < FEWEST_POINTS:
         return None
     every = -(-len(uv) // _MOST_POINTS)
-    return InverseDepth(_interpolated(uv[::every], inverse[::every], camera), float(np.median(inverse)))
+    return InverseDepth(
+        _interpolated(uv[::every], inverse[::every], camera), float(np.median(inverse))
+    )
 
 
 def _project(
     points: Float[np.ndarray, "n 3"], camera: Camera
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
-    """Pixel positions and inverse depths of the points inside the image; of points at one position, one."""
+    """Pixel positions and inverse depths of the points inside the image; of points at one position,
+    one."""
     viewmat, K = camera.viewmat.numpy(), camera.K.numpy()
     inside = np.einsum("ij,nj->ni", viewmat[:3, :3], points) + viewmat[:3, 3]
     inside = inside[inside[:, 2] > 1e-9]
@@ -78,8 +83,9 @@ def _unhidden(
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
     """The points that no surface through nearer points hides.
 
-    After the hidden-point removal of Katz, Tal and Basri (2007), in the image: inverse depth is lifted by a paraboloid,
-    and what lies on the upper convex hull is visible. Points just under the surface through these are, too.
+    After the hidden-point removal of Katz, Tal and Basri (2007), in the image: inverse depth is
+    lifted by a paraboloid, and what lies on the upper convex hull is visible. Points just under the
+    surface through these are, too.
     """
     radius2 = ((uv / width) ** 2).sum(axis=1)
     lifted = np.column_stack([uv / width, inverse / np.quantile(inverse, 0.9) - _BEND * radius2])
@@ -107,7 +113,10 @@ def _interpolated(
     uv: Float[np.ndarray, "n 2"], inverse: Float[np.ndarray, " n"], camera: Camera
 ) -> Float[np.ndarray, "rows columns"]:
     """Linear between the points, that of the nearest point beyond them."""
-    grid = np.meshgrid(np.arange(STEP_PX / 2, camera.width, STEP_PX), np.arange(STEP_PX / 2, camera.height, STEP_PX))
+    grid = np.meshgrid(
+        np.arange(STEP_PX / 2, camera.width, STEP_PX),
+        np.arange(STEP_PX / 2, camera.height, STEP_PX),
+    )
     values = NearestNDInterpolator(uv, inverse)(*grid)
     try:
         between = LinearNDInterpolator(uv, inverse)(*grid)

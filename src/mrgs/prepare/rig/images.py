@@ -18,7 +18,8 @@ from mrgs.scene import Camera, Pixels
 
 RGB_WIDTH_PX = 640
 THERMAL_WIDTH_PX = 320
-"""More tells nothing more of images as soft as thermal ones: patches are placed to a tenth of a pixel."""
+"""More tells nothing more of images as soft as thermal ones: patches are placed to a tenth of a
+pixel."""
 
 _LUMA = (0.299, 0.587, 0.114)
 
@@ -59,7 +60,8 @@ class ReducedPair:
 def reduced_pair(
     pair: RigPair, points: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "k 3"]
 ) -> tuple[ReducedPair | None, tuple[int, int]]:
-    """The pair at working size, None if its photo sees too few points; and the thermal file's width and height.
+    """The pair at working size, None if its photo sees too few points; and the thermal file's width
+    and height.
 
     Args:
         pair: at full size.
@@ -73,7 +75,11 @@ def reduced_pair(
     height, width = thermal.values.shape[:2]
     camera = pair.rgb.camera
     camera = camera.with_width(min(RGB_WIDTH_PX, camera.width))
-    visible = None if pair.visible is None else np.append(pair.visible.numpy(), len(points) + np.arange(len(target)))
+    visible = (
+        None
+        if pair.visible is None
+        else np.append(pair.visible.numpy(), len(points) + np.arange(len(target)))
+    )
     depth = inverse_depth(np.concatenate([points, target]), camera, visible)
     if depth is None:
         return None, (width, height)
@@ -83,21 +89,28 @@ def reduced_pair(
         rgb=grey_plane(pair.rgb.load(), pair.name).resized(camera.width, camera.height),
         camera=camera,
         depth=depth,
-        thermal=grey_plane(thermal, pair.name).resized(reduced, max(1, round(height * reduced / width))),
+        thermal=grey_plane(thermal, pair.name).resized(
+            reduced, max(1, round(height * reduced / width))
+        ),
     ), (width, height)
 
 
 def sampled(
-    values: Float[np.ndarray, "h w"], u: Float[np.ndarray, "*n"], v: Float[np.ndarray, "*n"], step: float = 1.0
+    values: Float[np.ndarray, "h w"],
+    u: Float[np.ndarray, "*n"],
+    v: Float[np.ndarray, "*n"],
+    step: float = 1.0,
 ) -> Float[np.ndarray, "*n"]:
-    """Bilinear values at pixel positions; ``step`` pixels lie between two values. The border's beyond the border."""
+    """Bilinear values at pixel positions; ``step`` pixels lie between two values. The border's
+    beyond the border."""
     return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
 
 
 def too_few_points(names: list[str]) -> SceneError:
     """That too few photos see enough sparse points."""
     return SceneError(
-        f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or more sparse points; "
+        f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or "
+        f"more sparse points; "
         "take more overlapping photos, or say that both images show the same (--one-camera)"
     )
 

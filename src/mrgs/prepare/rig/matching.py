@@ -46,10 +46,13 @@ class Masked:
     seen: Bool[np.ndarray, "h w"] | None = None
 
     def within_border(self) -> tuple[Float32[Tensor, "c h w"], Float32[Tensor, "h w"]]:
-        """The structure, 0 where it does not count or where the image's border made it; and a mask of 0 and 1."""
+        """The structure, 0 where it does not count or where the image's border made it; and a mask
+        of 0 and 1."""
         mask = torch.zeros(self.values.shape[1:])
         inner = (slice(_BORDER_PX, -_BORDER_PX), slice(_BORDER_PX, -_BORDER_PX))
-        mask[inner] = 1.0 if self.seen is None else torch.from_numpy(self.seen.astype(np.float32))[inner]
+        mask[inner] = (
+            1.0 if self.seen is None else torch.from_numpy(self.seen.astype(np.float32))[inner]
+        )
         return torch.from_numpy(self.values) * mask, mask
 
 
@@ -58,7 +61,8 @@ class Matches:
     """Patches that were found, M of them; pixels of the images compared.
 
     Attributes:
-        centres: column and row of the patch in the photo's image; whole numbers, between four pixels.
+        centres: column and row of the patch in the photo's image; whole numbers, between four
+            pixels.
         displacements: from there to where the thermal image shows it.
         information: inverse covariance of the displacement, but for one factor that all share.
         scores: normalised correlation.
@@ -75,7 +79,9 @@ class Matches:
             return self
         sharpness = np.trace(self.information, axis1=1, axis2=2)
         kept = sharpness >= np.quantile(sharpness, 1 - share)
-        return Matches(self.centres[kept], self.displacements[kept], self.information[kept], self.scores[kept])
+        return Matches(
+            self.centres[kept], self.displacements[kept], self.information[kept], self.scores[kept]
+        )
 
 
 def match(
@@ -85,10 +91,10 @@ def match(
 ) -> Matches:
     """Find each patch by normalised correlation of the two structures, to a fraction of a pixel.
 
-    Both are normalised over the pixels that both have at a displacement: otherwise patches at the border would be drawn
-    inwards, and the focal length with them. A patch without a maximum within reach is left out. The information is the
-    curvature of the correlation s at its maximum, times s / (1 - s²): how well a maximum is known whose height is
-    lowered by independent noise.
+    Both are normalised over the pixels that both have at a displacement: otherwise patches at the
+    border would be drawn inwards, and the focal length with them. A patch without a maximum within
+    reach is left out. The information is the curvature of the correlation s at its maximum, times s
+    / (1 - s²): how well a maximum is known whose height is lowered by independent noise.
     """
     scores, share, columns, rows = _scores(thermal, photo, patches)
     ny, nx = share.shape
@@ -100,7 +106,11 @@ def match(
     usable &= flat[np.arange(ny * nx), i, j] > _LEAST_SCORE
     kept = np.flatnonzero(usable)
     i, j = i[kept], j[kept]
-    around = flat[kept[:, None, None], i[:, None, None] + _OFFSETS[:, None], j[:, None, None] + _OFFSETS[None, :]]
+    around = flat[
+        kept[:, None, None],
+        i[:, None, None] + _OFFSETS[:, None],
+        j[:, None, None] + _OFFSETS[None, :],
+    ]
     step, curvature = _vertex(around)
     score = np.minimum(around[:, 1, 1], 0.999).astype(np.float64)
     sharp = np.linalg.eigvalsh(curvature)[:, 0] > _LEAST_CURVATURE
@@ -111,8 +121,8 @@ def match(
 
 
 def whole_displacement(thermal: Masked, photo: Masked, reach: int) -> tuple[int, int]:
-    """By how many pixels, right and down, the thermal image as a whole is displaced: the best normalised correlation
-    within reach, in steps of ``_WHOLE_STEP_PX``."""
+    """By how many pixels, right and down, the thermal image as a whole is displaced: the best
+    normalised correlation within reach, in steps of ``_WHOLE_STEP_PX``."""
     here, here_seen = photo.within_border()
     there, there_seen = (functional.pad(values, 4 * [reach]) for values in thermal.within_border())
     here_energy, there_energy = here.square().sum(dim=0), there.square().sum(dim=0)
@@ -121,7 +131,10 @@ def whole_displacement(thermal: Masked, photo: Masked, reach: int) -> tuple[int,
     steps = range(-(reach // _WHOLE_STEP_PX) * _WHOLE_STEP_PX, reach + 1, _WHOLE_STEP_PX)
     for down in steps:
         for right in steps:
-            part = (slice(reach + down, reach + down + height), slice(reach + right, reach + right + width))
+            part = (
+                slice(reach + down, reach + down + height),
+                slice(reach + right, reach + right + width),
+            )
             norm = (there_energy[part] * here_seen).sum() * (here_energy * there_seen[part]).sum()
             score = float((there[(slice(None), *part)] * here).sum() / (norm + 1e-9).sqrt())
             if score > best:
@@ -132,9 +145,11 @@ def whole_displacement(thermal: Masked, photo: Masked, reach: int) -> tuple[int,
 _OFFSETS = np.arange(-1, 2)
 
 
-def _scores(thermal: Masked, photo: Masked, patches: Patches) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Correlations [displacement y, displacement x, patch row, patch column], the share of each patch that is seen,
-    and the patches' columns and rows."""
+def _scores(
+    thermal: Masked, photo: Masked, patches: Patches
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Correlations [displacement y, displacement x, patch row, patch column], the share of each
+    patch that is seen, and the patches' columns and rows."""
     _, height, width = photo.values.shape
     margin = round(1.5 * patches.sigma)
     rows, columns = (np.arange(margin, n - margin + 1, patches.spacing) for n in (height, width))
@@ -144,7 +159,9 @@ def _scores(thermal: Masked, photo: Masked, patches: Patches) -> tuple[np.ndarra
         return down @ values @ across.T
 
     here, here_seen = photo.within_border()
-    there, there_seen = (functional.pad(values, 4 * [patches.reach]) for values in thermal.within_border())
+    there, there_seen = (
+        functional.pad(values, 4 * [patches.reach]) for values in thermal.within_border()
+    )
     here_energy, there_energy = here.square().sum(dim=0), there.square().sum(dim=0)
     side = 2 * patches.reach + 1
     scores = torch.empty(side, side, len(rows), len(columns))
@@ -152,7 +169,9 @@ def _scores(thermal: Masked, photo: Masked, patches: Patches) -> tuple[np.ndarra
         for j in range(side):
             part = (slice(i, i + height), slice(j, j + width))
             norm = pooled(there_energy[part] * here_seen) * pooled(here_energy * there_seen[part])
-            scores[i, j] = pooled((there[(slice(None), *part)] * here).sum(dim=0)) / (norm + 1e-9).sqrt()
+            scores[i, j] = (
+                pooled((there[(slice(None), *part)] * here).sum(dim=0)) / (norm + 1e-9).sqrt()
+            )
     share = pooled(here_seen) / pooled(torch.ones_like(here_seen))
     return scores.numpy(), share.numpy(), columns, rows
 
@@ -163,8 +182,11 @@ def _windows(count: int, centres: np.ndarray, sigma: float) -> Float32[Tensor, "
     return torch.from_numpy(weights.astype(np.float32))
 
 
-def _vertex(around: Float[np.ndarray, "m 3 3"]) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2 2"]]:
-    """Position (x, y) of the maximum of the parabola through 3×3 values, from their middle, and its negated Hessian."""
+def _vertex(
+    around: Float[np.ndarray, "m 3 3"],
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2 2"]]:
+    """Position (x, y) of the maximum of the parabola through 3×3 values, from their middle, and its
+    negated Hessian."""
     a = around.astype(np.float64)
     slope = np.column_stack([a[:, 1, 2] - a[:, 1, 0], a[:, 2, 1] - a[:, 0, 1]]) / 2
     xx = 2 * a[:, 1, 1] - a[:, 1, 2] - a[:, 1, 0]

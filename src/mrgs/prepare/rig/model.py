@@ -1,4 +1,5 @@
-"""The thermal camera as a function of what is to be found: a rig that all pairs share, and a small motion of each."""
+"""The thermal camera as a function of what is to be found: a rig that all pairs share, and a small
+motion of each."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from torch import Tensor
 from mrgs.data.lens import Lens
 
 RIG = 12
-"""log fx, log(fy / fx), cx, cy (thermal pixels), k1, k2, rotation vector (radians), translation (scene units)."""
+"""log fx, log(fy / fx), cx, cy (thermal pixels), k1, k2, rotation vector (radians), translation
+(scene units)."""
 
 MOTION = 6
 """Rotation vector (radians) and translation (scene units) of a pair, after the rig's."""
@@ -49,7 +51,9 @@ class ThermalCameras:
 
 def lens_parameters(lens: Lens) -> Float64[Tensor, "6"]:
     """The rig's parameters of a lens; higher and tangential distortion are left out."""
-    numbers = torch.tensor([lens.fx, lens.fy / lens.fx, lens.cx, lens.cy, *lens.radial[:2]], dtype=torch.float64)
+    numbers = torch.tensor(
+        [lens.fx, lens.fy / lens.fx, lens.cx, lens.cy, *lens.radial[:2]], dtype=torch.float64
+    )
     numbers[:2] = numbers[:2].log()
     return numbers
 
@@ -58,7 +62,11 @@ def motion_parameters(matrix: Float64[Tensor, "4 4"]) -> Float64[Tensor, "6"]:
     """Rotation vector and translation of a rigid motion of less than half a turn."""
     rotation = matrix[:3, :3]
     axis = torch.stack(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
     )
     sine, cosine = axis.norm() / 2, (rotation.trace() - 1) / 2
     angle = torch.atan2(sine, cosine)
@@ -76,7 +84,8 @@ def rigid_motion(parameters: Float64[Tensor, "6"]) -> Float64[Tensor, "4 4"]:
 def project(
     rig: Float64[Tensor, "12"], motions: Float64[Tensor, "n 6"], points: Float64[Tensor, "n 3"]
 ) -> Float64[Tensor, "n 2"]:
-    """Thermal pixel positions of points in the axes of their RGB cameras, each with its pair's motion."""
+    """Thermal pixel positions of points in the axes of their RGB cameras, each with its pair's
+    motion."""
     return _project(rig, motions, points)[0]
 
 
@@ -88,14 +97,17 @@ def project_jacobian(
     own_rotation, own_slope = _rotations(motions[:, :3])
     _, slope = _rotations(rig[None, 6:9])
     by_lens, by_inside = _lens_jacobian(rig, inside)
-    by_motion = [-_cross(shifted) @ own_slope, torch.eye(3, dtype=points.dtype).expand(len(points), 3, 3)]
+    by_motion = [
+        -_cross(shifted) @ own_slope,
+        torch.eye(3, dtype=points.dtype).expand(len(points), 3, 3),
+    ]
     by_pose = [own_rotation @ -_cross(turned) @ slope, own_rotation]
     return torch.cat([by_lens, by_inside @ torch.cat(by_pose + by_motion, dim=2)], dim=2)
 
 
 def _project(rig: Tensor, motions: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Pixels; the points in thermal axes; turned by the rig's rotation alone; and turned by both, before the last
-    translation."""
+    """Pixels; the points in thermal axes; turned by the rig's rotation alone; and turned by both,
+    before the last translation."""
     turned = points @ _rotations(rig[None, 6:9])[0][0].T
     shifted = torch.einsum("nij,nj->ni", _rotations(motions[:, :3])[0], turned + rig[9:12])
     inside = shifted + motions[:, 3:]
@@ -107,7 +119,8 @@ def _project(rig: Tensor, motions: Tensor, points: Tensor) -> tuple[Tensor, Tens
 
 
 def _lens_jacobian(rig: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
-    """Derivatives of the pixels by the lens's parameters [n, 2, 6], and by the point in thermal axes [n, 2, 3]."""
+    """Derivatives of the pixels by the lens's parameters [n, 2, 6], and by the point in thermal
+    axes [n, 2, 3]."""
     slopes, depth = inside[:, :2] / inside[:, 2:], inside[:, 2:]
     r2 = slopes.square().sum(dim=1, keepdim=True)
     focal = torch.stack([rig[0], rig[0] + rig[1]]).exp()
@@ -118,16 +131,24 @@ def _lens_jacobian(rig: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     by_lens[:, 1, 1] = offset[:, 1]
     by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
     by_lens[:, :, 4], by_lens[:, :, 5] = focal * r2 * slopes, focal * r2.square() * slopes
-    by_slopes = scale[:, :, None] * torch.eye(2) + 2 * bend[:, :, None] * slopes[:, :, None] * slopes[:, None, :]
-    by_point = torch.cat([torch.eye(2).expand(len(inside), 2, 2), -slopes[:, :, None]], dim=2) / depth[:, :, None]
+    by_slopes = (
+        scale[:, :, None] * torch.eye(2)
+        + 2 * bend[:, :, None] * slopes[:, :, None] * slopes[:, None, :]
+    )
+    by_point = (
+        torch.cat([torch.eye(2).expand(len(inside), 2, 2), -slopes[:, :, None]], dim=2)
+        / depth[:, :, None]
+    )
     return by_lens, focal[:, None] * (by_slopes @ by_point)
 
 
-def _rotations(vectors: Float64[Tensor, "n 3"]) -> tuple[Float64[Tensor, "n 3 3"], Float64[Tensor, "n 3 3"]]:
+def _rotations(
+    vectors: Float64[Tensor, "n 3"],
+) -> tuple[Float64[Tensor, "n 3 3"], Float64[Tensor, "n 3 3"]]:
     """Rotation matrices R, and the left Jacobians J: R(v + d) = exp([J d]×) R(v) for a small d.
 
-    Rodrigues' formula, by the series of sin θ / θ, (1 - cos θ) / θ² and (θ - sin θ) / θ³: smooth at 0, and exact to
-    1e-9 for θ < 1.
+    Rodrigues' formula, by the series of sin θ / θ, (1 - cos θ) / θ² and (θ - sin θ) / θ³: smooth at
+    0, and exact to 1e-9 for θ < 1.
     """
     t = vectors.square().sum(dim=1)[:, None, None]
     sine = 1 - t / 6 * (1 - t / 20 * (1 - t / 42 * (1 - t / 72 * (1 - t / 110))))

@@ -1,4 +1,5 @@
-"""From a first guess to the rig and the motions of its pairs: match and adjust, from coarse to fine."""
+"""From a first guess to the rig and the motions of its pairs: match and adjust, from coarse to
+fine."""
 
 from __future__ import annotations
 
@@ -19,15 +20,18 @@ from mrgs.prepare.rig.warp import Warped, thermal_rays, warp
 
 FEWEST_MATCHES = 12
 _SHARPEST = 0.5
-"""The share of a pair's patches that is used: faint ones lie where chance puts them, or a shadow that moved on."""
+"""The share of a pair's patches that is used: faint ones lie where chance puts them, or a shadow
+that moved on."""
 
 _FARTHEST_WIDTHS = 0.1
-"""How far one pair may be from where the first guess puts it: the rig's error, and what moved between the shutters."""
+"""How far one pair may be from where the first guess puts it: the rig's error, and what moved
+between the shutters."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """A pass: the width at which thermal images are compared, the blur of their structure, and the patches."""
+    """A pass: the width at which thermal images are compared, the blur of their structure, and the
+    patches."""
 
     width_px: int
     blur_px: float
@@ -75,7 +79,8 @@ def refine(
             observations = Observations.joined([observations, corners])
         if len(observations.views) < FEWEST_MATCHES:
             raise SceneError(
-                "the thermal camera cannot be placed: hardly any patch of the photos is found in the thermal images; "
+                "the thermal camera cannot be placed: hardly any patch of the photos is found in "
+                "the thermal images; "
                 "give the thermal camera's lens and offset (--thermal-camera)"
             )
         adjusted = adjust(observations, prior, cameras)
@@ -85,7 +90,8 @@ def refine(
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
-    """A pair at a level: the photo seen from the thermal camera, and the structures of both images."""
+    """A pair at a level: the photo seen from the thermal camera, and the structures of both
+    images."""
 
     warped: Warped
     thermal: Masked
@@ -96,13 +102,16 @@ class _Comparison:
 def _compared(
     pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
 ) -> Iterator[_Comparison]:
-    """The pairs, with the cameras as they are known so far; ``scale`` is thermal file pixels per compared pixel."""
+    """The pairs, with the cameras as they are known so far; ``scale`` is thermal file pixels per
+    compared pixel."""
     lens = cameras.lens(*size)
     width = min(level.width_px, pairs[0].thermal.values.shape[1])
     height = max(1, round(size[1] * width / size[0]))
     rays, scale = thermal_rays(lens, width, height), size[0] / width
     for view, pair in enumerate(pairs):
-        rgb_from_thermal = torch.linalg.inv(cameras.correction(view) @ cameras.thermal_from_rgb()).numpy()
+        rgb_from_thermal = torch.linalg.inv(
+            cameras.correction(view) @ cameras.thermal_from_rgb()
+        ).numpy()
         warped = warp(pair, rays, rgb_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
         thermal = pair.thermal.resized(width, height)
         yield _Comparison(
@@ -114,10 +123,14 @@ def _compared(
 
 
 def _shifted(
-    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level, known: set[int]
+    pairs: Sequence[ReducedPair],
+    size: tuple[int, int],
+    cameras: ThermalCameras,
+    level: Level,
+    known: set[int],
 ) -> ThermalCameras:
-    """Each camera but the known ones turned so that its whole image lies right: patches alone would lose pairs that are
-    far off."""
+    """Each camera but the known ones turned so that its whole image lies right: patches alone would
+    lose pairs that are far off."""
     fx, motions = cameras.lens(*size).fx, cameras.motions.clone()
     for view, pair in enumerate(_compared(pairs, size, cameras, level)):
         if view in known:
@@ -136,7 +149,9 @@ def _observe(
     for view, pair in enumerate(_compared(pairs, size, cameras, level)):
         matches = match(pair.thermal, pair.photo, level.patches).sharpest(_SHARPEST)
         column, row = matches.centres.astype(int).T
-        corners = [pair.warped.points[row - down, column - right] for down in (0, 1) for right in (0, 1)]
+        corners = [
+            pair.warped.points[row - down, column - right] for down in (0, 1) for right in (0, 1)
+        ]
         found.append(
             (
                 torch.full((len(column),), view),

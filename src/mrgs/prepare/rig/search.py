@@ -1,8 +1,9 @@
 """A first guess of the thermal camera: its focal length and direction, from all pairs together.
 
-The two cameras stand close to each other, so that far enough away one image is the other, scaled, shifted and perhaps
-turned a little. For each scale and turn, the structure of the photo is correlated with that of the thermal image over
-all shifts, and the correlations of the pairs are averaged: what one pair leaves open, the others decide.
+The two cameras stand close to each other, so that far enough away one image is the other, scaled,
+shifted and perhaps turned a little. For each scale and turn, the structure of the photo is
+correlated with that of the thermal image over all shifts, and the correlations of the pairs are
+averaged: what one pair leaves open, the others decide.
 """
 
 from __future__ import annotations
@@ -36,11 +37,13 @@ class Guess:
     """A thermal camera at the RGB camera's place.
 
     Attributes:
-        score: mean correlation over the pairs, at most 1; lower where the photos do not fill the thermal images.
+        score: mean correlation over the pairs, at most 1; lower where the photos do not fill the
+            thermal images.
         focal_widths: focal length in widths of the thermal image.
-        turn_deg: about the optical axis; the photo is turned by it, anticlockwise, to lie on the thermal image.
-        shift_widths: where the photo's principal point appears, from the thermal image's centre, right and down, in
-            widths of the thermal image.
+        turn_deg: about the optical axis; the photo is turned by it, anticlockwise, to lie on the
+            thermal image.
+        shift_widths: where the photo's principal point appears, from the thermal image's centre,
+            right and down, in widths of the thermal image.
     """
 
     score: float
@@ -51,19 +54,23 @@ class Guess:
 
 @dataclass(frozen=True)
 class Found:
-    """The best guess, and the best score of clearly different ones: what chance reaches in these images."""
+    """The best guess, and the best score of clearly different ones: what chance reaches in these
+    images."""
 
     best: Guess
     chance: float
 
 
 def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -> Found:
-    """Search fields of view from 15° to 100° (or around a given one), turns up to 6°, and shifts up to 0.4 widths."""
+    """Search fields of view from 15° to 100° (or around a given one), turns up to 6°, and shifts up
+    to 0.4 widths."""
     thermal = [_structure(pair.thermal) for pair in pairs]
     coarse = [_correlated(pairs, thermal, focal, 0.0) for focal in _focals(field_of_view_deg)]
     best, second = max(coarse, key=lambda found: found.best.score), 0.0
     fine = [
-        _correlated(pairs, thermal, best.best.focal_widths * step, turn) for step in _FINE_STEPS for turn in _TURNS_DEG
+        _correlated(pairs, thermal, best.best.focal_widths * step, turn)
+        for step in _FINE_STEPS
+        for turn in _TURNS_DEG
     ]
     best = max([best, *fine], key=lambda found: found.best.score)
     for found in coarse:
@@ -77,7 +84,10 @@ def _focals(field_of_view_deg: float | None) -> list[float]:
     if field_of_view_deg is None:
         low, high = focal_widths(_WIDEST_DEG), focal_widths(_NARROWEST_DEG)
     else:
-        low, high = focal_widths(field_of_view_deg) / _KNOWN_WITHIN, focal_widths(field_of_view_deg) * _KNOWN_WITHIN
+        low, high = (
+            focal_widths(field_of_view_deg) / _KNOWN_WITHIN,
+            focal_widths(field_of_view_deg) * _KNOWN_WITHIN,
+        )
     steps = round(np.log(high / low) / np.log(_SCALE_STEP)) + 1
     return [float(value) for value in np.geomspace(low, high, steps)]
 
@@ -94,13 +104,17 @@ def _structure(plane: Plane) -> Float32[np.ndarray, "c h w"]:
 
 
 def _correlated(
-    pairs: Sequence[ReducedPair], thermal: Sequence[Float32[np.ndarray, "c h w"]], focal_widths: float, turn_deg: float
+    pairs: Sequence[ReducedPair],
+    thermal: Sequence[Float32[np.ndarray, "c h w"]],
+    focal_widths: float,
+    turn_deg: float,
 ) -> Found:
     """The best shift for a focal length and a turn, and the best that is far from it."""
     height, width = thermal[0].shape[1:]
     scales = [focal_widths * WIDTH_PX / pair.camera.K[0, 0].item() for pair in pairs]
     sides = [
-        2 * round(scale * max(p.camera.width, p.camera.height) / 2) for p, scale in zip(pairs, scales, strict=True)
+        2 * round(scale * max(p.camera.width, p.camera.height) / 2)
+        for p, scale in zip(pairs, scales, strict=True)
     ]
     side = max(sides)
     size = (next_fast_len(side + height), next_fast_len(side + width))
@@ -112,21 +126,29 @@ def _correlated(
     total[np.abs(down) > _FARTHEST_SHIFT] = 0.0
     total[:, np.abs(right) > _FARTHEST_SHIFT] = 0.0
     row, column = np.unravel_index(total.argmax(), size)
-    guess = Guess(float(total[row, column]), focal_widths, turn_deg, (float(right[column]), float(down[row])))
-    near = (np.abs(down - down[row]) < _NEAR_SHIFT)[:, None] & (np.abs(right - right[column]) < _NEAR_SHIFT)
+    guess = Guess(
+        float(total[row, column]), focal_widths, turn_deg, (float(right[column]), float(down[row]))
+    )
+    near = (np.abs(down - down[row]) < _NEAR_SHIFT)[:, None] & (
+        np.abs(right - right[column]) < _NEAR_SHIFT
+    )
     return Found(guess, float(np.where(near, 0.0, total).max()))
 
 
 def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
-    """The shift of the photo's middle from the thermal image's, in widths, for each place of a cyclic correlation."""
+    """The shift of the photo's middle from the thermal image's, in widths, for each place of a
+    cyclic correlation."""
     places = np.arange(count)
-    return (side / 2 - np.where(places < count - thermal, places, places - count) - thermal / 2) / WIDTH_PX
+    return (
+        side / 2 - np.where(places < count - thermal, places, places - count) - thermal / 2
+    ) / WIDTH_PX
 
 
 def _photo(
     pair: ReducedPair, scale: float, turn_deg: float, side: int
 ) -> tuple[Float32[np.ndarray, "c s s"], Float32[np.ndarray, "s s"]]:
-    """The structure of the photo, scaled and turned about its principal point, in the middle of a square."""
+    """The structure of the photo, scaled and turned about its principal point, in the middle of a
+    square."""
     values = pair.rgb.values
     if scale < 1:
         values = gaussian_filter(values, 0.5 * np.sqrt(1 / scale**2 - 1))
@@ -146,8 +168,9 @@ def _correlation(
     seen: Float32[np.ndarray, "s s"],
     size: tuple[int, int],
 ) -> Float32[np.ndarray, "rows columns"]:
-    """Normalised correlation of the thermal image with the photo's part under it, for each shift (cyclic); 0 where too
-    little is under it, and lowered where it is not all: chance reaches higher in smaller parts."""
+    """Normalised correlation of the thermal image with the photo's part under it, for each shift
+    (cyclic); 0 where too little is under it, and lowered where it is not all: chance reaches higher
+    in smaller parts."""
     ones = np.ones(thermal.shape[1:], dtype=np.float32)
     window, area = np.conj(rfft2(ones, size)), rfft2(seen, size)
     product = irfft2((np.conj(rfft2(thermal, size)) * rfft2(photo, size)).sum(axis=0), size)
@@ -156,4 +179,6 @@ def _correlation(
     overlap = irfft2(window * area, size)
     enough = overlap > _LEAST_OVERLAP * min(ones.size, float(seen.sum()))
     energy = np.sqrt(np.maximum(of_thermal * of_photo, 1e-6))
-    return np.where(enough, product / energy * np.sqrt(overlap.clip(min=0) / ones.size), 0.0).astype(np.float32)
+    return np.where(
+        enough, product / energy * np.sqrt(overlap.clip(min=0) / ones.size), 0.0
+    ).astype(np.float32)

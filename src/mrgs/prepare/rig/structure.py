@@ -1,7 +1,9 @@
-"""What a photo and a thermal image of the same thing share: where edges are, and which way they run.
+"""What a photo and a thermal image of the same thing share: where edges are, and which way they
+run.
 
-Not the contrast: what is bright may be cold. So gradients are split into channels by their direction without sign
-(channel features of orientated gradients; Ye, Bruzzone, Shan, Bovolo and Zhu, 2019).
+Not the contrast: what is bright may be cold. So gradients are split into channels by their
+direction without sign (channel features of orientated gradients; Ye, Bruzzone, Shan, Bovolo and
+Zhu, 2019).
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ _MARGIN_PX = 4
 def structure(
     image: Float[np.ndarray, "h w"], blur_px: float, valid: Bool[np.ndarray, "h w"] | None = None
 ) -> Float32[np.ndarray, "c h w"]:
-    """Strength of the edges in each of ``DIRECTIONS`` directions, less its mean in the surroundings.
+    """Strength of the edges in each of ``DIRECTIONS`` directions, less its mean in the
+    surroundings.
 
     It does not change when the image is inverted, scaled or shifted in value.
 

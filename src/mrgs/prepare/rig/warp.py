@@ -31,18 +31,26 @@ class Warped:
 
 
 def thermal_rays(lens: Lens, width: int, height: int) -> Float[np.ndarray, "h w 3"]:
-    """The ray (x, y, 1) of each pixel of the thermal image, when it is resized to width × height."""
-    u, v = np.meshgrid((np.arange(width) + 0.5) * lens.width / width, (np.arange(height) + 0.5) * lens.height / height)
+    """The ray (x, y, 1) of each pixel of the thermal image, when it is resized to width ×
+    height."""
+    u, v = np.meshgrid(
+        (np.arange(width) + 0.5) * lens.width / width,
+        (np.arange(height) + 0.5) * lens.height / height,
+    )
     x, y = lens.undistort((u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
 def warp(
-    pair: ReducedPair, rays: Float[np.ndarray, "h w 3"], rgb_from_thermal: Float[np.ndarray, "4 4"], spacing: float
+    pair: ReducedPair,
+    rays: Float[np.ndarray, "h w 3"],
+    rgb_from_thermal: Float[np.ndarray, "4 4"],
+    spacing: float,
 ) -> Warped:
     """The photo from the thermal camera.
 
-    Each ray is met with the photo's depth by turns: where it is at that depth, and how deep the photo is there.
+    Each ray is met with the photo's depth by turns: where it is at that depth, and how deep the
+    photo is there.
 
     Args:
         pair: the photo with its depth.
@@ -61,7 +69,14 @@ def warp(
         points = centre + along[..., None] * directions
         u, v = fx * points[..., 0] / points[..., 2] + cx, fy * points[..., 1] / points[..., 2] + cy
         inverse = sampled(pair.depth.values, u, v, STEP_PX)
-    seen = ahead & (along > 0) & (u > 1) & (u < pair.camera.width - 1) & (v > 1) & (v < pair.camera.height - 1)
+    seen = (
+        ahead
+        & (along > 0)
+        & (u > 1)
+        & (u < pair.camera.width - 1)
+        & (v > 1)
+        & (v < pair.camera.height - 1)
+    )
     if pair.rgb.valid is not None:
         seen &= sampled(pair.rgb.valid.astype(np.float32), u, v) > 0.99
     photo = pair.rgb.values

@@ -10,22 +10,28 @@ from pathlib import Path
 
 from PIL import Image
 
-from mrgs.atomic import replacing
 from mrgs.data.images import probe
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare.colmap.job import IMAGE_FOLDER, JOB_FILE
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.stretch import span_of, stretched
 from mrgs.prepare.stages import digest
+from mrgs.system.atomic import replacing
 
 FORMAT = 1
-"""To be raised when features or matches are found in another way: older ones are then not continued."""
+"""To be raised when features or matches are found in another way: older ones are then not
+continued."""
 
 
 def set_up(
-    folder: Path, images: Mapping[str, Path], cameras: Mapping[str, str], stretch: bool, progress: Progress
+    folder: Path,
+    images: Mapping[str, Path],
+    cameras: Mapping[str, str],
+    stretch: bool,
+    progress: Progress,
 ) -> None:
-    """Make the folder ready; what an earlier call left there stays if it was made of the same images.
+    """Make the folder ready; what an earlier call left there stays if it was made of the same
+    images.
 
     The images get numbers for names, so that nothing in a name can be misread.
 
@@ -42,7 +48,9 @@ def set_up(
         shutil.rmtree(folder, ignore_errors=True)
         (folder / IMAGE_FOLDER).mkdir(parents=True)
         span = span_of(images.values()) if stretch else None
-        for number, (name, source) in enumerate(zip(_files(images, stretch), images.values(), strict=True), 1):
+        for number, (name, source) in enumerate(
+            zip(_files(images, stretch), images.values(), strict=True), 1
+        ):
             target = folder / IMAGE_FOLDER / name
             if span is None:
                 _link(source, target)
@@ -52,12 +60,20 @@ def set_up(
         with replacing(file) as temporary:  # last: it says that the rest is there
             temporary.write_bytes(content)
     except OSError as error:
-        raise RunError(f"{folder} cannot be written ({error.strerror}); free the place or choose another") from None
+        raise RunError(
+            f"{folder} cannot be written ({error.strerror}); free the place or choose another"
+        ) from None
 
 
-def _job(images: Mapping[str, Path], cameras: Mapping[str, str], stretch: bool) -> dict[str, object]:
-    """The content of the job's file: what ``mrgs.prepare.colmap`` reads, and what tells whether it is the same job."""
-    numbers = {camera: number for number, camera in enumerate(sorted({cameras[name] for name in images}), 1)}
+def _job(
+    images: Mapping[str, Path], cameras: Mapping[str, str], stretch: bool
+) -> dict[str, object]:
+    """The content of the job's file: what ``mrgs.prepare.colmap`` reads, and what tells whether it
+    is the same job."""
+    numbers = {
+        camera: number
+        for number, camera in enumerate(sorted({cameras[name] for name in images}), 1)
+    }
     listed = [
         {"file": file, "camera": numbers[cameras[name]], "name": name, "sha256": digest(source)}
         for file, (name, source) in zip(_files(images, stretch), images.items(), strict=True)
@@ -79,7 +95,8 @@ def _check_sizes(images: Mapping[str, Path], cameras: Mapping[str, str]) -> None
         if (info.width, info.height) != size:
             raise SceneError(
                 f"{path} is {info.width}×{info.height} px, but {other.name} of the same camera is "
-                f"{size[0]}×{size[1]} px; prepare photos of different cameras, crops or zooms as different scenes"
+                f"{size[0]}×{size[1]} px; prepare photos of different cameras, crops or zooms as "
+                f"different scenes"
             )
 
 

@@ -1,7 +1,7 @@
 """Runs ``mrgs.prepare.colmap`` as a process of its own.
 
-From version 4.1 on pycolmap breaks zlib in the process that imports it, and it can take any process down; its memory is
-given back when it ends.
+From version 4.1 on pycolmap breaks zlib in the process that imports it, and it can take any process
+down; its memory is given back when it ends.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from mrgs.errors import ConfigError, RunError, SceneError
-from mrgs.isolation import CHILD_FOLDER, child_environment
 from mrgs.prepare.contract import Progress
+from mrgs.system.isolation import CHILD_FOLDER, child_environment
 
 CHILD = ("-m", "mrgs.prepare.colmap")
 LOG_FILE = "log.txt"
@@ -64,7 +64,9 @@ def _check_installed() -> None:
     try:
         version = importlib.metadata.version("pycolmap")
     except importlib.metadata.PackageNotFoundError:
-        raise ConfigError(f"finding the poses needs pycolmap: {install}, or give poses that you have") from None
+        raise ConfigError(
+            f"finding the poses needs pycolmap: {install}, or give poses that you have"
+        ) from None
     if int(version.partition(".")[0]) < LEAST_VERSION:
         raise ConfigError(f"pycolmap {version} is too old: {install}")
 
@@ -73,7 +75,9 @@ def _opened(log: Path) -> TextIO:
     try:
         return log.open("w", encoding="utf-8")
     except OSError as error:
-        raise RunError(f"{log} cannot be written ({error.strerror}); free the place or choose another") from None
+        raise RunError(
+            f"{log} cannot be written ({error.strerror}); free the place or choose another"
+        ) from None
 
 
 def _listen(process: subprocess.Popen[str], progress: Progress) -> dict[str, Any]:
@@ -97,7 +101,8 @@ def _reason(status: int, end: dict[str, Any]) -> str:
         return str(end["message"])
     if status == -9:
         return (
-            "the system ended the process (signal 9), most likely for want of memory; close other programs or use "
+            "the system ended the process (signal 9), most likely for want of memory; close other "
+            "programs or use "
             "smaller photos, and call again to continue"
         )
     return f"the process ended with status {status}; call again to continue"

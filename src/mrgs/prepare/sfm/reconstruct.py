@@ -22,13 +22,15 @@ def reconstruct(
 ) -> Reconstruction:
     """Poses and points from images that overlap (Schönberger and Frahm, 2016, by way of pycolmap).
 
-    All that is found is kept in ``work/sfm``, in COLMAP's formats, for the next call with the same images.
+    All that is found is kept in ``work/sfm``, in COLMAP's formats, for the next call with the same
+    images.
 
     Args:
         images: files by the views' names, in the order in which they were taken.
         cameras: which camera took each view; all images of one share a lens and a size.
         work: folder for what is made on the way.
-        progress: told of the steps "contrast" (with ``stretch``), "features", "matching" and "mapping".
+        progress: told of the steps "contrast" (with ``stretch``), "features", "matching" and
+            "mapping".
         stretch: the images are thermal ones, and their contrast is stretched first.
 
     Raises:
@@ -38,7 +40,8 @@ def reconstruct(
     """
     if len(images) < MIN_VIEWS:
         raise SceneError(
-            f"poses need {MIN_VIEWS} photos at least, and {len(images)} can be used; take more, all around"
+            f"poses need {MIN_VIEWS} photos at least, and {len(images)} can be used; take more, "
+            f"all around"
         )
     folder = work / "sfm"
     set_up(folder, images, cameras, stretch, progress)

@@ -47,10 +47,13 @@ def read_result(folder: Path, images: Literal["rgb", "thermal"]) -> Reconstructi
         viewmats={names[image.name]: image.viewmat for image in registered},
         lenses={names[image.name]: image.lens for image in registered},
         points=points,
-        visible={names[image.name]: torch.from_numpy(seen[rows[image.name], 1]) for image in registered},
+        visible={
+            names[image.name]: torch.from_numpy(seen[rows[image.name], 1]) for image in registered
+        },
         failed=failed,
         reprojection_px=report["reprojection_px"],
-        source=f"Structure from motion with COLMAP: {len(registered)} of {len(names)} photos, {len(positions)} points.",
+        source=f"Structure from motion with COLMAP: {len(registered)} of {len(names)} photos, "
+        f"{len(positions)} points.",
         images=images,
         warnings=_warnings(report["groups"], report["reprojection_px"]),
     )
@@ -63,7 +66,11 @@ def _read(file: Path) -> dict[str, Any]:
 def _failed(names: Mapping[str, str], report: dict[str, Any]) -> tuple[LeftOut, ...]:
     """The images outside of the largest model, in order."""
     pairs = zip(names.values(), report["images"], strict=True)
-    return tuple(LeftOut(name, _reason(image, report["groups"], names)) for name, image in pairs if image["group"] != 0)
+    return tuple(
+        LeftOut(name, _reason(image, report["groups"], names))
+        for name, image in pairs
+        if image["group"] != 0
+    )
 
 
 def _reason(image: dict[str, Any], groups: Sequence[int], names: Mapping[str, str]) -> str:
@@ -74,11 +81,16 @@ def _reason(image: dict[str, Any], groups: Sequence[int], names: Mapping[str, st
     if features < FEW_FEATURES:
         return f"too little texture, or blurred ({features} features)"
     if image["group"] is not None:
-        return f"connected only to a group of {groups[image['group']]} photos, apart from the largest"
+        return (
+            f"connected only to a group of {groups[image['group']]} photos, apart from the largest"
+        )
     if matches < FEW_MATCHES:
         other = f", with {names[image['with']]}" if matches else ""
         return f"little in common with any other photo ({matches} matches at most{other})"
-    return f"no place among the others fits its matches ({matches} at most, with {names[image['with']]})"
+    return (
+        f"no place among the others fits its matches ({matches} at most, with "
+        f"{names[image['with']]})"
+    )
 
 
 def _too_few(count: int, failed: Sequence[LeftOut]) -> str:
@@ -103,12 +115,14 @@ def _warnings(groups: Sequence[int], reprojection_px: float) -> tuple[str, ...]:
     if len(groups) > 1:
         sizes = ", ".join(str(size) for size in groups)
         found += (
-            f"The photos fall into {len(groups)} groups that are not connected ({sizes} photos); the largest is used. "
+            f"The photos fall into {len(groups)} groups that are not connected ({sizes} photos); "
+            f"the largest is used. "
             "Photos that overlap both would join them.",
         )
     if reprojection_px > ROUGH_PX:
         found += (
-            f"The poses are rough: points lie {reprojection_px:.1f} px from where they were seen (mean). "
+            f"The poses are rough: points lie {reprojection_px:.1f} px from where they were seen "
+            f"(mean). "
             "Sharper photos with more texture would help.",
         )
     return found

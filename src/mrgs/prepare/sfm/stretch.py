@@ -1,7 +1,8 @@
-"""Thermal images made fit for features: one span of temperatures for the whole set, then contrast evened out locally.
+"""Thermal images made fit for features: one span of temperatures for the whole set, then contrast
+evened out locally.
 
-Features are found at edges; in a thermal image most of the range is taken by a few hot or cold things, and the edges of
-all others are a few shades deep.
+Features are found at edges; in a thermal image most of the range is taken by a few hot or cold
+things, and the edges of all others are a few shades deep.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def span_of(files: Iterable[Path]) -> tuple[float, float]:
         samples.append(values[:: max(len(values) // _SAMPLES, 1)].numpy())
     low, high = np.percentile(np.concatenate(samples), SPAN_PERCENTILES)
     if not high > low:
-        raise SceneError("the thermal images show the same value everywhere; check that they are the right files")
+        raise SceneError(
+            "the thermal images show the same value everywhere; check that they are the right files"
+        )
     return float(low), float(high)
 
 
@@ -78,21 +81,29 @@ def local_contrast(shares: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h
     above, below, down = _neighbours(height, rows)
     left, right, across = _neighbours(width, columns)
     down, across = down[:, None], across[None]
-    upper = (1 - across) * ranks[above[:, None], left, bins] + across * ranks[above[:, None], right, bins]
-    lower = (1 - across) * ranks[below[:, None], left, bins] + across * ranks[below[:, None], right, bins]
+    upper = (1 - across) * ranks[above[:, None], left, bins] + across * ranks[
+        above[:, None], right, bins
+    ]
+    lower = (1 - across) * ranks[below[:, None], left, bins] + across * ranks[
+        below[:, None], right, bins
+    ]
     return ((1 - down) * upper + down * lower).astype(np.float32)
 
 
 def _ranks(tile: np.ndarray) -> Float32[np.ndarray, " bins"]:
-    """For each value the share of the tile's pixels below it, with the histogram's peaks cut and spread evenly."""
+    """For each value the share of the tile's pixels below it, with the histogram's peaks cut and
+    spread evenly."""
     histogram = np.bincount(tile.ravel(), minlength=BINS).astype(np.float64)
     limit = CLIP * tile.size / BINS
     excess = np.maximum(histogram - limit, 0).sum()
-    return (np.cumsum(np.minimum(histogram, limit) + excess / BINS) / max(tile.size, 1)).astype(np.float32)
+    return (np.cumsum(np.minimum(histogram, limit) + excess / BINS) / max(tile.size, 1)).astype(
+        np.float32
+    )
 
 
 def _neighbours(size: int, tiles: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each pixel along a side the tiles before and after it, and its share of the way between their centres."""
+    """For each pixel along a side the tiles before and after it, and its share of the way between
+    their centres."""
     place = (np.arange(size) + 0.5) * tiles / size - 0.5
     before = np.clip(np.floor(place), 0, tiles - 1).astype(np.int64)
     return before, np.minimum(before + 1, tiles - 1), np.clip(place - before, 0, 1)

@@ -1,9 +1,10 @@
 """Alpha blending of the tiles: both layers in one walk, front to back, sixteen pixels at a time.
 
-    α_i = min(0.999, o_i G_i),  w_i = α_i T_i,  image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i
+    α_i = min(0.999, o_i G_i),  w_i = α_i T_i,
+    image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i
 
-A tile keeps its pixels as planes of floats, two rows of the tile being one vector. A layer's planes stand one after
-the other: transmittance T, depth, then its channels.
+A tile keeps its pixels as planes of floats, two rows of the tile being one vector. A layer's planes
+stand one after the other: transmittance T, depth, then its channels.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ VECTOR_ROWS = LANES // TILE_WIDTH
 
 ALL_VECTORS = (1 << (TILE_HEIGHT // VECTOR_ROWS)) - 1
 TILE_STRIDE = 7
-"""Neighbouring tiles cost alike: the threads' shares are interleaved by walking the tiles in steps of about 1/7."""
+"""Neighbouring tiles cost alike: the threads' shares are interleaved by walking the tiles in steps
+of about 1/7."""
 
 TRANSMITTANCE = 0
 DEPTH = TILE_PIXELS
@@ -73,7 +75,8 @@ def interleaved(index, tiles):
 
 @kernel()
 def open_transmittance(planes, layer, x0, y0, width, height):
-    """T = 1 on the pixels of the image, 0 on those of the tile that lie outside: they never blend."""
+    """T = 1 on the pixels of the image, 0 on those of the tile that lie outside: they never
+    blend."""
     for row in range(min(TILE_HEIGHT, height - y0)):
         for column in range(min(TILE_WIDTH, width - x0)):
             write(planes, layer + TRANSMITTANCE + row * TILE_WIDTH + column, ONE)
@@ -81,7 +84,8 @@ def open_transmittance(planes, layer, x0, y0, width, height):
 
 @inlined_kernel()
 def vector_range(splats, record, y0):
-    """First and last vector of the tile whose rows of pixel centres the splat's ellipse can reach."""
+    """First and last vector of the tile whose rows of pixel centres the splat's ellipse can
+    reach."""
     mean_y, extent_y = read(splats, record + splat.MEAN_Y), read(splats, record + splat.EXTENT_Y)
     first = ceil_to_int(mean_y - extent_y - HALF) - y0
     last = floor_to_int(mean_y + extent_y - HALF) - y0
@@ -105,7 +109,8 @@ def _accumulate(planes, at, weight, value):
 def _blend_layer(planes, at, splats, record, layer, channels, gaussian):
     """Blend one layer of a splat into a vector of pixels; their transmittance behind it.
 
-    Nothing is skipped where no pixel blends: a branch would be mispredicted more often than it saves work.
+    Nothing is skipped where no pixel blends: a branch would be mispredicted more often than it
+    saves work.
 
     Args:
         planes, at: the tile's planes, and the offset of the vector in the layer's first plane.
@@ -129,7 +134,8 @@ def _blend_layer(planes, at, splats, record, layer, channels, gaussian):
 
 @kernel()
 def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
-    """Walk the tile's list front to back; leave when no pixel of either layer lets light through."""
+    """Walk the tile's list front to back; leave when no pixel of either layer lets light
+    through."""
     nearly_opaque = broadcast(TRANSMITTANCE_MIN)
     centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))
     centres_y = lane_rows(TILE_WIDTH) + broadcast(np.float32(y0 + 0.5))
@@ -151,7 +157,9 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
             gaussian = exp2(exponent)
             at = vector * LANES
             behind_rgb = _blend_layer(planes, _RGB + at, splats, record, splat.RGB, 3, gaussian)
-            behind_thermal = _blend_layer(planes, _THERMAL + at, splats, record, splat.THERMAL, 1, gaussian)
+            behind_thermal = _blend_layer(
+                planes, _THERMAL + at, splats, record, splat.THERMAL, 1, gaussian
+            )
             if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
                 live_vectors &= ~(1 << vector)
         if live_vectors == 0:
@@ -159,7 +167,9 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
 
 
 @kernel()
-def _write_layer(planes, layer, channels, background, x0, y0, width, height, image, depth, transmittances):
+def _write_layer(
+    planes, layer, channels, background, x0, y0, width, height, image, depth, transmittances
+):
     """A layer's planes -> pixels of its images, over the background."""
     for row in range(min(TILE_HEIGHT, height - y0)):
         for column in range(min(TILE_WIDTH, width - x0)):
@@ -168,17 +178,23 @@ def _write_layer(planes, layer, channels, background, x0, y0, width, height, ima
             transmittance = read(planes, at + TRANSMITTANCE)
             for channel in range(channels):
                 feature = read(planes, at + FEATURES + channel * TILE_PIXELS)
-                write(image, pixel * channels + channel, feature + transmittance * read(background, channel))
+                write(
+                    image,
+                    pixel * channels + channel,
+                    feature + transmittance * read(background, channel),
+                )
             write(depth, pixel, read(planes, at + DEPTH))
             write(transmittances, pixel, transmittance)
 
 
 @parallel_kernel()
 def blend(
-    splats, tile_splats, tile_starts, background_rgb, background_thermal, rgb, depth_rgb, transmittance_rgb,
+    splats, tile_splats, tile_starts, background_rgb, background_thermal, rgb, depth_rgb,
+    transmittance_rgb,
     thermal, depth_thermal, transmittance_thermal,
 ):  # fmt: skip
-    """Fill the images of both layers: rgb [H, W, 3] and thermal [H, W, 1], their depths and T_end [H, W].
+    """Fill the images of both layers: rgb [H, W, 3] and thermal [H, W, 1], their depths and T_end
+    [H, W].
 
     Args:
         splats: records in depth order, [V, 16].
@@ -194,7 +210,9 @@ def blend(
         planes = stack_floats(TILE_FLOATS)
         open_transmittance(planes, _RGB, x0, y0, width, height)
         open_transmittance(planes, _THERMAL, x0, y0, width, height)
-        _blend_tile(planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0)
+        _blend_tile(
+            planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0
+        )
         _write_layer(
             planes, _RGB, 3, pointer(background_rgb), x0, y0, width, height,
             pointer(rgb), pointer(depth_rgb), pointer(transmittance_rgb),

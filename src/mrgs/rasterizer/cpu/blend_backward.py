@@ -1,9 +1,11 @@
-"""Backward of the alpha blending: the same walk, front to back, with one running scalar per layer and pixel.
+"""Backward of the alpha blending: the same walk, front to back, with one running scalar per layer
+and pixel.
 
-With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background + g_T): all that lies behind the
-splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel + T_end g_T and loses w_i (g·f_i) at each
-step; nothing is divided by T. Every (tile, splat) pair has its own record of sums, so no atomics are needed and the
-result does not depend on the number of threads.
+With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background + g_T): all that
+lies behind the splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel + T_end
+g_T and loses w_i (g·f_i) at each step; nothing is divided by T. Every (tile, splat) pair has its
+own record of sums, so no atomics are needed and the result does not depend on the number of
+threads.
 """
 
 from __future__ import annotations
@@ -50,7 +52,8 @@ from mrgs.rasterizer.cpu.simd import (
 )
 from mrgs.rasterizer.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
 
-# A layer's planes: T, then the gradients of depth and features where ``blend`` keeps depth and features, then R.
+# A layer's planes: T, then the gradients of depth and features where ``blend`` keeps depth and
+# features, then R.
 _RGB = 0
 _BEHIND_RGB = 5 * TILE_PIXELS
 _THERMAL = 6 * TILE_PIXELS
@@ -70,7 +73,9 @@ def _read_layer(
             pixel = (y0 + row) * width + x0 + column
             grad = read(grad_depth, pixel)
             write(planes, at + DEPTH, grad)
-            total = grad * read(depth, pixel) + read(grad_transmittance, pixel) * read(transmittance, pixel)
+            total = grad * read(depth, pixel) + read(grad_transmittance, pixel) * read(
+                transmittance, pixel
+            )
             for channel in range(channels):
                 grad = read(grad_image, pixel * channels + channel)
                 write(planes, at + FEATURES + channel * TILE_PIXELS, grad)
@@ -80,16 +85,18 @@ def _read_layer(
 
 @inlined_kernel()
 def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussian, sums):
-    """One layer of a splat in a row: α ∂L/∂α at its pixels, the row's transmittance behind it, and the new sums.
+    """One layer of a splat in a row: α ∂L/∂α at its pixels, the row's transmittance behind it, and
+    the new sums.
 
     Args:
-        planes, at, behind: the tile's planes, the offset of the row in the layer's first plane, and from there that of
-            the plane of R.
+        planes, at, behind: the tile's planes, the offset of the row in the layer's first plane, and
+            from there that of the plane of R.
         splats, record: the records, and the offset of this splat's.
         layer: the layer's part of the record.
         channels: 3 or 1.
         gaussian: G' at the row's pixels.
-        sums: over the rows so far, of α ∂L/∂α and of the gradients of the depth and of three features.
+        sums: over the rows so far, of α ∂L/∂α and of the gradients of the depth and of three
+            features.
     """
     sum_alpha, sum_depth, sum_0, sum_1, sum_2 = sums
     transmittance = load(planes, at + TRANSMITTANCE)
@@ -164,12 +171,29 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
                 planes, _RGB + at, _BEHIND_RGB, splats, record, splat.RGB, 3, gaussian, rgb
             )
             grad_thermal, behind_thermal, thermal = _backward_layer(
-                planes, _THERMAL + at, _BEHIND_THERMAL, splats, record, splat.THERMAL, 1, gaussian, thermal
+                planes,
+                _THERMAL + at,
+                _BEHIND_THERMAL,
+                splats,
+                record,
+                splat.THERMAL,
+                1,
+                gaussian,
+                thermal,
             )
             geometry = _add_geometry(geometry, grad_rgb + grad_thermal, dx, dy)
             if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
                 live_vectors &= ~(1 << vector)
-        sums = (*geometry, rgb[1] + thermal[1], rgb[0], rgb[2], rgb[3], rgb[4], thermal[0], thermal[2])
+        sums = (
+            *geometry,
+            rgb[1] + thermal[1],
+            rgb[0],
+            rgb[2],
+            rgb[3],
+            rgb[4],
+            thermal[0],
+            thermal[2],
+        )
         store_sums(pair_grads, position * splat.GRAD_FLOATS, sums)
         if live_vectors == 0:
             for rest in range((position + 1) * splat.GRAD_FLOATS, last * splat.GRAD_FLOATS):
@@ -180,7 +204,8 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
 @parallel_kernel()
 def blend_backward(
     splats, tile_splats, tile_starts, rgb, depth_rgb, transmittance_rgb, thermal, depth_thermal,
-    transmittance_thermal, grad_rgb, grad_depth_rgb, grad_transmittance_rgb, grad_thermal, grad_depth_thermal,
+    transmittance_thermal, grad_rgb, grad_depth_rgb, grad_transmittance_rgb, grad_thermal,
+    grad_depth_thermal,
     grad_transmittance_thermal, pair_grads,
 ):  # fmt: skip
     """Fill ``pair_grads`` [P, 12], the gradient moments of every (tile, splat) pair.
@@ -211,5 +236,12 @@ def blend_backward(
             pointer(grad_thermal), pointer(grad_depth_thermal), pointer(grad_transmittance_thermal),
         )  # fmt: skip
         _backward_tile(
-            planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0, pointer(pair_grads)
+            planes,
+            pointer(splats),
+            tile_splats,
+            tile_starts[tile],
+            tile_starts[tile + 1],
+            x0,
+            y0,
+            pointer(pair_grads),
         )

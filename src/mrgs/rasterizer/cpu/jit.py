@@ -1,4 +1,5 @@
-"""How every kernel of this room is compiled: on first call, kept on disk, division by zero gives inf."""
+"""How every kernel of this room is compiled: on first call, kept on disk, division by zero gives
+inf."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from pathlib import Path
 
 from numba import njit
 
-from mrgs.jit import drop_stale_kernels
+from mrgs.system.jit import drop_stale_kernels
 
 _ROOM = Path(__file__).parent
 drop_stale_kernels(_ROOM, _ROOM.parent / "contract.py")

@@ -1,7 +1,10 @@
-"""EWA projection of the Gaussians and its backward, one Gaussian per loop turn, in double precision.
+"""EWA projection of the Gaussians and its backward, one Gaussian per loop turn, in double
+precision.
 
-With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's rotation and
-scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever formed.
+With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
+rotation and
+scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
+    formed.
 """
 
 from __future__ import annotations
@@ -107,7 +110,8 @@ def _covariance(n0, n1):
 
 @kernel()
 def _areas_squared(xx, xy, yy):
-    """det(Σ' − 0.3 I) and det Σ': the squared area of the projected Gaussian before and after the dilation."""
+    """det(Σ' − 0.3 I) and det Σ': the squared area of the projected Gaussian before and after the
+    dilation."""
     return (xx - DILATION) * (yy - DILATION) - xy * xy, xx * yy - xy * xy
 
 
@@ -120,7 +124,8 @@ def _compensation(xx, xy, yy):
 
 @parallel_kernel()
 def project(
-    means, quats, scales, opacities, features, viewmat, K, width, height, means2d_offset, antialiased, splats, radii
+    means, quats, scales, opacities, features, viewmat, K, width, height, means2d_offset,
+    antialiased, splats, radii
 ):  # fmt: skip
     """Fill ``splats`` [N, 16] and ``radii`` [N]; a radius of 0 marks a Gaussian that is left out.
 
@@ -157,7 +162,9 @@ def project(
         extent_x, extent_y = math.sqrt(reach * xx), math.sqrt(reach * yy)
         outside_x = mean_x + extent_x < 0.0 or mean_x - extent_x > width
         outside_y = mean_y + extent_y < 0.0 or mean_y - extent_y > height
-        is_usable = determinant > 0.0 and abs(mean_x) + abs(mean_y) + extent_x + extent_y < LARGEST_PX
+        is_usable = (
+            determinant > 0.0 and abs(mean_x) + abs(mean_y) + extent_x + extent_y < LARGEST_PX
+        )
         if not is_usable or outside_x or outside_y:
             continue
         largest_variance = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
@@ -187,7 +194,10 @@ def _screen_gradients(xx, xy, yy, g):
     """
     determinant = xx * yy - xy * xy
     a, b, c = yy / determinant, -xy / determinant, xx / determinant
-    grad_mean = (a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY], b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY])
+    grad_mean = (
+        a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY],
+        b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY],
+    )
     dxdx, dxdy, dydy = g[splat.GRAD_DXDX], g[splat.GRAD_DXDY], g[splat.GRAD_DYDY]
     p0, p1 = a * dxdx + b * dxdy, a * dxdy + b * dydy
     q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
@@ -196,7 +206,8 @@ def _screen_gradients(xx, xy, yy, g):
 
 @kernel()
 def _compensation_gradient(xx, xy, yy, g):
-    """What the anti-aliased opacity adds to ∂L/∂Σ': ½ ((Σ' − 0.3 I)⁻¹ − Σ'⁻¹) times the sum of v = ∂L/∂(ln o)."""
+    """What the anti-aliased opacity adds to ∂L/∂Σ': ½ ((Σ' − 0.3 I)⁻¹ − Σ'⁻¹) times the sum of v =
+    ∂L/∂(ln o)."""
     before, after = _areas_squared(xx, xy, yy)
     if before <= THINNEST * after:
         return 0.0, 0.0, 0.0
@@ -211,17 +222,44 @@ def _compensation_gradient(xx, xy, yy, g):
 @kernel()
 def _quaternion_gradient(quats, i, length, g):
     """∂L/∂quaternion from ∂L/∂R (three rows ``g``), through the normalisation."""
-    w, x, y, z = quats[i, 0] / length, quats[i, 1] / length, quats[i, 2] / length, quats[i, 3] / length
+    w, x, y, z = (
+        quats[i, 0] / length,
+        quats[i, 1] / length,
+        quats[i, 2] / length,
+        quats[i, 3] / length,
+    )
     gw = 2 * (x * (g[2][1] - g[1][2]) + y * (g[0][2] - g[2][0]) + z * (g[1][0] - g[0][1]))
-    gx = 2 * (y * (g[0][1] + g[1][0]) + z * (g[0][2] + g[2][0]) + w * (g[2][1] - g[1][2]) - 2 * x * (g[1][1] + g[2][2]))
-    gy = 2 * (x * (g[0][1] + g[1][0]) + z * (g[1][2] + g[2][1]) + w * (g[0][2] - g[2][0]) - 2 * y * (g[0][0] + g[2][2]))
-    gz = 2 * (x * (g[0][2] + g[2][0]) + y * (g[1][2] + g[2][1]) + w * (g[1][0] - g[0][1]) - 2 * z * (g[0][0] + g[1][1]))
+    gx = 2 * (
+        y * (g[0][1] + g[1][0])
+        + z * (g[0][2] + g[2][0])
+        + w * (g[2][1] - g[1][2])
+        - 2 * x * (g[1][1] + g[2][2])
+    )
+    gy = 2 * (
+        x * (g[0][1] + g[1][0])
+        + z * (g[1][2] + g[2][1])
+        + w * (g[0][2] - g[2][0])
+        - 2 * y * (g[0][0] + g[2][2])
+    )
+    gz = 2 * (
+        x * (g[0][2] + g[2][0])
+        + y * (g[1][2] + g[2][1])
+        + w * (g[1][0] - g[0][1])
+        - 2 * z * (g[0][0] + g[1][1])
+    )
     along = gw * w + gx * x + gy * y + gz * z
-    return (gw - along * w) / length, (gx - along * x) / length, (gy - along * y) / length, (gz - along * z) / length
+    return (
+        (gw - along * w) / length,
+        (gx - along * x) / length,
+        (gy - along * y) / length,
+        (gz - along * z) / length,
+    )
 
 
 @kernel()
-def _camera_point_gradient(point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, grad_depth):
+def _camera_point_gradient(
+    point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, grad_depth
+):
     """∂L/∂(centre in camera coordinates) from those of M = J R_w, of μ' and of the depth."""
     x, y, z = point
     u = _clamped_slope(x / z, fx, cx, width)
@@ -249,7 +287,8 @@ def _geometry_gradient(
     i, g, means, quats, scales, viewmat, K, width, height, antialiased,
     grad_means, grad_quats, grad_scales, grad_means2d,
 ):  # fmt: skip
-    """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian i."""
+    """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian
+    i."""
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     point = _to_camera(means, viewmat, i)
     u = _clamped_slope(point[0] / point[2], fx, cx, width)
@@ -265,22 +304,53 @@ def _geometry_gradient(
         cxx, cxy, cyy = _compensation_gradient(xx, xy, yy, g)
         hxx, hxy, hyy = hxx + cxx, hxy + cxy, hyy + cyy
     # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
-    gn0 = (2 * (hxx * n0[0] + hxy * n1[0]), 2 * (hxx * n0[1] + hxy * n1[1]), 2 * (hxx * n0[2] + hxy * n1[2]))
-    gn1 = (2 * (hxy * n0[0] + hyy * n1[0]), 2 * (hxy * n0[1] + hyy * n1[1]), 2 * (hxy * n0[2] + hyy * n1[2]))
+    gn0 = (
+        2 * (hxx * n0[0] + hxy * n1[0]),
+        2 * (hxx * n0[1] + hxy * n1[1]),
+        2 * (hxx * n0[2] + hxy * n1[2]),
+    )
+    gn1 = (
+        2 * (hxy * n0[0] + hyy * n1[0]),
+        2 * (hxy * n0[1] + hyy * n1[1]),
+        2 * (hxy * n0[2] + hyy * n1[2]),
+    )
     for k in range(3):
         grad_scales[i, k] = gn0[k] * p0[k] + gn1[k] * p1[k]
     gp0, gp1 = _scaled(gn0, scales, i), _scaled(gn1, scales, i)
     grad_rotation = (
-        (m0[0] * gp0[0] + m1[0] * gp1[0], m0[0] * gp0[1] + m1[0] * gp1[1], m0[0] * gp0[2] + m1[0] * gp1[2]),
-        (m0[1] * gp0[0] + m1[1] * gp1[0], m0[1] * gp0[1] + m1[1] * gp1[1], m0[1] * gp0[2] + m1[1] * gp1[2]),
-        (m0[2] * gp0[0] + m1[2] * gp1[0], m0[2] * gp0[1] + m1[2] * gp1[1], m0[2] * gp0[2] + m1[2] * gp1[2]),
+        (
+            m0[0] * gp0[0] + m1[0] * gp1[0],
+            m0[0] * gp0[1] + m1[0] * gp1[1],
+            m0[0] * gp0[2] + m1[0] * gp1[2],
+        ),
+        (
+            m0[1] * gp0[0] + m1[1] * gp1[0],
+            m0[1] * gp0[1] + m1[1] * gp1[1],
+            m0[1] * gp0[2] + m1[1] * gp1[2],
+        ),
+        (
+            m0[2] * gp0[0] + m1[2] * gp1[0],
+            m0[2] * gp0[1] + m1[2] * gp1[1],
+            m0[2] * gp0[2] + m1[2] * gp1[2],
+        ),
     )
     gw, gx, gy, gz = _quaternion_gradient(quats, i, length, grad_rotation)
     grad_quats[i, 0], grad_quats[i, 1], grad_quats[i, 2], grad_quats[i, 3] = gw, gx, gy, gz
     grad_m0 = (_dot(gp0, rotation[0]), _dot(gp0, rotation[1]), _dot(gp0, rotation[2]))
     grad_m1 = (_dot(gp1, rotation[0]), _dot(gp1, rotation[1]), _dot(gp1, rotation[2]))
     px, py, pz = _camera_point_gradient(
-        point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, g[splat.GRAD_DEPTH]
+        point,
+        viewmat,
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+        grad_m0,
+        grad_m1,
+        grad_mean,
+        g[splat.GRAD_DEPTH],
     )
     for k in range(3):
         grad_means[i, k] = viewmat[0, k] * px + viewmat[1, k] * py + viewmat[2, k] * pz
@@ -300,14 +370,16 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
 
 @parallel_kernel()
 def project_backward(
-    means, quats, scales, opacities, viewmat, K, width, height, antialiased, pair_grads, pair_positions, pair_starts,
+    means, quats, scales, opacities, viewmat, K, width, height, antialiased, pair_grads,
+    pair_positions, pair_starts,
     grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
 ):  # fmt: skip
     """Gather the gradient moments of each Gaussian and chain them back to its parameters.
 
     Args:
         pair_grads: moments per (tile, splat) pair, [P, 12].
-        pair_positions, pair_starts: the pairs of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]].
+        pair_positions, pair_starts: the pairs of Gaussian i are
+            pair_positions[pair_starts[i]:pair_starts[i + 1]].
         grad_*: filled, with 0 for the Gaussians without pairs.
     """
     count = means.shape[0]
@@ -318,10 +390,14 @@ def project_backward(
                 grad_means[i], grad_quats[i], grad_scales[i], grad_means2d[i] = 0.0, 0.0, 0.0, 0.0
                 grad_opacities[i], grad_features[i] = 0.0, 0.0
                 continue
-            _sum_over_tiles(pointer(pair_grads), pair_positions, pair_starts[i], pair_starts[i + 1], g)
+            _sum_over_tiles(
+                pointer(pair_grads), pair_positions, pair_starts[i], pair_starts[i + 1], g
+            )
             for layer in range(2):
                 opacity = opacities[i, layer]
-                grad_opacities[i, layer] = g[splat.GRAD_LAYERS[layer]] / opacity if opacity > 0.0 else 0.0
+                grad_opacities[i, layer] = (
+                    g[splat.GRAD_LAYERS[layer]] / opacity if opacity > 0.0 else 0.0
+                )
             for channel in range(3):
                 grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
             grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]

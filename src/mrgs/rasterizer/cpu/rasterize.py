@@ -19,11 +19,13 @@ from mrgs.rasterizer.cpu.projection import project, project_backward
 from mrgs.rasterizer.cpu.tiles import depth_order, gather_splats, tile_lists
 
 _SLOT_CHANNELS = (3, 1)
-"""The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of 1."""
+"""The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of
+1."""
 
 
 class _FusedPass(torch.autograd.Function):
-    """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2]) -> images, radii.
+    """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2]) ->
+    images, radii.
 
     The images are those of both slots: features, depth, T_end, features, depth, T_end.
     """
@@ -40,9 +42,15 @@ class _FusedPass(torch.autograd.Function):
         order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
         splats = gather_splats(splats, order)
         lists = tile_lists(splats, order, count, width, height)
-        shapes = [shape for c in _SLOT_CHANNELS for shape in ((height, width, c), (height, width), (height, width))]
+        shapes = [
+            shape
+            for c in _SLOT_CHANNELS
+            for shape in ((height, width, c), (height, width), (height, width))
+        ]
         images = [np.empty(shape, np.float32) for shape in shapes]
-        blend(splats, lists.tile_splats, lists.tile_starts, backgrounds[:3], backgrounds[3:], *images)
+        blend(
+            splats, lists.tile_splats, lists.tile_starts, backgrounds[:3], backgrounds[3:], *images
+        )
         *outputs, radii_tensor = (torch.from_numpy(array) for array in (*images, radii))
         ctx.mark_non_differentiable(radii_tensor)
         ctx.save_for_backward(*tensors[:5], *outputs)
@@ -58,17 +66,22 @@ class _FusedPass(torch.autograd.Function):
         grad_images = [grad.contiguous().numpy() for grad in grads[:-1]]
         height, width = images[1].shape
         pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
-        blend_backward(splats, lists.tile_splats, lists.tile_starts, *images, *grad_images, pair_grads)
+        blend_backward(
+            splats, lists.tile_splats, lists.tile_starts, *images, *grad_images, pair_grads
+        )
         means, quats, scales, opacities, _ = gaussians
         grad_gaussians = [np.empty_like(array) for array in gaussians]
         grad_offset = np.empty((means.shape[0], 2), np.float32)
         project_backward(
-            means, quats, scales, opacities, viewmat, K, width, height, antialiased, pair_grads, lists.pair_positions,
+            means, quats, scales, opacities, viewmat, K, width, height, antialiased, pair_grads,
+            lists.pair_positions,
             lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
-        # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it, and cost the kernels
-        # half a core.
-        grad_backgrounds = [np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)]
+        # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it,
+        # and cost the kernels half a core.
+        grad_backgrounds = [
+            np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)
+        ]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
         return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None, None)
 
@@ -85,15 +98,24 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
     antialiased: bool = False,
 ) -> Raster:
-    """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one of each, fused.
+    """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one
+    of each, fused.
 
     Raises:
         ValueError: layers that are neither of these, or tensors of other types or sizes.
     """
     channels = [layer.features.shape[1] for layer in layers]
-    if not channels or not set(channels) <= set(_SLOT_CHANNELS) or len(set(channels)) != len(channels):
-        raise ValueError(f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}")
-    opacities, features, backgrounds = _merge_layers(dict(zip(channels, layers, strict=True)), means.shape[0])
+    if (
+        not channels
+        or not set(channels) <= set(_SLOT_CHANNELS)
+        or len(set(channels)) != len(channels)
+    ):
+        raise ValueError(
+            f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
+        )
+    opacities, features, backgrounds = _merge_layers(
+        dict(zip(channels, layers, strict=True)), means.shape[0]
+    )
     offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
     _check(means, quats, scales, opacities, features, backgrounds, offset)
     *images, radii = _FusedPass.apply(
@@ -126,9 +148,11 @@ def _float64(matrix: Tensor) -> np.ndarray:
 
 
 def _merge_layers(by_channels: dict[int, Layer], count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Opacities [N, 2], features [N, 4], backgrounds [4] of both slots; a slot without a layer is transparent."""
+    """Opacities [N, 2], features [N, 4], backgrounds [4] of both slots; a slot without a layer is
+    transparent."""
     layers = [
-        by_channels.get(channels) or Layer(torch.zeros(count), torch.zeros(count, channels), torch.zeros(channels))
+        by_channels.get(channels)
+        or Layer(torch.zeros(count), torch.zeros(count, channels), torch.zeros(channels))
         for channels in _SLOT_CHANNELS
     ]
     return (

@@ -1,8 +1,8 @@
 """Vectors of sixteen floats for Numba, so that the kernels do not depend on LLVM's auto-vectoriser.
 
-A ``Float32x16`` lives in one AVX-512 register, or in two of AVX, or in four of NEON. Inside ``@njit`` functions it
-takes ``+ - *``, comparisons (which give a ``Mask16``), ``&`` on masks, and the functions below. Multiply-adds are fused
-where the machine has the instruction.
+A ``Float32x16`` lives in one AVX-512 register, or in two of AVX, or in four of NEON. Inside
+``@njit`` functions it takes ``+ - *``, comparisons (which give a ``Mask16``), ``&`` on masks, and
+the functions below. Multiply-adds are fused where the machine has the instruction.
 """
 
 from __future__ import annotations
@@ -54,8 +54,11 @@ class _Mask16Model(models.PrimitiveModel):
         super().__init__(dmm, fe_type, _MASK)
 
 
-def _define_operator(function: Callable, operand: types.Type, result: types.Type, emit: Callable) -> None:
-    """Teach Numba ``function(operand, operand) -> result``; ``emit(builder, a, b)`` writes the instruction."""
+def _define_operator(
+    function: Callable, operand: types.Type, result: types.Type, emit: Callable
+) -> None:
+    """Teach Numba ``function(operand, operand) -> result``; ``emit(builder, a, b)`` writes the
+    instruction."""
 
     class Template(ConcreteTemplate):
         cases = [signature(result, operand, operand)]  # noqa: RUF012
@@ -122,7 +125,8 @@ lane_rows = _lane_constants(lambda lane, width: lane // width)
 """The row of each lane if the lanes fill rows of ``width`` one after the other."""
 
 
-# Pointers, because Numba counts references to every array that is passed to a function, in the innermost loops too.
+# Pointers, because Numba counts references to every array that is passed to a function, in the
+# innermost loops too.
 
 
 @intrinsic
@@ -163,7 +167,10 @@ def write(typingctx: Any, floats: Any, index: Any, value: Any) -> Any:
     """The counterpart of ``read``."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(context.cast(builder, args[2], sig.args[2], types.float32), _element(context, builder, sig, args))
+        builder.store(
+            context.cast(builder, args[2], sig.args[2], types.float32),
+            _element(context, builder, sig, args),
+        )
         return context.get_dummy_value()
 
     return types.void(FloatPointer, index, value), codegen
@@ -212,7 +219,9 @@ def _rounded_to_int(instruction: str) -> Callable:
     @intrinsic
     def rounded(typingctx: Any, value: Any) -> Any:
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_F32, [_F32]), instruction)
+            function = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(_F32, [_F32]), instruction
+            )
             return builder.fptosi(builder.call(function, [args[0]]), ir.IntType(64))
 
         return types.int64(types.float32), codegen
@@ -258,10 +267,11 @@ def any_lane(typingctx: Any, mask: Any) -> Any:
 
 @intrinsic
 def store_sums(typingctx: Any, floats: Any, index: Any, vectors: Any) -> Any:
-    """The sum over the lanes of each of up to sixteen vectors (a tuple) to consecutive floats, from ``index``.
+    """The sum over the lanes of each of up to sixteen vectors (a tuple) to consecutive floats, from
+    ``index``.
 
-    The vectors are folded together: each pass halves their number, and the lanes that each of them has left. The order
-    of the additions is always the same.
+    The vectors are folded together: each pass halves their number, and the lanes that each of them
+    has left. The order of the additions is always the same.
     """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -270,15 +280,21 @@ def store_sums(typingctx: Any, floats: Any, index: Any, vectors: Any) -> Any:
         while width > 1:
             folded += [_constant(0.0)] * (len(folded) % 2)
             width //= 2
-            halves = [[lane for lane in range(2 * LANES) if lane // width % 2 == half] for half in (0, 1)]
+            halves = [
+                [lane for lane in range(2 * LANES) if lane // width % 2 == half] for half in (0, 1)
+            ]
             masks = [ir.Constant(ir.VectorType(_I32, LANES), lanes) for lanes in halves]
             folded = [
                 builder.fadd(*(builder.shuffle_vector(one, other, mask) for mask in masks))
                 for one, other in zip(folded[::2], folded[1::2], strict=True)
             ]
         (sums,) = folded
-        kept = builder.shuffle_vector(sums, sums, ir.Constant(ir.VectorType(_I32, count), list(range(count))))
-        address = builder.bitcast(_element(context, builder, sig, args), ir.VectorType(_F32, count).as_pointer())
+        kept = builder.shuffle_vector(
+            sums, sums, ir.Constant(ir.VectorType(_I32, count), list(range(count)))
+        )
+        address = builder.bitcast(
+            _element(context, builder, sig, args), ir.VectorType(_F32, count).as_pointer()
+        )
         builder.store(kept, address, align=4)
         return context.get_dummy_value()
 
@@ -294,7 +310,9 @@ def exp2(typingctx: Any, vector: Any) -> Any:
     """2 to the power of each lane, for arguments up to 127; below -126 it stays at 2^-126."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        x = builder.select(builder.fcmp_ordered(">", args[0], _constant(-126.0)), args[0], _constant(-126.0))
+        x = builder.select(
+            builder.fcmp_ordered(">", args[0], _constant(-126.0)), args[0], _constant(-126.0)
+        )
         round_to_nearest = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.rint.v{LANES}f32"
         )
@@ -302,7 +320,9 @@ def exp2(typingctx: Any, vector: Any) -> Any:
         fraction = builder.fsub(x, whole)
         power = _constant(_EXP2_COEFFICIENTS[-1])
         for coefficient in reversed(_EXP2_COEFFICIENTS[:-1]):
-            power = builder.fadd(builder.fmul(power, fraction, flags=_FUSE), _constant(coefficient), flags=_FUSE)
+            power = builder.fadd(
+                builder.fmul(power, fraction, flags=_FUSE), _constant(coefficient), flags=_FUSE
+            )
         exponent = builder.fptosi(whole, _VECTOR_I32)
         shifted = builder.shl(exponent, ir.Constant(_VECTOR_I32, [23] * LANES))
         return builder.bitcast(builder.add(builder.bitcast(power, _VECTOR_I32), shifted), _VECTOR)

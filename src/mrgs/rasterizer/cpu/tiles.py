@@ -1,8 +1,8 @@
 """Depth order and tile lists.
 
-The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it, in depth order. The
-Gaussians are sorted by depth once; then the lists are counted and filled in that order, so that no (tile, depth) keys
-need sorting. Results do not depend on the number of threads.
+The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it, in
+depth order. The Gaussians are sorted by depth once; then the lists are counted and filled in that
+order, so that no (tile, depth) keys need sorting. Results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ from mrgs.rasterizer.cpu.simd import load, pointer, prefetch, store
 TILE_WIDTH = 8
 TILE_HEIGHT = 16
 CHUNKS = 16
-"""Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the thread count."""
+"""Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the
+thread count."""
 
 PREFETCH_AHEAD = 4
-"""Records come in an order that the processor cannot foresee: each is asked for this many turns before it is read."""
+"""Records come in an order that the processor cannot foresee: each is asked for this many turns
+before it is read."""
 
 _SLACK_PX = 1e-3
-"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a pixel."""
+"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a
+pixel."""
 
 _RADIX_BITS = 11
 _RADIX = 1 << _RADIX_BITS
@@ -34,7 +37,8 @@ _RADIX = 1 << _RADIX_BITS
 
 @kernel()
 def depth_order(depths, visible):
-    """Indices of the visible Gaussians, nearest first, ties by index: a stable radix sort of the positive floats' bits.
+    """Indices of the visible Gaussians, nearest first, ties by index: a stable radix sort of the
+    positive floats' bits.
 
     Args:
         depths: float32 [N], positive where visible.
@@ -94,10 +98,12 @@ def _half_width_at(record, dy):
 
 @kernel()
 def _tile_columns(record, tile_row, tiles_x):
-    """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if none).
+    """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if
+    none).
 
-    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own rightmost point,
-    or at the band's edge nearest to it; likewise on the left, where that point is mirrored.
+    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own
+    rightmost point, or at the band's edge nearest to it; likewise on the left, where that point is
+    mirrored.
     """
     band_top = tile_row * TILE_HEIGHT + 0.5 - record[splat.MEAN_Y]
     band_bottom = band_top + TILE_HEIGHT - 1.0
@@ -132,7 +138,8 @@ def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
 
 @kernel()
 def _prefix_sums(chunk_counts, pair_counts):
-    """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks in depth order."""
+    """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks
+    in depth order."""
     tiles = chunk_counts.shape[1]
     tile_starts = np.empty(tiles + 1, np.int64)
     total = 0
@@ -169,13 +176,17 @@ def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_spla
 
 
 class TileLists(NamedTuple):
-    """Which splats each tile draws, and where each Gaussian is drawn (P pairs of a tile and a splat).
+    """Which splats each tile draws, and where each Gaussian is drawn (P pairs of a tile and a
+    splat).
 
     Attributes:
         tile_splats: splats of all tiles one after the other, int32 [P].
-        tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64 [tiles + 1].
-        pair_positions: positions in tile_splats of each Gaussian's pairs, one Gaussian after the other, int32 [P].
-        pair_starts: those of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]], int64 [N + 1].
+        tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64
+            [tiles + 1].
+        pair_positions: positions in tile_splats of each Gaussian's pairs, one Gaussian after the
+            other, int32 [P].
+        pair_starts: those of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]],
+            int64 [N + 1].
     """
 
     tile_splats: np.ndarray
@@ -184,8 +195,11 @@ class TileLists(NamedTuple):
     pair_starts: np.ndarray
 
 
-def tile_lists(splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int) -> TileLists:
-    """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians ``order`` [V] of N."""
+def tile_lists(
+    splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int
+) -> TileLists:
+    """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians
+    ``order`` [V] of N."""
     tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
     pair_counts = np.zeros(gaussians, np.int32)

@@ -1,9 +1,12 @@
-"""Alpha blending of the tiles: one warp per tile walks its list front to back, all layers in one walk.
+"""Alpha blending of the tiles: one warp per tile walks its list front to back, all layers in one
+walk.
 
-    α_i = min(0.999, o_i G_i),  w_i = α_i T_i,  image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i
+    α_i = min(0.999, o_i G_i),  w_i = α_i T_i,
+    image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i
 
-The records of the list lie all over the memory: each is loaded one turn before it is needed, and its place in the
-memory two turns before, so that the loads of a turn and the arithmetic of the one before overlap.
+The records of the list lie all over the memory: each is loaded one turn before it is needed, and
+its place in the memory two turns before, so that the loads of a turn and the arithmetic of the one
+before overlap.
 """
 
 from __future__ import annotations
@@ -31,8 +34,9 @@ from mrgs.rasterizer.gpu.constants import (
 from mrgs.rasterizer.gpu.jit import device_function
 
 TURNS = tl.constexpr(2)
-"""So many splats are blended between two looks at whether any pixel of the tile is still unfinished. The code of these
-turns stands one after the other, so that the loads of one need not wait for the registers of the one before."""
+"""So many splats are blended between two looks at whether any pixel of the tile is still
+unfinished. The code of these turns stands one after the other, so that the loads of one need not
+wait for the registers of the one before."""
 
 
 @device_function
@@ -47,20 +51,27 @@ def tile_pixels(tile, width, height):
 
 @device_function
 def load_splat(splats, index, exists, HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr):
-    """The record of a splat: geometry and depth, and of each layer opacity and features (0 for one that is not there).
+    """The record of a splat: geometry and depth, and of each layer opacity and features (0 for one
+    that is not there).
 
     Past the end of the list there is none: the last one is repeated, and is transparent.
     """
     record = splats + index * SPLAT_FLOATS
     geometry = (
         tl.load(record + MEAN_X), tl.load(record + MEAN_Y),
-        tl.load(record + ACROSS), tl.load(record + SHEAR), tl.load(record + ALONG), tl.load(record + DEPTH),
+        tl.load(record + ACROSS), tl.load(record + SHEAR), tl.load(record + ALONG),
+        tl.load(record + DEPTH),
     )  # fmt: skip
     rgb = (0.0, 0.0, 0.0, 0.0)
     thermal = (0.0, 0.0)
     if HAS_RGB:
         opacity = tl.where(exists, tl.load(record + RGB), 0.0)
-        rgb = (opacity, tl.load(record + RGB + 1), tl.load(record + RGB + 2), tl.load(record + RGB + 3))
+        rgb = (
+            opacity,
+            tl.load(record + RGB + 1),
+            tl.load(record + RGB + 2),
+            tl.load(record + RGB + 3),
+        )
     if HAS_THERMAL:
         thermal = (tl.where(exists, tl.load(record + THERMAL), 0.0), tl.load(record + THERMAL + 1))
     return geometry, rgb, thermal
@@ -99,7 +110,8 @@ def blend(
 
     Args:
         splats: records, [N, 16].
-        tile_splats, tile_starts: splats of all tiles, int32 [P], and where each tile's begin, int32 [tiles + 1].
+        tile_splats, tile_starts: splats of all tiles, int32 [P], and where each tile's begin, int32
+            [tiles + 1].
         background_rgb, background_thermal: [3] and [1].
     """
     tile = tl.program_id(0)
@@ -142,12 +154,26 @@ def blend(
     pixel = row * width + column
     if HAS_RGB:
         tl.store(image_rgb + 3 * pixel, red + passed_rgb * tl.load(background_rgb), mask=inside)
-        tl.store(image_rgb + 3 * pixel + 1, green + passed_rgb * tl.load(background_rgb + 1), mask=inside)
-        tl.store(image_rgb + 3 * pixel + 2, blue + passed_rgb * tl.load(background_rgb + 2), mask=inside)
+        tl.store(
+            image_rgb + 3 * pixel + 1, green + passed_rgb * tl.load(background_rgb + 1), mask=inside
+        )
+        tl.store(
+            image_rgb + 3 * pixel + 2, blue + passed_rgb * tl.load(background_rgb + 2), mask=inside
+        )
         _store_coverage(depth_rgb, alpha_rgb, transmittance_rgb, pixel, inside, z_rgb, passed_rgb)
     if HAS_THERMAL:
-        tl.store(image_thermal + pixel, heat + passed_thermal * tl.load(background_thermal), mask=inside)
-        _store_coverage(depth_thermal, alpha_thermal, transmittance_thermal, pixel, inside, z_thermal, passed_thermal)
+        tl.store(
+            image_thermal + pixel, heat + passed_thermal * tl.load(background_thermal), mask=inside
+        )
+        _store_coverage(
+            depth_thermal,
+            alpha_thermal,
+            transmittance_thermal,
+            pixel,
+            inside,
+            z_thermal,
+            passed_thermal,
+        )
 
 
 @device_function

@@ -1,10 +1,12 @@
-"""Backward of the alpha blending: the same walk, front to back, with one running scalar per layer and pixel.
+"""Backward of the alpha blending: the same walk, front to back, with one running scalar per layer
+and pixel.
 
-With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background − g_alpha): all that lies behind the
-splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel − T_end g_alpha and loses w_i (g·f_i) at each
-step; nothing is divided by T. Every (tile, splat) pair has its own record of sums, in the order in which
-``tiles.list_pairs`` numbered them: those of one splat lie side by side, ``sum_pairs`` adds them up, and no atomics are
-needed. The result is the same bits on every run.
+With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background − g_alpha): all
+that lies behind the splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel −
+T_end g_alpha and loses w_i (g·f_i) at each step; nothing is divided by T. Every (tile, splat) pair
+has its own record of sums, in the order in which ``tiles.list_pairs`` numbered them: those of one
+splat lie side by side, ``sum_pairs`` adds them up, and no atomics are needed. The result is the
+same bits on every run.
 """
 
 from __future__ import annotations
@@ -12,7 +14,14 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from mrgs.rasterizer.gpu.blend import TURNS, any_unfinished, blended_alpha, gaussian_at, load_splat, tile_pixels
+from mrgs.rasterizer.gpu.blend import (
+    TURNS,
+    any_unfinished,
+    blended_alpha,
+    gaussian_at,
+    load_splat,
+    tile_pixels,
+)
 from mrgs.rasterizer.gpu.constants import (
     ALPHA_MAX,
     GRAD_DEPTH,
@@ -45,7 +54,8 @@ def _load_coverage(
 
 @device_function
 def _load_channel(image, grad_image, grad_background, at, inside, passed, tile):
-    """The gradient of a channel, what it adds to R at its start; and the tile's part of the background's gradient."""
+    """The gradient of a channel, what it adds to R at its start; and the tile's part of the
+    background's gradient."""
     grad = tl.load(grad_image + at, mask=inside, other=0.0)
     tl.store(grad_background + tile, tl.sum(passed * grad, axis=0))
     return grad, grad * tl.load(image + at, mask=inside, other=0.0)
@@ -53,7 +63,8 @@ def _load_channel(image, grad_image, grad_background, at, inside, passed, tile):
 
 @device_function
 def _grad_log_alpha(unclamped, alpha, own, behind):
-    """α ∂L/∂α = w (g·f) − R α / (1 − α): 0 where the splat does not blend (both α and w are), or where α is clamped."""
+    """α ∂L/∂α = w (g·f) − R α / (1 − α): 0 where the splat does not blend (both α and w are), or
+    where α is clamped."""
     root = tl.rsqrt(1.0 - alpha)  # of [0.001, 1]: a division would guard against what cannot be
     return tl.where(unclamped < ALPHA_MAX, own - behind * (alpha * root * root), 0.0)
 
@@ -79,15 +90,17 @@ def _sum_geometry(sums, grad, dx, dy):
 def blend_backward(
     splats, tile_splats, tile_starts, tile_pairs,
     image_rgb, depth_rgb, transmittance_rgb, image_thermal, depth_thermal, transmittance_thermal,
-    grad_image_rgb, grad_depth_rgb, grad_alpha_rgb, grad_image_thermal, grad_depth_thermal, grad_alpha_thermal,
-    pair_grads, grad_backgrounds, tiles, width, height, HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr,
+    grad_image_rgb, grad_depth_rgb, grad_alpha_rgb, grad_image_thermal, grad_depth_thermal,
+    grad_alpha_thermal,
+    pair_grads, grad_backgrounds, tiles, width, height, HAS_RGB: tl.constexpr,
+    HAS_THERMAL: tl.constexpr,
 ):  # fmt: skip
     """Write the gradient moments of every pair that blends; the others' must be 0 beforehand.
 
     Args:
         splats: records, [N, 16].
-        tile_splats, tile_pairs, tile_starts: splats of all tiles, int32 [P], the numbers of their pairs, int64 [P], and
-            where each tile's begin, int32 [tiles + 1].
+        tile_splats, tile_pairs, tile_starts: splats of all tiles, int32 [P], the numbers of their
+            pairs, int64 [P], and where each tile's begin, int32 [tiles + 1].
         image_rgb, ..., transmittance_thermal: what ``blend`` wrote.
         grad_*: the gradients of its images.
         pair_grads: written, [P, 12].
@@ -110,15 +123,28 @@ def blend_backward(
         behind_rgb += more
         gg, more = _load_channel(image_rgb, image, grads, 3 * pixel + 1, inside, passed_rgb, tiles)
         behind_rgb += more
-        gb, more = _load_channel(image_rgb, image, grads, 3 * pixel + 2, inside, passed_rgb, 2 * tiles)
+        gb, more = _load_channel(
+            image_rgb, image, grads, 3 * pixel + 2, inside, passed_rgb, 2 * tiles
+        )
         behind_rgb += more
         passed_rgb = tl.where(inside, 1.0, zero)
     if HAS_THERMAL:
         passed_thermal, gz_thermal, behind_thermal = _load_coverage(
-            depth_thermal, transmittance_thermal, grad_depth_thermal, grad_alpha_thermal, pixel, inside
+            depth_thermal,
+            transmittance_thermal,
+            grad_depth_thermal,
+            grad_alpha_thermal,
+            pixel,
+            inside,
         )
         gt, more = _load_channel(
-            image_thermal, grad_image_thermal, grad_backgrounds + tile, pixel, inside, passed_thermal, 3 * tiles
+            image_thermal,
+            grad_image_thermal,
+            grad_backgrounds + tile,
+            pixel,
+            inside,
+            passed_thermal,
+            3 * tiles,
         )
         behind_thermal += more
         passed_thermal = tl.where(inside, 1.0, zero)
@@ -167,14 +193,18 @@ def blend_backward(
 
 
 @triton.jit(do_not_specialize=["count"])
-def sum_pairs(pair_grads, pair_ends, order, gaussian_grads, count, RANKS: tl.constexpr, PAIRS: tl.constexpr):
-    """Add up the moments of each Gaussian's pairs, always in the same order; 0 for a Gaussian without.
+def sum_pairs(
+    pair_grads, pair_ends, order, gaussian_grads, count, RANKS: tl.constexpr, PAIRS: tl.constexpr
+):
+    """Add up the moments of each Gaussian's pairs, always in the same order; 0 for a Gaussian
+    without.
 
     A program takes several ranks of the depth order at once, and of each several pairs at once.
 
     Args:
         pair_grads: [P, 12].
-        pair_ends, order: cumulated counts of pairs in depth order, and the Gaussians in this order, int64 [N].
+        pair_ends, order: cumulated counts of pairs in depth order, and the Gaussians in this order,
+            int64 [N].
         gaussian_grads: filled, [N, 12].
     """
     rank = tl.program_id(0) * RANKS + tl.arange(0, RANKS)
@@ -194,4 +224,8 @@ def sum_pairs(pair_grads, pair_ends, order, gaussian_grads, count, RANKS: tl.con
         begin += PAIRS
     sums = tl.sum(total, axis=1)
     row = tl.load(order + rank, mask=inside, other=0) * GRAD_FLOATS
-    tl.store(gaussian_grads + row[:, None] + fields[None, :], sums, mask=inside[:, None] & is_field[None, :])
+    tl.store(
+        gaussian_grads + row[:, None] + fields[None, :],
+        sums,
+        mask=inside[:, None] & is_field[None, :],
+    )

@@ -11,7 +11,8 @@ import triton
 def device_function(function: Callable) -> Any:
     """``triton.jit`` for what only kernels call; left as it is where Triton interprets.
 
-    The interpreter takes milliseconds to enter each function that it knows of, and runs what it does not know alike.
+    The interpreter takes milliseconds to enter each function that it knows of, and runs what it
+    does not know alike.
     """
     jitted = triton.jit(function)
     return jitted if isinstance(jitted, triton.JITFunction) else function

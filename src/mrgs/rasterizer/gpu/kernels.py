@@ -9,12 +9,12 @@ from typing import Any
 
 import torch
 
-from mrgs.gpu_kernels import KernelSpec
 from mrgs.rasterizer.gpu.blend import blend
 from mrgs.rasterizer.gpu.blend_backward import blend_backward, sum_pairs
 from mrgs.rasterizer.gpu.projection import project
 from mrgs.rasterizer.gpu.projection_backward import project_backward
 from mrgs.rasterizer.gpu.tiles import list_pairs
+from mrgs.system.gpu_kernels import KernelSpec
 
 LEFT_OUT = {"fused": None, "rgb": "thermal", "thermal": "rgb"}
 """The layers that a pass may have, and which layer it then lacks."""
@@ -34,27 +34,37 @@ _TYPES = {
 """Types of the arguments, by name; all others are tensors of float32."""
 
 
-def _spec(kernel: Any, variant: str, num_warps: int, constants: dict[str, Any], **types: str) -> KernelSpec:
-    """An entry; of one stage, for there are no loads that Triton could fetch ahead: the walks do that themselves."""
+def _spec(
+    kernel: Any, variant: str, num_warps: int, constants: dict[str, Any], **types: str
+) -> KernelSpec:
+    """An entry; of one stage, for there are no loads that Triton could fetch ahead: the walks do
+    that themselves."""
     types = _TYPES | types
-    signature = {name: types.get(name, "*fp32") for name in kernel.arg_names if name not in constants}
+    signature = {
+        name: types.get(name, "*fp32") for name in kernel.arg_names if name not in constants
+    }
     return KernelSpec(kernel, signature, constants, num_warps, 1, variant)
 
 
 def _layer_constants(kernel: Any, layers: str) -> dict[str, Any]:
     """Which layers the specialisation has; the tensors of one that it lacks are None."""
     left_out = LEFT_OUT[layers]
-    tensors = {name: None for name in kernel.arg_names if left_out and name.endswith(f"_{left_out}")}
+    tensors = {
+        name: None for name in kernel.arg_names if left_out and name.endswith(f"_{left_out}")
+    }
     return {"HAS_RGB": left_out != "rgb", "HAS_THERMAL": left_out != "thermal", **tensors}
 
 
 def _blends(kernel: Any) -> dict[str, KernelSpec]:
     """The entries of a kernel that walks the lists, by layers: one warp per tile."""
-    return {layers: _spec(kernel, layers, 1, _layer_constants(kernel, layers)) for layers in LEFT_OUT}
+    return {
+        layers: _spec(kernel, layers, 1, _layer_constants(kernel, layers)) for layers in LEFT_OUT
+    }
 
 
 def _projections(kernel: Any) -> dict[tuple[str, bool], KernelSpec]:
-    """The entries of a kernel that takes one Gaussian per thread, by layers and whether it is anti-aliased."""
+    """The entries of a kernel that takes one Gaussian per thread, by layers and whether it is
+    anti-aliased."""
     return {
         (layers, antialiased): _spec(
             kernel, f"{layers}, antialiased" if antialiased else layers, BLOCK // 32,

@@ -1,9 +1,12 @@
 """EWA projection of the Gaussians, one thread per Gaussian, in single precision.
 
-With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's rotation and
-scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever formed. With n_0 and
-n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² + 0.3 (|n_0|² + |n_1|²) + 0.09: sums of what is
-never negative, so that nothing cancels even for Gaussians that are thin and long.
+With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
+rotation and
+scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
+    formed. With n_0 and
+n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² + 0.3 (|n_0|² + |n_1|²) +
+0.09: sums of what is never negative, so that nothing cancels even for Gaussians that are thin and
+long.
 """
 
 from __future__ import annotations
@@ -48,7 +51,11 @@ def load_three(tensor, i, mask):
 @device_function
 def load_rotation(viewmat, row: tl.constexpr):
     """A row of the camera's rotation."""
-    return tl.load(viewmat + 4 * row), tl.load(viewmat + 4 * row + 1), tl.load(viewmat + 4 * row + 2)
+    return (
+        tl.load(viewmat + 4 * row),
+        tl.load(viewmat + 4 * row + 1),
+        tl.load(viewmat + 4 * row + 2),
+    )
 
 
 @device_function
@@ -89,8 +96,14 @@ def row_times_matrix(row, row0, row1, row2):
 @device_function
 def load_quaternion(quats, i, mask):
     """Quaternion i, normalised, and its length; the identity where masked."""
-    w, x = tl.load(quats + 4 * i, mask=mask, other=1.0), tl.load(quats + 4 * i + 1, mask=mask, other=0.0)
-    y, z = tl.load(quats + 4 * i + 2, mask=mask, other=0.0), tl.load(quats + 4 * i + 3, mask=mask, other=0.0)
+    w, x = (
+        tl.load(quats + 4 * i, mask=mask, other=1.0),
+        tl.load(quats + 4 * i + 1, mask=mask, other=0.0),
+    )
+    y, z = (
+        tl.load(quats + 4 * i + 2, mask=mask, other=0.0),
+        tl.load(quats + 4 * i + 3, mask=mask, other=0.0),
+    )
     length = tl.sqrt(w * w + x * x + y * y + z * z)
     return (w / length, x / length, y / length, z / length), length
 
@@ -155,17 +168,24 @@ def _store_layers(
         tl.store(record + RGB + 2, green, mask=mask)
         tl.store(record + RGB + 3, blue, mask=mask)
     if HAS_THERMAL:
-        tl.store(record + THERMAL, left * tl.load(opacities_thermal + i, mask=mask, other=0.0), mask=mask)
-        tl.store(record + THERMAL + 1, tl.load(features_thermal + i, mask=mask, other=0.0), mask=mask)
+        tl.store(
+            record + THERMAL, left * tl.load(opacities_thermal + i, mask=mask, other=0.0), mask=mask
+        )
+        tl.store(
+            record + THERMAL + 1, tl.load(features_thermal + i, mask=mask, other=0.0), mask=mask
+        )
 
 
 @triton.jit(do_not_specialize=["count", "width", "height"])
 def project(
-    means, quats, scales, opacities_rgb, features_rgb, opacities_thermal, features_thermal, means2d_offset, viewmat, K,
+    means, quats, scales, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
+    means2d_offset, viewmat, K,
     splats, radii, depths, pair_counts, count, width, height,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, ANTIALIASED: tl.constexpr, BLOCK: tl.constexpr,
+    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, ANTIALIASED: tl.constexpr,
+    BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Fill the records [N, 16], radii [N], depths [N] (infinite if left out) and the numbers of tiles reached [N].
+    """Fill the records [N, 16], radii [N], depths [N] (infinite if left out) and the numbers of
+    tiles reached [N].
 
     Args:
         means, quats, scales: [N, 3], [N, 4], [N, 3].
@@ -209,7 +229,11 @@ def project(
     largest_variance = 0.5 * (xx + yy) + tl.sqrt(half_difference * half_difference + xy * xy)
     shear, half_width = xy / yy, tl.sqrt(reach * (after / yy))
     pairs = count_pairs(visible, mean_x, mean_y, shear, extent_y, half_width, width, height)
-    tl.store(radii + i, tl.where(visible, tl.maximum(tl.sqrt(reach * largest_variance), 1e-6), 0.0), mask=inside)
+    tl.store(
+        radii + i,
+        tl.where(visible, tl.maximum(tl.sqrt(reach * largest_variance), 1e-6), 0.0),
+        mask=inside,
+    )
     tl.store(depths + i, tl.where(visible, z, float("inf")), mask=inside)
     tl.store(pair_counts + i, pairs, mask=inside)
     record = splats + i * SPLAT_FLOATS

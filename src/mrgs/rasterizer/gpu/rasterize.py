@@ -1,7 +1,7 @@
 """The fused pass as a torch function: project, sort, list, blend; and backwards.
 
-The host waits for the device once, for the number of pairs of a tile and a Gaussian (8 bytes): it sizes the lists. All
-else is queued. The results are the same bits on every run.
+The host waits for the device once, for the number of pairs of a tile and a Gaussian (8 bytes): it
+sizes the lists. All else is queued. The results are the same bits on every run.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.errors import MrgsError
-from mrgs.gpu_kernels import Arguments
 from mrgs.rasterizer.contract import Blend, Layer, Raster
 from mrgs.rasterizer.gpu import kernels
 from mrgs.rasterizer.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
+from mrgs.system.gpu_kernels import Arguments
 
 _MODALITIES = {3: "rgb", 1: "thermal"}
 """What the kernels call a layer, by its channels."""
@@ -33,7 +33,8 @@ _MOST_PAIRS = 2**31 - 2**16
 """The kernels number pairs with 32 bits, and the last program has numbers past the last pair."""
 
 _MOST_SHORT_TILES = 2**15 - 1
-"""Up to so many tiles, their numbers (and one more) fit 16 bits, which are sorted in half the time of 32."""
+"""Up to so many tiles, their numbers (and one more) fit 16 bits, which are sorted in half the time
+of 32."""
 
 
 class _Pass(NamedTuple):
@@ -68,17 +69,30 @@ class _FusedPass(torch.autograd.Function):
     """(pass, viewmat, K, ``_Pass.inputs``) -> ``_Pass.outputs`` and the radii."""
 
     @staticmethod
-    def forward(ctx: Any, what: _Pass, viewmat: Tensor, K: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
-        buffers: Arguments = {"count": len(inputs[0]), "tiles": what.tiles, "width": what.width, "height": what.height}
+    def forward(
+        ctx: Any, what: _Pass, viewmat: Tensor, K: Tensor, *inputs: Tensor
+    ) -> tuple[Tensor, ...]:
+        buffers: Arguments = {
+            "count": len(inputs[0]),
+            "tiles": what.tiles,
+            "width": what.width,
+            "height": what.height,
+        }
         sizes = dict(buffers)
         buffers |= {"viewmat": viewmat, "K": K}
-        buffers |= {name: tensor.contiguous() for name, tensor in zip(what.inputs, inputs, strict=True)}
+        buffers |= {
+            name: tensor.contiguous() for name, tensor in zip(what.inputs, inputs, strict=True)
+        }
         with torch.cuda.device_of(inputs[0]):
             _project(what, buffers)
             _list(buffers)
             _blend(what, buffers)
         ctx.mark_non_differentiable(buffers["radii"])
-        ctx.what, ctx.sizes, ctx.kept = what, sizes, sorted(_needed_backward(what) & buffers.keys() - sizes.keys())
+        ctx.what, ctx.sizes, ctx.kept = (
+            what,
+            sizes,
+            sorted(_needed_backward(what) & buffers.keys() - sizes.keys()),
+        )
         ctx.save_for_backward(*(buffers[name] for name in ctx.kept))
         return (*(buffers[name] for name in what.outputs), buffers["radii"])
 
@@ -96,7 +110,11 @@ class _FusedPass(torch.autograd.Function):
 
 
 def _needed_backward(what: _Pass) -> set[str]:
-    backward = kernels.BLEND_BACKWARD[what.layers], kernels.SUM_PAIRS, kernels.PROJECT_BACKWARD[_variant(what)]
+    backward = (
+        kernels.BLEND_BACKWARD[what.layers],
+        kernels.SUM_PAIRS,
+        kernels.PROJECT_BACKWARD[_variant(what)],
+    )
     return {name for spec in backward for name in spec.signature}
 
 
@@ -112,7 +130,8 @@ def _programs(items: int, per_program: int = kernels.BLOCK) -> tuple[int]:
 def _project(what: _Pass, buffers: Arguments) -> None:
     """Add the records, radii, depths and numbers of pairs."""
     count, means = buffers["count"], buffers["means"]
-    # One record at least: where there is nothing to draw, the blender still fetches the first ahead.
+    # One record at least: where there is nothing to draw, the blender still fetches the first
+    # ahead.
     buffers["splats"] = means.new_empty(max(count, 1), SPLAT_FLOATS.value)
     buffers["radii"], buffers["depths"] = means.new_empty(count), means.new_empty(count)
     buffers["pair_counts"] = means.new_empty(count, dtype=torch.int32)
@@ -120,7 +139,8 @@ def _project(what: _Pass, buffers: Arguments) -> None:
 
 
 def _list(buffers: Arguments) -> None:
-    """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by depth, then stably by tile.
+    """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by depth, then stably
+    by tile.
 
     Raises:
         MrgsError: there are more pairs than the kernels can number.
@@ -131,7 +151,8 @@ def _list(buffers: Arguments) -> None:
     pairs = int(pair_ends[-1]) if len(pair_ends) else 0  # the one read that the host waits for
     if pairs > _MOST_PAIRS:
         raise MrgsError(
-            f"the Gaussians reach {pairs:,} tiles of the image together, and at most {_MOST_PAIRS:,} can be drawn: "
+            f"the Gaussians reach {pairs:,} tiles of the image together, and at most "
+            f"{_MOST_PAIRS:,} can be drawn: "
             "render a smaller image, or fewer Gaussians"
         )
     dtype = torch.int16 if tiles <= _MOST_SHORT_TILES else torch.int32
@@ -168,7 +189,9 @@ def _blend_backward(what: _Pass, buffers: Arguments) -> None:
     if "thermal" in what.channels:
         buffers["grad_background_thermal"] = grad_backgrounds[3:].sum(dim=1)
     buffers["gaussian_grads"] = means.new_empty(buffers["count"], GRAD_FLOATS.value)
-    kernels.SUM_PAIRS.launch(_programs(buffers["count"], kernels.RANKS), buffers | {"pair_grads": pair_grads})
+    kernels.SUM_PAIRS.launch(
+        _programs(buffers["count"], kernels.RANKS), buffers | {"pair_grads": pair_grads}
+    )
 
 
 def _project_backward(what: _Pass, buffers: Arguments) -> None:
@@ -193,7 +216,8 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
     antialiased: bool = False,
 ) -> Raster:
-    """``contract.Rasterizer`` for float32 tensors on a GPU: one layer of 3 or 1 channels, or one of each, fused.
+    """``contract.Rasterizer`` for float32 tensors on a GPU: one layer of 3 or 1 channels, or one of
+    each, fused.
 
     The camera may lie on any device; where it is not on that of ``means`` it is copied there.
 
@@ -202,16 +226,28 @@ def rasterize(
         MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
     """
     channels = [layer.features.shape[1] for layer in layers]
-    if not channels or not set(channels) <= _MODALITIES.keys() or len(set(channels)) != len(channels):
-        raise ValueError(f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}")
+    if (
+        not channels
+        or not set(channels) <= _MODALITIES.keys()
+        or len(set(channels)) != len(channels)
+    ):
+        raise ValueError(
+            f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
+        )
     what = _Pass({_MODALITIES[c]: c for c in channels}, width, height, antialiased)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
     _check(inputs, channels)
-    # Not blocking: the host would wait for all that is queued. The copy has left a CPU tensor before the call returns.
-    viewmat, K = (matrix.detach().to(means, non_blocking=means.is_cuda).contiguous() for matrix in (viewmat, K))
+    # Not blocking: the host would wait for all that is queued. The copy has left a CPU tensor
+    # before the call returns.
+    viewmat, K = (
+        matrix.detach().to(means, non_blocking=means.is_cuda).contiguous()
+        for matrix in (viewmat, K)
+    )
     outputs = _FusedPass.apply(what, viewmat, K, *inputs)
-    return Raster(tuple(Blend(*outputs[i : i + 3]) for i in range(0, 3 * len(channels), 3)), outputs[-1])
+    return Raster(
+        tuple(Blend(*outputs[i : i + 3]) for i in range(0, 3 * len(channels), 3)), outputs[-1]
+    )
 
 
 def _check(inputs: Sequence[Tensor], channels: Sequence[int]) -> None:
@@ -223,6 +259,7 @@ def _check(inputs: Sequence[Tensor], channels: Sequence[int]) -> None:
     for tensor, shape in zip(inputs, shapes, strict=True):
         if tensor.dtype != torch.float32 or tensor.device != device or tensor.shape != shape:
             raise ValueError(
-                f"the GPU rasterizer takes float32 tensors of matching sizes on one device; got {tensor.dtype} "
+                f"the GPU rasterizer takes float32 tensors of matching sizes on one device; got "
+                f"{tensor.dtype} "
                 f"{tuple(tensor.shape)} on {tensor.device} where {shape} on {device} is needed"
             )

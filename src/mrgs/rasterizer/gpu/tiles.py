@@ -1,7 +1,8 @@
-"""Which tiles a splat reaches: counted by ``projection.project``, listed by ``list_pairs``, by the same functions.
+"""Which tiles a splat reaches: counted by ``projection.project``, listed by ``list_pairs``, by the
+same functions.
 
-A pair is a tile and a splat that reaches it. The pairs are numbered Gaussian by Gaussian in depth order; sorted by
-tile, with a stable sort, they are the lists of the tiles in depth order.
+A pair is a tile and a splat that reaches it. The pairs are numbered Gaussian by Gaussian in depth
+order; sorted by tile, with a stable sort, they are the lists of the tiles in depth order.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ def _half_width_at(half_width, extent_y, dy):
 def tile_columns(mean_x, mean_y, shear, extent_y, half_width, tile_row, width):
     """First tile of a row of tiles that the ellipse α >= 1/255 reaches, and how many.
 
-    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own rightmost point,
-    or at the band's edge nearest to it; likewise on the left, where that point is mirrored.
+    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own
+    rightmost point, or at the band's edge nearest to it; likewise on the left, where that point is
+    mirrored.
     """
     band_top = (tile_row * TILE_HEIGHT).to(tl.float32) + 0.5 - mean_y
     band_bottom = band_top + (TILE_HEIGHT - 1.0)
@@ -68,7 +70,9 @@ def count_pairs(visible, mean_x, mean_y, shear, extent_y, half_width, width, hei
     pairs = tl.zeros_like(rows)
     step, steps = 0, tl.max(rows, axis=0)
     while step < steps:
-        _, tiles = tile_columns(mean_x, mean_y, shear, extent_y, half_width, first_row + step, width)
+        _, tiles = tile_columns(
+            mean_x, mean_y, shear, extent_y, half_width, first_row + step, width
+        )
         pairs += tl.where(step < rows, tiles, 0)
         step += 1
     return pairs
@@ -91,11 +95,14 @@ def _rank_of_pair(pair, pair_ends, count):
 
 @triton.jit(do_not_specialize=["pairs", "count", "width", "height"])
 def list_pairs(
-    splats, order, pair_ends, tile_of_pair, splat_of_pair, pairs, count, width, height, BLOCK: tl.constexpr
+    splats, order, pair_ends, tile_of_pair, splat_of_pair, pairs, count, width, height,
+    BLOCK: tl.constexpr
 ):  # fmt: skip
-    """Write the tile and the splat of every pair, one thread per pair, so that a large splat costs no more than many.
+    """Write the tile and the splat of every pair, one thread per pair, so that a large splat costs
+    no more than many.
 
-    Should rounding give a splat fewer tiles than were counted, the rest gets a tile past the last, which none draws.
+    Should rounding give a splat fewer tiles than were counted, the rest gets a tile past the last,
+    which none draws.
 
     Args:
         splats: records, [N, 16].
@@ -110,7 +117,11 @@ def list_pairs(
     before = pair - tl.load(pair_ends + rank - 1, mask=rank > 0, other=0).to(tl.int32)
     index = tl.load(order + rank).to(tl.int32)
     record = splats + index * SPLAT_FLOATS
-    mean_x, mean_y, shear = tl.load(record + MEAN_X), tl.load(record + MEAN_Y), tl.load(record + SHEAR)
+    mean_x, mean_y, shear = (
+        tl.load(record + MEAN_X),
+        tl.load(record + MEAN_Y),
+        tl.load(record + SHEAR),
+    )
     extent_y, half_width = tl.load(record + EXTENT_Y), tl.load(record + HALF_WIDTH)
     tiles_x, tiles_y = tl.cdiv(width, TILE_WIDTH), tl.cdiv(height, TILE_HEIGHT)
     row, last_row = tile_rows(mean_y, extent_y, height)

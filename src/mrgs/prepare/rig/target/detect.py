@@ -27,9 +27,10 @@ class Corners:
     """The inner corners of a chessboard in an image.
 
     Attributes:
-        grid: positions x, y in pixels, [rows, columns, 2]. From a corner to the next one of its row, and from there to
-            the next one of its column, is a turn to the right: the board is seen from its front. Which of the board's
-            corners comes first is not told by the image: see ``turned``.
+        grid: positions x, y in pixels, [rows, columns, 2]. From a corner to the next one of its
+            row, and from there to the next one of its column, is a turn to the right: the board is
+            seen from its front. Which of the board's corners comes first is not told by the image:
+            see ``turned``.
     """
 
     grid: Float[np.ndarray, "rows columns 2"]
@@ -51,16 +52,21 @@ class Corners:
         return spacing
 
     def turned(self) -> list[Corners]:
-        """The same corners in each of the orders that the counts allow: two, or four if there are as many rows."""
+        """The same corners in each of the orders that the counts allow: two, or four if there are
+        as many rows."""
         rows, columns, _ = self.grid.shape
-        return [Corners(np.rot90(self.grid, quarters)) for quarters in range(0, 4, 1 if rows == columns else 2)]
+        return [
+            Corners(np.rot90(self.grid, quarters))
+            for quarters in range(0, 4, 1 if rows == columns else 2)
+        ]
 
 
 def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -> Corners | None:
     """Find a chessboard of which all inner corners are in the image; None if there is none.
 
-    Saddle points are found at several scales, linked to a grid along their edges, and placed to a fraction of a pixel.
-    At each corner the four squares around must alternate. Which squares are the bright ones does not matter.
+    Saddle points are found at several scales, linked to a grid along their edges, and placed to a
+    fraction of a pixel. At each corner the four squares around must alternate. Which squares are
+    the bright ones does not matter.
 
     Args:
         image: any unit; for the camera as it is, or undistorted.
@@ -82,10 +88,18 @@ def _at_scales(image: Float[np.ndarray, "h w"]) -> Iterator[Saddles]:
     """Saddle points of the image, from coarse to fine; positions in pixels of the image."""
     longest = max(image.shape)
     reductions = [1 << level for level in range(16) if longest >> level >= _SMALLEST_PX]
-    for reduction in reversed([r for r in reductions if longest <= r * _LARGEST_PX] or reductions[-1:]):
+    for reduction in reversed(
+        [r for r in reductions if longest <= r * _LARGEST_PX] or reductions[-1:]
+    ):
         small = image
         if reduction > 1:
-            small = zoom(gaussian_filter(image, reduction / 2), 1 / reduction, order=1, grid_mode=True, mode="nearest")
+            small = zoom(
+                gaussian_filter(image, reduction / 2),
+                1 / reduction,
+                order=1,
+                grid_mode=True,
+                mode="nearest",
+            )
         scale = np.array(image.shape[::-1]) / small.shape[::-1]
         for sigma_px in _SIGMAS_PX:
             found = find_saddles(small, sigma_px)
@@ -93,8 +107,8 @@ def _at_scales(image: Float[np.ndarray, "h w"]) -> Iterator[Saddles]:
 
 
 def _windows(group: dict[Cell, int], inner: tuple[int, int]) -> Iterator[dict[Cell, int]]:
-    """Parts of a grid that are as large as the board, those with the most saddle points first; columns along the
-    board's rows. Cells are counted from the part's first."""
+    """Parts of a grid that are as large as the board, those with the most saddle points first;
+    columns along the board's rows. Cells are counted from the part's first."""
     cells = np.array(list(group))
     points = np.array(list(group.values()))
     found = []
@@ -109,33 +123,48 @@ def _windows(group: dict[Cell, int], inner: tuple[int, int]) -> Iterator[dict[Ce
                 inside = ((own >= 0) & (own < inner)).all(axis=1)
                 if inside.sum() >= _LEAST_FILLED * inner[0] * inner[1]:
                     found.append(
-                        {(int(c), int(r)): int(p) for (c, r), p in zip(own[inside], points[inside], strict=True)}
+                        {
+                            (int(c), int(r)): int(p)
+                            for (c, r), p in zip(own[inside], points[inside], strict=True)
+                        }
                     )
     yield from sorted(found, key=len, reverse=True)
 
 
 def _completed(
-    image: Float[np.ndarray, "h w"], saddles: Saddles, cells: dict[Cell, int], inner: tuple[int, int]
+    image: Float[np.ndarray, "h w"],
+    saddles: Saddles,
+    cells: dict[Cell, int],
+    inner: tuple[int, int],
 ) -> Corners | None:
     """The board of which these corners are known; None if it is not there."""
     columns, rows = inner
-    every = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
+    every = (
+        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+        .reshape(-1, 2)
+        .astype(float)
+    )
     known = np.array(list(cells), dtype=float)
     pixels = mapped(homography(known, saddles.pixels[list(cells.values())]), every)
     for (column, row), point in cells.items():
         pixels[row * columns + column] = saddles.pixels[point]
     grid = pixels.reshape(rows, columns, 2)
-    grid = refined(image, pixels, _FIT_SQUARES * Corners(grid).spacing.ravel()).reshape(rows, columns, 2)
+    grid = refined(image, pixels, _FIT_SQUARES * Corners(grid).spacing.ravel()).reshape(
+        rows, columns, 2
+    )
     corners = Corners(grid)
     return corners if _is_board(image, corners) and not _goes_on(image, corners) else None
 
 
 def _is_board(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
-    return bool(np.isfinite(corners.grid).all()) and _regular(corners) and _alternating(image, corners)
+    return (
+        bool(np.isfinite(corners.grid).all()) and _regular(corners) and _alternating(image, corners)
+    )
 
 
 def _goes_on(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
-    """Whether there is one more row or column: then the board is a larger one, of which any part would do."""
+    """Whether there is one more row or column: then the board is a larger one, of which any part
+    would do."""
     for quarters in range(4):
         grid = np.rot90(corners.grid, quarters)
         beyond = 2 * grid[:1] - grid[1:2]
@@ -154,7 +183,8 @@ def _regular(corners: Corners) -> bool:
 
 
 def _alternating(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
-    """Whether at each corner the two squares of one diagonal are brighter than both of the other, by turns."""
+    """Whether at each corner the two squares of one diagonal are brighter than both of the other,
+    by turns."""
     grid = corners.grid
     along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     smooth = gaussian_filter(image, _QUARTER_SQUARES / 3 * float(corners.spacing.min()))
@@ -168,5 +198,9 @@ def _alternating(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
     return bool((np.where(even, brighter, darker)).all() or np.where(even, darker, brighter).all())
 
 
-def _sampled(image: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    return map_coordinates(image, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1, mode="nearest")
+def _sampled(
+    image: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "*n 2"]
+) -> Float[np.ndarray, "*n"]:
+    return map_coordinates(
+        image, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1, mode="nearest"
+    )

@@ -19,10 +19,11 @@ Cell = tuple[int, int]
 
 
 def lattices(saddles: Saddles) -> list[dict[Cell, int]]:
-    """Groups of saddle points that are neighbours of each other along their edges, the largest first.
+    """Groups of saddle points that are neighbours of each other along their edges, the largest
+    first.
 
-    Each is given by the saddle point of each cell (column, row); columns count along the edges' first direction, rows
-    along the second, clockwise from it in the image.
+    Each is given by the saddle point of each cell (column, row); columns count along the edges'
+    first direction, rows along the second, clockwise from it in the image.
     """
     links, turns = _links(saddles)
     left = set(np.flatnonzero((links != _NO).sum(axis=1) >= 2).tolist())
@@ -35,11 +36,11 @@ def lattices(saddles: Saddles) -> list[dict[Cell, int]]:
 
 
 def _links(saddles: Saddles) -> tuple[Int[np.ndarray, "n 4"], Int[np.ndarray, "n 4"]]:
-    """For each saddle point and edge: the neighbour at its other end, and by how many quarters the neighbour's edges
-    are numbered differently. -1 where there is none.
+    """For each saddle point and edge: the neighbour at its other end, and by how many quarters the
+    neighbour's edges are numbered differently. -1 where there is none.
 
-    A neighbour is the nearest one along the edge whose own edges run alike and whose quarters are the other way round;
-    and it says the same.
+    A neighbour is the nearest one along the edge whose own edges run alike and whose quarters are
+    the other way round; and it says the same.
     """
     count = len(saddles.pixels)
     none = np.full((count, 4), _NO)
@@ -62,12 +63,17 @@ def _links(saddles: Saddles) -> tuple[Int[np.ndarray, "n 4"], Int[np.ndarray, "n
     return np.where(mutual, links, _NO), turns
 
 
-def _quarters(own: Float[np.ndarray, "n 4"], others: Float[np.ndarray, "n k 4"]) -> tuple[np.ndarray, np.ndarray]:
-    """By how many quarters the others' edges are numbered differently [n, k], and whether both edges run alike."""
+def _quarters(
+    own: Float[np.ndarray, "n 4"], others: Float[np.ndarray, "n k 4"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how many quarters the others' edges are numbered differently [n, k], and whether both
+    edges run alike."""
     first = np.abs(_wrapped(others - own[:, None, :1]))
     turn = first.argmin(axis=2)
     second = np.take_along_axis(others, (turn[..., None] + 1) % 4, axis=2)[..., 0]
-    alike = (first.min(axis=2) < _TURN_RAD) & (np.abs(_wrapped(second - own[:, None, 1])) < _TURN_RAD)
+    alike = (first.min(axis=2) < _TURN_RAD) & (
+        np.abs(_wrapped(second - own[:, None, 1])) < _TURN_RAD
+    )
     return turn, alike
 
 
@@ -78,7 +84,9 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-def _grown(seed: int, links: Int[np.ndarray, "n 4"], turns: Int[np.ndarray, "n 4"]) -> dict[Cell, int]:
+def _grown(
+    seed: int, links: Int[np.ndarray, "n 4"], turns: Int[np.ndarray, "n 4"]
+) -> dict[Cell, int]:
     """All that is linked to a saddle point; what would take a cell or a place twice is left out."""
     cells: dict[Cell, int] = {(0, 0): seed}
     places: dict[int, tuple[Cell, int]] = {seed: ((0, 0), 0)}

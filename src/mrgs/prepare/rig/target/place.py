@@ -1,7 +1,8 @@
 """Where the target was in front of each photo, in the units of the scene.
 
-A target that stands still is placed by the poses of all photos that see it, and so is the size of its squares; one that
-is moved by its own perspective, for which the size of its squares must be known.
+A target that stands still is placed by the poses of all photos that see it, and so is the size of
+its squares; one that is moved by its own perspective, for which the size of its squares must be
+known.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """A sighting, and the motion from the board's axes to those of the photo's camera, lengths in squares."""
+    """A sighting, and the motion from the board's axes to those of the photo's camera, lengths in
+    squares."""
 
     sighting: Sighting
     motion: Float[np.ndarray, "4 4"]
@@ -71,7 +73,8 @@ class _Pose:
 
 @dataclass(frozen=True, eq=False)
 class _Board:
-    """A board in the world: the corner in column i and row j is at origin + square · rotation (i, j, 0)."""
+    """A board in the world: the corner in column i and row j is at origin + square · rotation (i,
+    j, 0)."""
 
     rotation: Float[np.ndarray, "3 3"]
     origin: Float[np.ndarray, "3"]
@@ -85,8 +88,9 @@ class _Board:
 def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
     """Place the target in front of each photo.
 
-    Each corner is put on the ray on which its photo shows it; only its depth is that of the board. So an error of the
-    photo's pose moves it along the ray alone, where the thermal camera, which is near, sees little of it.
+    Each corner is put on the ray on which its photo shows it; only its depth is that of the board.
+    So an error of the photo's pose moves it along the ray alone, where the thermal camera, which is
+    near, sees little of it.
 
     Args:
         sightings: of the target.
@@ -100,8 +104,10 @@ def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
     board, standing = _still_board(views, plane)
     if board is None and square is None:
         raise SceneError(
-            "the target cannot be used: its distance is not known. Let it stand still while it is photographed from 3 "
-            "or more places; or, if it is moved, give the width of its squares and a distance in the scene "
+            "the target cannot be used: its distance is not known. Let it stand still while it is "
+            "photographed from 3 "
+            "or more places; or, if it is moved, give the width of its squares and a distance in "
+            "the scene "
             "(--known-distance); or leave --target out"
         )
     width = square if board is None else board.square
@@ -121,7 +127,8 @@ def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
 
 
 def _poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_Pose]:
-    """The sighting in each order that the board allows, and the motion from the board's axes in that order."""
+    """The sighting in each order that the board allows, and the motion from the board's axes in
+    that order."""
     motion = plane_pose(sighting.rays, plane)
     in_order = Corners(plane.reshape(sighting.photo.grid.shape)).turned()
     poses = []
@@ -137,14 +144,19 @@ def _poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_Pose]:
 def _plane(sighting: Sighting) -> Float[np.ndarray, "n 2"]:
     """The corners on the board, row by row, a square being 1 wide."""
     rows, columns, _ = sighting.photo.grid.shape
-    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(np.float64)
+    return (
+        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+        .reshape(-1, 2)
+        .astype(np.float64)
+    )
 
 
 def _still_board(
     views: Sequence[Sequence[_Pose]], plane: Float[np.ndarray, "n 2"]
 ) -> tuple[_Board | None, dict[int, _Pose]]:
-    """The board at the place where most photos see it, and these with their corners in one order; None if there are
-    too few, or if they see it from too much the same place to tell how far it is."""
+    """The board at the place where most photos see it, and these with their corners in one order;
+    None if there are too few, or if they see it from too much the same place to tell how far it
+    is."""
     couples = list(combinations(range(len(views)), 2))
     most: dict[int, _Pose] = {}
     for couple in spread(len(couples), _MOST_HYPOTHESES) if couples else []:
@@ -163,20 +175,27 @@ def _still_board(
 
 
 def _from_two(first: _Pose, second: Sequence[_Pose]) -> _Board | None:
-    """The board that two photos see at one place; None if they do not. Their distances from it, counted in squares,
-    follow from its perspective; the width of a square is the one with which the two places meet."""
+    """The board that two photos see at one place; None if they do not. Their distances from it,
+    counted in squares, follow from its perspective; the width of a square is the one with which the
+    two places meet."""
     turned = max(second, key=lambda pose: float(np.trace(first.rotation.T @ pose.rotation)))
     if np.trace(first.rotation.T @ turned.rotation) < 1 + 2 * np.cos(_TURNED_RAD):
         return None
     apart = turned.offset - first.offset
     square = float((first.centre - turned.centre) @ apart / max(apart @ apart, 1e-12))
-    return _Board(first.rotation, first.centre + square * first.offset, square) if square > 0 else None
+    return (
+        _Board(first.rotation, first.centre + square * first.offset, square) if square > 0 else None
+    )
 
 
 def _standing(
-    board: _Board, views: Sequence[Sequence[_Pose]], plane: Float[np.ndarray, "n 2"], tolerance: float
+    board: _Board,
+    views: Sequence[Sequence[_Pose]],
+    plane: Float[np.ndarray, "n 2"],
+    tolerance: float,
 ) -> dict[int, _Pose]:
-    """The views that see the board where it is, to within a share of a square, with the corners in its order."""
+    """The views that see the board where it is, to within a share of a square, with the corners in
+    its order."""
     corners = board.corners(plane)
     found = {}
     for index, turns in enumerate(views):
@@ -187,17 +206,23 @@ def _standing(
 
 
 def _miss_squares(sighting: Sighting, corners: Float[np.ndarray, "n 3"]) -> float:
-    """The median distance of the corners from where the photo shows them, as a share of a square."""
+    """The median distance of the corners from where the photo shows them, as a share of a
+    square."""
     inside = _in_camera(sighting, corners)
     if inside[:, 2].min() <= 0:
         return np.inf
-    misses = np.linalg.norm(inside[:, :2] / inside[:, 2:] - sighting.rays, axis=1) * sighting.camera.K[0, 0].item()
+    misses = (
+        np.linalg.norm(inside[:, :2] / inside[:, 2:] - sighting.rays, axis=1)
+        * sighting.camera.K[0, 0].item()
+    )
     return float(np.median(misses) / np.median(sighting.photo.spacing))
 
 
-def _fitted(board: _Board, poses: Sequence[_Pose], plane: Float[np.ndarray, "n 2"]) -> tuple[_Board, float]:
-    """The board that the photos show best, and how uncertain its distance is: one standard deviation of the width of a
-    square, as a share of it."""
+def _fitted(
+    board: _Board, poses: Sequence[_Pose], plane: Float[np.ndarray, "n 2"]
+) -> tuple[_Board, float]:
+    """The board that the photos show best, and how uncertain its distance is: one standard
+    deviation of the width of a square, as a share of it."""
     rotations = np.stack([pose.sighting.camera.viewmat[:3, :3].numpy() for pose in poses])
     shifts = np.stack([pose.sighting.camera.viewmat[:3, 3].numpy() for pose in poses])
     seen = np.stack([pose.sighting.rays for pose in poses])
@@ -205,7 +230,9 @@ def _fitted(board: _Board, poses: Sequence[_Pose], plane: Float[np.ndarray, "n 2
     def moved(step: Float[np.ndarray, "7"]) -> _Board:
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         return _Board(
-            turn @ board.rotation, board.origin + board.square * step[3:6], board.square * float(np.exp(step[6]))
+            turn @ board.rotation,
+            board.origin + board.square * step[3:6],
+            board.square * float(np.exp(step[6])),
         )
 
     def misses(step: Float[np.ndarray, "7"]) -> Float[np.ndarray, " k"]:
@@ -215,7 +242,9 @@ def _fitted(board: _Board, poses: Sequence[_Pose], plane: Float[np.ndarray, "n 2
     scale = float(np.median(np.abs(misses(np.zeros(7))))) + 1e-9
     fit = least_squares(misses, np.zeros(7), loss="soft_l1", f_scale=scale)
     variance = float(np.mean(fit.fun**2))
-    return moved(fit.x), float(np.sqrt(variance * np.linalg.pinv(np.einsum("ka,kb->ab", fit.jac, fit.jac))[6, 6]))
+    return moved(fit.x), float(
+        np.sqrt(variance * np.linalg.pinv(np.einsum("ka,kb->ab", fit.jac, fit.jac))[6, 6])
+    )
 
 
 def _in_camera(sighting: Sighting, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 _LEAST_CONTRAST = 0.04
-"""σ⁴(Hxy² − Hxx Hyy) over the variance around: about 0.4 where four sharp squares meet, whatever their contrast."""
+"""σ⁴(Hxy² − Hxx Hyy) over the variance around: about 0.4 where four sharp squares meet, whatever
+their contrast."""
 
 _SURROUNDINGS = 2.0
 _FARTHEST = 1.5
@@ -25,8 +26,8 @@ class Saddles:
 
     Attributes:
         pixels: positions x, y.
-        angles: of the four edges that leave each, radians, in turn from x to y (clockwise in the image): the first two
-            and their opposites.
+        angles: of the four edges that leave each, radians, in turn from x to y (clockwise in the
+            image): the first two and their opposites.
         bright: whether the quarter between the first two edges is the brighter one.
     """
 
@@ -38,10 +39,13 @@ class Saddles:
 def find_saddles(image: Float[np.ndarray, "h w"], sigma_px: float) -> Saddles:
     """The saddle points of an image after a Gaussian blur.
 
-    The determinant of the Hessian is most negative at them (Chen and Zhang, 2005); in its asymptotic directions the
-    image neither rises nor falls: they are the edges between the squares, also in perspective.
+    The determinant of the Hessian is most negative at them (Chen and Zhang, 2005); in its
+    asymptotic directions the image neither rises nor falls: they are the edges between the squares,
+    also in perspective.
     """
-    xx, xy, yy = (gaussian_filter(image, sigma_px, order=order) for order in ((0, 2), (1, 1), (2, 0)))
+    xx, xy, yy = (
+        gaussian_filter(image, sigma_px, order=order) for order in ((0, 2), (1, 1), (2, 0))
+    )
     strength = (xy**2 - xx * yy) * sigma_px**4
     smooth = gaussian_filter(image, _SURROUNDINGS * sigma_px)
     variance = gaussian_filter((image - smooth) ** 2, _SURROUNDINGS * sigma_px)
@@ -51,22 +55,31 @@ def find_saddles(image: Float[np.ndarray, "h w"], sigma_px: float) -> Saddles:
     best = np.argsort(-contrast[row, column], kind="stable")[:_MOST]
     row, column = row[best], column[best]
     hessian = np.stack([xx[row, column], xy[row, column], yy[row, column]], axis=1)
-    slope = np.stack([gaussian_filter(image, sigma_px, order=order)[row, column] for order in ((0, 1), (1, 0))], axis=1)
+    slope = np.stack(
+        [gaussian_filter(image, sigma_px, order=order)[row, column] for order in ((0, 1), (1, 0))],
+        axis=1,
+    )
     offset = _stationary(hessian, slope)
     angles, bright = _edges(hessian)
     width = angles[:, 1] - angles[:, 0]
-    kept = (np.abs(offset).max(axis=1) < _FARTHEST) & (width > _NARROWEST_RAD) & (width < np.pi - _NARROWEST_RAD)
+    kept = (
+        (np.abs(offset).max(axis=1) < _FARTHEST)
+        & (width > _NARROWEST_RAD)
+        & (width < np.pi - _NARROWEST_RAD)
+    )
     pixels = np.column_stack([column, row]) + 0.5 + offset
     return Saddles(pixels[kept], angles[kept], bright[kept])
 
 
 def refined(
-    image: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, " n"]
+    image: Float[np.ndarray, "h w"],
+    pixels: Float[np.ndarray, "n 2"],
+    radius_px: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n 2"]:
     """Saddle points to a fraction of a pixel; NaN where there is none.
 
-    A second-degree polynomial is fitted to the values around, with Gaussian weights; its stationary point is taken for
-    the next centre (Lucchese and Mitra, 2002).
+    A second-degree polynomial is fitted to the values around, with Gaussian weights; its stationary
+    point is taken for the next centre (Lucchese and Mitra, 2002).
 
     Args:
         image: any unit.
@@ -86,12 +99,16 @@ def refined(
         fit = np.einsum("ks,ns->nk", solve, values)
         is_saddle = fit[:, 1] ** 2 > fit[:, 0] * fit[:, 2]
         step = _stationary(fit[:, :3], fit[:, 3:5]) * radius_px[:, None]
-        found += np.clip(np.where(is_saddle[:, None], step, np.nan), -radius_px[:, None], radius_px[:, None])
+        found += np.clip(
+            np.where(is_saddle[:, None], step, np.nan), -radius_px[:, None], radius_px[:, None]
+        )
         found[np.abs(found - pixels).max(axis=1) > radius_px] = np.nan
     return found
 
 
-def _stationary(hessian: Float[np.ndarray, "n 3"], slope: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+def _stationary(
+    hessian: Float[np.ndarray, "n 3"], slope: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 2"]:
     """Where a polynomial with second derivatives xx, xy, yy and this slope at 0 is stationary."""
     xx, xy, yy = hessian.T
     determinant = xx * yy - xy**2
@@ -101,10 +118,13 @@ def _stationary(hessian: Float[np.ndarray, "n 3"], slope: Float[np.ndarray, "n 2
     return np.column_stack([x, y])
 
 
-def _edges(hessian: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 4"], Bool[np.ndarray, " n"]]:
+def _edges(
+    hessian: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "n 4"], Bool[np.ndarray, " n"]]:
     """The asymptotic directions, and whether the image is brighter between the first two of them.
 
-    Along the direction φ the second derivative is mean + half · cos 2(φ − main): it vanishes at two angles from main.
+    Along the direction φ the second derivative is mean + half · cos 2(φ − main): it vanishes at two
+    angles from main.
     """
     xx, xy, yy = hessian.T
     mean, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)

@@ -34,7 +34,8 @@ class SeenTarget:
     square_m: float | None
 
     def world_points(self, name: str) -> Float[np.ndarray, "k 3"]:
-        """The corners that the photo of a pair sees, in the world; none if it does not see the target."""
+        """The corners that the photo of a pair sees, in the world; none if it does not see the
+        target."""
         if name not in self.names:
             return np.zeros((0, 3))
         index = self.names.index(name)
@@ -50,7 +51,9 @@ class SeenTarget:
         views = [torch.zeros(0, dtype=torch.int64)]
         points = [torch.zeros(0, 3, dtype=torch.float64)]
         pixels = [torch.zeros(0, 2, dtype=torch.float64)]
-        for name, sighting, corners in zip(self.names, self.placed.sightings, self.placed.points, strict=True):
+        for name, sighting, corners in zip(
+            self.names, self.placed.sightings, self.placed.points, strict=True
+        ):
             if sighting.thermal is not None and name in names:
                 views.append(torch.full((len(corners),), list(names).index(name)))
                 points.append(torch.from_numpy(corners))
@@ -66,14 +69,18 @@ class SeenTarget:
         )
 
     def guess(self, width: int, height: int) -> Guess:
-        """The focal length, turn and shift that carry the corners best from the photos to the thermal images.
+        """The focal length, turn and shift that carry the corners best from the photos to the
+        thermal images.
 
         Args:
             width: of the thermal images.
             height: of them.
         """
         both = [(s.rays, s.thermal.pixels) for s in self.placed.sightings if s.thermal is not None]
-        rays, pixels = (np.einsum("nj,j->n", np.concatenate(parts), (1, 1j)) for parts in zip(*both, strict=True))
+        rays, pixels = (
+            np.einsum("nj,j->n", np.concatenate(parts), (1, 1j))
+            for parts in zip(*both, strict=True)
+        )
         ray, pixel = rays - rays.mean(), pixels - pixels.mean()
         product = complex((ray.conj() * pixel).sum())
         slope = product / float((abs(ray) ** 2).sum())
@@ -95,7 +102,9 @@ class SeenTarget:
             pairs=sum(sighting.thermal is not None for sighting in self.placed.sightings),
             still=still,
             residual_px=(float(residuals.quantile(0.5)), float(residuals.quantile(0.9))),
-            metres_per_unit=self.square_m / self.placed.square if self.square_m is not None and still else None,
+            metres_per_unit=self.square_m / self.placed.square
+            if self.square_m is not None and still
+            else None,
         )
 
 
@@ -121,4 +130,6 @@ def see_target(
     if target.square_m is not None and metres_per_unit is not None:
         square = target.square_m / metres_per_unit
     placed = place(sightings, square)
-    return SeenTarget(placed, tuple(pairs[sighting.pair].name for sighting in placed.sightings), target.square_m)
+    return SeenTarget(
+        placed, tuple(pairs[sighting.pair].name for sighting in placed.sightings), target.square_m
+    )

@@ -23,7 +23,8 @@ class Sighting:
         pair: index of the pair.
         camera: of the photo.
         photo: the corners in the photo.
-        thermal: the same corners, in the same order, in the thermal image; None if it does not show them.
+        thermal: the same corners, in the same order, in the thermal image; None if it does not show
+            them.
     """
 
     pair: int
@@ -41,7 +42,9 @@ class Sighting:
         """The sighting in each order that the board allows."""
         photos = self.photo.turned()
         thermals = [None] * len(photos) if self.thermal is None else self.thermal.turned()
-        return [Sighting(self.pair, self.camera, p, t) for p, t in zip(photos, thermals, strict=True)]
+        return [
+            Sighting(self.pair, self.camera, p, t) for p, t in zip(photos, thermals, strict=True)
+        ]
 
 
 def find_sightings(
@@ -69,15 +72,18 @@ def find_sightings(
     if not any(sighting.thermal is not None for sighting in found):
         columns, rows = target.inner
         raise SceneError(
-            f"no pair shows the chessboard of {columns}×{rows} inner corners in both images (it was found in "
-            f"{len(found)} photos and {in_thermal} thermal images of {len(pairs)}): check the counts, which are of the "
+            f"no pair shows the chessboard of {columns}×{rows} inner corners in both images (it "
+            f"was found in "
+            f"{len(found)} photos and {in_thermal} thermal images of {len(pairs)}): check the "
+            f"counts, which are of the "
             "corners where four squares meet and not of the squares, or leave --target out"
         )
     return found
 
 
 def _same_way_up(photo: Corners, thermal: Corners) -> Corners:
-    """The thermal corners in the photo's order, under which one image is turned the least against the other."""
+    """The thermal corners in the photo's order, under which one image is turned the least against
+    the other."""
 
     def agreement(corners: Corners) -> float:
         a, b = (each.pixels - each.pixels.mean(axis=0) for each in (photo, corners))

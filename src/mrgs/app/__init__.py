@@ -1,0 +1,1 @@
+"""The command line: its options, its handlers and what it prints."""

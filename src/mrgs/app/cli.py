@@ -1,0 +1,463 @@
+"""The command line: argv, the terminal, exit codes. Everything else is a Python function
+elsewhere."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from mrgs.app.commands import (
+    Command,
+    Compare,
+    Demo,
+    Eval,
+    Export,
+    Prepare,
+    Render,
+    Report,
+    Synth,
+    Train,
+    View,
+)
+from mrgs.app.terminal import (
+    PrepareProgress,
+    TrainingProgress,
+    counter,
+    note_gpu,
+    note_unfinished,
+    plain_warnings,
+    print_baking_loss,
+    print_figures,
+    print_metrics,
+    print_table,
+    say_where_to_look,
+    scene_if_there,
+)
+from mrgs.errors import ConfigError, DeviceError, MrgsError, TrainingError
+
+if TYPE_CHECKING:
+    from mrgs.scene import Scene
+    from mrgs.training import StepStatistics, TrainConfig
+    from mrgs.viewer import LiveView
+
+EXIT_BAD_SCENE = 1
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+MAX_TRAIN_SEED = 2**32 - 1
+MAX_SYNTH_SEED = 1_000_000
+"""Mitsuba takes 32 bits, and every view has a seed of its own."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0, 1 for a bad scene, 2 for what the user can mend, 130
+    after Ctrl-C."""
+    # Threads that spin while they wait cost more than they save on shared cores. Read once, when
+    # torch is loaded.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    command: Any = tyro.cli(
+        Command,
+        prog="mrgs",
+        description="RGB and thermal photos in, one 3D Gaussian model with colour and °C out.",
+        args=argv,
+    )
+    handlers: dict[type, Callable[[Any], int | None]] = {
+        Prepare: _prepare,
+        Train: _train,
+        Eval: _eval,
+        Render: _render,
+        View: _view,
+        Export: _export,
+        Report: _report,
+        Demo: _demo,
+        Compare: _compare,
+        Synth: _synth,
+    }
+    with plain_warnings():
+        try:
+            return handlers[type(command)](command) or 0
+        except MrgsError as error:
+            print(f"mrgs: error: {error}", file=sys.stderr)
+            return EXIT_USER_ERROR
+        except BrokenPipeError:  # the reader of a pipe has gone; nothing more can be said
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        except KeyboardInterrupt:
+            print("mrgs: stopped", file=sys.stderr)
+            return EXIT_INTERRUPTED
+
+
+def _prepare(command: Prepare) -> int | None:
+    if command.check:
+        return _check_scene(command)
+    if command.scene is None:
+        raise ConfigError(
+            "name two folders, the photos' and the scene's: mrgs prepare PHOTOS SCENE"
+        )
+    _without_blas_threads()
+    from mrgs.prepare import prepare
+
+    progress = PrepareProgress()
+    try:
+        with progress:
+            made = prepare(
+                command.photos, command.scene, command.options(), progress.step, progress.stage
+            )
+            progress.end(made)
+    except KeyboardInterrupt:
+        print("what was found is kept; the same command goes on")
+        raise
+    print(
+        f"scene:     {made.scene}\nlook here: {made.page}\ntrain it:  mrgs train "
+        f"{shlex.quote(str(made.scene))}"
+    )
+    return None
+
+
+def _without_blas_threads() -> None:
+    """Thousands of matrices of 2×2 are inverted one by one; on a busy machine threads wait for each
+    other all the time.
+
+    Read once, when NumPy and SciPy are loaded.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def _check_scene(command: Prepare) -> int:
+    if command.scene is not None:
+        raise ConfigError("--check takes one folder, the scene's: mrgs prepare --check SCENE")
+    _without_blas_threads()
+    from mrgs.check import check_scene
+
+    with PrepareProgress() as progress:
+        found = check_scene(command.photos, progress.step)
+    for line in found.lines:
+        print(line)
+    for problem in found.problems:
+        print(f"{problem.severity}: {problem.text} {problem.remedy}".rstrip())
+    print(f"look here: {found.page}")
+    return 0 if found.usable else EXIT_BAD_SCENE
+
+
+def _train(command: Train) -> None:
+    if _is_thermonerf(command):
+        _train_thermonerf(command)
+        return
+    from mrgs.system.gpu import choose_device
+    from mrgs.training import from_yaml, make_config, train
+
+    config = make_config(
+        command.method,
+        command.preset,
+        command.max_steps,
+        command.max_gaussians,
+        command.resolution,
+        command.seed,
+    )
+    if command.config is not None:
+        config = from_yaml(_read_text(command.config), str(command.config), config)
+    _check_seed(config.seed, MAX_TRAIN_SEED)
+    output = _output(command)
+    note_gpu(choose_device(command.device))
+    progress = TrainingProgress()
+    with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
+        train(
+            command.scene,
+            output,
+            config,
+            resume=command.resume,
+            device=command.device,
+            **_hooks(progress, live),
+        )
+    _say_what_next(command, output, progress)
+
+
+def _is_thermonerf(command: Train) -> bool:
+    """A resumed run keeps its own method."""
+    if not command.resume:
+        return command.method == "thermonerf"
+    from mrgs.baselines.thermonerf.run_files import holds_thermonerf
+    from mrgs.training.run_folder import RunFolder
+
+    return holds_thermonerf(RunFolder(_output(command)))
+
+
+def _train_thermonerf(command: Train) -> None:
+    from mrgs.baselines.thermonerf import from_yaml, make_config, train_thermonerf
+
+    for option, value in (("--view", command.view), ("--max-gaussians", command.max_gaussians)):
+        if value:
+            raise ConfigError(
+                f"{option} needs a method with Gaussians, and thermonerf has none: leave it out"
+            )
+    if command.device == "cuda":
+        raise DeviceError("thermonerf works on the CPU alone: leave --device out")
+    config = make_config(command.preset, command.max_steps, command.resolution, command.seed)
+    if command.config is not None:
+        config = from_yaml(_read_text(command.config), str(command.config), config)
+    _check_seed(config.seed, MAX_TRAIN_SEED)
+    progress = TrainingProgress()
+    with progress:
+        train_thermonerf(
+            command.scene,
+            _output(command),
+            config,
+            resume=command.resume,
+            on_start=progress.start,
+            on_step=progress.step,
+        )
+    _say_what_next(command, _output(command), progress)
+
+
+def _output(command: Train) -> Path:
+    """The run's folder."""
+    folder = command.scene.parent if command.scene.is_file() else command.scene
+    return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
+
+
+def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> None:
+    """How to go on with an unfinished run, or what to do with a finished one."""
+    if progress.unfinished:
+        go_on = shlex.join(
+            ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
+        )
+        print(f"a checkpoint is kept; go on with: {go_on}")
+        raise KeyboardInterrupt
+    quoted = shlex.quote(str(output))
+    print(f"trained:   {output}\nscore it:  mrgs eval {quoted}\nrender it: mrgs render {quoted}")
+
+
+def _live_view(output: Path, port: int) -> LiveView:
+    from mrgs.viewer import LiveView
+
+    return LiveView(output, port=port, on_ready=say_where_to_look)
+
+
+def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
+    """What ``train`` calls: the terminal's line, and the view if there is one."""
+    if live is None:
+        return {"on_start": progress.start, "on_step": progress.step}
+
+    def on_start(scene: Scene, config: TrainConfig) -> None:
+        progress.start(scene, config)
+        live.on_start(scene, config)
+
+    def on_step(statistics: StepStatistics) -> bool:
+        live.on_step(statistics)
+        return progress.step(statistics)
+
+    return {"on_start": on_start, "on_model": live.on_model, "on_step": on_step}
+
+
+def _eval(command: Eval) -> None:
+    if command.renders is not None:
+        if command.scene is not None:
+            raise ConfigError(
+                "with --renders the scene is given in the run's place: leave --scene out"
+            )
+        _eval_renders(command, command.renders)
+        return
+    if command.resolution is not None:
+        raise ConfigError(
+            "--resolution goes with --renders: a run is scored at the size that it was trained at"
+        )
+    from mrgs.evaluation import evaluate_run
+    from mrgs.runs.open import open_run
+
+    run = open_run(command.run, command.scene, command.device)
+    metrics = evaluate_run(run, command.lpips_weights, counter("scoring"))
+    print_metrics(run, metrics)
+    print(
+        f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: "
+        f"{command.run / 'eval' / 'contact_sheet.png'}"
+    )
+
+
+def _eval_renders(command: Eval, folder: Path) -> None:
+    from mrgs.evaluation.renders import evaluate_renders
+
+    metrics = evaluate_renders(
+        command.run,
+        folder,
+        resolution=command.resolution,
+        lpips_weights=command.lpips_weights,
+        progress=counter("scoring"),
+    )
+    print_figures(metrics)
+    print(
+        f"scores:   {folder / 'eval' / 'metrics.md'}\npictures: "
+        f"{folder / 'eval' / 'contact_sheet.png'}"
+    )
+
+
+def _compare(command: Compare) -> None:
+    from mrgs.comparison import Options, Variant, compare
+
+    variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
+    options = Options(
+        command.methods,
+        tuple(
+            Variant.from_text(name, _read_text(file), str(file)) for name, file in variants.items()
+        ),
+        command.neighbours,
+        command.seeds,
+        command.preset,
+        command.max_steps,
+        command.max_gaussians,
+        command.resolution,
+    )
+    try:
+        comparison = compare(
+            command.scenes,
+            command.output,
+            options,
+            renders=_named_paths("--renders", command.renders, "ThermoNeRF=renders/thermonerf"),
+            jobs=command.jobs,
+            device=command.device,
+            lpips_weights=command.lpips_weights,
+            say=lambda line: print(line, flush=True),
+        )
+    except KeyboardInterrupt:
+        print("the runs that were under way have left checkpoints; the same command goes on")
+        raise
+    for table in comparison.tables:
+        print_table(table)
+    print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")
+    if comparison.failures:
+        name, reason = next(iter(comparison.failures.items()))
+        raise TrainingError(
+            f"{len(comparison.failures)} of the tables' rows lack scores, the first is {name} "
+            f"({reason}); "
+            "mend the cause and run the same command again"
+        )
+
+
+def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str, Path]:
+    """Paths by name, from NAME=PATH."""
+    named = {}
+    for pair in pairs:
+        name, separator, path = pair.partition("=")
+        if not separator or not name or not path:
+            raise ConfigError(f"{option} {pair}: write NAME=PATH, for instance {example}")
+        if name in named:
+            raise ConfigError(f"{option} {pair}: {name} is there twice; choose another name")
+        named[name] = Path(path)
+    return named
+
+
+def _render(command: Render) -> None:
+    from mrgs.evaluation import render_run
+    from mrgs.runs.open import open_run
+
+    run = open_run(command.run, command.scene, command.device)
+    folder = render_run(run, command.split, command.palette, command.frames, counter("rendering"))
+    print(f"images: {folder}")
+
+
+def _view(command: View) -> None:
+    from mrgs.runs.open import load_run
+    from mrgs.viewer import view
+
+    run = load_run(command.run, command.scene, "cpu")
+    note_unfinished(run)
+    view(run, scene_if_there(run), command.host, command.port, on_ready=say_where_to_look)
+
+
+def _export(command: Export) -> None:
+    from mrgs.export import export
+    from mrgs.runs.open import load_run
+
+    run = load_run(command.run, command.scene, "cpu")
+    note_unfinished(run)
+    folder = command.output or command.run / "export"
+    paths = export(
+        run,
+        run.load_scene(),
+        command.format,
+        folder,
+        command.palette,
+        command.range_c,
+        on_baked=print_baking_loss,
+    )
+    print(*paths, sep="\n")
+
+
+def _report(command: Report) -> None:
+    from mrgs.report import write_report
+    from mrgs.runs.open import load_run
+
+    run = load_run(command.run, command.scene, command.device)
+    note_unfinished(run)
+    target = command.output or command.run / "report.html"
+    print(f"report: {write_report(run, run.load_scene(), target)}")
+
+
+def _demo(command: Demo) -> None:
+    started = any((command.output / "checkpoints").glob("*.safetensors"))
+    device = command.device
+    _train(
+        Train(
+            scene=_bundled_scene(),
+            output=command.output,
+            preset="fast",
+            resume=started,
+            device=device,
+        )
+    )
+    _eval(Eval(run=command.output, device=device))
+    _render(Render(run=command.output, device=device))
+    print(f"\nLook at {command.output / 'eval' / 'contact_sheet.png'} first.")
+
+
+def _synth(command: Synth) -> None:
+    from mrgs_synth import synthesize
+
+    _check_seed(command.seed, MAX_SYNTH_SEED)
+    synthesize(
+        command.output,
+        scene=command.scene,
+        width=command.width,
+        height=command.height,
+        train_views=command.train_views,
+        eval_views=command.eval_views,
+        samples=command.samples,
+        seed=command.seed,
+        progress=counter("photographing"),
+    )
+    print(f"scene: {command.output}")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"{path} cannot be read ({getattr(error, 'strerror', 'not UTF-8')}): name a text file"
+        ) from error
+
+
+def _check_seed(seed: int, largest: int) -> None:
+    if not 0 <= seed <= largest:
+        raise ConfigError(f"the seed must be from 0 to {largest:,}, not {seed}")
+
+
+def _bundled_scene() -> Path:
+    """The example scene: beside the installed package, or in the checkout."""
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "examples", package.parents[1] / "examples"):
+        if (folder / "tabletop" / "transforms.json").is_file():
+            return folder / "tabletop"
+    raise ConfigError(
+        "the bundled scene is not installed: run `mrgs demo` from a checkout, or reinstall mrgs"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

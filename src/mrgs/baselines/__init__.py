@@ -1,0 +1,1 @@
+"""Methods that MrGS is compared with."""

@@ -1,0 +1,112 @@
+"""A ThermoNeRF run's whole configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+from mrgs.baselines.thermonerf.field import FieldConfig, HashGridConfig
+from mrgs.baselines.thermonerf.losses import LossConfig
+from mrgs.baselines.thermonerf.sampling import SamplingConfig
+from mrgs.errors import ConfigError
+from mrgs.system.strict_yaml import parse_yaml, read_yaml, write_yaml
+
+METHOD: Literal["thermonerf"] = "thermonerf"
+
+PRESETS = {"fast": (1_500, 1_024), "default": (4_000, 1_024), "paper": (30_000, 4_096)}
+"""Steps, and rays of each: as many steps as the other methods take, and for ``paper`` the usual
+batch of the field."""
+
+
+@dataclass(frozen=True)
+class ThermoNerfConfig:
+    """Everything that a run depends on besides the scene.
+
+    Attributes:
+        method: always ``thermonerf``; tells the run from one with Gaussians.
+        max_steps: training steps, one batch of rays each.
+        rays_per_batch: rays of a step, drawn over all training views.
+        resolution: images wider than this many pixels are reduced to it; None keeps them.
+        seed: of every random choice.
+        learning_rate: of Adam, at the first step.
+        learning_rate_final: at the last step; in between it decays exponentially.
+        checkpoint_every: steps between checkpoints.
+        field: density, colour and temperature.
+        proposal: the hash grid of the small density network that says where to sample.
+        sampling: how many places along a ray are looked at.
+        loss: weights of the terms beside the two squared errors.
+    """
+
+    method: Literal["thermonerf"] = METHOD
+    max_steps: int = 4_000
+    rays_per_batch: int = 1_024
+    resolution: int | None = None
+    seed: int = 0
+    learning_rate: float = 1e-2
+    learning_rate_final: float = 5e-4
+    checkpoint_every: int = 1_000
+    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
+    proposal: HashGridConfig = dataclasses.field(
+        default_factory=lambda: HashGridConfig(5, 16, 256, 15)
+    )
+    sampling: SamplingConfig = dataclasses.field(default_factory=SamplingConfig)
+    loss: LossConfig = dataclasses.field(default_factory=LossConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("max_steps", "rays_per_batch", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if self.resolution is not None and self.resolution < 16:
+            raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
+        if not 0 < self.learning_rate_final <= self.learning_rate:
+            raise ConfigError(
+                "learning_rate_final must be positive and not above learning_rate, "
+                f"not {self.learning_rate_final} with {self.learning_rate}"
+            )
+
+    def learning_rate_at(self, step: int) -> float:
+        """Adam's learning rate of this step, counted from 1."""
+        share = step / self.max_steps
+        return self.learning_rate * (self.learning_rate_final / self.learning_rate) ** share
+
+
+def make_config(
+    preset: str = "default",
+    max_steps: int | None = None,
+    resolution: int | None = None,
+    seed: int = 0,
+) -> ThermoNerfConfig:
+    """The configuration of a preset; ``max_steps`` stretches or shrinks its schedule.
+
+    Raises:
+        ConfigError: an unknown preset, or a value that is not allowed.
+    """
+    if preset not in PRESETS:
+        raise ConfigError(f"there is no preset {preset!r}: choose one of {', '.join(PRESETS)}")
+    steps, rays = PRESETS[preset]
+    steps = steps if max_steps is None else max_steps
+    return ThermoNerfConfig(max_steps=steps, rays_per_batch=rays, resolution=resolution, seed=seed)
+
+
+def to_yaml(config: ThermoNerfConfig) -> str:
+    """The configuration as YAML, every field written out."""
+    return write_yaml(config)
+
+
+def from_yaml(text: str, source: str, base: ThermoNerfConfig | None = None) -> ThermoNerfConfig:
+    """The configuration that ``to_yaml`` wrote, or a part of one over another; see ``read_yaml``.
+
+    Raises:
+        ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
+    """
+    return read_yaml(ThermoNerfConfig, text, source, base)
+
+
+def is_thermonerf(text: str) -> bool:
+    """Whether the text of a run's config.yaml is that of a ThermoNeRF run."""
+    try:
+        values = parse_yaml(text, "config.yaml")
+    except ConfigError:
+        return False
+    return isinstance(values, dict) and values.get("method") == METHOD

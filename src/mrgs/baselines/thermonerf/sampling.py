@@ -1,0 +1,91 @@
+"""Where along a ray the field is looked at. Intervals are edges [R, S + 1] in normalised distance
+s, from 0 to 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mrgs.errors import ConfigError
+
+PADDING = 0.01
+"""Added to every weight, so that no part of a ray is left out for good (mip-NeRF, Section 3.2)."""
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Samples of a ray.
+
+    Attributes:
+        proposal: intervals, evenly spaced in s, in which the proposal network is looked at.
+        field: intervals, placed by what it found, in which the field is looked at.
+    """
+
+    proposal: int = 64
+    field: int = 32
+
+    def __post_init__(self) -> None:
+        if min(self.proposal, self.field) < 2:
+            raise ConfigError(
+                f"a ray needs at least 2 samples, not {min(self.proposal, self.field)}"
+            )
+
+
+class Spacing:
+    """The map between s in [0, 1] and distance t: linear for t much below ``middle``, linear in 1/t
+    much above.
+
+    t / (t + middle) is normalised so that s runs from 0 at ``near`` to 1 at ``far``.
+    """
+
+    def __init__(self, near: float, middle: float, far: float) -> None:
+        self._middle = middle
+        self._first = near / (near + middle)
+        self._last = far / (far + middle)
+
+    def distance(self, s: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
+        """Distances of normalised distances."""
+        place = self._first + s * (self._last - self._first)
+        return self._middle * place / (1 - place)
+
+
+def even_edges(
+    rays: int, count: int, generator: torch.Generator | None, like: Float[Tensor, "..."]
+) -> Float[Tensor, "{rays} {count}+1"]:
+    """Edges of ``count`` intervals; a generator shifts the inner ones at random, so that training
+    sees every place."""
+    edges = torch.linspace(0, 1, count + 1, dtype=like.dtype).expand(rays, -1)
+    if generator is None:
+        return edges
+    shift = (torch.rand(rays, 1, generator=generator).to(like.dtype) - 0.5) / count
+    return torch.cat([edges[:, :1], edges[:, 1:-1] + shift, edges[:, -1:]], dim=1)
+
+
+def resample(
+    edges: Float[Tensor, "r q"],
+    weights: Float[Tensor, "r p"],
+    count: int,
+    generator: torch.Generator | None,
+) -> Float[Tensor, "r {count}+1"]:
+    """Edges of ``count`` intervals that hold about equal shares of the weights: inverse transform
+    sampling.
+
+    Args:
+        edges: of the intervals that the weights belong to, ascending.
+        weights: not negative; they need not sum to 1.
+        count: intervals wanted.
+        generator: shifts each ray's shares by one random part of a share; None takes them evenly.
+    """
+    weights = weights + PADDING / weights.shape[1]
+    cdf = (weights / weights.sum(dim=1, keepdim=True)).cumsum(dim=1)
+    cdf = torch.cat(
+        [torch.zeros_like(cdf[:, :1]), cdf[:, :-1].clamp(max=1), torch.ones_like(cdf[:, :1])], dim=1
+    )
+    shares = even_edges(len(edges), count, generator, edges).contiguous()
+    above = torch.searchsorted(cdf, shares, right=True).clamp(1, weights.shape[1])
+    low, high = cdf.gather(1, above - 1), cdf.gather(1, above)
+    start, end = edges.gather(1, above - 1), edges.gather(1, above)
+    return start + (end - start) * ((shares - low) / (high - low)).clamp(0, 1)

@@ -1,0 +1,152 @@
+"""One training step: a batch of rays from the photos to the moved parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from mrgs.baselines.thermonerf.config import ThermoNerfConfig
+from mrgs.baselines.thermonerf.frame import Frame, frame_of
+from mrgs.baselines.thermonerf.losses import distortion_loss, interlevel_loss, squared_error
+from mrgs.baselines.thermonerf.model import NO_ROWS, ThermoNerf, Traced
+from mrgs.baselines.thermonerf.pixels import Batch, PixelPool, Target
+from mrgs.scene import Scene
+
+ADAM_EPSILON = 1e-15
+"""Entries of the hash tables get rare and tiny gradients (Müller et al. 2022, Section 4)."""
+
+
+@dataclass
+class TrainingState:
+    """All that changes during training, and so all that a checkpoint must hold.
+
+    Attributes:
+        step: steps done.
+        model: what is trained.
+        optimizer: Adam over all its parameters.
+        generator: of every random choice after the start.
+        skipped_in_a_row: steps skipped since the last good one, because of a value that was not
+            finite.
+    """
+
+    step: int
+    model: ThermoNerf
+    optimizer: torch.optim.Adam
+    generator: torch.Generator
+    skipped_in_a_row: int = 0
+
+
+class ThermoNerfStatistics(NamedTuple):
+    """What a step measured.
+
+    Attributes:
+        step: its number, from 1.
+        loss: the weighted sum of the terms; not finite if the step was skipped.
+        terms: squared errors ("rgb", "thermal"), "interlevel" and "distortion", unweighted.
+        thermal_error: mean absolute error of the normalised temperature over the batch; None
+            without one.
+        skipped: the loss or a gradient was not finite, so nothing was changed.
+        gaussians: always None: the method has none.
+    """
+
+    step: int
+    loss: float
+    terms: dict[str, float]
+    thermal_error: float | None
+    skipped: bool
+    gaussians: None = None
+
+
+def initial_state(scene: Scene, config: ThermoNerfConfig) -> TrainingState:
+    """The state at step 0; every random choice follows from the seed, and torch's own generator is
+    left alone."""
+    return make_state(
+        new_model(config, frame_of(scene)), config, torch.Generator().manual_seed(config.seed)
+    )
+
+
+def new_model(config: ThermoNerfConfig, frame: Frame) -> ThermoNerf:
+    """An untrained model."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        return ThermoNerf(config, frame)
+
+
+def make_state(
+    model: ThermoNerf, config: ThermoNerfConfig, generator: torch.Generator
+) -> TrainingState:
+    """A state at step 0: a fresh optimizer around a model."""
+    optimizer = torch.optim.Adam(
+        model.parameters(), lr=config.learning_rate, eps=ADAM_EPSILON, fused=True
+    )
+    return TrainingState(0, model, optimizer, generator)
+
+
+def training_step(
+    state: TrainingState, pool: PixelPool, config: ThermoNerfConfig
+) -> ThermoNerfStatistics:
+    """Draw rays, compare what they see with the photos, move the parameters; ``state`` is changed
+    in place."""
+    state.step += 1
+    batch = pool.draw(config.rays_per_batch, state.generator)
+    traced = state.model.trace(batch.rays, _rows(batch.rgb), _rows(batch.thermal), state.generator)
+    terms = loss_terms(traced, batch)
+    weights = {"interlevel": config.loss.interlevel, "distortion": config.loss.distortion}
+    loss = torch.stack([weights.get(name, 1.0) * term for name, term in terms.items()]).sum()
+    loss.backward()
+
+    skipped = not (bool(loss.isfinite()) and _gradients_are_finite(state.model))
+    if skipped:
+        state.skipped_in_a_row += 1
+    else:
+        state.skipped_in_a_row = 0
+        for group in state.optimizer.param_groups:
+            group["lr"] = config.learning_rate_at(state.step)
+        state.optimizer.step()
+    state.optimizer.zero_grad(set_to_none=True)
+    return ThermoNerfStatistics(
+        step=state.step,
+        loss=loss.item(),
+        terms={name: term.item() for name, term in terms.items()},
+        thermal_error=_thermal_error(traced, batch.thermal),
+        skipped=skipped,
+    )
+
+
+def loss_terms(traced: Traced, batch: Batch) -> dict[str, Tensor]:
+    """Both squared errors, as far as the batch has the modality, and the two terms on the
+    weights."""
+    terms: dict[str, Tensor] = {}
+    if batch.rgb is not None:
+        terms["rgb"] = squared_error(traced.rgb, batch.rgb.values, batch.rgb.valid)
+    if batch.thermal is not None:
+        terms["thermal"] = squared_error(traced.thermal, batch.thermal.values, batch.thermal.valid)
+    terms["interlevel"] = interlevel_loss(*traced.samples)
+    terms["distortion"] = distortion_loss(traced.samples.edges, traced.samples.weights)
+    return terms
+
+
+def _rows(target: Target | None) -> slice:
+    return NO_ROWS if target is None else target.rows
+
+
+def _gradients_are_finite(model: ThermoNerf) -> bool:
+    """Whether no gradient holds NaN or infinity: both stay in a sum, which is cheaper than to ask
+    each number."""
+    return all(
+        bool(parameter.grad.sum().isfinite())
+        for parameter in model.parameters()
+        if parameter.grad is not None
+    )
+
+
+def _thermal_error(traced: Traced, target: Target | None) -> float | None:
+    """Mean absolute error of the normalised temperature over the valid rays."""
+    if target is None:
+        return None
+    error = (traced.thermal.detach() - target.values).abs()
+    counted = error if target.valid is None else error[target.valid]
+    return counted.mean().item() if counted.numel() > 0 else None

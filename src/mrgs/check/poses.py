@@ -1,0 +1,297 @@
+"""What can be wrong with the cameras and the points of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.check.problems import Problem
+from mrgs.prepare.page.markup import views_text
+from mrgs.scene import Camera, Scene, View
+from mrgs.scene.view import spread
+
+NO_POINTS = "There are no start points"
+"""How the reader's note begins when it placed the points itself."""
+
+FEWEST_VIEWS, FEW_VIEWS = 3, 12
+_MOST_POINTS = 1500
+_LOST = 0.02
+"""A camera that sees a smaller share of the points than this sees none of them to speak of."""
+
+_UNSEEN = 0.25
+_CLEARLY_MORE = 4.0
+"""Another convention is named where it lets the cameras see that many times more points."""
+
+_EXTENT = (1e-3, 1e4)
+_FAR_OFF = 1e4
+_SAME_PLACE, _SAME_DIRECTION_DEG = 0.003, 0.3
+_APART, _APART_DEG = 0.5, 30.0
+_FIELD_OF_VIEW_DEG = (6.0, 130.0)
+_CENTRE = (0.25, 0.75)
+_ASPECT = 2.0
+
+_FLIP = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+Matrix = Float64[Tensor, "4 4"]
+
+_CONVENTIONS: dict[str, tuple[Callable[[Tensor], Tensor], str]] = {
+    "camera axes as in OpenCV (y down, z forward)": (
+        lambda viewmat: _FLIP @ viewmat,
+        "Negate the second and the third column of each transform_matrix (camera to world, OpenGL "
+        "axes).",
+    ),
+    "world-to-camera matrices with OpenCV axes": (
+        lambda viewmat: torch.linalg.inv(viewmat) @ _FLIP,
+        "Invert each transform_matrix, then negate the second and the third column of the result.",
+    ),
+    "world-to-camera matrices with OpenGL axes": (
+        lambda viewmat: _FLIP @ torch.linalg.inv(viewmat) @ _FLIP,
+        "Invert each transform_matrix: it must be camera to world.",
+    ),
+}
+"""What files hold in place of camera-to-world matrices with OpenGL axes: the view matrix that would
+be right, from the one that was read, and what to do."""
+
+
+def pose_problems(scene: Scene) -> list[Problem]:
+    """Everything about views, cameras and points that can be told without the pixels."""
+    views = [*scene.train, *scene.eval]
+    cameras = {view.name: view.cameras[0] for view in views}
+    found = [*_number_of_views(scene), *_scale(scene, list(cameras.values()))]
+    if any(note.startswith(NO_POINTS) for note in scene.notes):
+        text = "The scene has no points of its own: the program places some at random."
+        found.append(
+            Problem(
+                "warning",
+                text,
+                "Add sparse_pc.ply or COLMAP's points; poses cannot be checked without.",
+            )
+        )
+        depth = None
+    else:
+        points = scene.points.positions[spread(len(scene.points.positions), _MOST_POINTS)].double()
+        found += _seen(cameras, points)
+        depth = _median_depth(list(cameras.values()), points)
+    found += _same_place(scene, cameras, depth)
+    found += _rig(views, depth)
+    found += _intrinsics(
+        {"RGB": [v for v in views if v.rgb], "thermal": [v for v in views if v.thermal]}
+    )
+    return found
+
+
+def seen_shares(
+    cameras: Sequence[Camera], points: Float64[Tensor, "n 3"]
+) -> Float64[Tensor, "v n"]:
+    """1 where a camera has a point before it and inside its image, else 0."""
+    return torch.stack([camera.contains(camera.project(points)[0]).double() for camera in cameras])
+
+
+def _number_of_views(scene: Scene) -> list[Problem]:
+    count = len(scene.train)
+    found = []
+    if count < FEWEST_VIEWS:
+        text = (
+            f"There are {count} views to train on; at least {FEWEST_VIEWS} are needed to tell "
+            f"depth."
+        )
+        found.append(Problem("error", text, "Add views, or hold fewer out."))
+    elif count < FEW_VIEWS:
+        text = (
+            f"There are only {count} views to train on: depth will be a guess where few of "
+            f"them overlap."
+        )
+        found.append(Problem("warning", text, "Take more photos all around; 30 or more are usual."))
+    if not scene.eval:
+        text = "No view is held out, so that nothing will tell how good the model is."
+        remedy = "Name some views in val_filenames, or give no split: then every 8th is taken."
+        found.append(Problem("warning", text, remedy))
+    return found
+
+
+def _scale(scene: Scene, cameras: Sequence[Camera]) -> list[Problem]:
+    """Numbers that 32-bit floats, or the step sizes of training, do not suit."""
+    found = []
+    extent = scene.extent
+    if not _EXTENT[0] <= extent <= _EXTENT[1]:
+        text = f"The cameras span {2 * extent:.2g} units: the scale is wildly off."
+        found.append(
+            Problem("error", text, "Scale the poses and the points together, best to metres.")
+        )
+    offset = torch.stack([camera.position for camera in cameras]).mean(dim=0).norm().item()
+    if offset > _FAR_OFF * extent:
+        text = (
+            f"The scene lies {offset:.2g} units from the origin, but is only {extent:.2g} in size."
+        )
+        remedy = (
+            "Subtract one offset from all positions and points, as from map coordinates: "
+            "they would be rounded."
+        )
+        found.append(Problem("error", text, remedy))
+    return found
+
+
+def _seen(cameras: dict[str, Camera], points: Float64[Tensor, "n 3"]) -> list[Problem]:
+    """Poses that do not see the points, and points that no camera sees."""
+    seen = seen_shares(list(cameras.values()), points)
+    shares = seen.mean(dim=1)
+    usual = shares.median().item()
+    better, remedy, share = _better_convention(list(cameras.values()), points, shares.mean().item())
+    if better:
+        text = (
+            f"The cameras do not look at the points: they see {shares.mean():.0%} of them, and "
+            f"would see {share:.0%} "
+            f"if the file held {better}."
+        )
+        return [Problem("error", text, remedy)]
+    if usual < _LOST:
+        text = (
+            f"The cameras do not look at the points: half of them see less than {_LOST:.0%} of "
+            f"these."
+        )
+        return [
+            Problem(
+                "error",
+                text,
+                "Check that poses and points come from one reconstruction, in one world.",
+            )
+        ]
+    found = []
+    if lost := [
+        name for name, own in zip(cameras, shares.tolist(), strict=True) if own < _LOST * usual
+    ]:
+        text = f"The camera of {views_text(lost)} looks away from the points that the others see."
+        found.append(
+            Problem("warning", text, "Their poses may be wrong: leave them out, or find them anew.")
+        )
+    unseen = (seen.sum(dim=0) == 0).double().mean().item()
+    if unseen > _UNSEEN:
+        text = f"{unseen:.0%} of the points lie outside all views."
+        remedy = (
+            "Check that points and poses are in one world, and that the points are not those "
+            "of a larger scene."
+        )
+        found.append(Problem("warning", text, remedy))
+    return found
+
+
+def _better_convention(
+    cameras: Sequence[Camera], points: Float64[Tensor, "n 3"], share: float
+) -> tuple[str, str, float]:
+    """The convention under which most cameras see clearly more points, what to do, and the share
+    (median).
+
+    Empty if there is none. The median, because some cameras look anywhere, also where points of
+    another world are.
+    """
+    best = ("", "", max(_CLEARLY_MORE * share, _LOST))
+    for name, (converted, remedy) in _CONVENTIONS.items():
+        others = [replace(camera, viewmat=converted(camera.viewmat)) for camera in cameras]
+        own = seen_shares(others, points).mean(dim=1).median().item()
+        if own > best[2]:
+            best = (name, remedy, own)
+    return best if best[0] else ("", "", share)
+
+
+def _median_depth(cameras: Sequence[Camera], points: Float64[Tensor, "n 3"]) -> float | None:
+    """How far away the cameras see things; None if they see nothing."""
+    depths = torch.cat(
+        [depth[depth > 0] for depth in (camera.project(points)[1] for camera in cameras)]
+    )
+    return depths.median().item() if len(depths) else None
+
+
+def _same_place(scene: Scene, cameras: dict[str, Camera], depth: float | None) -> list[Problem]:
+    """Views that repeat others."""
+    names = list(cameras)
+    positions = torch.stack([camera.position for camera in cameras.values()])
+    forward = torch.stack([camera.forward for camera in cameras.values()])
+    right = torch.stack([camera.viewmat[0, :3] for camera in cameras.values()])
+    near = torch.cdist(positions, positions) < _SAME_PLACE * (depth or scene.extent)
+    limit = math.cos(math.radians(_SAME_DIRECTION_DEG))
+    same = (near & (forward @ forward.T > limit) & (right @ right.T > limit)).triu(diagonal=1)
+    pairs = [(names[a], names[b]) for a, b in same.nonzero().tolist()]
+    if not pairs:
+        return []
+    held_out = {view.name for view in scene.eval}
+    leaking = sum((a in held_out) != (b in held_out) for a, b in pairs)
+    shown = ", ".join(f"{a} and {b}" for a, b in pairs[:3]) + (
+        f" and {len(pairs) - 3} more" if len(pairs) > 3 else ""
+    )
+    pairs_text = "1 pair of views has" if len(pairs) == 1 else f"{len(pairs)} pairs of views have"
+    text = f"{pairs_text} nearly the same pose ({shown})."
+    if leaking:
+        text += (
+            f" Of {leaking} of them one is held out and the other trained on: the scores will "
+            f"flatter."
+        )
+    return [Problem("warning", text, "Leave one of each out: they tell nothing new.")]
+
+
+def _rig(views: Sequence[View], depth: float | None) -> list[Problem]:
+    """Thermal cameras that do not stand beside their RGB cameras."""
+    apart = []
+    for view in views:
+        if view.rgb is None or view.thermal is None:
+            continue
+        rgb, thermal = view.rgb.camera, view.thermal.camera
+        angle = math.degrees(math.acos(max(-1.0, min(1.0, float(rgb.forward @ thermal.forward)))))
+        distance = (rgb.position - thermal.position).norm().item()
+        if angle > _APART_DEG or (depth is not None and distance > _APART * depth):
+            apart.append(view.name)
+    if not apart:
+        return []
+    text = (
+        f"In {views_text(apart)} the thermal camera looks elsewhere than the RGB camera, or "
+        f"from far beside it."
+    )
+    return [
+        Problem(
+            "error",
+            text,
+            "Check thermal_transform_matrix: it needs the convention of transform_matrix.",
+        )
+    ]
+
+
+def _intrinsics(views: dict[str, list[View]]) -> list[Problem]:
+    """Fields of view, principal points and pixels that no camera has."""
+    found = []
+    for kind, having in views.items():
+        cameras = {
+            v.name: v.rgb.camera if kind == "RGB" and v.rgb else v.cameras[-1] for v in having
+        }
+        odd = {
+            name: reason for name, camera in cameras.items() if (reason := _odd_intrinsics(camera))
+        }
+        if odd:
+            first = next(iter(odd.values()))
+            text = f"The {kind} intrinsics of {views_text(list(odd))} are hard to believe: {first}."
+            found.append(
+                Problem(
+                    "warning",
+                    text,
+                    "Compare fl_x, fl_y, cx, cy with the image size that they are for.",
+                )
+            )
+    return found
+
+
+def _odd_intrinsics(camera: Camera) -> str:
+    fx, fy = camera.K[0, 0].item(), camera.K[1, 1].item()
+    wide = math.degrees(2 * math.atan(0.5 * camera.width / fx))
+    x, y = camera.K[0, 2].item() / camera.width, camera.K[1, 2].item() / camera.height
+    if not _FIELD_OF_VIEW_DEG[0] <= wide <= _FIELD_OF_VIEW_DEG[1]:
+        return f"a field of view of {wide:.1f}°"
+    if not (_CENTRE[0] <= x <= _CENTRE[1] and _CENTRE[0] <= y <= _CENTRE[1]):
+        return (
+            f"an optical axis that meets the image at {x:.0%} of its width and {y:.0%} of its "
+            f"height"
+        )
+    if not 1 / _ASPECT <= fx / fy <= _ASPECT:
+        return f"pixels {fx / fy:.2g} times as high as wide"
+    return ""

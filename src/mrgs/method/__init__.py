@@ -1,0 +1,1 @@
+"""The paper's method: configuration, camera model, losses, density control, start."""

@@ -1,0 +1,1 @@
+"""From what is there to what the scene's cameras write: blur, gains and offsets."""

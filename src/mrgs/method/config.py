@@ -1,0 +1,259 @@
+"""A run's whole configuration: the knobs of every room, nested; the methods and presets that fill
+them in."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from mrgs.errors import ConfigError
+from mrgs.field import FieldConfig
+from mrgs.field.spherical_harmonics import MAX_DEGREE
+from mrgs.method.camera_model.image_model import Capture, ImageModelConfig
+from mrgs.method.density.densification import DensificationConfig
+from mrgs.method.density.relocation import RelocationConfig
+from mrgs.method.losses.photometric import LossConfig
+from mrgs.method.losses.radiation import RadiationConfig
+from mrgs.method.optimizer import OptimizerConfig
+from mrgs.system.strict_yaml import read_yaml, write_yaml
+
+Method = Literal["mrgs", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "3dgs-rgbt", "mrgs-plus"]
+Preset = Literal["fast", "default", "paper"]
+METHODS: tuple[Method, ...] = get_args(Method)
+PRESETS: tuple[Preset, ...] = get_args(Preset)
+
+PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True)
+PLUS_OPAQUE = 0.1
+"""What ``mrgs-plus`` adds to ``mrgs``."""
+
+CPU_RATES = {
+    "means": 4.8e-4,
+    "means_final": 4.8e-6,
+    "temperature_dc": 1e-2,
+    "temperature_rest": 5e-4,
+    "heads": 1.5e-3,
+    "slowdown_from": 0.7,
+    "slowdown_to": 0.05,
+}
+"""Learning rates of the presets for CPUs, whose schedules are too short for those of 3DGS:
+docs/decisions."""
+
+CPU_HIDDEN_WIDTH = 64
+"""Width of the heads' hidden layers in the presets for CPUs: half of that in ``paper``, and as
+good."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that a run depends on besides the scene.
+
+    Attributes:
+        method: the method's name.
+        preset: the preset's name.
+        max_steps: training steps, one view each.
+        resolution: images wider than this many pixels are reduced to it; None keeps them.
+        seed: of every random choice.
+        sh_every: steps between the degrees of the spherical harmonics.
+        shares_opacity: blend both modalities with o_c.
+        temperature_sh_degree: degree of the temperature's spherical harmonics: 0 as published, t_i
+            does not depend on the view. None for 3 where thermal photos have no °C, whose greys may
+            depend on what else a photo shows (automatic gain), and 0 where they have.
+        distant_points: start with points far away too, in the directions where no start point lies;
+            not in the paper.
+        photo_temperatures: start with temperatures read off the thermal photos, not with one for
+            all, and with a larger o_t there; not in the paper.
+        neighbours_every: steps after which the neighbours are searched anew, besides whenever N
+            changes.
+        background_rgb: colour behind the scene.
+        background_thermal: normalised temperature behind the scene.
+        antialiased: compensate the opacities for the dilation of small Gaussians (Mip-Splatting);
+            not in the paper.
+        checkpoint_every: steps between checkpoints.
+        field: the radiance field.
+        loss: L_c, L_t and L_smooth.
+        radiation: L_boltz; None leaves it out.
+        image_model: what the cameras do to the images; nothing as published.
+        optimizer: learning rates.
+        densification: adaptive density control.
+        relocation: moves and adds Gaussians instead, up to densification.max_gaussians; None as
+            published.
+    """
+
+    method: Method = "mrgs"
+    preset: Preset = "default"
+    max_steps: int = 30_000
+    resolution: int | None = None
+    seed: int = 0
+    sh_every: int = 1_000
+    shares_opacity: bool = False
+    temperature_sh_degree: int | None = 0
+    distant_points: bool = False
+    photo_temperatures: bool = False
+    neighbours_every: int = 500
+    background_rgb: float = 0.0
+    background_thermal: float = 0.0
+    antialiased: bool = False
+    checkpoint_every: int = 1_000
+    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
+    loss: LossConfig = dataclasses.field(default_factory=LossConfig)
+    radiation: RadiationConfig | None = dataclasses.field(default_factory=RadiationConfig)
+    image_model: ImageModelConfig = dataclasses.field(default_factory=ImageModelConfig)
+    optimizer: OptimizerConfig = dataclasses.field(default_factory=OptimizerConfig)
+    densification: DensificationConfig = dataclasses.field(default_factory=DensificationConfig)
+    relocation: RelocationConfig | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("max_steps", "sh_every", "neighbours_every", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if self.resolution is not None and self.resolution < 16:
+            raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
+        if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):
+            raise ConfigError(
+                f"temperature_sh_degree must be null or 0 to 3, not {self.temperature_sh_degree}"
+            )
+
+    def temperature_sh_degree_of(self, capture: Capture) -> int:
+        """``temperature_sh_degree``, or what it is for these photos if that is None."""
+        if self.temperature_sh_degree is not None:
+            return self.temperature_sh_degree
+        return MAX_DEGREE if capture.lacks_celsius else 0
+
+    def sh_degree_at(self, step: int) -> int:
+        """Highest degree of the spherical harmonics in use at this step."""
+        return min(MAX_DEGREE, step // self.sh_every)
+
+    def temperature_sh_degree_at(self, step: int) -> int:
+        """The same of the temperature's, as far as there are any.
+
+        Where they come on top of t + t̂, every second step goes without them: what does not depend
+        on the view must be a model by itself, because exports have nothing else. Without residuals
+        (3DGS_RGB-T) it is as published.
+        """
+        return 0 if self.field.residuals and step % 2 == 0 else self.sh_degree_at(step)
+
+
+def make_config(
+    method: str = "mrgs",
+    preset: str = "default",
+    max_steps: int | None = None,
+    max_gaussians: int | None = None,
+    resolution: int | None = None,
+    seed: int = 0,
+) -> TrainConfig:
+    """The configuration of a method and a preset; ``max_steps`` stretches or shrinks the preset's
+    whole schedule.
+
+    Raises:
+        ConfigError: an unknown method or preset, or a value that is not allowed.
+    """
+    if method not in METHODS:
+        raise ConfigError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
+    if preset not in PRESETS:
+        raise ConfigError(f"there is no preset {preset!r}: choose one of {', '.join(PRESETS)}")
+    config = _with_method(
+        _with_preset(TrainConfig(resolution=resolution, seed=seed), preset), method
+    )
+    if max_steps is not None:
+        config = _with_steps(config, max_steps)
+    if max_gaussians is not None:
+        config = replace(
+            config, densification=replace(config.densification, max_gaussians=max_gaussians)
+        )
+    return config
+
+
+def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
+    """Switch on what the method has (the paper's ablation table)."""
+    if method == "3dgs-rgbt":
+        return replace(
+            config,
+            method=method,
+            shares_opacity=True,
+            temperature_sh_degree=MAX_DEGREE,
+            field=replace(config.field, residuals=False),
+            loss=replace(config.loss, smooth=0.0),
+            radiation=None,
+        )
+    if method == "mrgs-plus":
+        loss = replace(config.loss, opaque=PLUS_OPAQUE)
+        config = replace(
+            config, temperature_sh_degree=None, loss=loss, image_model=PLUS_IMAGE_MODEL
+        )
+    return replace(
+        config,
+        method=method,
+        field=replace(config.field, fourier=method in ("mrgs-plus", "mrgs", "mrgs-fourier")),
+        radiation=config.radiation if method in ("mrgs-plus", "mrgs", "mrgs-boltz") else None,
+    )
+
+
+def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
+    """``paper`` is the published schedule; the others are for CPUs, measured in docs/decisions."""
+    config = replace(config, preset=preset)
+    if preset == "paper":
+        return config
+    steps, max_gaussians = {"fast": (1_500, 20_000), "default": (4_000, 50_000)}[preset]
+    config = _with_steps(config, steps)
+    densification = replace(config.densification, max_gaussians=max_gaussians)
+    field = replace(config.field, hidden_width=CPU_HIDDEN_WIDTH)
+    loss = replace(config.loss, smooth_rgb=0.0, smooth_thermal=0.25, smooth_depth=0.0)
+    optimizer = replace(config.optimizer, **CPU_RATES)
+    return replace(
+        config,
+        distant_points=True,
+        photo_temperatures=True,
+        densification=densification,
+        field=field,
+        loss=loss,
+        optimizer=optimizer,
+    )
+
+
+def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
+    """The same schedule in another number of steps.
+
+    Opacity resets are not moved closer together: the opacities need a fixed number of steps to
+    recover, so short schedules have none.
+    """
+    if steps < 1:
+        raise ConfigError(f"max_steps must be at least 1, not {steps}")
+    factor = steps / config.max_steps
+
+    def scaled(count: int) -> int:
+        return max(1, round(count * factor))
+
+    old = config.densification
+    radiation = config.radiation
+    if radiation is not None:
+        start = scaled(radiation.decay_from)
+        radiation = replace(
+            radiation, decay_from=start, decay_until=max(scaled(radiation.decay_until), start + 1)
+        )
+    relocation = config.relocation
+    if relocation is not None:
+        start = scaled(relocation.start)
+        relocation = replace(relocation, start=start, stop=max(scaled(relocation.stop), start + 1))
+    return replace(
+        config,
+        max_steps=steps,
+        sh_every=scaled(config.sh_every),
+        radiation=radiation,
+        relocation=relocation,
+        densification=replace(old, start=scaled(old.start), stop=scaled(old.stop)),
+    )
+
+
+def to_yaml(config: TrainConfig) -> str:
+    """The configuration as YAML, every field written out."""
+    return write_yaml(config)
+
+
+def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainConfig:
+    """The configuration that ``to_yaml`` wrote, or a part of one over another; see ``read_yaml``.
+
+    Raises:
+        ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
+    """
+    return read_yaml(TrainConfig, text, source, base)

@@ -1,0 +1,1 @@
+"""Adaptive density control: where Gaussians are added, moved and removed during training."""

@@ -1,0 +1,1 @@
+"""The terms of the paper's total loss and what they are made of."""

@@ -1,0 +1,176 @@
+"""Depth-aware thermal radiation and the uncertainty-aware loss (Sec. Learning Depth-aware Thermal
+Radiation)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from mrgs.errors import ConfigError
+from mrgs.method.losses.convolution import convolve
+from mrgs.method.losses.dissimilarity import serves, structural_dissimilarity
+from mrgs.method.losses.known_gradient import with_gradients
+from mrgs.method.losses.photometric import masked_mean, mean_weights
+from mrgs.method.losses.ssim import structural_similarity
+from mrgs.scene.temperature import TemperatureRange
+
+STEFAN_BOLTZMANN = 5.670374419e-8
+"""The paper's τ, in W m⁻² K⁻⁴."""
+
+DEPTH_FLOOR = 1e-3
+"""Smallest depth that divides, as a share of the scene's extent."""
+
+
+@dataclass(frozen=True)
+class RadiationConfig:
+    """The weight λ_boltz over the steps (Sec. Implementation Details: decayed from 0.05 to 0.01
+    during densification).
+
+    Attributes:
+        start: λ_boltz up to ``decay_from``.
+        end: λ_boltz from ``decay_until`` on.
+        decay_from: the step at which the decay starts.
+        decay_until: the step at which it ends.
+    """
+
+    start: float = 0.05
+    end: float = 0.01
+    decay_from: int = 500
+    decay_until: int = 15_000
+
+    def __post_init__(self) -> None:
+        if not (self.start > 0 and self.end > 0):
+            raise ConfigError(
+                f"the weights of L_boltz must be positive, not {self.start} and {self.end}"
+            )
+        if not 0 <= self.decay_from < self.decay_until:
+            raise ConfigError(
+                f"L_boltz cannot decay from step {self.decay_from} to step {self.decay_until}"
+            )
+
+
+def boltzmann_weight(step: int, config: RadiationConfig) -> float:
+    """λ_boltz of Eq. 20 (final_loss) at a step: log-linear between its two ends, constant
+    outside."""
+    progress = (step - config.decay_from) / (config.decay_until - config.decay_from)
+    if progress <= 0:
+        return config.start
+    if progress >= 1:
+        return config.end
+    return math.exp((1 - progress) * math.log(config.start) + progress * math.log(config.end))
+
+
+def thermal_radiation(
+    target: Float[Tensor, "h w"],
+    depth: Float[Tensor, "h w"],
+    extent: float,
+    temperature: TemperatureRange | None,
+) -> Float[Tensor, "h w"]:
+    """E_r, the radiation that arrives at the camera, up to a constant.
+
+    Eq. 13 (stefan_boltzmann), Sec. Depth-aware Thermal Radiation: τ t_GT⁴ / D_t². Differentiable in
+    the depth where it exceeds its floor of 1e-3 extents.
+
+    Args:
+        target: normalised temperatures of the photo.
+        depth: rendered thermal depth D_t in scene units.
+        extent: the scene's extent in scene units.
+        temperature: turns the target into kelvin; without it the normalised values stand for t_GT,
+            which is not physics: warn the user.
+    """
+    kelvin = target if temperature is None else temperature.to_kelvin(target)
+    root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(DEPTH_FLOOR * extent)
+    return root * root  # differentiated at a third of the cost of a power
+
+
+def normalise_radiation(
+    radiation: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None = None
+) -> Float[Tensor, "h w"]:
+    """E_r brought to [0, 1] by its least and largest value, as S-SSIM needs it to have the scale of
+    I_t.
+
+    The two come from the valid pixels alone. They carry gradient, so that L_boltz gains nothing by
+    multiplying all depths above their floor: with a scale held fixed it would, because E_r becomes
+    the flatter the farther everything is, and what is flat contradicts no image. A flat map becomes
+    0.
+    """
+    low = (radiation if valid is None else torch.where(valid, radiation, math.inf)).amin()
+    high = (radiation if valid is None else torch.where(valid, radiation, -math.inf)).amax()
+    if valid is not None:  # without a valid pixel nothing was found
+        found = valid.any()
+        low, high = torch.where(found, low, 0), torch.where(found, high, 0)
+    span = high - low
+    return (radiation - low) / torch.where(span > 1e-6 * high, span, math.inf)
+
+
+class DepthUncertainty(nn.Module):
+    """u(D_t), where the rendered depth is not to be trusted.
+
+    Eq. 15 (uncertainty), Sec. Uncertainty-aware S-SSIM: u = σ(ψ(D_t)) with a 3 × 3 convolution ψ,
+    here on the depth in units of the scene's extent.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.psi = nn.Conv2d(1, 1, kernel_size=3, padding=1)
+
+    def forward(self, depth: Float[Tensor, "h w"], extent: float) -> Float[Tensor, "h w"]:
+        """u in (0, 1) of each pixel; depth and extent in scene units."""
+        relative = depth / extent
+        assert self.psi.bias is not None
+        if depth.device.type == "cpu":
+            response = convolve(relative, self.psi.weight[0, 0], self.psi.bias)
+        else:
+            # As a product, which does not depend on torch's leave to convolve with ten bits of
+            # mantissa.
+            neighbourhoods = nn.functional.unfold(relative[None, None], kernel_size=3, padding=1)[0]
+            response = (self.psi.weight.view(1, 9) @ neighbourhoods).view(
+                depth.shape
+            ) + self.psi.bias
+        return response.sigmoid()
+
+
+def boltzmann_loss(
+    thermal: Float[Tensor, "h w"],
+    radiation: Float[Tensor, "h w"],
+    uncertainty: Float[Tensor, "h w"],
+    valid: Bool[Tensor, "h w"] | None = None,
+) -> Float[Tensor, ""]:
+    """L_boltz, the mean over the pixels of (1 − S-SSIM(I_t, E_r)) / exp(u) + u.
+
+    Eq. 16 (L_boltz), Sec. Uncertainty-aware S-SSIM.
+
+    Args:
+        thermal: the rendered thermal image I_t, normalised temperatures.
+        radiation: E_r from ``normalise_radiation``.
+        uncertainty: u(D_t) from ``DepthUncertainty``.
+        valid: pixels that count, all if None; the others are 0 in both maps.
+    """
+    if not serves(thermal):
+        return _boltzmann_loss(thermal, radiation, uncertainty, valid)
+    mean, u = mean_weights(thermal, valid), uncertainty.detach()
+    trust = mean / u.exp()
+    compared, errors = structural_dissimilarity(thermal[:, :, None], radiation[:, :, None], trust)
+    untrusted = (mean * u).sum(dtype=torch.float64)
+    value = compared.total + (untrusted if isinstance(compared.total, Tensor) else untrusted.item())
+    gradients = [
+        None if gradient is None else gradient[:, :, 0]
+        for gradient in (compared.grad_x, compared.grad_y)
+    ]
+    return with_gradients(
+        value, (thermal, radiation, uncertainty), (*gradients, mean - trust * errors[:, :, 0])
+    )
+
+
+def _boltzmann_loss(
+    thermal: Tensor, radiation: Tensor, uncertainty: Tensor, valid: Tensor | None
+) -> Tensor:
+    """Eq. 16 in plain torch, for other devices; the fused kernels are tested against it."""
+    if valid is not None:
+        thermal, radiation = torch.where(valid, thermal, 0), torch.where(valid, radiation, 0)
+    dissimilarity = 1 - structural_similarity(thermal[None], radiation[None])
+    return masked_mean(dissimilarity / uncertainty.exp() + uncertainty, valid)

@@ -1,0 +1,109 @@
+"""Structural similarity from local Gaussian windows: SSIM as 3DGS has it, and the paper's S-SSIM.
+
+In plain torch, for any device and differentiable any number of times; losses on the CPU have a
+fused kernel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+RADIUS_PX = 5
+"""The window has 11 × 11 pixels."""
+
+SIGMA_PX = 1.5
+
+K1, K2 = 0.01, 0.03
+"""SSIM's stabilisers: C1 = (K1 · data range)², C2 = (K2 · data range)²."""
+
+STRUCTURE_C2 = 9e-4
+"""C2 of S-SSIM, that of SSIM at a data range of 1."""
+
+
+def _window_weights() -> Float[Tensor, "11"]:
+    offsets = torch.arange(-RADIUS_PX, RADIUS_PX + 1, dtype=torch.float64)
+    weights = torch.exp(-0.5 * (offsets / SIGMA_PX) ** 2)
+    return weights / weights.sum()
+
+
+WEIGHTS = _window_weights()
+"""The window along one axis, float64; the two-dimensional window is its outer product with
+itself."""
+
+
+def window_mean(planes: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
+    """Mean of each pixel's 11 × 11 neighbourhood, Gaussian weights (σ = 1.5 px), zeros beyond the
+    border (as 3DGS)."""
+    for axis, padding in ((1, (0, 0, RADIUS_PX, RADIUS_PX)), (2, (RADIUS_PX, RADIUS_PX))):
+        padded, size = nn.functional.pad(planes, padding), planes.shape[axis]
+        planes = torch.zeros_like(planes)
+        for tap, weight in enumerate(WEIGHTS.tolist()):
+            planes = planes.add(padded.narrow(axis, tap, size), alpha=weight)
+    return planes
+
+
+class LocalStatistics(NamedTuple):
+    """Local moments of two images, each [C, H, W]."""
+
+    mean_x: Float[Tensor, "c h w"]
+    mean_y: Float[Tensor, "c h w"]
+    variance_x: Float[Tensor, "c h w"]
+    variance_y: Float[Tensor, "c h w"]
+    covariance: Float[Tensor, "c h w"]
+
+
+def local_statistics(x: Float[Tensor, "c h w"], y: Float[Tensor, "c h w"]) -> LocalStatistics:
+    """Means, variances and covariance of both images under the window."""
+    mean_x, square_x, product = window_mean(torch.cat([x, x * x, x * y])).chunk(3)
+    mean_y, square_y = window_mean(torch.cat([y, y * y])).chunk(
+        2
+    )  # apart: a target asks for no backward pass
+    return LocalStatistics(
+        mean_x=mean_x,
+        mean_y=mean_y,
+        variance_x=square_x - mean_x * mean_x,
+        variance_y=square_y - mean_y * mean_y,
+        covariance=product - mean_x * mean_y,
+    )
+
+
+def ssim_map(
+    x: Float[Tensor, "c h w"],
+    y: Float[Tensor, "c h w"],
+    data_range: float | Float[Tensor, ""] = 1.0,
+) -> Float[Tensor, "c h w"]:
+    """SSIM of every pixel (Wang et al. 2004).
+
+    3DGS takes the mean of the whole map. torchmetrics up to 1.4.1 takes that of its interior,
+    ``RADIUS_PX`` pixels away from the border, where both maps agree; later releases take the whole
+    map, but reflect the images beyond the border.
+
+    Args:
+        x: an image; put the one that carries gradients first.
+        y: the image to compare with.
+        data_range: the width of the range of values; 1 in the 3DGS family, by default that of the
+            two images in torchmetrics.
+    """
+    c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
+    local = local_statistics(x, y)
+    cross = local.mean_x * local.mean_y
+    luminance = (2 * cross + c1) / (local.mean_x.square() + local.mean_y.square() + c1)
+    return luminance * (2 * local.covariance + c2) / (local.variance_x + local.variance_y + c2)
+
+
+def structural_similarity(
+    x: Float[Tensor, "c h w"], y: Float[Tensor, "c h w"]
+) -> Float[Tensor, "c h w"]:
+    """S-SSIM of every pixel: the structure term alone, blind to brightness.
+
+    Eq. 14 (S-SSIM), Sec. Uncertainty-aware S-SSIM: 2 C_xy / (C_x + C_y). 9e-4 is added to numerator
+    and denominator, so that two flat windows are alike.
+    """
+    local = local_statistics(x, y)
+    return (2 * local.covariance + STRUCTURE_C2) / (
+        local.variance_x + local.variance_y + STRUCTURE_C2
+    )

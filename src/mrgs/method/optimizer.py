@@ -1,0 +1,235 @@
+"""Adam over the Gaussians. Rows are added and removed here alone, so that parameters and moments
+stay together."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Gaussians
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """Learning rates; those of the Gaussians are 3DGS's.
+
+    Attributes:
+        means: at the first step, in scene extents; decays log-linearly to ``means_final`` at the
+            last step.
+        means_final: at the last step, in scene extents.
+        quats: of the rotations.
+        log_scales: of the logarithms of the scales.
+        opacities: of both opacity logits.
+        sh_dc: of the colour coefficient of degree 0.
+        sh_rest: of the colour coefficients of higher degrees.
+        temperature_dc: of the temperature.
+        temperature_rest: of its higher degrees, where it has them.
+        embedding: of e_m.
+        heads: of the field's layers.
+        uncertainty: of ψ.
+        slowdown_from: share of the training after which all rates but that of the means fall; 1 for
+            never.
+        slowdown_to: the share of the rates that is left at the last step.
+    """
+
+    means: float = 1.6e-4
+    means_final: float = 1.6e-6
+    quats: float = 1e-3
+    log_scales: float = 5e-3
+    opacities: float = 0.05
+    sh_dc: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+    temperature_dc: float = 2.5e-3
+    temperature_rest: float = 1.25e-4
+    embedding: float = 5e-3
+    heads: float = 5e-4
+    uncertainty: float = 1e-3
+    slowdown_from: float = 1.0
+    slowdown_to: float = 0.1
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            rate = getattr(self, field.name)
+            if not 0 <= rate < math.inf:
+                raise ConfigError(f"the learning rate {field.name} must be 0 or more, not {rate}")
+        if self.means == 0 or self.means_final == 0:
+            raise ConfigError(
+                "the learning rates means and means_final must be above 0: the one decays to the "
+                "other"
+            )
+
+    def means_at(self, progress: float) -> float:
+        """Learning rate of the means after this share of the training, in scene extents."""
+        return math.exp(
+            (1 - progress) * math.log(self.means) + progress * math.log(self.means_final)
+        )
+
+    def slowdown_at(self, progress: float) -> float:
+        """Factor on all learning rates but that of the means after this share of the training;
+        falls log-linearly."""
+        if progress <= self.slowdown_from:
+            return 1.0
+        return self.slowdown_to ** ((progress - self.slowdown_from) / (1 - self.slowdown_from))
+
+    def of(self, parameter: str) -> float:
+        """Learning rate of a field of ``Gaussians``."""
+        rate: float = getattr(self, "opacities" if parameter.startswith("opacity_") else parameter)
+        return rate
+
+
+def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Tensor, ""]:
+    """Whether neither the loss nor a gradient holds a NaN or an infinity; the answer stays on their
+    device."""
+    sums = [gradient.sum() for gradient in gradients]
+    return torch.stack([loss.detach(), *sums]).isfinite().all()
+
+
+def step_if(good: Bool[Tensor, ""] | None, adam: torch.optim.Adam) -> None:
+    """Adam's step where ``good``, or if that is None; else nothing. The device is not asked which
+    of both it was.
+
+    A fused Adam leaves parameters, moments and step counts as they are where its ``found_inf`` is
+    1: so it is that torch's GradScaler skips steps.
+    """
+    adam.found_inf = None if good is None else (~good).float()  # type: ignore[attr-defined]
+    adam.step()
+
+
+def set_rates(adam: torch.optim.Adam, factor: float) -> None:
+    """Learning rates of all groups as this factor of their ``initial_lr``."""
+    for group in adam.param_groups:
+        group["lr"] = factor * group["initial_lr"]
+
+
+class GaussianOptimizer:
+    """Adam over the parameters of the Gaussians.
+
+    Args:
+        gaussians: the start; its tensors become the parameters.
+        config: learning rates.
+        extent: of the scene; multiplies the learning rate of the means.
+    """
+
+    def __init__(self, gaussians: Gaussians, config: OptimizerConfig, extent: float) -> None:
+        self._config = config
+        self._extent = extent
+        self.gaussians = Gaussians(
+            **{name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()}
+        )
+        self._adam = torch.optim.Adam(
+            [
+                {
+                    "params": [tensor],
+                    "lr": config.of(name),
+                    "initial_lr": config.of(name),
+                    "name": name,
+                }
+                for name, tensor in self.gaussians.tensors().items()
+                if tensor.numel() > 0
+            ],
+            lr=0.0,
+            eps=1e-15,
+            fused=True,
+        )
+
+    def step(self, progress: float, good: Bool[Tensor, ""] | None = None) -> None:
+        """One Adam step from the gradients, which are then cleared.
+
+        Args:
+            progress: the share of the training done.
+            good: whether the step counts; where not, nothing is moved. None if it does.
+        """
+        set_rates(self._adam, self._config.slowdown_at(progress))
+        self._group("means")["lr"] = self._config.means_at(progress) * self._extent
+        step_if(good, self._adam)
+        self.zero_grad()
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        self._adam.zero_grad(set_to_none=True)
+
+    def gradients(self) -> list[Tensor]:
+        """Those that there are."""
+        return [
+            tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None
+        ]
+
+    def replace_rows(self, keep: Int64[Tensor, " k"], added: Gaussians) -> None:
+        """Keep these rows, in this order, and append new ones; the new rows' moments start at 0.
+
+        All is built before anything is replaced: where the memory does not suffice, the optimizer
+        is as it was.
+        """
+        built = {
+            name: self._with_rows(name, keep, addition.detach())
+            for name, addition in added.tensors().items()
+        }
+        for name, (new, moments) in built.items():
+            old = getattr(self.gaussians, name)
+            setattr(self.gaussians, name, new)
+            if old.numel() == 0:
+                continue
+            self._group(name)["params"] = [new]
+            state = self._adam.state.pop(old, None)
+            if state is not None:
+                self._adam.state[new] = {**state, **moments}
+
+    def _with_rows(
+        self, name: str, keep: Int64[Tensor, " k"], addition: Float[Tensor, "a ..."]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """A parameter and its moments with the rows to keep and the new ones."""
+        old = getattr(self.gaussians, name)
+        state = self._adam.state.get(old, {})
+        moments = {
+            moment: torch.cat([state[moment][keep], torch.zeros_like(addition)])
+            for moment in _MOMENTS
+            if state
+        }
+        return torch.cat([old.detach()[keep], addition]).requires_grad_(), moments
+
+    @torch.no_grad()
+    def limit_opacities(self, maximum: float) -> None:
+        """3DGS's opacity reset: bring every opacity down to ``maximum`` and clear its moments."""
+        limit = math.log(maximum / (1 - maximum))
+        for name in ("opacity_rgb_logit", "opacity_thermal_logit"):
+            logits = getattr(self.gaussians, name)
+            logits.clamp_(max=limit)
+            for moment in _MOMENTS:
+                if moment in self._adam.state.get(logits, {}):
+                    self._adam.state[logits][moment].zero_()
+
+    def state(self) -> dict[str, Tensor]:
+        """Parameters and moments by name, for a checkpoint."""
+        tensors = {name: tensor.detach() for name, tensor in self.gaussians.tensors().items()}
+        for group in self._adam.param_groups:
+            for key, value in self._adam.state.get(group["params"][0], {}).items():
+                tensors[f"adam.{group['name']}.{key}"] = value
+        return tensors
+
+    def load_moments(self, tensors: dict[str, Tensor]) -> None:
+        """Take the moments of ``state()``; the parameters are those that the optimizer was made
+        with."""
+        for group in self._adam.param_groups:
+            prefix = f"adam.{group['name']}."
+            state = {
+                key.removeprefix(prefix): value
+                for key, value in tensors.items()
+                if key.startswith(prefix)
+            }
+            if state:
+                parameter = group["params"][0]
+                self._adam.state[parameter] = {
+                    key: value.to(parameter.device) for key, value in state.items()
+                }
+
+    def _group(self, name: str) -> dict:
+        return next(group for group in self._adam.param_groups if group["name"] == name)

@@ -1,0 +1,1 @@
+"""The Gaussians at step 0: start points, their colours and their temperatures."""

@@ -1,0 +1,113 @@
+"""Start points far away, where photos show none: the sky, and what is too far for structure from
+motion.
+
+Not in the paper. Without them these directions are filled by Gaussians of the nearest surfaces,
+which grow towards the cameras and are seen hanging in the air from everywhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+
+from mrgs.scene import Camera, Reach, reach
+
+CELLS_ACROSS = 24
+"""A photo is divided into so many cells across, which are about square. A direction counts if its
+cell lies in three by three empty ones: smaller gaps lie on surfaces, and what is put behind these
+makes them transparent."""
+
+FEWEST_PER_CELL = 0.5
+"""A photo with fewer start points than this share of its cells does not tell which directions are
+empty."""
+
+SPACING_RAD = 0.1
+"""Directions closer than about this become one point."""
+
+
+class DistantPoints(NamedTuple):
+    """M points that are about equally far from each other.
+
+    Attributes:
+        positions: in world coordinates, [M, 3].
+        spacing: scene units.
+    """
+
+    positions: Float[Tensor, "m 3"]
+    spacing: float
+
+
+def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> DistantPoints:
+    """Points behind the start points; none where every cell of every photo shows one of those.
+
+    Args:
+        points: start points in world coordinates.
+        cameras: of the training photos.
+    """
+    if not cameras or len(points) == 0:
+        return DistantPoints(points[:0], 0.0)
+    ball = reach(points, cameras)
+    directions = [
+        _on_sphere(camera, _empty_cells(camera, points.double()), ball) for camera in cameras
+    ]
+    positions = ball.centre + ball.background_distance * _merged(torch.cat(directions))
+    return DistantPoints(positions.to(points), SPACING_RAD * ball.background_distance)
+
+
+def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
+    """Which cells of a photo lie in three by three cells without a start point; none if it shows
+    too few points."""
+    rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
+    pixels, _ = camera.project(positions)
+    seen = pixels[camera.contains(pixels)]
+    if len(seen) < FEWEST_PER_CELL * rows * CELLS_ACROSS:
+        return torch.zeros(rows, CELLS_ACROSS, dtype=torch.bool)
+    cells = (
+        seen
+        / seen.new_tensor([camera.width, camera.height])
+        * seen.new_tensor([CELLS_ACROSS, rows])
+    ).long()
+    occupied = torch.zeros(1, rows, CELLS_ACROSS)
+    occupied[0, cells[:, 1].clamp_max(rows - 1), cells[:, 0].clamp_max(CELLS_ACROSS - 1)] = 1
+    middles = _grown(occupied) == 0
+    return _grown(middles.float())[0] > 0
+
+
+def _grown(cells: Float[Tensor, "1 rows columns"]) -> Float[Tensor, "1 rows columns"]:
+    """1 where a cell or one of those around it is 1."""
+    return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
+
+
+def _on_sphere(
+    camera: Camera, empty: Bool[Tensor, "rows columns"], ball: Reach
+) -> Float64[Tensor, "k 3"]:
+    """Where the rays through the middle of the cells meet the background, as directions from its
+    centre."""
+    rows, columns = empty.shape
+    row, column = empty.nonzero().T
+    pixels = torch.stack(
+        [(column + 0.5) / columns * camera.width, (row + 0.5) / rows * camera.height], dim=1
+    )
+    rays = (
+        camera.unproject(pixels.double(), torch.ones(len(pixels), dtype=torch.float64))
+        - camera.position
+    )
+    rays = torch.nn.functional.normalize(rays, dim=1)
+    start = camera.position - ball.centre
+    along = rays @ start
+    length = (along.square() - start.square().sum() + ball.background_distance**2).clamp_min(
+        0
+    ).sqrt() - along
+    return torch.nn.functional.normalize(start + length[:, None] * rays, dim=1)
+
+
+def _merged(directions: Float64[Tensor, "k 3"]) -> Float64[Tensor, "m 3"]:
+    """One direction for all that share a cell of a grid."""
+    cells = (directions / SPACING_RAD).round().long()
+    unique, cell_of = torch.unique(cells, dim=0, return_inverse=True)
+    sums = torch.zeros(len(unique), 3, dtype=directions.dtype).index_add(0, cell_of, directions)
+    return torch.nn.functional.normalize(sums, dim=1)

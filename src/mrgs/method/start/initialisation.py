@@ -1,0 +1,69 @@
+"""The Gaussians that training starts from."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field.spherical_harmonics import C0
+from mrgs.method.start.start_points import StartPoints
+from mrgs.scene import Gaussians
+
+INITIAL_SCALE_NEIGHBOURS = 3
+SMALLEST_DISTANCE = 1e-7
+"""Coincident points still become Gaussians of some size (scene units)."""
+
+
+def initial_gaussians(
+    points: StartPoints,
+    field: RadianceField,
+    shares_opacity: bool,
+    temperature_sh_degree: int,
+    max_gaussians: int,
+    generator: torch.Generator,
+) -> Gaussians:
+    """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest
+    points (3DGS).
+
+    No larger than ``max_scales``, though: a distant point may have the scene's own points as
+    neighbours.
+
+    Args:
+        points: start points; a random subset if there are more than ``max_gaussians``.
+        field: gives e_m its start; its frame must be set.
+        shares_opacity: whether both modalities are blended with o_c.
+        temperature_sh_degree: degree of the temperature's spherical harmonics, 0 to 3.
+        max_gaussians: the cap.
+        generator: of the subset.
+    """
+    count = len(points.positions)
+    if count > max_gaussians:
+        points = points.rows(
+            torch.randperm(count, generator=generator)[:max_gaussians].sort().values
+        )
+        count = max_gaussians
+    means = points.positions.clone()
+    opacity_rgb, opacity_thermal = (
+        o.logit()[:, None] for o in (points.opacities_rgb, points.opacities_thermal)
+    )
+    return Gaussians(
+        means=means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        log_scales=torch.minimum(_spacing(means), points.max_scales).log()[:, None].repeat(1, 3),
+        opacity_rgb_logit=opacity_rgb,
+        opacity_thermal_logit=opacity_thermal[:, :0] if shares_opacity else opacity_thermal,
+        sh_dc=((points.colors - 0.5) / C0)[:, None],
+        sh_rest=torch.zeros(count, 15, 3),
+        temperature_dc=((points.temperatures - 0.5) / C0)[:, None, None],
+        temperature_rest=torch.zeros(count, (temperature_sh_degree + 1) ** 2 - 1, 1),
+        embedding=field.initial_embedding(means),
+    )
+
+
+def _spacing(means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Root mean square distance to the nearest points."""
+    neighbours = nearest_neighbours(means, INITIAL_SCALE_NEIGHBOURS)
+    squared = (means[neighbours] - means[:, None]).square().sum(dim=2).mean(dim=1)
+    return squared.sqrt().clamp_min(SMALLEST_DISTANCE)

@@ -1,0 +1,1 @@
+"""Everything that is drawn: palettes, text and scale bars, image files, video."""

@@ -1,0 +1,133 @@
+"""Text and scale bars on Pillow images, in the one font that comes with Pillow (it knows ASCII, °,
+± and ·)."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from mrgs.pictures.palette import PaletteName, palette_table, round_ticks, tick_labels
+
+INK = (24, 28, 36)
+MUTED = (104, 111, 124)
+HAIRLINE = (222, 225, 230)
+PAPER = (255, 255, 255)
+
+_REPLACED = str.maketrans({"–": "-", "—": "-", "−": "-", "×": "x", "∞": "inf"})
+
+
+class Scale(NamedTuple):
+    """What the colours of a map mean.
+
+    Attributes:
+        palette: the colours.
+        low: value of the first colour; larger than ``high`` where the palette runs the other way.
+        high: value of the last colour.
+        unit: stands behind the largest number; may be empty.
+    """
+
+    palette: PaletteName
+    low: float
+    high: float
+    unit: str
+
+
+def draw_text(
+    image: Image.Image,
+    position: tuple[float | int, float | int],
+    text: str,
+    size: int,
+    color: tuple[int, int, int] = INK,
+    anchor: str = "ls",
+    bold: bool = False,
+) -> None:
+    """Draw one line; ``anchor`` as in Pillow ("ls": position is the left end of the baseline)."""
+    draw = ImageDraw.Draw(image)
+    text = text.translate(_REPLACED)
+    for shift in (0.0, 0.5) if bold else (0.0,):
+        draw.text(
+            (position[0] + shift, position[1]), text, font=_font(size), fill=color, anchor=anchor
+        )
+
+
+def text_width(text: str, size: int) -> float:
+    """Width of a line in pixels."""
+    return _font(size).getlength(text.translate(_REPLACED))
+
+
+def fit_text(text: str, size: int, width: float | int) -> str:
+    """The text, cut with dots where it is wider than ``width`` pixels."""
+    if text_width(text, size) <= width:
+        return text
+    while text and text_width(text + "...", size) > width:
+        text = text[:-1]
+    return text.rstrip() + "..."
+
+
+def scale_bar(
+    scale: Scale, length: int, direction: Literal["horizontal", "vertical"], size: int = 13
+) -> Image.Image:
+    """A colour bar with ticks at round numbers, ``length`` pixels long; the unit stands behind the
+    last number.
+
+    A vertical bar has its warm end on top. The image is as small as its content, on white.
+    """
+    return (_horizontal_bar if direction == "horizontal" else _vertical_bar)(scale, length, size)
+
+
+def _horizontal_bar(scale: Scale, length: int, size: int) -> Image.Image:
+    thickness = max(8, round(0.8 * size))
+    image = Image.new("RGB", (length, thickness + 6 + round(1.4 * size)), PAPER)
+    ramp = palette_table(scale.palette)[np.linspace(0, 255, length).round().astype(int)]
+    image.paste(Image.fromarray(np.repeat(ramp[None], thickness, axis=0)), (0, 0))
+    draw = ImageDraw.Draw(image)
+    end = length
+    for value, label in _labelled_ticks(scale, max(2, length // (5 * size)))[
+        :: -1 if scale.low < scale.high else 1
+    ]:
+        x = (value - scale.low) / (scale.high - scale.low) * (length - 1)
+        width = text_width(label, size)
+        left = min(max(x - width / 2, 0), length - width)
+        draw.line([(x, thickness), (x, thickness + 4)], fill=MUTED)
+        if left + width <= end:
+            draw_text(image, (left, thickness + 6 + size), label, size, MUTED)
+            end = round(left - 0.6 * size)
+    return image
+
+
+def _vertical_bar(scale: Scale, length: int, size: int) -> Image.Image:
+    thickness = max(10, size)
+    ticks = _labelled_ticks(scale, max(2, length // (3 * size)))
+    width = (
+        thickness + 10 + max((round(text_width(label, size)) for _, label in ticks), default=0) + 2
+    )
+    image = Image.new("RGB", (width, length), PAPER)
+    ramp = palette_table(scale.palette)[np.linspace(255, 0, length).round().astype(int)]
+    image.paste(Image.fromarray(np.repeat(ramp[:, None], thickness, axis=1)), (0, 0))
+    draw = ImageDraw.Draw(image)
+    for value, label in ticks:
+        y = (scale.high - value) / (scale.high - scale.low) * (length - 1)
+        draw.line([(thickness, y), (thickness + 4, y)], fill=MUTED)
+        middle = min(max(y, size / 2), length - size / 2)
+        draw_text(image, (thickness + 8, middle), label, size, MUTED, anchor="lm")
+    return image
+
+
+def _labelled_ticks(scale: Scale, count: int) -> list[tuple[float, str]]:
+    ticks = round_ticks(scale.low, scale.high, count)
+    labels = tick_labels(ticks)
+    if scale.palette == "error":
+        labels = [
+            f"+{label}" if tick > 0 else label for tick, label in zip(ticks, labels, strict=True)
+        ]
+    if labels and scale.unit:
+        labels[-1] += f" {scale.unit}"
+    return list(zip(ticks, labels, strict=True))
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size=size)

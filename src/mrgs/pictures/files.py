@@ -1,0 +1,159 @@
+"""Write renderings as files for people (PNG) and for programs (float32 TIFF)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
+from torch import Tensor
+
+from mrgs.pictures.drawing import PAPER, Scale, scale_bar
+from mrgs.pictures.palette import PaletteName, colorize, display_range
+from mrgs.render import Rendering
+from mrgs.scene import PosedImage, Reach, TemperatureRange, View
+from mrgs.system.atomic import replacing
+
+_IMAGE_DESCRIPTION_TAG = 270
+_MARGIN_PX = 12
+
+
+def write_rendering(
+    folder: Path,
+    view: View,
+    rendering: Rendering,
+    temperature: TemperatureRange | None,
+    palette: PaletteName = "inferno",
+    ball: Reach | None = None,
+) -> list[Path]:
+    """Write all images of one view; returns the paths.
+
+    ``rgb/NAME.png``; ``thermal/NAME.png`` with a scale bar over the scene's temperature range;
+    ``temperature_c/NAME.tiff`` in °C, or ``thermal_normalised/NAME.tiff`` for a scene without °C;
+    ``depth_rgb`` and ``depth_thermal`` as ``NAME.tiff`` (scene units) and ``NAME.png``, on whose
+    scale the background of ``ball`` does not count. What the rendering lacks is left out.
+
+    Raises:
+        RunError: a file cannot be written.
+    """
+    paths = []
+    name = view.name
+    if rendering.rgb is not None:
+        paths.append(write_rgb_png(folder / "rgb" / f"{name}.png", rendering.rgb))
+    if rendering.thermal is not None:
+        values, scale = thermal_values(rendering.thermal, temperature, palette)
+        kind, text = ("temperature_c", "temperature, degrees Celsius")
+        if temperature is None:
+            kind, text = ("thermal_normalised", "normalised thermal value, no unit")
+        paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, text))
+        paths.append(write_scaled_png(folder / "thermal" / f"{name}.png", values, scale))
+    depths = (
+        ("depth_rgb", rendering.depth_rgb, view.rgb),
+        ("depth_thermal", rendering.depth_thermal, view.thermal),
+    )
+    for kind, depth, image in depths:
+        if depth is not None:
+            paths.append(
+                write_float_tiff(
+                    folder / kind / f"{name}.tiff", to_array(depth), "z-depth, scene units"
+                )
+            )
+            paths.append(
+                write_depth_png(folder / kind / f"{name}.png", shown_depth(depth, image, ball))
+            )
+    return paths
+
+
+def shown_depth(
+    depth: Float[Tensor, "h w"], image: PosedImage | None, ball: Reach | None
+) -> Float[np.ndarray, "h w"]:
+    """The depth as pictures show it: infinite where it is the background's, which would take up the
+    whole scale.
+
+    Args:
+        depth: z-depth in scene units.
+        image: whose camera saw it; None, or no ``ball``, leaves the depth as it is.
+        ball: how far the scene reaches.
+    """
+    return to_array(
+        depth
+        if image is None or ball is None
+        else ball.without_background(image.camera, depth.cpu())
+    )
+
+
+def to_array(tensor: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
+    """The tensor as float32 in main memory, without its gradient."""
+    return tensor.detach().float().cpu().numpy()
+
+
+def to_rgb8(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Colours in [0, 1], clamped, as bytes; NaN turns black."""
+    return np.rint(np.nan_to_num(to_array(image)).clip(0, 1) * 255).astype(np.uint8)
+
+
+def thermal_values(
+    thermal: Float[Tensor, "h w 1"], temperature: TemperatureRange | None, palette: PaletteName
+) -> tuple[Float[np.ndarray, "h w"], Scale]:
+    """The thermal image in °C, or as it is where the scene has no °C, and the scale that shows the
+    whole range."""
+    if temperature is None:
+        return to_array(thermal[..., 0]), Scale(palette, 0.0, 1.0, "normalised")
+    celsius = to_array(temperature.to_celsius(thermal[..., 0]))
+    return celsius, Scale(palette, temperature.min_c, temperature.max_c, "°C")
+
+
+def write_png(path: Path, image: Image.Image | UInt8[np.ndarray, "h w 3"]) -> Path:
+    """Write an RGB PNG; returns the path.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        (image if isinstance(image, Image.Image) else Image.fromarray(image)).save(temporary)
+    return path
+
+
+def write_rgb_png(path: Path, image: Float[Tensor, "h w 3"]) -> Path:
+    """Write colours in [0, 1] (clamped) as an 8-bit PNG; returns the path."""
+    return write_png(path, to_rgb8(image))
+
+
+def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], description: str) -> Path:
+    """Write the values as they are into a one-channel float32 TIFF.
+
+    Args:
+        path: ends with .tiff.
+        values: float32.
+        description: what the values are and their unit, ASCII; the TIFF's ImageDescription.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    tags = ImageFileDirectory_v2()
+    tags[_IMAGE_DESCRIPTION_TAG] = description
+    with replacing(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(values, dtype=np.float32)).save(
+            temporary, tiffinfo=tags
+        )
+    return path
+
+
+def write_scaled_png(path: Path, values: Float[np.ndarray, "h w"], scale: Scale) -> Path:
+    """Write a colour-mapped PNG with a scale bar at its right; the map's own pixels keep their
+    size."""
+    height, width = values.shape
+    bar = scale_bar(scale, height, "vertical", size=max(10, min(18, height // 24)))
+    image = Image.new("RGB", (width + 2 * _MARGIN_PX + bar.width, height), PAPER)
+    image.paste(Image.fromarray(colorize(values, scale.low, scale.high, scale.palette)), (0, 0))
+    image.paste(bar, (width + _MARGIN_PX, 0))
+    return write_png(path, image)
+
+
+def write_depth_png(path: Path, depth: Float[np.ndarray, "h w"]) -> Path:
+    """Write a colour-mapped PNG of the depth: near is light; the limits are this image's own
+    percentiles."""
+    low, high = display_range(depth)
+    return write_png(path, colorize(depth, high, low, "depth"))

@@ -1,0 +1,133 @@
+"""Write the frames of a camera path as PNG files and, where the extra ``video`` is installed, as an
+mp4."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import UInt8
+
+from mrgs.errors import RunError
+from mrgs.pictures.files import write_png
+from mrgs.system.atomic import replacing
+
+VIDEO_FPS = 24
+
+CRF = 10
+"""libx264's constant rate factor, 0 (lossless) to 51: hardly a difference can be seen."""
+
+AddFrame: TypeAlias = Callable[[UInt8[np.ndarray, "h w 3"]], None]
+
+
+def can_write_mp4() -> bool:
+    """Whether imageio-ffmpeg is installed (``pip install "mrgs[video]"``)."""
+    return importlib.util.find_spec("imageio_ffmpeg") is not None
+
+
+@contextmanager
+def frame_writer(
+    folder: Path, name: str, size: tuple[int, int], fps: int = VIDEO_FPS
+) -> Iterator[AddFrame]:
+    """Give a function that writes frames into ``NAME/00000.png`` and so on and, if possible, into
+    ``NAME.mp4``.
+
+    Frames and mp4 of an earlier video of this name are removed. The mp4 is there once all frames
+    are. H.264 wants even
+    sides: an odd image loses its last column or row in the mp4.
+
+    Args:
+        folder: is made if need be.
+        name: of the video.
+        size: width and height of the frames.
+        fps: frames per second of the mp4.
+
+    Raises:
+        RunError: a file cannot be written, or an old one not be removed.
+    """
+    _remove_video(folder, name)
+    with ExitStack() as stack:
+        add_to_mp4 = None
+        if can_write_mp4():
+            temporary = stack.enter_context(replacing(folder / f"{name}.mp4"))
+            add_to_mp4 = stack.enter_context(_mp4_encoder(temporary, size, fps))
+        count = 0
+
+        def add(frame: UInt8[np.ndarray, "h w 3"]) -> None:
+            nonlocal count
+            write_png(folder / name / f"{count:05d}.png", frame)
+            if add_to_mp4 is not None:
+                add_to_mp4(frame)
+            count += 1
+
+        yield add
+
+
+def _remove_video(folder: Path, name: str) -> None:
+    """Frames of a longer path would stay behind the new ones, and an mp4 where no new one can be
+    written."""
+    for path in [*(folder / name).glob("[0-9][0-9][0-9][0-9][0-9].png"), folder / f"{name}.mp4"]:
+        _remove(path)
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise RunError(
+            f"{path} of an earlier video cannot be removed ({error.strerror or error}): remove it "
+            f"by hand"
+        ) from error
+
+
+@contextmanager
+def _mp4_encoder(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
+    """Feed frames to ffmpeg; an OSError with the last line that it printed if it fails."""
+    process = subprocess.Popen(
+        _ffmpeg_command(path, size, fps), stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+    def add(frame: UInt8[np.ndarray, "h w 3"]) -> None:
+        assert process.stdin is not None
+        process.stdin.write(frame.tobytes())
+
+    try:
+        yield add
+    except BrokenPipeError:
+        pass  # it has ended, and says why
+    except BaseException:
+        process.kill()
+        process.communicate()
+        raise
+    _, printed = process.communicate()
+    if process.returncode != 0:
+        raise OSError(
+            printed.decode(errors="replace").strip().rpartition("\n")[2]
+            or f"ffmpeg: {process.returncode}"
+        )
+
+
+def _ffmpeg_command(path: Path, size: tuple[int, int], fps: int) -> list[str]:
+    """Raw RGB frames from standard input into H.264 in the pixel format that every player knows."""
+    import imageio_ffmpeg  # an extra: only where it is installed
+
+    source = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{size[0]}x{size[1]}",
+        "-r",
+        str(fps),
+        "-i",
+        "-",
+    ]
+    even = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0"]
+    target = ["-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", str(path)]
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *source, *even, *target]

@@ -1,0 +1,92 @@
+"""Smooth camera paths for fly-throughs, from the cameras of a capture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Camera
+
+
+def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
+    """A closed ellipse through the middle of the cameras, each pose looking at the point that they
+    look at.
+
+    The ellipse lies in the plane that fits the camera centres best; its half axes are √2 standard
+    deviations, so that cameras which stand evenly on an ellipse get that ellipse back. Intrinsics
+    are those of the first camera.
+
+    Args:
+        cameras: the training cameras, in any order.
+        frames: how many poses to return; the last one is followed by the first.
+
+    Raises:
+        ConfigError: there are no cameras, or fewer than one frame is asked for.
+    """
+    _check(cameras, frames)
+    positions = np.stack([camera.position.numpy() for camera in cameras])
+    centre = positions.mean(axis=0)
+    _, spread, axes = np.linalg.svd(positions - centre, full_matrices=True)
+    spread = np.pad(spread, (0, 3))[:2] / np.sqrt(len(cameras))
+    angles = np.linspace(0, 2 * np.pi, frames, endpoint=False)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    target, up = focus_point(cameras), _mean_up(cameras)
+    path = centre + np.sqrt(2) * (circle * spread) @ axes[:2]
+    return [_posed(cameras[0], _look_at(position, target, up), position) for position in path]
+
+
+def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
+    """The point closest to all optical axes (least squares).
+
+    Where the axes hardly meet (parallel views) or meet behind the cameras, the point ahead of the
+    cameras' centre along their mean direction, at the distance of the cameras' spread.
+    """
+    positions = np.stack([camera.position.numpy() for camera in cameras])
+    directions = np.stack([camera.forward.numpy() for camera in cameras])
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    system = across.sum(axis=0)
+    if np.linalg.eigvalsh(system)[0] > 1e-3 * len(cameras):
+        point = np.linalg.solve(system, (across @ positions[:, :, None]).sum(axis=0)[:, 0])
+        if np.median(((point - positions) * directions).sum(axis=1)) > 0:
+            return point
+    centre = positions.mean(axis=0)
+    distance = 2 * np.linalg.norm(positions - centre, axis=1).max() or 1.0
+    mean_direction = directions.mean(axis=0)
+    ahead = mean_direction if np.linalg.norm(mean_direction) > 1e-6 else directions[0]
+    return centre + distance * ahead / np.linalg.norm(ahead)
+
+
+def _check(cameras: Sequence[Camera], frames: int) -> None:
+    if not cameras:
+        raise ConfigError("a camera path needs at least one training camera")
+    if frames < 1:
+        raise ConfigError(f"a camera path needs at least one frame, got {frames}")
+
+
+def _mean_up(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
+    """The cameras' mean up direction (−y of the OpenCV axes), not normalised."""
+    return -np.stack([camera.viewmat[1, :3].numpy() for camera in cameras]).mean(axis=0)
+
+
+def _look_at(
+    position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3 3"]:
+    """World-to-camera rotation; its rows are the camera's right, down and forward."""
+    forward = target - position
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-6:
+        right = np.cross(forward, np.eye(3)[np.abs(forward).argmin()])
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _posed(camera: Camera, rotation: np.ndarray, position: np.ndarray) -> Camera:
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = torch.from_numpy(np.ascontiguousarray(rotation))
+    viewmat[:3, 3] = torch.from_numpy(-rotation @ position)
+    return Camera(camera.K, viewmat, camera.width, camera.height)

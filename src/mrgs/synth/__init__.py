@@ -1,8 +1,0 @@
-"""Scenes made by this project: colour and thermal photos with the exact temperature and depth behind them.
-
-A scene kind is one file that returns a ``Stage`` (see ``tabletop``) and a line in ``generate.STAGES``.
-"""
-
-from mrgs.synth.generate import SceneKind, synthesize
-
-__all__ = ["SceneKind", "synthesize"]

@@ -1,0 +1,1 @@
+"""Devices, atomic files, child processes, and the security policy of web pages."""

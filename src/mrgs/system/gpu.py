@@ -1,0 +1,196 @@
+"""Which device to train and render on, and whether the Triton kernels serve there; every question
+about it is here.
+
+The kernels themselves stand in the rooms' ``gpu`` packages, which import Triton. They are imported
+only where ``serves`` said yes, so that a machine without Triton never needs it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import sys
+import sysconfig
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import torch
+from torch import Tensor
+
+from mrgs.errors import DeviceError, MrgsWarning
+
+HOST = torch.device("cpu")
+
+DeviceName: TypeAlias = Literal["auto", "cpu", "cuda"]
+
+OLDEST_CAPABILITY = (7, 5)
+"""Turing (2018): the oldest GPUs for which both torch and Triton still build code."""
+
+# Multiplications and additions are fused, as in the CPU kernels. Triton 3.9 warns unless this is
+# said.
+os.environ.setdefault("TRITON_DEFAULT_FP_FUSION", "1")
+
+_interpreted: ContextVar[bool] = ContextVar("mrgs_gpu_interpreted", default=False)
+
+
+def serves(tensor: Tensor) -> bool:
+    """Whether the Triton kernels take this tensor: float32, and on an NVIDIA GPU (or within
+    ``interpreted``)."""
+    if tensor.dtype != torch.float32:
+        return False
+    if tensor.is_cuda:
+        return _has_triton()
+    return tensor.is_cpu and _interpreted.get()
+
+
+@contextmanager
+def interpreted() -> Iterator[None]:
+    """Within this block the kernels take CPU tensors, through Triton's interpreter: slow, for
+    tests.
+
+    The environment variable TRITON_INTERPRET=1 must have been set before Triton was first imported.
+    """
+    assert os.environ.get("TRITON_INTERPRET") == "1", (
+        "set TRITON_INTERPRET=1 before Triton is imported"
+    )
+    token = _interpreted.set(True)
+    try:
+        yield
+    finally:
+        _interpreted.reset(token)
+
+
+def choose_device(name: DeviceName) -> torch.device:
+    """The device of a name; "auto" is the GPU where there is one that can be used, else the CPU.
+
+    Warns:
+        MrgsWarning: "auto", and there is an NVIDIA GPU that cannot be used; the message says why.
+
+    Raises:
+        DeviceError: "cuda", and the GPU cannot be used; the message says what to do.
+    """
+    if name == "cpu":
+        return torch.device("cpu")
+    obstacle = _obstacle()
+    if obstacle is None:
+        return torch.device("cuda", torch.cuda.current_device())
+    if name == "cuda":
+        raise DeviceError(f"{obstacle}; or use --device cpu")
+    if _driver_is_installed():
+        warnings.warn(f"the NVIDIA GPU is not used: {obstacle}", MrgsWarning, stacklevel=2)
+    return torch.device("cpu")
+
+
+def device_title(device: torch.device) -> str:
+    """What a report calls a device: the GPU's name, or "cpu"."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+
+
+def _obstacle() -> str | None:
+    """Why the GPU cannot be used, and what would mend it; None if it can."""
+    if sys.platform == "darwin":
+        return "there is no CUDA for macOS"
+    if torch.version.cuda is None:
+        index = (
+            " --index-url https://download.pytorch.org/whl/cu128" if sys.platform == "win32" else ""
+        )
+        return (
+            f"this torch ({torch.__version__}) is built without CUDA: pip install "
+            f"--force-reinstall torch{index}"
+        )
+    return _driver_obstacle() or _capability_obstacle() or _triton_obstacle()
+
+
+def _driver_obstacle() -> str | None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # torch's own words on an old driver, which are told below
+        if torch.cuda.is_available():
+            return None
+        try:
+            torch.cuda.init()
+        except (RuntimeError, AssertionError) as error:
+            reason = str(error)
+        else:
+            reason = ""
+    if "too old" in reason:
+        return (
+            f"the NVIDIA driver is too old for this torch, which was built for CUDA "
+            f"{torch.version.cuda}: "
+            "install a newer driver, or a torch for an older CUDA"
+        )
+    if "no NVIDIA driver" in reason or not _driver_is_installed():
+        return "no NVIDIA driver was found: install it from https://www.nvidia.com/drivers"
+    return "no usable NVIDIA GPU was found: check `nvidia-smi` and CUDA_VISIBLE_DEVICES"
+
+
+def _capability_obstacle() -> str | None:
+    try:
+        found = (
+            torch.cuda.get_device_capability()
+        )  # starts CUDA; that a GPU is visible does not say that it starts
+    except (RuntimeError, AssertionError, torch.cuda.DeferredCudaCallError) as error:
+        reason = str(error).partition("\n")[0]
+        return f"the GPU cannot be started: {reason}"
+    if found >= OLDEST_CAPABILITY:
+        return None
+    oldest = ".".join(map(str, OLDEST_CAPABILITY))
+    return (
+        f"the {torch.cuda.get_device_name()} is too old: "
+        f"it has compute capability {found[0]}.{found[1]}, and {oldest} or newer is needed"
+    )
+
+
+def _triton_obstacle() -> str | None:
+    if not _has_triton():
+        if sys.platform == "win32":
+            return "Triton is missing: pip install triton-windows"
+        return "Triton is missing: pip install triton"
+    if not (
+        os.environ.get("CC")
+        or shutil.which("gcc")
+        or shutil.which("clang")
+        or sys.platform == "win32"
+    ):
+        return (
+            "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or "
+            "name one in CC"
+        )
+    if not (
+        sys.platform == "win32"
+        or any((folder / "Python.h").exists() for folder in _header_folders())
+    ):
+        return (
+            "Triton needs Python's C headers, once, to start its kernels, but there is no "
+            f"{_header_folders()[0] / 'Python.h'}: install python3-dev (python3-devel on Fedora)"
+        )
+    return None
+
+
+def _header_folders() -> list[Path]:
+    """Where Python.h is looked for when Triton compiles: its own choice first, then what a C
+    compiler is told."""
+    scheme = sysconfig.get_default_scheme()
+    if (
+        scheme == "posix_local"
+    ):  # Debian's, which names a folder below /usr/local that holds no headers
+        scheme = "posix_prefix"
+    told = [os.environ.get(name, "").split(os.pathsep) for name in ("CPATH", "C_INCLUDE_PATH")]
+    return [
+        Path(sysconfig.get_paths(scheme)["include"]),
+        *(Path(folder) for each in told for folder in each if folder),
+    ]
+
+
+@lru_cache(maxsize=1)
+def _has_triton() -> bool:
+    return importlib.util.find_spec("triton") is not None
+
+
+def _driver_is_installed() -> bool:
+    return Path("/proc/driver/nvidia/version").exists() or shutil.which("nvidia-smi") is not None

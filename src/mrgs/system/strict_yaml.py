@@ -1,0 +1,94 @@
+"""Dataclasses as YAML and back, strictly: a misspelt field must not be ignored."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from typing import Any, Literal, TypeVar, get_args
+
+import yaml
+
+from mrgs.errors import ConfigError
+
+Config = TypeVar("Config")
+
+
+def write_yaml(config: Any) -> str:
+    """A dataclass as YAML, every field written out."""
+    return yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
+
+
+def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = None) -> Config:
+    """The dataclass that ``write_yaml`` wrote, or a part of one over another of the same kind.
+
+    Args:
+        cls: the dataclass.
+        text: YAML.
+        source: the file's name, for messages.
+        base: holds the fields that the text leaves out; the defaults do if None.
+
+    Raises:
+        ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
+    """
+    values = parse_yaml(text, source)
+    if base is not None:
+        values = _over(dataclasses.asdict(typing.cast(Any, base)), values)
+    return _build(cls, values, source)
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """What YAML says, plain values only.
+
+    Raises:
+        ConfigError: not YAML.
+    """
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
+
+
+def _over(base: Any, values: Any) -> Any:
+    """Nested dictionaries, ``values`` where they have an entry and ``base`` elsewhere."""
+    if not isinstance(base, dict) or not isinstance(values, dict):
+        return values
+    return {**base, **{name: _over(base.get(name), value) for name, value in values.items()}}
+
+
+def _build(cls: type[Config], values: Any, source: str) -> Config:
+    """A dataclass from nested dictionaries."""
+    if not isinstance(values, dict):
+        raise ConfigError(f"{source} must hold the fields of a configuration")
+    hints = typing.get_type_hints(cls)
+    unknown = sorted(set(map(str, values)) - set(hints))
+    if unknown:
+        raise ConfigError(
+            f"{source}: there is no field {unknown[0]!r}; known are {', '.join(hints)}"
+        )
+    fields = {
+        name: _convert(hints[name], value, f"{source}: {name}") for name, value in values.items()
+    }
+    try:
+        return cls(**fields)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from error
+
+
+def _convert(hint: Any, value: Any, source: str) -> Any:
+    """Check a value against its field's type; nested dataclasses are built."""
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        if value is None:
+            return None
+        (hint,) = (option for option in get_args(hint) if option is not type(None))
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), value, source)
+    if typing.get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise ConfigError(f"{source} must be one of {', '.join(get_args(hint))}, not {value!r}")
+        return value
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+        raise ConfigError(f"{source} must be of type {hint.__name__}, not {value!r}")
+    return value

@@ -1,0 +1,183 @@
+"""Generate a scene: photograph a stage in colour and in the infrared, and write down the truth."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Camera
+from mrgs_synth.electronics import electronics
+from mrgs_synth.facade import facade
+from mrgs_synth.hits import Hits, Triangles, exact_temperature, first_hits
+from mrgs_synth.points import sparse_points
+from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
+from mrgs_synth.stage import Stage
+from mrgs_synth.tabletop import tabletop
+from mrgs_synth.tracer import PathTracer
+from mrgs_synth.write import DEPTH_STEP_M, TEMPERATURE_STEP_C, SceneFolder
+
+SceneKind = Literal["tabletop", "facade", "electronics"]
+STAGES: dict[SceneKind, Callable[[int], Stage]] = {
+    "tabletop": tabletop,
+    "facade": facade,
+    "electronics": electronics,
+}
+
+RAYS_PER_SIDE = 4
+POINTS = 7000
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What one camera sees: the photo, the exact temperatures in °C, and the first hits of the
+    pixel centres."""
+
+    photo: UInt8[np.ndarray, "h w 3"]
+    exact_c: Float[np.ndarray, "h w"]
+    hits: Hits
+
+
+def synthesize(
+    output: Path,
+    *,
+    scene: SceneKind = "tabletop",
+    width: int = 320,
+    height: int = 240,
+    train_views: int = 40,
+    eval_views: int = 8,
+    samples: int = 64,
+    seed: int = 0,
+    truth: Literal["eval", "all"] = "eval",
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments and Mitsuba
+    give the same files.
+
+    Surfaces emit as black bodies and reflect no heat, so the exact temperature of a pixel is the
+    mean over the surfaces within it (16 rays); the exact depth is the z-depth at the pixel's
+    centre. Both are written as ``output/truth/{temperature,depth}/NAME.tiff``; how the scene was
+    made, as ``output/truth/synth.json``.
+
+    Args:
+        output: the new scene folder.
+        scene: what to generate.
+        width: image width in pixels, even.
+        height: image height in pixels, even.
+        train_views: number of training views, 2 or more.
+        eval_views: number of evaluation views, which lie between the training views.
+        samples: paths per pixel of the colour photos; the time is proportional to it.
+        seed: of the textures, the camera jitter and all noise.
+        truth: whether the truth is written for the evaluation views or for all.
+        progress: called after each view with the number of views done and of all views.
+
+    Raises:
+        ConfigError: an argument is not allowed, ``output`` holds a scene already, or Mitsuba is not
+            installed.
+    """
+    _check(width, height, train_views, eval_views, samples)
+    stage = STAGES[scene](seed)
+    cameras = _cameras(stage, width, height, train_views, eval_views, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        tracer = PathTracer(stage, Path(folder))
+    target = SceneFolder.create(output)
+    shots = _photograph(stage, tracer, cameras, samples, seed, progress)
+    for name, shot in shots.items():
+        target.rgb(name, shot.photo)
+        if truth == "all" or "_eval_" in name:
+            target.truth(name, shot.exact_c, shot.hits.depth_m)
+    sensor = ThermalSensor()
+    _write_thermal(target, sensor, shots, seed)
+    train = [name for name in cameras if "_train_" in name]
+    rng = np.random.default_rng([seed, 4])
+    target.points(
+        *sparse_points(
+            [cameras[name] for name in train],
+            [shots[name].hits for name in train],
+            [shots[name].photo for name in train],
+            POINTS,
+            stage.point_noise_m,
+            rng,
+        )
+    )
+    target.parameters(
+        {"scene": scene, "seed": seed, "samples": samples, **_fixed_parameters(stage, sensor)}
+    )
+    target.transforms(cameras)
+
+
+def _check(width: int, height: int, train_views: int, eval_views: int, samples: int) -> None:
+    if width < 16 or height < 16 or width % 2 or height % 2:
+        raise ConfigError(
+            f"images of {width}×{height} cannot be generated: choose even sizes of 16 pixels or "
+            f"more"
+        )
+    if train_views < 2 or eval_views < 0 or samples < 1:
+        raise ConfigError(
+            "choose 2 or more training views, 0 or more evaluation views, and 1 or more samples"
+        )
+
+
+def _cameras(
+    stage: Stage, width: int, height: int, train_views: int, eval_views: int, seed: int
+) -> dict[str, Camera]:
+    """The cameras by the name of their frame."""
+    rng = np.random.default_rng([seed, 3])
+    train = stage.cameras.train(train_views, width, height, rng)
+    held_out = stage.cameras.between(eval_views, train_views, width, height, rng)
+    named = {f"frame_train_{number:05d}": camera for number, camera in enumerate(train, start=1)}
+    return named | {
+        f"frame_eval_{number:05d}": camera for number, camera in enumerate(held_out, start=1)
+    }
+
+
+def _photograph(
+    stage: Stage,
+    tracer: PathTracer,
+    cameras: dict[str, Camera],
+    samples: int,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> dict[str, Shot]:
+    triangles = Triangles.of(stage.solids)
+    shots = {}
+    for number, (name, camera) in enumerate(cameras.items(), start=1):
+        shots[name] = Shot(
+            photo=tracer.photograph(camera, samples, seed=seed * len(cameras) + number),
+            exact_c=exact_temperature(camera, stage, triangles, RAYS_PER_SIDE),
+            hits=first_hits(camera, triangles),
+        )
+        if progress is not None:
+            progress(number, len(cameras))
+    return shots
+
+
+def _write_thermal(
+    target: SceneFolder, sensor: ThermalSensor, shots: dict[str, Shot], seed: int
+) -> None:
+    coldest = min(float(shot.exact_c.min()) for shot in shots.values())
+    hottest = max(float(shot.exact_c.max()) for shot in shots.values())
+    temperature = rounded_range(coldest, hottest)
+    for frame, (name, shot) in enumerate(shots.items()):
+        target.thermal(name, quantise(sensor.photograph(shot.exact_c, frame, seed), temperature))
+    target.temperature_bounds(temperature)
+
+
+def _fixed_parameters(stage: Stage, sensor: ThermalSensor) -> dict[str, Any]:
+    return {
+        "thermal_sensor": asdict(sensor)
+        | {"detector_pixels_per_image_pixel": 0.5, "image_bits": 8},
+        "truth": {
+            "rays_per_pixel": RAYS_PER_SIDE**2,
+            "temperature_step_c": TEMPERATURE_STEP_C,
+            "depth_step_m": DEPTH_STEP_M,
+            "emissivity": 1.0,
+        },
+        "sparse_point_noise_m": stage.point_noise_m,
+    }

@@ -1,0 +1,101 @@
+"""What a generated scene consists of; each scene kind is one file that returns a Stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from mrgs_synth.cameras import CameraArc
+from mrgs_synth.shapes import Mesh, rotation_z
+
+TemperatureField: TypeAlias = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]]
+
+
+def constant(celsius: float) -> TemperatureField:
+    """One temperature everywhere, °C."""
+    return lambda points: np.full(len(points), celsius)
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """How a surface looks.
+
+    Attributes:
+        texture: sRGB image; for a metal the colour of its reflection.
+        finish: ``matte`` scatters evenly; ``glossy`` adds a coat that reflects; ``metal`` only
+            reflects.
+        roughness: of the reflection (Beckmann's alpha); not used by matte surfaces.
+    """
+
+    texture: UInt8[np.ndarray, "h w 3"]
+    finish: Literal["matte", "glossy", "metal"] = "matte"
+    roughness: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A surface of the scene: a mesh in its own frame, its look, its temperature, and its place.
+
+    Attributes:
+        name: unique in the scene.
+        mesh: the surface in its own frame, metres.
+        material: its look.
+        temperature_c: exact temperature in °C of points given in the mesh's frame.
+        position: where the frame's origin lies in the world, metres.
+        yaw_deg: rotation about the vertical axis.
+    """
+
+    name: str
+    mesh: Mesh
+    material: Material
+    temperature_c: TemperatureField
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_deg: float = 0.0
+
+    def world_mesh(self) -> Mesh:
+        """The mesh in world coordinates."""
+        return self.mesh.placed(*self.position, self.yaw_deg)
+
+    def temperature_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Temperature of points of the surface given in world coordinates, °C."""
+        return self.temperature_c((points - np.array(self.position)) @ rotation_z(self.yaw_deg))
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A rectangular lamp: centre and the point that it faces in metres, its size, and its radiance
+    per colour."""
+
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    size_m: tuple[float, float]
+    radiance: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A whole scene, ready to be photographed.
+
+    Attributes:
+        solids: every surface.
+        lamps: the lamps; no camera may see one.
+        sky: radiance that comes from beyond the solids; None indoors. One value per colour, or a
+            panorama [h, w, 3] whose rows run from the zenith to the nadir and whose columns run
+            once around, clockwise from +y.
+        exposure: factor on the radiance before the sRGB curve; 1 turns into white.
+        cameras: where the camera moves.
+        beyond_c: temperature seen where no surface is, °C, for unit vectors that point there.
+        point_noise_m: standard deviation of the sparse points' positions, metres.
+    """
+
+    solids: tuple[Solid, ...]
+    lamps: tuple[Lamp, ...]
+    sky: tuple[float, float, float] | Float[np.ndarray, "h w 3"] | None
+    exposure: float
+    cameras: CameraArc
+    beyond_c: TemperatureField
+    point_noise_m: float = 0.002

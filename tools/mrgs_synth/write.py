@@ -1,0 +1,120 @@
+"""A generated scene on disk, in ThermoScenes' layout, with its truth beside it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, TiffImagePlugin
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Camera, TemperatureRange
+from mrgs_synth.ply import write_points
+
+JPEG_QUALITY = 92
+# Truth is rounded to these steps, far below what matters, so that it compresses: 1/512 °C and
+# 1/16384 m.
+TEMPERATURE_STEP_C = 2.0**-9
+DEPTH_STEP_M = 2.0**-14
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """A new scene folder; ``transforms`` completes it, so write that last."""
+
+    path: Path
+
+    @classmethod
+    def create(cls, path: Path) -> SceneFolder:
+        """Make the folders of a scene.
+
+        Raises:
+            ConfigError: ``path`` is a file, holds a scene already, or cannot be written.
+        """
+        if (path / "transforms.json").exists() or any((path / "images").glob("*")):
+            raise ConfigError(f"{path} holds a scene already: delete it, or choose another folder")
+        try:
+            for name in ("images", "thermal", "truth/temperature", "truth/depth"):
+                (path / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(
+                f"{path} cannot be written ({error.strerror}): choose another folder"
+            ) from error
+        return cls(path)
+
+    def rgb(self, name: str, photo: UInt8[np.ndarray, "h w 3"]) -> None:
+        """Write ``images/NAME.jpg``."""
+        Image.fromarray(photo).save(
+            self.path / f"images/{name}.jpg", quality=JPEG_QUALITY, subsampling=0
+        )
+
+    def thermal(self, name: str, grey: UInt8[np.ndarray, "h w"]) -> None:
+        """Write ``thermal/NAME.png``."""
+        Image.fromarray(grey).save(self.path / f"thermal/{name}.png", optimize=True)
+
+    def truth(
+        self, name: str, exact_c: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
+    ) -> None:
+        """Write ``truth/temperature/NAME.tiff`` (°C) and ``truth/depth/NAME.tiff`` (z-depth,
+        metres), float32."""
+        write_float_tiff(self.path / f"truth/temperature/{name}.tiff", exact_c, TEMPERATURE_STEP_C)
+        write_float_tiff(self.path / f"truth/depth/{name}.tiff", depth_m, DEPTH_STEP_M)
+
+    def temperature_bounds(self, temperature: TemperatureRange) -> None:
+        """Write ``temperature_bounds.json``."""
+        bounds = {
+            "absolute_max_temperature": temperature.max_c,
+            "absolute_min_temperature": temperature.min_c,
+        }
+        self._json("temperature_bounds.json", bounds)
+
+    def points(self, positions: Float[np.ndarray, "n 3"], colors: UInt8[np.ndarray, "n 3"]) -> None:
+        """Write ``sparse_pc.ply``."""
+        write_points(self.path / "sparse_pc.ply", positions, colors)
+
+    def parameters(self, parameters: Mapping[str, Any]) -> None:
+        """Write ``truth/synth.json``: how the scene was generated."""
+        self._json("truth/synth.json", parameters)
+
+    def transforms(self, cameras: Mapping[str, Camera]) -> None:
+        """Write ``transforms.json`` for named cameras that share their intrinsics."""
+        camera = next(iter(cameras.values()))
+        (fl_x, _, cx), (_, fl_y, cy) = camera.K[:2].tolist()
+        lens = {"camera_model": "OPENCV", "fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy}
+        size = {"w": camera.width, "h": camera.height, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0}
+        frames = [
+            {
+                "file_path": f"images/{name}.jpg",
+                "thermal_file_path": f"thermal/{name}.png",
+                "transform_matrix": opengl_camera_to_world(camera).tolist(),
+            }
+            for name, camera in cameras.items()
+        ]
+        self._json(
+            "transforms.json", {**lens, **size, "ply_file_path": "sparse_pc.ply", "frames": frames}
+        )
+
+    def _json(self, name: str, content: Mapping[str, Any]) -> None:
+        (self.path / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def opengl_camera_to_world(camera: Camera) -> Float[np.ndarray, "4 4"]:
+    """nerfstudio's pose: x right, y up, z backwards."""
+    pose: Float[np.ndarray, "4 4"] = np.linalg.inv(camera.viewmat.numpy()) @ np.diag(
+        [1.0, -1.0, -1.0, 1.0]
+    )
+    return pose
+
+
+def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], step: float) -> None:
+    """Write a compressed float32 TIFF, its values rounded to a multiple of ``step`` (a power of
+    two)."""
+    rounded = (np.round(values / step) * step).astype(np.float32)
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[TiffImagePlugin.PREDICTOR] = 3  # for floating-point values
+    Image.fromarray(rounded).save(path, compression="tiff_adobe_deflate", tiffinfo=tags)
