@@ -18,6 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import mrgs
 from mrgs.system import gpu_kernels
 from mrgs.system.gpu_kernels import KernelSpec
 
@@ -25,7 +26,7 @@ ALIGNMENT_BYTES = 16
 """Where Triton finds a tensor's first element at a multiple of this, it loads several elements at
 once."""
 
-SOURCE = Path(gpu_kernels.__file__).parent
+SOURCE = Path(mrgs.__file__).parent
 
 
 def kernel_modules() -> list[ModuleType]:
@@ -44,7 +45,7 @@ def _mentions_kernels(path: Path) -> bool:
 
 
 def listed(modules: Iterable[ModuleType]) -> dict[str, KernelSpec]:
-    """The specialisations of all lists, by the room and the kernel's name ("training: ssim[rgb]").
+    """The specialisations of all lists, by the room and the kernel's name ("method: ssim[rgb]").
 
     Raises:
         ValueError: two specialisations of a list have the same name.

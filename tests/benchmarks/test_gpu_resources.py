@@ -30,7 +30,7 @@ def found(version: str = "3.9.0", unlisted: tuple[str, ...] = (), **changes: int
     return {
         "triton": version,
         "unlisted": list(unlisted),
-        "kernels": {"training: blur": {"sm_80": GOOD, "sm_90": {**GOOD, **changes}}},
+        "kernels": {"method: blur": {"sm_80": GOOD, "sm_90": {**GOOD, **changes}}},
     }
 
 
@@ -65,22 +65,22 @@ def test_what_stays_or_shrinks_is_no_finding():
     ],
 )
 def test_whatever_grows_is_named_with_both_values_and_the_command(key, words):
-    expected = f"training: blur for sm_90 takes {words}; if that is meant: {UPDATE}"
+    expected = f"method: blur for sm_90 takes {words}; if that is meant: {UPDATE}"
     assert worsened(found(**{key: 1000}), TABLE_OF_GOOD) == [expected]
 
 
 def test_of_a_compiler_without_a_table_only_spills_are_findings():
     assert worsened(found("4.0.0", registers=255), TABLE_OF_GOOD) == []
     (line,) = worsened(found("4.0.0", spill_stores=8), TABLE_OF_GOOD)
-    assert line == "training: blur for sm_90 spills 8 bytes"
+    assert line == "method: blur for sm_90 spills 8 bytes"
 
 
 def test_table_and_lists_hold_the_same_kernels():
     renamed = found()
-    renamed["kernels"] = {"training: smear": renamed["kernels"]["training: blur"]}
+    renamed["kernels"] = {"method: smear": renamed["kernels"]["method: blur"]}
     assert worsened(renamed, TABLE_OF_GOOD) == [
-        f"training: smear is not in the table: {UPDATE}",
-        f"training: blur is in the table, but no longer listed: {UPDATE}",
+        f"method: smear is not in the table: {UPDATE}",
+        f"method: blur is in the table, but no longer listed: {UPDATE}",
     ]
 
 
@@ -113,9 +113,9 @@ def test_specialisations_of_a_kernel_need_names_of_their_own():
         KernelSpec(blur, {"x": "*fp32"}, {}),
         KernelSpec(blur, {}, {"x": None}, variant="bare"),
     )
-    assert list(listed([module])) == ["training: blur", "training: blur[bare]"]
+    assert list(listed([module])) == ["method: blur", "method: blur[bare]"]
     module.KERNELS = (module.KERNELS[0], KernelSpec(blur, {}, {"x": None}))
-    with pytest.raises(ValueError, match="two entries of KERNELS are called training: blur"):
+    with pytest.raises(ValueError, match="two entries of KERNELS are called method: blur"):
         listed([module])
 
 
@@ -151,7 +151,7 @@ def test_resident_warps(changes, target, expected):
 
 def test_a_row_of_the_table():
     text = to_markdown("3.9.0", found(registers=56)["kernels"])
-    assert "| `training: blur` | 4 | 40 / 56 | 0 | 512 | 48 / 36 |" in text
+    assert "| `method: blur` | 4 | 40 / 56 | 0 | 512 | 48 / 36 |" in text
 
 
 def test_the_document_shows_the_newest_compiler():
@@ -176,14 +176,14 @@ def test_the_children_compile_whatever_this_process_does(monkeypatch):
 
     def run(command, env, **options):
         started.append(env)
-        kernels = {"training: blur": {**GOOD, "registers": int(command[-1])}}
+        kernels = {"method: blur": {**GOOD, "registers": int(command[-1])}}
         answer = {"triton": "3.9.0", "unlisted": [], "kernels": kernels}
         return SimpleNamespace(returncode=0, stdout=json.dumps(answer), stderr="")
 
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     monkeypatch.setenv("TRITON_PTXAS_PATH", "/somewhere")
     monkeypatch.setattr(gpu_resources.subprocess, "run", run)
-    kernels = compile_in_children()["kernels"]["training: blur"]
+    kernels = compile_in_children()["kernels"]["method: blur"]
     assert {target: taken["registers"] for target, taken in kernels.items()} == {
         "sm_80": 80,
         "sm_90": 90,
