@@ -81,14 +81,13 @@ def ok(finding: Finding) -> bool:
 
 
 def scenes(plan: Plan) -> Iterator[RandomScene]:
-    """From 0 Gaussians to the largest scene, with one layer and with both, antialiased and not."""
+    """From 0 Gaussians to the largest scene, with one layer and with both."""
     count, width, height = plan.largest_scene
-    kinds = itertools.cycle(itertools.product(LAYERS, (False, True)))
-    for seed, (layers, antialiased) in zip(range(plan.scenes), kinds, strict=False):
+    for seed, layers in zip(range(plan.scenes), itertools.cycle(LAYERS), strict=False):
         share = seed / max(1, plan.scenes - 1)
         scale = 0.2 + 0.8 * share
         sides = [max(1, round(scale * side)) for side in (width, height)]
-        yield random_scene(seed, round(count * share**2), *sides, antialiased, layers)
+        yield random_scene(seed, round(count * share**2), *sides, layers)
 
 
 def compare_rasterizer(scene: RandomScene, device: torch.device) -> Iterator[Finding]:

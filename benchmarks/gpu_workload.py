@@ -119,13 +119,11 @@ class RandomScene:
     K: Tensor
     width: int
     height: int
-    antialiased: bool
     modalities: tuple[str, ...]
 
     def __str__(self) -> str:
-        smoothed = ", antialiased" if self.antialiased else ""
         size = f"{len(self.tensors['means']):,} Gaussians, {self.width}×{self.height}"
-        return f"{size}, {' and '.join(self.modalities)}{smoothed}"
+        return f"{size}, {' and '.join(self.modalities)}"
 
     def to(self, device: torch.device, dtype: torch.dtype) -> RandomScene:
         """The same numbers as leaves that ask for a gradient."""
@@ -150,7 +148,7 @@ class RandomScene:
         return chosen(
             t["means"], t["quats"], t["scales"], layers, self.viewmat, self.K, self.width,
             self.height,
-            t["means2d_offset"], self.antialiased,
+            t["means2d_offset"],
         )  # fmt: skip
 
     def gradients(self, raster: Raster, cotangents: list[Tensor]) -> dict[str, Tensor]:
@@ -192,8 +190,6 @@ class RandomScene:
         near = torch.zeros(len(falloff), dtype=torch.bool, device=falloff.device)
         for name in self.modalities:
             opacities = self.tensors[f"{name}.opacities"][splats.indices]
-            if self.antialiased:
-                opacities = opacities * reference.compensation(splats.covs2d)
             alpha = opacities * falloff
             transmittance = reference.transmittances(reference.alphas(opacities, falloff))[:, 1:]
             for values, threshold, margin in (
@@ -205,7 +201,7 @@ class RandomScene:
 
 
 def random_scene(
-    seed: int, count: int, width: int, height: int, antialiased: bool, modalities: tuple[str, ...]
+    seed: int, count: int, width: int, height: int, modalities: tuple[str, ...]
 ) -> RandomScene:
     """Gaussians of all kinds before a rotated camera with an off-centre principal point; float32
     numbers.
@@ -250,4 +246,4 @@ def random_scene(
     K = torch.diag(torch.cat([focal, torch.ones(1)]))
     K[:2, 2] = centre
     tensors = {name: tensor.float() for name, tensor in tensors.items()}
-    return RandomScene(tensors, viewmat.float(), K.float(), width, height, antialiased, modalities)
+    return RandomScene(tensors, viewmat.float(), K.float(), width, height, modalities)

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
-from mrgs.method.camera_model.exposure import Look
 from mrgs.method.camera_model.image_model import Capture
+from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.radiation import DepthUncertainty
 from mrgs.method.losses.terms import Photos, SceneScale
@@ -33,8 +33,8 @@ EXTENT = 5.0
 
 TEMPERATURE = TemperatureRange(10.0, 40.0)
 SCALE = SceneScale(EXTENT, TEMPERATURE)
-LOOK = Look((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-CAPTURE = Capture((LOOK,), (LOOK,), None, EXTENT, has_celsius=True)
+VIEWPOINT = Viewpoint((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+CAPTURE = Capture((VIEWPOINT,), EXTENT, has_celsius=True)
 
 STEP_IN_FORCE = 20_000
 """Steps are measured after this one: all degrees of the harmonics in use, the neighbours not

@@ -120,9 +120,8 @@ class PassInStages:
         self._records = np.empty((self.count, splat.SPLAT_FLOATS), np.float32)
         self._radii = np.empty(self.count, np.float32)
         project(
-            *self._gaussians, self._viewmat, self._K, self.width, self.height, self._offset, False,
-            self._records,
-            self._radii,
+            *self._gaussians, self._viewmat, self._K, self.width, self.height, self._offset,
+            self._records, self._radii,
         )  # fmt: skip
 
     def sort(self) -> None:
@@ -167,7 +166,6 @@ class PassInStages:
         """The gradients of the Gaussians."""
         lists = self.lists
         project_backward(
-            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, False,
-            self.pair_grads,
+            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, self.pair_grads,
             lists.pair_positions, lists.pair_starts, *self._grads,
         )  # fmt: skip

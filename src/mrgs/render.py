@@ -33,10 +33,6 @@ class Model:
         neighbours: of each Gaussian, for the heat transformation, [N, K]; None if the field has
             none.
         sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
-        background_rgb: colour seen where nothing is, the same for all channels.
-        background_thermal: normalised temperature seen there.
-        antialiased: whether the opacities are compensated for the dilation, see the rasterizer's
-            contract.
         temperature_residuals: t̂ of each Gaussian, [N, 1], where it is known beforehand
             (``bake_temperature_residuals``); else None.
     """
@@ -45,9 +41,6 @@ class Model:
     field: RadianceField
     neighbours: Int64[Tensor, "n k"] | None
     sh_degree: int = 3
-    background_rgb: float = 0.0
-    background_thermal: float = 0.0
-    antialiased: bool = False
     temperature_residuals: Float[Tensor, "n 1"] | None = None
 
     def to(self, device: torch.device) -> Model:
@@ -189,20 +182,17 @@ def render(
     model: Model,
     rgb_camera: Camera | None,
     thermal_camera: Camera | None,
-    thermal_motion: Float[Tensor, "4 4"] | None = None,
     temperature_sh_degree: int | None = None,
 ) -> tuple[Rendering, list[ScreenPoints]]:
     """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in
     one pass each.
 
-    Differentiable in the Gaussians' parameters, the field's, and the motion.
+    Differentiable in the Gaussians' parameters and the field's.
 
     Args:
         model: what to render.
         rgb_camera: of the RGB image.
         thermal_camera: of the thermal image.
-        thermal_motion: from the thermal camera's axes to those it is moved to, a rotation and a
-            translation; only where the two cameras differ.
         temperature_sh_degree: highest degree of the temperatures' harmonics that counts; the
             model's if None.
 
@@ -221,15 +211,12 @@ def render(
         return _rendering(*raster.blends), [points]
     blends: list[Blend | None] = []
     passes = []
-    for camera, make_layer, motion in (
-        (rgb_camera, _rgb_layer, None),
-        (thermal_camera, thermal_layer, thermal_motion),
-    ):
+    for camera, make_layer in ((rgb_camera, _rgb_layer), (thermal_camera, thermal_layer)):
         if camera is None:
             blends.append(None)
             continue
         rows = _rows_in_view(model.gaussians, camera)
-        raster, points = _pass(model, [make_layer(model, camera, rows)], camera, motion)
+        raster, points = _pass(model, [make_layer(model, camera, rows)], camera)
         blends.append(raster.blends[0])
         passes.append(points)
     return _rendering(*blends), passes
@@ -261,7 +248,7 @@ def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -
     return Layer(
         gaussians.opacity_rgb,
         _scatter(colors, rows, len(gaussians)),
-        colors.new_full((3,), model.background_rgb),
+        colors.new_zeros(3),
     )
 
 
@@ -274,7 +261,7 @@ def _thermal_layer(
     return Layer(
         gaussians.opacity_thermal,
         _scatter(values, rows, len(gaussians)),
-        values.new_full((1,), model.background_thermal),
+        values.new_zeros(1),
     )
 
 
@@ -323,15 +310,9 @@ def _scatter(
     return values.new_zeros(count, values.shape[1]).index_copy(0, rows, values)
 
 
-def _pass(
-    model: Model, layers: list[Layer], camera: Camera, motion: Float[Tensor, "4 4"] | None = None
-) -> tuple[Raster, ScreenPoints]:
+def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, ScreenPoints]:
     gaussians = model.gaussians
-    means, quats = gaussians.means, gaussians.quats
-    if motion is not None:
-        means, quats = _moved(
-            means, quats, camera.tensors(means.device, means.dtype).viewmat, motion
-        )
+    means = gaussians.means
     offset = torch.zeros(
         len(gaussians),
         2,
@@ -342,7 +323,7 @@ def _pass(
     K, viewmat, _ = camera.tensors(means.device)
     raster = rasterize(
         means,
-        quats,
+        gaussians.quats,
         gaussians.scales,
         layers,
         viewmat,
@@ -350,37 +331,5 @@ def _pass(
         camera.width,
         camera.height,
         offset,
-        model.antialiased,
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))
-
-
-def _moved(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    viewmat: Float[Tensor, "4 4"],
-    motion: Float[Tensor, "4 4"],
-) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 4"]]:
-    """The Gaussians moved in the world as the camera's motion moves them in its axes;
-    differentiable in the motion."""
-    R, t = viewmat[:3, :3], viewmat[:3, 3]
-    in_camera = means @ R.T + t
-    moved = in_camera @ motion[:3, :3].T + motion[:3, 3]
-    rotation = R.T @ motion[:3, :3] @ R
-    return (moved - t) @ R, _rotated(quats, rotation)
-
-
-def _rotated(quats: Float[Tensor, "n 4"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "n 4"]:
-    """Quaternions wxyz behind a rotation of less than half a turn."""
-    w = 0.5 * (1 + rotation.diagonal().sum()).sqrt()
-    skew = torch.stack(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    r = skew / (4 * w)
-    crossed = torch.linalg.cross(r.expand(len(quats), 3), quats[:, 1:])
-    scalar = w * quats[:, :1] - (quats[:, 1:] @ r)[:, None]
-    return torch.cat([scalar, w * quats[:, 1:] + quats[:, :1] * r + crossed], dim=1)

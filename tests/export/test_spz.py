@@ -35,12 +35,6 @@ def quats_of(words):
     return np.array(found)
 
 
-def test_a_model_with_compensated_opacities_is_flagged(tmp_path, make_baked):
-    splats = rgb_splats(replace(make_baked(), antialiased=True))
-    header = gzip.decompress(write_spz(tmp_path / "rgb.spz", splats).read_bytes())[:16]
-    assert struct.unpack("<IIIBBBB", header)[5] == 1
-
-
 def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path, make_baked):
     version, count, degree, _, body = unpack(
         write_spz(tmp_path / "rgb.spz", rgb_splats(make_baked()))

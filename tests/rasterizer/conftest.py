@@ -40,7 +40,6 @@ class RasterizerScene:
     K: Tensor
     width: int
     height: int
-    antialiased: bool = False
 
     def to(self, dtype: torch.dtype) -> RasterizerScene:
         tensors = {name: tensor.to(dtype) for name, tensor in self.tensors.items()}
@@ -66,7 +65,6 @@ class RasterizerScene:
             layers,
             *camera,
             t["means2d_offset"],
-            self.antialiased,
         )
 
     @torch.no_grad()
@@ -93,8 +91,6 @@ class RasterizerScene:
         near = torch.zeros(self.height * self.width, dtype=torch.bool)
         for modality in MODALITIES:
             opacities = t[f"{modality}.opacities"][splats.indices]
-            if self.antialiased:
-                opacities = opacities * reference.compensation(splats.covs2d)
             alpha = opacities * falloff
             transmittance = reference.transmittances(reference.alphas(opacities, falloff))[:, 1:]
             for values, threshold, margin in (

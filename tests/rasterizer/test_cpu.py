@@ -53,17 +53,6 @@ def test_images_and_gradients_of_random_scenes(
     assert_small(worst_errors(rasterize, random_scene, compare_with_oracle, [seed]))
 
 
-@pytest.mark.parametrize("seed", SCENES[:30])
-def test_anti_aliased_images_and_gradients(
-    rasterize, random_scene, compare_with_oracle, seed, assert_small
-):
-    assert_small(
-        compare_with_oracle(
-            rasterize, replace(scene_of(random_scene, seed), antialiased=True), seed=seed
-        )
-    )
-
-
 def test_few_pixels_are_left_out_of_the_comparison(random_scene):
     left_out = [
         scene_of(random_scene, seed).to(torch.float64).pixels_near_a_threshold() for seed in SCENES

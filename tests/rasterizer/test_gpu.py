@@ -36,14 +36,11 @@ def rasterize(gpu_device: str) -> Callable:
         width,
         height,
         means2d_offset=None,
-        antialiased=False,
     ):
         layers = [Layer(*(tensor.to(gpu_device) for tensor in layer)) for layer in layers]
         means, quats, scales = (tensor.to(gpu_device) for tensor in (means, quats, scales))
         offset = None if means2d_offset is None else means2d_offset.to(gpu_device)
-        raster = gpu.rasterize(
-            means, quats, scales, layers, viewmat, K, width, height, offset, antialiased
-        )
+        raster = gpu.rasterize(means, quats, scales, layers, viewmat, K, width, height, offset)
         blends = tuple(type(blend)(*(image.cpu() for image in blend)) for blend in raster.blends)
         return type(raster)(blends, raster.radii.cpu())
 
@@ -53,21 +50,19 @@ def rasterize(gpu_device: str) -> Callable:
 # --- against the oracle
 
 
-@pytest.mark.parametrize(
-    ("seed", "n", "antialiased"), [(0, 3, False), (1, 12, True), (2, 25, False), (3, 18, True)]
-)
+@pytest.mark.parametrize(("seed", "n"), [(0, 3), (1, 12), (2, 25), (3, 18)])
 def test_images_and_gradients_of_random_scenes(
-    rasterize, random_scene, compare_with_oracle, seed, n, antialiased, assert_small
+    rasterize, random_scene, compare_with_oracle, seed, n, assert_small
 ):
     scene = random_scene(seed, n, dtype=torch.float32)
-    assert_small(compare_with_oracle(rasterize, replace(scene, antialiased=antialiased), seed=seed))
+    assert_small(compare_with_oracle(rasterize, scene, seed=seed))
 
 
 @pytest.mark.parametrize("modalities", [("rgb",), ("thermal",), ("thermal", "rgb")])
 def test_one_layer_and_layers_in_the_other_order(
     rasterize, random_scene, compare_with_oracle, modalities, assert_small
 ):
-    scene = replace(random_scene(11, 15, 20, 12, dtype=torch.float32), antialiased=True)
+    scene = random_scene(11, 15, 20, 12, dtype=torch.float32)
     assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
 
 
@@ -318,11 +313,10 @@ def test_the_room_hands_what_the_kernels_take_to_the_kernels(
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("modalities", [("rgb", "thermal"), ("rgb",), ("thermal",)])
-def test_crowded_scenes(rasterize, random_scene, compare_with_oracle, modalities, antialiased):
+def test_crowded_scenes(rasterize, random_scene, compare_with_oracle, modalities):
     """More pixels and Gaussians: a coordinate of 300 has an error of 3e-5 px in float32."""
-    scene = replace(random_scene(1, 2000, 300, 200, torch.float32), antialiased=antialiased)
+    scene = random_scene(1, 2000, 300, 200, torch.float32)
     errors = compare_with_oracle(rasterize, scene, modalities=modalities)
     for name, error in errors.items():
         assert error < (1e-3 if name.startswith("grad ") else 1e-4), (name, errors)

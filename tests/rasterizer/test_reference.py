@@ -61,24 +61,6 @@ def at_centre(raster):
 # --- closed forms
 
 
-def test_an_anti_aliased_gaussian_weighs_the_same_at_any_distance():
-    """Thinner than a pixel, it covers Σ α = o · 2π det(Σ' − 0.3 I)^½ px², as the Gaussian without
-    the dilation does."""
-    K = torch.tensor([[100.0, 0, 20], [0, 100.0, 20], [0, 0, 1]], dtype=torch.float64)
-    for depth, sigma_px in ((5.0, 0.4), (8.0, 0.25)):
-        means, scales = (
-            torch.tensor([[0.0, 0.0, depth]]).double(),
-            torch.full((1, 3), 0.02).double(),
-        )
-        quats, ones = torch.tensor([[1.0, 0, 0, 0]]).double(), torch.ones(1).double()
-        layer = Layer(0.9 * ones, ones[:, None], 0 * ones)
-        raster = reference.rasterize(
-            means, quats, scales, [layer], torch.eye(4).double(), K, 40, 40, antialiased=True
-        )  # fmt: skip
-        area = raster.blends[0].alpha.sum().item()
-        assert area == pytest.approx(0.9 * 2 * math.pi * sigma_px**2, rel=0.05)
-
-
 def test_one_gaussian_on_the_axis():
     sigma, z, opacity = 0.3, 2.0, 0.8
     raster = on_axis([z], grey([opacity], [0.6], background=0.1), sigma)

@@ -11,22 +11,20 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from mrgs.errors import RunError
-from mrgs.method.camera_model.exposure import Look
 from mrgs.method.camera_model.image_model import Capture
+from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.losses.terms import Photos, SceneScale
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
 from mrgs.training.step import TrainingState
 
-LOOK = Look((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
+VIEWPOINT = Viewpoint((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
 FACTS = CheckpointFacts(
     step=2,
     scene="/somewhere/balls",
     capture=Capture(
-        rgb_looks=(LOOK,) * 5 + (None,),
-        thermal_looks=(LOOK,) * 6,
-        thermal_size=(40, 30),
+        thermal_viewpoints=(VIEWPOINT,) * 5 + (None,),
         extent=3.25,
         has_celsius=True,
     ),
@@ -88,12 +86,9 @@ def test_everything_comes_back(state, path, config, snapshot):
 
 
 def test_the_model_comes_back(state, path, config):
-    model, facts, _ = load_model(
-        path, replace(config, sh_every=1, background_rgb=0.5, antialiased=True)
-    )
+    model, facts, _ = load_model(path, replace(config, sh_every=1))
     assert facts == FACTS
-    assert (model.sh_degree, model.background_rgb, model.background_thermal) == (2, 0.5, 0.0)
-    assert model.antialiased
+    assert model.sh_degree == 2
     for name, tensor in state.model.gaussians.tensors().items():
         assert torch.equal(model.gaussians.tensors()[name], tensor)
 
@@ -149,7 +144,7 @@ def test_another_format_is_named(path):
     change_header(path, format=99)
     with pytest.raises(RunError) as caught:
         load_facts(path)
-    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 3: train anew"
+    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 4: train anew"
 
 
 def test_another_configuration_is_named(path, config):

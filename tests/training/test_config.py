@@ -31,7 +31,6 @@ CONFIGS = st.builds(
     seed=st.integers(0, 2**63 - 1),
     sh_every=COUNTS,
     shares_opacity=st.booleans(),
-    background_rgb=st.floats(allow_nan=False, allow_infinity=False),
     field=st.builds(
         FieldConfig, fourier=st.booleans(), neighbours_n=st.integers(1, 9), anchor_weight=WEIGHTS
     ),
@@ -39,7 +38,7 @@ CONFIGS = st.builds(
     radiation=st.none()
     | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
     optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=WEIGHTS),
-    image_model=st.builds(ImageModelConfig, point_spread=st.booleans(), exposure_rate=WEIGHTS),
+    image_model=st.builds(ImageModelConfig, point_spread=st.booleans(), thermal_gain_rate=WEIGHTS),
     relocation=st.none() | st.builds(RelocationConfig, start=st.integers(0, 24_999), noise=WEIGHTS),
     densification=st.builds(
         DensificationConfig, every=COUNTS, max_gaussians=COUNTS, gradient_threshold=WEIGHTS

@@ -100,9 +100,7 @@ def no_round_trips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             yield
 
 
-def flat_raster(
-    means, quats, scales, layers, viewmat, K, width, height, offset, antialiased
-) -> Raster:
+def flat_raster(means, quats, scales, layers, viewmat, K, width, height, offset) -> Raster:
     """Stands in for the rasterizer, which may read one number: images that depend on every
     parameter."""
     ramp = torch.linspace(0.5, 1, height * width, device=means.device).view(height, width)
@@ -193,9 +191,7 @@ def start(small_scene, make_short_config):
     return make
 
 
-EVERY_PART = ImageModelConfig(
-    point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
-)
+EVERY_PART = ImageModelConfig(point_spread=True, thermal_gain=True)
 METHODS = ["mrgs", "mrgs-plus", "3dgs-rgbt"]
 
 

@@ -10,14 +10,12 @@ import pytest
 import torch
 
 from mrgs.method.camera_model import point_spread
-from mrgs.method.camera_model.exposure import Look
 from mrgs.method.camera_model.image_model import (
     Capture,
     ImageModel,
     ImageModelConfig,
-    _exponential,
-    _rotation,
 )
+from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.config import make_config
 from mrgs.method.losses import photometric as losses
 from mrgs.method.losses import radiation
@@ -174,13 +172,9 @@ def without_values(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("masked", [False, True])
 def test_no_loss_makes_the_host_wait(without_values, masked):
     config = make_config("mrgs", "fast")
-    parts = ImageModelConfig(
-        point_spread=True, fixed_pattern=True, exposure=True, thermal_gain=True, thermal_poses=True
-    )
-    size, looks = (30, 20), (Look((0, 0, 0), (0, 0, 1)),) * 4
-    image_model = ImageModel(parts, Capture(looks, looks, size, 2.0, has_celsius=False)).to(
-        without_values
-    )
+    parts = ImageModelConfig(point_spread=True, thermal_gain=True)
+    size, viewpoints = (30, 20), (Viewpoint((0, 0, 0), (0, 0, 1)),) * 4
+    image_model = ImageModel(parts, Capture(viewpoints, 2.0, has_celsius=False)).to(without_values)
     uncertainty = DepthUncertainty().to(without_values)
 
     def plane(*channels: int) -> torch.Tensor:
@@ -205,34 +199,16 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
         )
         assert set(terms) == {"rgb", "thermal", "smooth", "opaque", "boltzmann"}
         total_loss(terms, loss_weights(changed, 700)).backward(retain_graph=True)
-    motion = image_model.thermal_motion(1)
-    assert motion is not None
-    motion.sum().backward()
     assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == [
         "alpha_rgb"
     ]
-    assert all(parameter.grad is not None for parameter in uncertainty.parameters())
+    learned = (*uncertainty.parameters(), *image_model.parameters())
+    assert all(parameter.grad is not None for parameter in learned)
 
 
 def test_asking_a_tensor_without_values_fails():
     with pytest.raises(RuntimeError):
         torch.empty(3, device="meta").sum().item()
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-4, 0.0099, 0.0101, 0.3, 3.0])
-def test_rodrigues_formula_is_the_matrix_exponential(angle):
-    axis = torch.nn.functional.normalize(torch.tensor([0.3, -1.0, 0.5], dtype=torch.float64), dim=0)
-    vector = (angle * axis).requires_grad_()
-    x, y, z = vector
-    zero = torch.zeros_like(x)
-    result = _exponential(vector, torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3))
-    expected = _rotation(vector)
-    torch.testing.assert_close(result, expected, rtol=0, atol=1e-9)
-    weights = torch.arange(9, dtype=torch.float64).view(3, 3)
-    gradients = [
-        torch.autograd.grad((weights * matrix).sum(), vector)[0] for matrix in (result, expected)
-    ]
-    torch.testing.assert_close(*gradients, rtol=0, atol=1e-6)
 
 
 @pytest.mark.gpu

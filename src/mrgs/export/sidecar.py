@@ -53,11 +53,8 @@ def facts_of(
         "up_from": "the cameras, taken to be level" if up is not None else "not known",
         "camera_axes": "OpenCV: x right, y down, z forward",
         "temperature": temperature,
-        "antialiased": baked.antialiased,
-        "opacities": "for a viewer that compensates them for its dilation (Mip-Splatting, "
-        "gsplat's antialiased)"
-        if baked.antialiased
-        else "for a viewer that adds 0.3 px² to the projected covariance and nothing else (3DGS)",
+        "opacities": "for a viewer that adds 0.3 px² to the projected covariance and nothing else "
+        "(3DGS)",
         "baking_loss_db": None
         if loss is None
         else {"rgb": loss.rgb_db, "thermal": loss.thermal_db},

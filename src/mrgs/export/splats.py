@@ -34,7 +34,6 @@ class Splats:
         opacities: in (0, 1), [N].
         sh: colour coefficients as 3DGS has them (colour = max(0, 0.5 + Σ)), [N, B, 3]; B is 1, 4, 9
             or 16.
-        antialiased: whether a viewer should compensate the opacities for its dilation.
     """
 
     means: Float32[np.ndarray, "n 3"]
@@ -42,7 +41,6 @@ class Splats:
     scales: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
     sh: Float32[np.ndarray, "n b 3"]
-    antialiased: bool = False
 
     def __len__(self) -> int:
         return len(self.means)
@@ -183,4 +181,4 @@ def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]
     means, quats, scales, opacities = (
         to_float32(tensor) for tensor in (baked.means, rotations, baked.scales, opacity)
     )
-    return Splats(means, quats, scales, opacities, sh, baked.antialiased)
+    return Splats(means, quats, scales, opacities, sh)

@@ -24,8 +24,8 @@ from mrgs.system.atomic import replacing
 
 MAGIC = 0x5053474E
 VERSION = 3
-_ANTIALIASED = 1
-"""Flag: the opacities are for a viewer that compensates them for its dilation."""
+NO_FLAGS = 0
+"""The opacities are for a viewer that does not compensate them for its dilation."""
 
 MAX_FRACTIONAL_BITS = 20
 POSITION_LIMIT = 2**23
@@ -59,8 +59,9 @@ def write_spz(path: Path, splats: Splats) -> Path:
             f"{path}: a splat lies {farthest:g} scene units out, farther than SPZ can store: "
             f"export a PLY"
         )
-    flags = _ANTIALIASED if splats.antialiased else 0
-    header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, flags, 0)
+    header = struct.pack(
+        "<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, NO_FLAGS, 0
+    )
     parts = [
         _fixed_point(splats.means * _TURN, bits),
         to_bytes(splats.opacities),

@@ -65,10 +65,6 @@ class TrainConfig:
             all, and with a larger o_t there; not in the paper.
         neighbours_every: steps after which the neighbours are searched anew, besides whenever N
             changes.
-        background_rgb: colour behind the scene.
-        background_thermal: normalised temperature behind the scene.
-        antialiased: compensate the opacities for the dilation of small Gaussians (Mip-Splatting);
-            not in the paper.
         checkpoint_every: steps between checkpoints.
         field: the radiance field.
         loss: L_c, L_t and L_smooth.
@@ -91,9 +87,6 @@ class TrainConfig:
     distant_points: bool = False
     photo_temperatures: bool = False
     neighbours_every: int = 500
-    background_rgb: float = 0.0
-    background_thermal: float = 0.0
-    antialiased: bool = False
     checkpoint_every: int = 1_000
     field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
     loss: LossConfig = dataclasses.field(default_factory=LossConfig)

@@ -25,14 +25,11 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    antialiased: bool = False,
 ) -> Raster:
     """``contract.Rasterizer``: the kernels for float32 tensors on a GPU or the CPU, the oracle for
     everything else."""
     chosen = _kernels_for(means) or reference.rasterize
-    return chosen(
-        means, quats, scales, layers, viewmat, K, width, height, means2d_offset, antialiased
-    )
+    return chosen(means, quats, scales, layers, viewmat, K, width, height, means2d_offset)
 
 
 def _kernels_for(means: Tensor) -> Rasterizer | None:

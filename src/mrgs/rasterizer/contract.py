@@ -9,10 +9,6 @@ The image model, for the Gaussian i, the pixel centre x' and a layer with opacit
 μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I the EWA projection (px²). A Gaussian
 is left out of a pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that
 brings T below still counts). The depth is not divided by alpha, as in the paper.
-
-Anti-aliased, every opacity o becomes o · max(det(Σ' − 0.3 I) / det Σ', ε)^½: what the dilation adds
-to the area of a Gaussian that is thinner than a pixel is taken from its opacity, so that its weight
-does not depend on the distance (Mip-Splatting, Yu et al., CVPR 2024).
 """
 
 from __future__ import annotations
@@ -28,9 +24,6 @@ NEAR_PLANE = 0.01
 
 COVARIANCE_DILATION_PX2 = 0.3
 """Added to the diagonal of the projected covariance: a Gaussian is never thinner than a pixel."""
-
-THINNEST_AREA_RATIO = 2.5e-5
-"""ε of the anti-aliased opacity: bounds its gradient where a Gaussian is seen edge-on."""
 
 ALPHA_MAX = 0.999
 ALPHA_MIN = 1.0 / 255.0
@@ -94,7 +87,6 @@ class Rasterizer(Protocol):
         width: int,
         height: int,
         means2d_offset: Float[Tensor, "n 2"] | None = None,
-        antialiased: bool = False,
     ) -> Raster:
         """Render the layers from one camera.
 
@@ -109,6 +101,5 @@ class Rasterizer(Protocol):
             height: pixels.
             means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
                 screen-space gradient that densification reads.
-            antialiased: whether the opacities are compensated for the dilation.
         """
         ...

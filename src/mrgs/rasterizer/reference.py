@@ -26,7 +26,6 @@ from mrgs.rasterizer.contract import (
     COVARIANCE_DILATION_PX2,
     FRUSTUM_MARGIN,
     NEAR_PLANE,
-    THINNEST_AREA_RATIO,
     TRANSMITTANCE_MIN,
     Blend,
     Layer,
@@ -64,7 +63,6 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    antialiased: bool = False,
 ) -> Raster:
     """Render the layers from one camera; arguments and result as in ``contract.Rasterizer``.
 
@@ -80,8 +78,6 @@ def rasterize(
     viewmat, K = viewmat.to(means), K.to(means)
     splats = project(means, quats, scales, viewmat, K, width, height, means2d_offset)
     opacities = [layer.opacities[splats.indices] for layer in layers]
-    if antialiased:
-        opacities = [opacity * compensation(splats.covs2d) for opacity in opacities]
     radii = torch.zeros_like(means[:, 0]).index_put(
         (splats.indices,), extents_px(splats, opacities, width, height)
     )
@@ -156,15 +152,6 @@ def project_covariances(
     world_to_image = jacobian @ viewmat[:3, :3]
     dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs.dtype, device=covs.device)
     return world_to_image @ covs @ world_to_image.mT + dilation
-
-
-def compensation(covs2d: Float[Tensor, "m 2 2"]) -> Float[Tensor, " m"]:
-    """max(det(Σ' − 0.3 I) / det Σ', ε)^½: what is left of the opacity when it is anti-aliased."""
-    dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs2d.dtype, device=covs2d.device)
-    before, after = (
-        (c[:, 0, 0] * c[:, 1, 1] - c[:, 0, 1] ** 2) for c in (covs2d - dilation, covs2d)
-    )
-    return (before / after).clamp(min=THINNEST_AREA_RATIO).sqrt()
 
 
 def project(

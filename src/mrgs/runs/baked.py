@@ -47,10 +47,6 @@ class BakedModel:
             16, 3].
         temperatures: normalised, [N].
         temperature: the scale of the temperatures; None if the scene has no known °C.
-        background_rgb: colour seen where nothing is.
-        background_thermal: normalised temperature seen there.
-        antialiased: whether the opacities are compensated for the dilation, see the rasterizer's
-            contract.
     """
 
     means: Float[Tensor, "n 3"]
@@ -61,9 +57,6 @@ class BakedModel:
     sh: Float[Tensor, "n 16 3"]
     temperatures: Float[Tensor, " n"]
     temperature: TemperatureRange | None
-    background_rgb: float = 0.0
-    background_thermal: float = 0.0
-    antialiased: bool = False
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -99,12 +92,11 @@ class BakedModel:
         with torch.no_grad():
             colors = self.colors(camera.position.to(self.means))
             layers = [
-                Layer(self.opacity_rgb, colors, colors.new_full((3,), self.background_rgb)),
-                Layer(self.opacity_thermal, self.temperatures[:, None], colors.new_full((1,), self.background_thermal)),
+                Layer(self.opacity_rgb, colors, colors.new_zeros(3)),
+                Layer(self.opacity_thermal, self.temperatures[:, None], colors.new_zeros(1)),
             ]
             raster = rasterize(
                 self.means, self.quats, self.scales, layers, camera.viewmat, camera.K, camera.width, camera.height,
-                antialiased=self.antialiased,
             )  # fmt: skip
         rgb, thermal = raster.blends
         return Rendering(rgb.image, rgb.depth, thermal.image, thermal.depth, rgb.alpha, thermal.alpha)
@@ -136,9 +128,6 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
         sh=torch.cat([_fit_colors(model, rows, positions) for rows in blocks]),
         temperatures=_temperatures(model),
         temperature=temperature,
-        background_rgb=model.background_rgb,
-        background_thermal=model.background_thermal,
-        antialiased=model.antialiased,
     )
 
 

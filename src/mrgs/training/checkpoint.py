@@ -27,7 +27,7 @@ from mrgs.system.gpu import HOST
 from mrgs.training.step import TrainingState
 from mrgs.training.views import ViewSampler
 
-FORMAT = 3
+FORMAT = 4
 """Raised whenever older files can no longer be read."""
 
 
@@ -271,9 +271,6 @@ def _model(tensors: dict[str, Tensor], config: TrainConfig, facts: CheckpointFac
         field=field,
         neighbours=neighbours,
         sh_degree=config.sh_degree_at(facts.step),
-        background_rgb=config.background_rgb,
-        background_thermal=config.background_thermal,
-        antialiased=config.antialiased,
     )
 
 

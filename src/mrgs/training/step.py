@@ -179,7 +179,6 @@ def training_step(
         model,
         view.rgb.camera if view.rgb else None,
         view.thermal.camera if view.thermal else None,
-        state.image_model.thermal_motion(number),
         config.temperature_sh_degree_at(state.step),
     )
     photographed = state.image_model(rendering, number)

@@ -136,9 +136,6 @@ def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST
         field,
         neighbours=None,
         sh_degree=0,
-        background_rgb=config.background_rgb,
-        background_thermal=config.background_thermal,
-        antialiased=config.antialiased,
     )
     return checkpoint.make_state(model.to(device), uncertainty, config, capture, generator)
 

@@ -106,7 +106,7 @@ def read_point(
             value = rendering.thermal[row, column, 0].item()
             own = model.temperatures(camera.position.to(model.gaussians.means))[:, 0]
             squares = (own - value).square()
-            beyond = (model.background_thermal - value) ** 2
+            beyond = value**2
             spread = math.sqrt(
                 _blend(model, camera, model.gaussians.opacity_thermal, squares, beyond)[row, column]
             )
@@ -144,8 +144,7 @@ def _blend(
     layer = Layer(opacities, values[:, None], values.new_full((1,), background))
     raster = rasterize(
         gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat.to(values),
-        camera.K.to(values),
-        camera.width, camera.height, antialiased=model.antialiased,
+        camera.K.to(values), camera.width, camera.height,
     )  # fmt: skip
     return to_array(raster.blends[0].image[..., 0].clamp_min(0))
 

@@ -6,7 +6,6 @@ import io
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,11 +117,7 @@ def read(page: Any, x: int, y: int) -> tuple[float, float]:
     return float(value.get_attribute("data-value")), float(value.get_attribute("data-depth"))
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_the_page_shows_and_tells_what_the_model_renders(
-    open_page, baked, cameras, tmp_path, antialiased
-):
-    baked = replace(baked, antialiased=antialiased)
+def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path):
     page = open_page(baked, viewport={"width": 800, "height": 420})
     page.select_option("#camera", "view 3")
     page.wait_for_selector(SETTLED)

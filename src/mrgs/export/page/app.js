@@ -211,9 +211,6 @@ class Page {
       palette: element("palette").value,
       range: this.range.map((number) => this.scale.normalised(number)),
       isotherm: this.isotherm,
-      antialiased: this.facts.antialiased,
-      backgroundRgb: this.facts.background.rgb,
-      backgroundThermal: this.facts.background.thermal,
     };
   }
 
@@ -249,9 +246,8 @@ class Page {
     if (this.reading || !this.waiting) return;
     this.reading = this.waiting;
     this.waiting = null;
-    const { antialiased, background } = this.facts;
-    const camera = { ...this.reading.camera, antialiased, backgroundThermal: background.thermal };
-    this.worker.postMessage({ read: { camera, x: this.reading.pixel[0], y: this.reading.pixel[1] } });
+    const { camera, pixel } = this.reading;
+    this.worker.postMessage({ read: { camera, x: pixel[0], y: pixel[1] } });
   }
 
   answered({ reading }) {

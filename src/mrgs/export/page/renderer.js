@@ -55,7 +55,6 @@ class Renderer {
     bindTexture(gl, 0, this.target.texture, screen.at("blended"));
     bindTexture(gl, 1, this.palettes[look.palette], screen.at("palette"));
     gl.uniform1i(screen.at("thermal"), look.thermal);
-    gl.uniform1f(screen.at("background"), look.thermal ? look.backgroundThermal : look.backgroundRgb);
     gl.uniform2fv(screen.at("range"), look.range);
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -77,7 +76,6 @@ class Renderer {
     gl.uniform1i(splats.at("splatsPerRow"), SPLATS_PER_ROW);
     gl.uniform1i(splats.at("texelsPerSplat"), this.texelsPerSplat);
     gl.uniform1i(splats.at("thermal"), look.thermal);
-    gl.uniform1i(splats.at("antialiased"), look.antialiased);
     gl.uniformMatrix3fv(splats.at("rotation"), true, camera.rotation);
     gl.uniform3fv(splats.at("translation"), camera.translation);
     gl.uniform3fv(splats.at("eye"), camera.position);

@@ -11,7 +11,6 @@ uniform usampler2D harmonics;  // per splat: the coefficients as bytes
 uniform int splatsPerRow;
 uniform int texelsPerSplat;    // of the harmonics
 uniform bool thermal;
-uniform bool antialiased;
 uniform mat3 rotation;         // world to camera
 uniform vec3 translation;
 uniform vec3 eye;
@@ -80,8 +79,6 @@ void main() {
   float c = dot(jy, sigma * jy) + 0.3;
   float determinant = a * c - b * b;
   conic = vec3(c, -b, a) / determinant;
-  if (antialiased) opacity *= sqrt(max(((a - 0.3) * (c - 0.3) - b * b) / determinant, 2.5e-5));
-  if (opacity < 1.0 / 255.0) return;
 
   float middle = 0.5 * (a + c);
   float radius = length(vec2(0.5 * (a - c), b));
@@ -123,7 +120,6 @@ precision highp float;
 uniform sampler2D blended;
 uniform sampler2D palette;
 uniform bool thermal;
-uniform float background;
 uniform vec2 range;        // normalised temperatures of the palette's ends
 uniform vec2 isotherm;     // of the band; empty where the first is larger
 in vec2 place;
@@ -134,7 +130,7 @@ const vec3 ISOTHERM = vec3(0.20, 0.95, 0.35);
 
 void main() {
   vec4 sum = texture(blended, place);
-  vec3 value = sum.rgb + (1.0 - sum.a) * background;
+  vec3 value = sum.rgb;
   if (!thermal) {
     shown = vec4(value, 1.0);
     return;

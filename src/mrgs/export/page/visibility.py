@@ -36,7 +36,6 @@ def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tens
         raster = rasterize(
             baked.means, baked.quats, baked.scales, layers, small.viewmat, small.K, small.width,
             small.height,
-            antialiased=baked.antialiased,
         )  # fmt: skip
         total = torch.stack([blend.image[..., 0].sum() for blend in raster.blends]).sum()
         gradients = torch.autograd.grad(total, features)

@@ -3,7 +3,6 @@
 
 const NEAR_PLANE = 0.01;
 const DILATION = 0.3;
-const THINNEST_AREA_RATIO = 2.5e-5;
 const ALPHA_MAX = 0.999;
 const ALPHA_MIN = 1 / 255;
 const TRANSMITTANCE_MIN = 1e-4;
@@ -69,7 +68,7 @@ function readPixel(camera, x, y) {
     transmittance *= 1 - hit.alpha;
   }
   const alpha = 1 - transmittance;
-  return { temperature: temperature + transmittance * camera.backgroundThermal, depth: depth / Math.max(alpha, 1e-9), alpha };
+  return { temperature, depth: depth / Math.max(alpha, 1e-9), alpha };
 }
 
 // The splat's alpha in the thermal image at a pixel, or nothing below 1/255.
@@ -90,9 +89,7 @@ function splatAt(camera, px, py, i) {
   const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
   const determinant = a * c - b * b;
   const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / determinant);
-  const undilated = (a - DILATION) * (c - DILATION) - b * b;
-  const left = camera.antialiased ? Math.sqrt(Math.max(undilated / determinant, THINNEST_AREA_RATIO)) : 1;
-  const alpha = Math.min(ALPHA_MAX, left * model.opacityThermal[i] * falloff);
+  const alpha = Math.min(ALPHA_MAX, model.opacityThermal[i] * falloff);
   return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
 }
 

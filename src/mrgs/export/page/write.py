@@ -88,8 +88,6 @@ def write_page(
         "modalities": kinds,
         "range": list(range_c if range_c is not None else visible_range(baked, shown)),
         "temperature": _scale(baked.temperature),
-        "antialiased": baked.antialiased,
-        "background": {"rgb": baked.background_rgb, "thermal": baked.background_thermal},
     }
     data = {
         "modalities": " ".join(kinds),

@@ -22,7 +22,6 @@ NEAR_PLANE = contract.NEAR_PLANE
 DILATION = contract.COVARIANCE_DILATION_PX2
 ALPHA_MIN = contract.ALPHA_MIN
 MARGIN = contract.FRUSTUM_MARGIN
-THINNEST = contract.THINNEST_AREA_RATIO
 LOG2_E = 1.0 / math.log(2.0)
 _BLOCK = 256
 """Gaussians that one thread takes at a time in the backward pass."""
@@ -108,24 +107,10 @@ def _covariance(n0, n1):
     return _dot(n0, n0) + DILATION, _dot(n0, n1), _dot(n1, n1) + DILATION
 
 
-@kernel()
-def _areas_squared(xx, xy, yy):
-    """det(Σ' − 0.3 I) and det Σ': the squared area of the projected Gaussian before and after the
-    dilation."""
-    return (xx - DILATION) * (yy - DILATION) - xy * xy, xx * yy - xy * xy
-
-
-@kernel()
-def _compensation(xx, xy, yy):
-    """What is left of the opacity when it is anti-aliased."""
-    before, after = _areas_squared(xx, xy, yy)
-    return math.sqrt(max(before / after, THINNEST))
-
-
 @parallel_kernel()
 def project(
     means, quats, scales, opacities, features, viewmat, K, width, height, means2d_offset,
-    antialiased, splats, radii
+    splats, radii
 ):  # fmt: skip
     """Fill ``splats`` [N, 16] and ``radii`` [N]; a radius of 0 marks a Gaussian that is left out.
 
@@ -135,7 +120,6 @@ def project(
         features: red, green, blue, temperature, [N, 4].
         viewmat, K: float64, [4, 4] and [3, 3].
         means2d_offset: pixels, [N, 2].
-        antialiased: whether the opacities are compensated for the dilation.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     for i in prange(means.shape[0]):
@@ -151,10 +135,6 @@ def project(
         n0 = _scaled(_row_times_matrix(m0, rotation), scales, i)
         n1 = _scaled(_row_times_matrix(m1, rotation), scales, i)
         xx, xy, yy = _covariance(n0, n1)
-        left = _compensation(xx, xy, yy) if antialiased else 1.0
-        opacity *= left
-        if opacity < ALPHA_MIN:
-            continue
         determinant = xx * yy - xy * xy
         mean_x = fx * point[0] / point[2] + cx + means2d_offset[i, 0]
         mean_y = fy * point[1] / point[2] + cy + means2d_offset[i, 1]
@@ -176,10 +156,10 @@ def project(
         splats[i, splat.ALONG] = -0.5 * LOG2_E / yy
         splats[i, splat.THRESHOLD] = -0.5 * LOG2_E * reach
         splats[i, splat.DEPTH] = point[2]
-        splats[i, splat.RGB] = left * opacities[i, 0]
+        splats[i, splat.RGB] = opacities[i, 0]
         for channel in range(3):
             splats[i, splat.RGB + 1 + channel] = features[i, channel]
-        splats[i, splat.THERMAL] = left * opacities[i, 1]
+        splats[i, splat.THERMAL] = opacities[i, 1]
         splats[i, splat.THERMAL + 1] = features[i, 3]
         splats[i, splat.EXTENT_Y] = extent_y
         splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
@@ -202,21 +182,6 @@ def _screen_gradients(xx, xy, yy, g):
     p0, p1 = a * dxdx + b * dxdy, a * dxdy + b * dydy
     q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
     return grad_mean, (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
-
-
-@kernel()
-def _compensation_gradient(xx, xy, yy, g):
-    """What the anti-aliased opacity adds to ∂L/∂Σ': ½ ((Σ' − 0.3 I)⁻¹ − Σ'⁻¹) times the sum of v =
-    ∂L/∂(ln o)."""
-    before, after = _areas_squared(xx, xy, yy)
-    if before <= THINNEST * after:
-        return 0.0, 0.0, 0.0
-    half = 0.5 * (g[splat.GRAD_LAYERS[0]] + g[splat.GRAD_LAYERS[1]])
-    return (
-        half * ((yy - DILATION) / before - yy / after),
-        half * (xy / after - xy / before),
-        half * ((xx - DILATION) / before - xx / after),
-    )
 
 
 @kernel()
@@ -284,7 +249,7 @@ def _camera_point_gradient(
 
 @kernel()
 def _geometry_gradient(
-    i, g, means, quats, scales, viewmat, K, width, height, antialiased,
+    i, g, means, quats, scales, viewmat, K, width, height,
     grad_means, grad_quats, grad_scales, grad_means2d,
 ):  # fmt: skip
     """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian
@@ -300,9 +265,6 @@ def _geometry_gradient(
     xx, xy, yy = _covariance(n0, n1)
     grad_mean, (hxx, hxy, hyy) = _screen_gradients(xx, xy, yy, g)
     grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
-    if antialiased:
-        cxx, cxy, cyy = _compensation_gradient(xx, xy, yy, g)
-        hxx, hxy, hyy = hxx + cxx, hxy + cxy, hyy + cyy
     # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
     gn0 = (
         2 * (hxx * n0[0] + hxy * n1[0]),
@@ -370,7 +332,7 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
 
 @parallel_kernel()
 def project_backward(
-    means, quats, scales, opacities, viewmat, K, width, height, antialiased, pair_grads,
+    means, quats, scales, opacities, viewmat, K, width, height, pair_grads,
     pair_positions, pair_starts,
     grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
 ):  # fmt: skip
@@ -402,6 +364,6 @@ def project_backward(
                 grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
             grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
             _geometry_gradient(
-                i, g, means, quats, scales, viewmat, K, width, height, antialiased,
+                i, g, means, quats, scales, viewmat, K, width, height,
                 grad_means, grad_quats, grad_scales, grad_means2d,
             )  # fmt: skip

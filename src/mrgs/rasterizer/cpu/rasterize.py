@@ -32,13 +32,13 @@ class _FusedPass(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
-        *tensors, viewmat, K, width, height, antialiased = inputs
+        *tensors, viewmat, K, width, height = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         *gaussians, backgrounds, offset = (tensor.detach().numpy() for tensor in tensors)
         count = gaussians[0].shape[0]
         splats = np.empty((count, splat.SPLAT_FLOATS), np.float32)
         radii = np.empty(count, np.float32)
-        project(*gaussians, viewmat, K, width, height, offset, antialiased, splats, radii)
+        project(*gaussians, viewmat, K, width, height, offset, splats, radii)
         order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
         splats = gather_splats(splats, order)
         lists = tile_lists(splats, order, count, width, height)
@@ -54,7 +54,7 @@ class _FusedPass(torch.autograd.Function):
         *outputs, radii_tensor = (torch.from_numpy(array) for array in (*images, radii))
         ctx.mark_non_differentiable(radii_tensor)
         ctx.save_for_backward(*tensors[:5], *outputs)
-        ctx.walk = (viewmat, K, antialiased, splats, lists)
+        ctx.walk = (viewmat, K, splats, lists)
         return (*outputs, radii_tensor)
 
     @staticmethod
@@ -62,7 +62,7 @@ class _FusedPass(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
         gaussians, images = saved[:5], saved[5:]
-        viewmat, K, antialiased, splats, lists = ctx.walk
+        viewmat, K, splats, lists = ctx.walk
         grad_images = [grad.contiguous().numpy() for grad in grads[:-1]]
         height, width = images[1].shape
         pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
@@ -73,9 +73,8 @@ class _FusedPass(torch.autograd.Function):
         grad_gaussians = [np.empty_like(array) for array in gaussians]
         grad_offset = np.empty((means.shape[0], 2), np.float32)
         project_backward(
-            means, quats, scales, opacities, viewmat, K, width, height, antialiased, pair_grads,
-            lists.pair_positions,
-            lists.pair_starts, *grad_gaussians, grad_offset,
+            means, quats, scales, opacities, viewmat, K, width, height, pair_grads,
+            lists.pair_positions, lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
         # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it,
         # and cost the kernels half a core.
@@ -83,7 +82,7 @@ class _FusedPass(torch.autograd.Function):
             np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)
         ]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
-        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None, None)
+        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None)
 
 
 def rasterize(
@@ -96,7 +95,6 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    antialiased: bool = False,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one
     of each, fused.
@@ -120,7 +118,7 @@ def rasterize(
     _check(means, quats, scales, opacities, features, backgrounds, offset)
     *images, radii = _FusedPass.apply(
         means, quats, scales, opacities, features, backgrounds, offset,
-        _float64(viewmat), _float64(K), width, height, antialiased,
+        _float64(viewmat), _float64(K), width, height,
     )  # fmt: skip
     blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)

@@ -62,17 +62,14 @@ def _blends(kernel: Any) -> dict[str, KernelSpec]:
     }
 
 
-def _projections(kernel: Any) -> dict[tuple[str, bool], KernelSpec]:
-    """The entries of a kernel that takes one Gaussian per thread, by layers and whether it is
-    anti-aliased."""
+def _projections(kernel: Any) -> dict[str, KernelSpec]:
+    """The entries of a kernel that takes one Gaussian per thread, by layers."""
     return {
-        (layers, antialiased): _spec(
-            kernel, f"{layers}, antialiased" if antialiased else layers, BLOCK // 32,
-            {**_layer_constants(kernel, layers), "ANTIALIASED": antialiased, "BLOCK": BLOCK},
+        layers: _spec(
+            kernel, layers, BLOCK // 32, {**_layer_constants(kernel, layers), "BLOCK": BLOCK}
         )
         for layers in LEFT_OUT
-        for antialiased in (False, True)
-    }  # fmt: skip
+    }
 
 
 PROJECT = _projections(project)

@@ -32,7 +32,6 @@ from mrgs.rasterizer.gpu.constants import (
     SHEAR,
     SPLAT_FLOATS,
     THERMAL,
-    THINNEST,
 )
 from mrgs.rasterizer.gpu.jit import device_function
 from mrgs.rasterizer.gpu.tiles import count_pairs
@@ -148,29 +147,26 @@ def jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
 
 @device_function
 def covariance(n0, n1):
-    """Entries xx, xy, yy of Σ', then det(Σ' − 0.3 I) and det Σ'."""
+    """Entries xx, xy, yy of Σ', then det Σ'."""
     xx, yy = dot(n0, n0), dot(n1, n1)
-    before = squared_area(n0, n1)
-    after = before + (xx + yy) * DILATION + DILATION * DILATION
-    return xx + DILATION, dot(n0, n1), yy + DILATION, before, after
+    determinant = squared_area(n0, n1) + (xx + yy) * DILATION + DILATION * DILATION
+    return xx + DILATION, dot(n0, n1), yy + DILATION, determinant
 
 
 @device_function
 def _store_layers(
-    record, i, mask, left, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
+    record, i, mask, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
     HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr,
 ):  # fmt: skip
-    """The layers' parts of the records; ``left`` is what anti-aliasing leaves of the opacities."""
+    """The layers' parts of the records."""
     if HAS_RGB:
         red, green, blue = load_three(features_rgb, i, mask)
-        tl.store(record + RGB, left * tl.load(opacities_rgb + i, mask=mask, other=0.0), mask=mask)
+        tl.store(record + RGB, tl.load(opacities_rgb + i, mask=mask, other=0.0), mask=mask)
         tl.store(record + RGB + 1, red, mask=mask)
         tl.store(record + RGB + 2, green, mask=mask)
         tl.store(record + RGB + 3, blue, mask=mask)
     if HAS_THERMAL:
-        tl.store(
-            record + THERMAL, left * tl.load(opacities_thermal + i, mask=mask, other=0.0), mask=mask
-        )
+        tl.store(record + THERMAL, tl.load(opacities_thermal + i, mask=mask, other=0.0), mask=mask)
         tl.store(
             record + THERMAL + 1, tl.load(features_thermal + i, mask=mask, other=0.0), mask=mask
         )
@@ -181,8 +177,7 @@ def project(
     means, quats, scales, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
     means2d_offset, viewmat, K,
     splats, radii, depths, pair_counts, count, width, height,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, ANTIALIASED: tl.constexpr,
-    BLOCK: tl.constexpr,
+    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Fill the records [N, 16], radii [N], depths [N] (infinite if left out) and the numbers of
     tiles reached [N].
@@ -211,23 +206,21 @@ def project(
     scale = load_three(scales, i, inside)
     n0 = scaled(row_times_matrix(m0, row0, row1, row2), scale)
     n1 = scaled(row_times_matrix(m1, row0, row1, row2), scale)
-    xx, xy, yy, before, after = covariance(n0, n1)
-    left = tl.zeros([BLOCK], tl.float32) + 1.0
-    if ANTIALIASED:
-        left = tl.sqrt(tl.maximum(before / after, THINNEST))
-    opacity *= left
+    xx, xy, yy, determinant = covariance(n0, n1)
     visible &= inside & (opacity >= ALPHA_MIN)
     # dᵀ Σ'⁻¹ d where α = 1/255; not quite 0, so that the ellipse keeps its shape.
     reach = tl.maximum(2.0 * tl.log(tl.maximum(opacity, ALPHA_MIN) / ALPHA_MIN), 1e-12)
     mean_x = fx * x / z + cx + tl.load(means2d_offset + 2 * i, mask=inside, other=0.0)
     mean_y = fy * y / z + cy + tl.load(means2d_offset + 2 * i + 1, mask=inside, other=0.0)
     extent_x, extent_y = tl.sqrt(reach * xx), tl.sqrt(reach * yy)
-    visible &= (after > 0.0) & (tl.abs(mean_x) + tl.abs(mean_y) + extent_x + extent_y < LARGEST_PX)
+    visible &= (determinant > 0.0) & (
+        tl.abs(mean_x) + tl.abs(mean_y) + extent_x + extent_y < LARGEST_PX
+    )
     visible &= (mean_x + extent_x >= 0.0) & (mean_x - extent_x <= width)
     visible &= (mean_y + extent_y >= 0.0) & (mean_y - extent_y <= height)
     half_difference = 0.5 * (xx - yy)
     largest_variance = 0.5 * (xx + yy) + tl.sqrt(half_difference * half_difference + xy * xy)
-    shear, half_width = xy / yy, tl.sqrt(reach * (after / yy))
+    shear, half_width = xy / yy, tl.sqrt(reach * (determinant / yy))
     pairs = count_pairs(visible, mean_x, mean_y, shear, extent_y, half_width, width, height)
     tl.store(
         radii + i,
@@ -239,13 +232,13 @@ def project(
     record = splats + i * SPLAT_FLOATS
     tl.store(record + MEAN_X, mean_x, mask=visible)
     tl.store(record + MEAN_Y, mean_y, mask=visible)
-    tl.store(record + ACROSS, yy / after * EXPONENT, mask=visible)
+    tl.store(record + ACROSS, yy / determinant * EXPONENT, mask=visible)
     tl.store(record + SHEAR, shear, mask=visible)
     tl.store(record + ALONG, 1.0 / yy * EXPONENT, mask=visible)
     tl.store(record + EXTENT_Y, extent_y, mask=visible)
     tl.store(record + HALF_WIDTH, half_width, mask=visible)
     tl.store(record + DEPTH, z, mask=visible)
     _store_layers(
-        record, i, visible, left, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
+        record, i, visible, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
         HAS_RGB, HAS_THERMAL,
     )  # fmt: skip

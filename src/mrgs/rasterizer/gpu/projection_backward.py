@@ -7,7 +7,6 @@ import triton
 import triton.language as tl
 
 from mrgs.rasterizer.gpu.constants import (
-    DILATION,
     GRAD_DEPTH,
     GRAD_DX,
     GRAD_DXDX,
@@ -17,7 +16,6 @@ from mrgs.rasterizer.gpu.constants import (
     GRAD_FLOATS,
     GRAD_RGB,
     GRAD_THERMAL,
-    THINNEST,
 )
 from mrgs.rasterizer.gpu.jit import device_function
 from mrgs.rasterizer.gpu.projection import (
@@ -53,20 +51,6 @@ def _screen_gradients(xx, xy, yy, determinant, moments, mask):
     q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
     grad_covariance = (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
     return (a * dx + b * dy, b * dx + c * dy), grad_covariance
-
-
-@device_function
-def _compensation_gradient(xx, xy, yy, before, after, grad):
-    """What the anti-aliased opacity adds to ∂L/∂Σ': ½ ((Σ' − 0.3 I)⁻¹ − Σ'⁻¹) times the sum of v =
-    ∂L/∂(ln o)."""
-    acts = before > after * THINNEST
-    half = tl.where(acts, 0.5 * grad, 0.0)
-    before = tl.where(acts, before, 1.0)
-    return (
-        half * ((yy - DILATION) / before - yy / after),
-        half * (xy / after - xy / before),
-        half * ((xx - DILATION) / before - xx / after),
-    )
 
 
 @device_function
@@ -120,7 +104,7 @@ def _store_layer_gradients(
     i, mask, moments, opacities, grad_opacities, grad_features, FIRST: tl.constexpr,
     CHANNELS: tl.constexpr
 ):  # fmt: skip
-    """∂L/∂o = Σ v / o and ∂L/∂features of one layer; the sum of v."""
+    """∂L/∂o = Σ v / o and ∂L/∂features of one layer."""
     grad = tl.load(moments + FIRST, mask=mask, other=0.0)
     opacity = tl.load(opacities + i, mask=mask, other=0.0)
     is_opaque = opacity > 0.0
@@ -132,7 +116,6 @@ def _store_layer_gradients(
     for channel in tl.static_range(CHANNELS):
         value = tl.load(moments + FIRST + 1 + channel, mask=mask, other=0.0)
         tl.store(grad_features + CHANNELS * i + channel, value, mask=mask)
-    return grad
 
 
 @triton.jit(do_not_specialize=["count", "width", "height"])
@@ -140,8 +123,7 @@ def project_backward(
     means, quats, scales, opacities_rgb, opacities_thermal, viewmat, K, radii, gaussian_grads,
     grad_means, grad_quats, grad_scales, grad_opacities_rgb, grad_features_rgb,
     grad_opacities_thermal, grad_features_thermal, grad_means2d_offset, count, width, height,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, ANTIALIASED: tl.constexpr,
-    BLOCK: tl.constexpr,
+    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Chain the moments of each Gaussian back to its parameters.
 
@@ -155,13 +137,12 @@ def project_backward(
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     moments = gaussian_grads + i * GRAD_FLOATS
-    grad_opacity = tl.zeros([BLOCK], tl.float32)
     if HAS_RGB:
-        grad_opacity += _store_layer_gradients(
+        _store_layer_gradients(
             i, inside, moments, opacities_rgb, grad_opacities_rgb, grad_features_rgb, GRAD_RGB, 3
         )
     if HAS_THERMAL:
-        grad_opacity += _store_layer_gradients(
+        _store_layer_gradients(
             i,
             inside,
             moments,
@@ -181,14 +162,11 @@ def project_backward(
     scale = load_three(scales, i, drawn)
     p0, p1 = row_times_matrix(m0, row0, row1, row2), row_times_matrix(m1, row0, row1, row2)
     n0, n1 = scaled(p0, scale), scaled(p1, scale)
-    xx, xy, yy, before, after = covariance(n0, n1)
-    grad_mean, grad_covariance = _screen_gradients(xx, xy, yy, after, moments, drawn)
+    xx, xy, yy, determinant = covariance(n0, n1)
+    grad_mean, grad_covariance = _screen_gradients(xx, xy, yy, determinant, moments, drawn)
     hxx, hxy, hyy = grad_covariance
     tl.store(grad_means2d_offset + 2 * i, grad_mean[0], mask=inside)
     tl.store(grad_means2d_offset + 2 * i + 1, grad_mean[1], mask=inside)
-    if ANTIALIASED:
-        cxx, cxy, cyy = _compensation_gradient(xx, xy, yy, before, after, grad_opacity)
-        hxx, hxy, hyy = hxx + cxx, hxy + cxy, hyy + cyy
     # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
     gn0 = (
         2 * (hxx * n0[0] + hxy * n1[0]),

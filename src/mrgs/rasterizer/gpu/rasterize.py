@@ -43,7 +43,6 @@ class _Pass(NamedTuple):
     channels: dict[str, int]
     width: int
     height: int
-    antialiased: bool
 
     @property
     def layers(self) -> str:
@@ -113,13 +112,9 @@ def _needed_backward(what: _Pass) -> set[str]:
     backward = (
         kernels.BLEND_BACKWARD[what.layers],
         kernels.SUM_PAIRS,
-        kernels.PROJECT_BACKWARD[_variant(what)],
+        kernels.PROJECT_BACKWARD[what.layers],
     )
     return {name for spec in backward for name in spec.signature}
-
-
-def _variant(what: _Pass) -> tuple[str, bool]:
-    return what.layers, what.antialiased
 
 
 def _programs(items: int, per_program: int = kernels.BLOCK) -> tuple[int]:
@@ -135,7 +130,7 @@ def _project(what: _Pass, buffers: Arguments) -> None:
     buffers["splats"] = means.new_empty(max(count, 1), SPLAT_FLOATS.value)
     buffers["radii"], buffers["depths"] = means.new_empty(count), means.new_empty(count)
     buffers["pair_counts"] = means.new_empty(count, dtype=torch.int32)
-    kernels.PROJECT[_variant(what)].launch(_programs(count), buffers)
+    kernels.PROJECT[what.layers].launch(_programs(count), buffers)
 
 
 def _list(buffers: Arguments) -> None:
@@ -201,7 +196,7 @@ def _project_backward(what: _Pass, buffers: Arguments) -> None:
         shapes |= {f"opacities_{layer}": (), f"features_{layer}": (channels,)}
     for name, shape in shapes.items():
         buffers[f"grad_{name}"] = buffers["means"].new_empty(buffers["count"], *shape)
-    kernels.PROJECT_BACKWARD[_variant(what)].launch(_programs(buffers["count"]), buffers)
+    kernels.PROJECT_BACKWARD[what.layers].launch(_programs(buffers["count"]), buffers)
 
 
 def rasterize(
@@ -214,7 +209,6 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    antialiased: bool = False,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on a GPU: one layer of 3 or 1 channels, or one of
     each, fused.
@@ -234,7 +228,7 @@ def rasterize(
         raise ValueError(
             f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
         )
-    what = _Pass({_MODALITIES[c]: c for c in channels}, width, height, antialiased)
+    what = _Pass({_MODALITIES[c]: c for c in channels}, width, height)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
     _check(inputs, channels)

@@ -1,0 +1,154 @@
+"""A gain and an offset per thermal photo, for cameras with automatic gain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor, nn
+
+from mrgs.scene import Camera
+
+NEAREST = 3
+"""Photos from which the gain of another one is predicted."""
+
+SAME_PLACE = 1e-6
+"""Viewpoints closer than this are the same."""
+
+
+class Viewpoint(NamedTuple):
+    """Position and viewing direction of a camera, in world coordinates.
+
+    Attributes:
+        position: of the camera, in scene extents.
+        forward: viewing direction, unit length.
+    """
+
+    position: tuple[float, float, float]
+    forward: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, camera: Camera, extent: float) -> Viewpoint:
+        """The viewpoint of a camera in a scene of this extent."""
+        return cls(_triple((camera.position / extent).tolist()), _triple(camera.forward.tolist()))
+
+    @classmethod
+    def from_json(cls, values: Any) -> Viewpoint:
+        """A viewpoint from its JSON form.
+
+        Raises:
+            TypeError, ValueError: the values are no viewpoint.
+        """
+        position, forward = values
+        return cls(_triple(position), _triple(forward))
+
+
+class Gain(NamedTuple):
+    """What automatic gain did to a photo: gain · image + offset.
+
+    Attributes:
+        gain: [1].
+        offset: in normalised temperature, [1].
+    """
+
+    gain: Float[Tensor, "1"]
+    offset: Float[Tensor, "1"]
+
+    def apply(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
+        """The image as the camera wrote it."""
+        return self.gain * image + self.offset
+
+
+class PhotoGain(nn.Module):
+    """A learned gain and offset per photo.
+
+    Over all photos the logarithms of the gains and the offsets average to 0.
+
+    Args:
+        viewpoints: of each training view, None where it has no thermal photo; at least one has.
+    """
+
+    def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
+        super().__init__()
+        self._viewpoints = [point for point in viewpoints if point is not None]
+        self._rows = list(accumulate((point is not None for point in viewpoints), initial=0))
+        self.log_gains = nn.Parameter(torch.zeros(len(self._viewpoints), 1))
+        self.offsets = nn.Parameter(torch.zeros(len(self._viewpoints), 1))
+
+    def of(self, view: int) -> Gain:
+        """The gain of a training view's photo; the view must have one."""
+        row = self._rows[view]
+        gain = (self.log_gains[row] - self.log_gains.mean(dim=0)).exp()
+        return Gain(gain, self.offsets[row] - self.offsets.mean(dim=0))
+
+    def expected(self, viewpoint: Viewpoint) -> Gain:
+        """The gain predicted for a photo outside the training set; see ``expected_gains``."""
+        gains = torch.cat([self.log_gains, self.offsets], dim=1).detach().double()
+        gains = gains - gains.mean(dim=0)
+        log_gain, offset = (
+            expected_gains(gains, self._viewpoints, viewpoint).to(self.offsets).chunk(2)
+        )
+        return Gain(log_gain.exp(), offset)
+
+
+def expected_gains(
+    gains: Float[Tensor, "v s"], viewpoints: Sequence[Viewpoint], viewpoint: Viewpoint
+) -> Float[Tensor, " s"]:
+    """Mean gain of the nearest photos: cameras that see about the same scale about the same.
+
+    Each column is multiplied by the factor from 0 to 1 that predicts best in leave-one-out over
+    the known photos; where gains are random it is near 0.
+
+    Args:
+        gains: log gain and offset of each photo, at least one; their mean is 0.
+        viewpoints: of each photo.
+        viewpoint: of the photo to predict; if exactly one photo was taken there, the result is
+            that photo's gain.
+    """
+    distances = _distances([viewpoint], viewpoints)
+    same = (distances[0] < SAME_PLACE).nonzero()[:, 0]
+    if len(same) == 1:
+        return gains[same[0]]
+    if len(viewpoints) <= NEAREST:
+        return torch.zeros_like(gains[0])
+    predicted = _nearest_means(gains, _distances(viewpoints, viewpoints).fill_diagonal_(torch.inf))
+    square = predicted.square().sum(dim=0)
+    trust = torch.where(square > 0, (predicted * gains).sum(dim=0) / square, 0.0).clamp(0, 1)
+    return trust * _nearest_means(gains, distances)[0]
+
+
+def _nearest_means(
+    gains: Float[Tensor, "v s"], distances: Float[Tensor, "m v"]
+) -> Float[Tensor, "m s"]:
+    """Mean gain of the nearest photos, weighted by inverse distance."""
+    near = distances.topk(NEAREST, dim=1, largest=False)
+    weights = 1 / near.values.clamp_min(SAME_PLACE)
+    return ((weights / weights.sum(dim=1, keepdim=True))[:, :, None] * gains[near.indices]).sum(
+        dim=1
+    )
+
+
+def _distances(some: Sequence[Viewpoint], others: Sequence[Viewpoint]) -> Float[Tensor, "m n"]:
+    """Distance between viewpoints: that of the positions (extents) plus the angle (radians)."""
+    positions, directions = _columns(some)
+    other_positions, other_directions = _columns(others)
+    exact = "donot_use_mm_for_euclid_dist"  # the product form loses its digits far from the origin
+    apart = torch.cdist(positions, other_positions, compute_mode=exact)
+    return apart + (directions @ other_directions.T).clamp(-1, 1).arccos()
+
+
+def _columns(
+    viewpoints: Sequence[Viewpoint],
+) -> tuple[Float64[Tensor, "n 3"], Float64[Tensor, "n 3"]]:
+    positions, directions = zip(*viewpoints, strict=True)
+    return torch.tensor(positions, dtype=torch.float64), torch.tensor(
+        directions, dtype=torch.float64
+    )
+
+
+def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = map(float, values)
+    return x, y, z
