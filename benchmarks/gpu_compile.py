@@ -19,8 +19,8 @@ from types import ModuleType
 from typing import Any
 
 import mrgs
-from mrgs.system import gpu_kernels
-from mrgs.system.gpu_kernels import KernelSpec
+from mrgs.kernels import gpu_spec
+from mrgs.kernels.gpu_spec import KernelSpec
 
 ALIGNMENT_BYTES = 16
 """Where Triton finds a tensor's first element at a multiple of this, it loads several elements at
@@ -37,7 +37,7 @@ def kernel_modules() -> list[ModuleType]:
         if _mentions_kernels(path)
     ]
     names = [".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in paths]
-    return [importlib.import_module(name) for name in names if name != gpu_kernels.__name__]
+    return [importlib.import_module(name) for name in names if name != gpu_spec.__name__]
 
 
 def _mentions_kernels(path: Path) -> bool:
@@ -45,14 +45,15 @@ def _mentions_kernels(path: Path) -> bool:
 
 
 def listed(modules: Iterable[ModuleType]) -> dict[str, KernelSpec]:
-    """The specialisations of all lists, by the room and the kernel's name ("method: ssim[rgb]").
+    """The specialisations of all lists, by folder and name of the kernel ("rasterize:
+    blend[rgb]").
 
     Raises:
         ValueError: two specialisations of a list have the same name.
     """
     specs: dict[str, KernelSpec] = {}
     for spec in (spec for module in modules for spec in getattr(module, "KERNELS", ())):
-        key = f"{spec.kernel.fn.__module__.split('.')[1]}: {spec.name}"
+        key = f"{spec.kernel.fn.__module__.split('.')[2]}: {spec.name}"
         if specs.setdefault(key, spec) is not spec:
             raise ValueError(
                 f"two entries of KERNELS are called {key}: tell them apart by their variant"

@@ -35,13 +35,7 @@ if not torch.cuda.is_available():
 
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
 UNCHECKED = (
-    "mrgs.rasterizer.cpu",
-    "mrgs.rasterizer.gpu",
-    "mrgs.field.cpu",
-    "mrgs.field.gpu",
-    "mrgs.method.cpu",
-    "mrgs.method.gpu",
-    "mrgs.baselines.thermonerf.cpu",
+    "mrgs.kernels",
     "mrgs.app.terminal",
     "mrgs.app.cli",
     "mrgs.app.commands",

@@ -25,6 +25,7 @@ FLOORS = {
     "check": 7,
     "baselines": 7,
     "runs": 8,
+    "kernels": 8,
     "evaluation": 9,
     "export": 10,
     "report": 10,

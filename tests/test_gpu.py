@@ -187,12 +187,12 @@ def test_a_gpu_that_can_be_used_is_used_unless_the_cpu_is_asked_for(machine):
 def test_the_kernels_take_cpu_tensors_only_where_they_are_interpreted(monkeypatch):
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     single, double = torch.zeros(2), torch.zeros(2, dtype=torch.float64)
-    assert not gpu.serves(single)
+    assert not gpu.runs_triton(single)
     with gpu.interpreted():
-        assert gpu.serves(single)
-        assert not gpu.serves(double)
-        assert not gpu.serves(single.to("meta"))
-    assert not gpu.serves(single)
+        assert gpu.runs_triton(single)
+        assert not gpu.runs_triton(double)
+        assert not gpu.runs_triton(single.to("meta"))
+    assert not gpu.runs_triton(single)
 
 
 def test_triton_is_not_loaded_by_the_cpu_path():

@@ -1,7 +1,7 @@
 """The rasterizer: the fused pass as the training calls it, and its stages one by one.
 
-The stages are internals of ``mrgs.rasterizer.cpu``; this is the only file of the benchmarks that
-knows them.
+The stages are internals of ``mrgs.kernels.rasterize.cpu``; this is the only file of the benchmarks
+that knows them.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from torch import Tensor
 from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import camera, layers_of, room
+from mrgs.kernels.rasterize.cpu.blend import blend
+from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
+from mrgs.kernels.rasterize.cpu.projection import project, project_backward
+from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
 from mrgs.rasterizer import rasterize, splat
-from mrgs.rasterizer.cpu.blend import blend
-from mrgs.rasterizer.cpu.blend_backward import blend_backward
-from mrgs.rasterizer.cpu.projection import project, project_backward
-from mrgs.rasterizer.cpu.tiles import depth_order, gather_splats, tile_lists
 
 FORWARD = "forward"
 FORWARD_BACKWARD = "forward + backward"

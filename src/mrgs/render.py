@@ -17,7 +17,6 @@ from torch import Tensor
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Blend, Layer, Raster, contract, rasterize
 from mrgs.scene import Camera, Gaussians, View
-from mrgs.system import gpu
 
 ALL_ROWS_FROM = 0.9
 """Above this share in view, picking rows costs more than evaluating the heads for the others."""
@@ -205,7 +204,7 @@ def render(
         and thermal_camera is not None
         and rgb_camera.coincides_with(thermal_camera)
     ):
-        rows = _rows_in_view(model.gaussians, rgb_camera)
+        rows = rows_in_view(model.gaussians, rgb_camera)
         layers = [_rgb_layer(model, rgb_camera, rows), thermal_layer(model, rgb_camera, rows)]
         raster, points = _pass(model, layers, rgb_camera)
         return _rendering(*raster.blends), [points]
@@ -215,7 +214,7 @@ def render(
         if camera is None:
             blends.append(None)
             continue
-        rows = _rows_in_view(model.gaussians, camera)
+        rows = rows_in_view(model.gaussians, camera)
         raster, points = _pass(model, [make_layer(model, camera, rows)], camera)
         blends.append(raster.blends[0])
         passes.append(points)
@@ -271,7 +270,7 @@ def _position(camera: Camera, means: Float[Tensor, "n 3"]) -> Float[Tensor, "3"]
 
 
 @torch.no_grad()
-def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | None:
+def rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | None:
     """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for
     others; None for all.
 
@@ -280,7 +279,7 @@ def _rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] |
     heads of those that are not seen.
     """
     means = gaussians.means
-    if gpu.serves(means):
+    if not means.is_cpu:
         return None
     K, viewmat, _ = camera.tensors(means.device, means.dtype)
     x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)

@@ -21,7 +21,7 @@ from benchmarks.gpu_resources import (
 )
 
 from benchmarks import gpu_resources
-from mrgs.system.gpu_kernels import KernelSpec
+from mrgs.kernels.gpu_spec import KernelSpec
 
 GOOD = {"registers": 40, "spill_stores": 0, "spill_loads": 0, "stack": 0, "shared": 512, "warps": 4}
 

@@ -30,7 +30,7 @@ def full_search(means: torch.Tensor, k: int) -> torch.Tensor:
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of eight points and chunks of two boxes, so that few points fill many."""
     pytest.importorskip("triton")
-    from mrgs.field.gpu import neighbours
+    from mrgs.kernels.neighbours import gpu as neighbours
 
     monkeypatch.setattr(neighbours, "BLOCK", 8)
     monkeypatch.setattr(neighbours, "CHUNK", 2)
@@ -87,9 +87,9 @@ class NoKernel:
 
 def test_the_search_does_not_make_the_host_wait(monkeypatch):
     pytest.importorskip("triton")
-    from mrgs.field.gpu import neighbours
+    from mrgs.kernels.neighbours import gpu as neighbours
 
-    monkeypatch.setattr(gpu, "serves", lambda tensor: True)
+    monkeypatch.setattr(gpu, "runs_triton", lambda tensor: True)
     monkeypatch.setattr(neighbours, "neighbours_kernel", NoKernel())
     assert nearest_neighbours(torch.empty(100, 3, device="meta"), 8).shape == (100, 8)
 

@@ -8,6 +8,8 @@ from torch import nn
 from torch.nn.functional import conv1d
 
 from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
+from mrgs.kernels.heat.gpu import exchange
+from mrgs.kernels.heat.readout import readout_constants, readout_rows
 
 
 def random_case(count: int = 12, width: int = 4, k: int = 3, extra: int = 0, seed: int = 0):
@@ -21,11 +23,14 @@ def random_case(count: int = 12, width: int = 4, k: int = 3, extra: int = 0, see
 
 
 def read_out(heat, features, opacity, neighbours, output):
-    """``readout`` of the first rows of ``features``."""
-    table = torch.zeros(len(features), heat.k, dtype=torch.int64)
-    table[: len(neighbours)] = neighbours
-    projected = features @ heat.readout_rows(output).T
-    return heat.readout(projected, opacity, table, torch.arange(len(neighbours)), output)
+    """``output`` behind ``heat`` by the numbers of ``readout``, for the first rows."""
+    projected = features @ readout_rows(heat, output, torch.matmul).T
+    anchors = projected[: len(neighbours)]
+    if heat.k == 0:
+        return anchors + output.bias
+    constants = readout_constants(heat, output, torch.matmul)
+    weights = (heat.anchor_weight, heat.surrounding_weight)
+    return exchange(projected, opacity, constants, neighbours, anchors, weights)[:, None]
 
 
 def refine_one_by_one(heat, features, opacity, neighbours):

@@ -21,7 +21,7 @@ SCENES = range(100)
 
 @pytest.fixture(scope="module")
 def rasterize():
-    from mrgs.rasterizer.cpu import rasterize
+    from mrgs.kernels.rasterize.cpu import rasterize
 
     return rasterize
 
@@ -279,7 +279,7 @@ def test_inputs_are_left_as_they_were(rasterize, random_scene, render_and_differ
 
 if __name__ == "__main__":
     from conftest import errors_against_oracle, make_random_scene
-    from mrgs.rasterizer.cpu import rasterize as kernel
+    from mrgs.kernels.rasterize.cpu import rasterize as kernel
 
     for error_name, largest in worst_errors(
         kernel, make_random_scene, errors_against_oracle

@@ -240,7 +240,7 @@ def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(
 def test_many_tiles_are_numbered_by_wider_integers(
     rasterize, random_scene, monkeypatch, render_and_differentiate, assert_same_bits
 ):
-    from mrgs.rasterizer.gpu import rasterize as function
+    from mrgs.kernels.rasterize.gpu import rasterize as function
 
     scene = random_scene(7, 10, 20, 12, torch.float32)
     expected = render_and_differentiate(rasterize, scene)
@@ -249,7 +249,7 @@ def test_many_tiles_are_numbered_by_wider_integers(
 
 
 def test_too_many_pairs_are_refused(rasterize, random_scene, monkeypatch):
-    from mrgs.rasterizer.gpu import rasterize as function
+    from mrgs.kernels.rasterize.gpu import rasterize as function
 
     monkeypatch.setattr(inspect.getmodule(function), "_MOST_PAIRS", 3)
     with pytest.raises(
@@ -273,7 +273,7 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) -> None:
-    from mrgs.rasterizer.gpu import rasterize
+    from mrgs.kernels.rasterize.gpu import rasterize
 
     means = torch.tensor([[0.0, 0.0, 1.0]], device=gpu_device, requires_grad=True)
     quats, scales = torch.ones(1, 4, device=gpu_device), torch.full((1, 3), 0.1, device=gpu_device)

@@ -34,7 +34,7 @@ CONFIGS = st.builds(
     field=st.builds(
         FieldConfig, fourier=st.booleans(), neighbours_n=st.integers(1, 9), anchor_weight=WEIGHTS
     ),
-    loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS, edge_aware=st.booleans()),
+    loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS),
     radiation=st.none()
     | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
     optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=WEIGHTS),

@@ -17,14 +17,12 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from mrgs import render as render_module
 from mrgs.data import load_scene
-from mrgs.field import cpu as field_cpu
 from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import densification
 from mrgs.method.density.relocation import RelocationConfig
-from mrgs.method.losses import dissimilarity, radiation
 from mrgs.method.losses.terms import Photos, SceneScale
 from mrgs.rasterizer import Blend, Raster
 from mrgs.scene import Pixels
@@ -115,28 +113,16 @@ def flat_raster(means, quats, scales, layers, viewmat, K, width, height, offset)
 
 @pytest.fixture(autouse=True)
 def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There plain torch does what has a kernel for the CPU alone, and indices are not looked at.
+    """There indices are not looked at, and all Gaussians count as seen.
 
     CPU tensors that stand for those of a GPU must not tell themselves.
     """
-    check, convolve = field_module._check_places, radiation.convolve
 
-    def plain_convolve(
-        plane: torch.Tensor, weights: torch.Tensor, bias: torch.Tensor
-    ) -> torch.Tensor:
-        if not gpu.serves(plane):
-            return convolve(plane, weights, bias)
-        return torch.nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[
-            0, 0
-        ]
+    def unless_on_a_gpu(on_cpu: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda *args: None if gpu.runs_triton(torch.empty(0)) else on_cpu(*args)
 
-    monkeypatch.setattr(radiation, "convolve", plain_convolve)
-    monkeypatch.setattr(field_cpu, "serves", lambda tensor: not gpu.serves(tensor))
-    monkeypatch.setattr(
-        field_module,
-        "_check_places",
-        lambda *args: None if gpu.serves(torch.empty(0)) else check(*args),
-    )
+    for module, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
+        monkeypatch.setattr(module, name, unless_on_a_gpu(getattr(module, name)))
 
 
 def harmonic(config: TrainConfig) -> TrainConfig:
@@ -292,8 +278,7 @@ def test_all_of_a_step_is_on_one_device(
             super().step()
 
     monkeypatch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
-    monkeypatch.setattr(gpu, "serves", lambda tensor: tensor.is_meta)
-    monkeypatch.setattr(dissimilarity, "serves", lambda tensor: tensor.is_meta)
+    monkeypatch.setattr(gpu, "runs_triton", lambda tensor: tensor.is_meta)
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
     device = torch.device("meta")

@@ -19,8 +19,9 @@ from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.config import make_config
 from mrgs.method.losses import photometric as losses
 from mrgs.method.losses import radiation
-from mrgs.method.losses.photometric import DifferenceWeights, difference_weights, total_loss
+from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.radiation import DepthUncertainty
+from mrgs.method.losses.smoothness import total_variation
 from mrgs.method.losses.terms import Photos, SceneScale, loss_terms, loss_weights
 from mrgs.render import Rendering
 from mrgs.scene import Pixels, TemperatureRange
@@ -57,7 +58,7 @@ def assert_same(
 def small_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Strips of four rows and blocks of 32 values, so that tiny images fill several."""
     pytest.importorskip("triton")
-    from mrgs.method.gpu import dissimilarity as compared
+    from mrgs.kernels.ssim import compare_gpu as compared
 
     monkeypatch.setattr(compared, "STRIP_ROWS", 4)
     monkeypatch.setattr(compared, "BLOCK", 32)
@@ -78,7 +79,7 @@ def test_the_photometric_loss_is_that_of_plain_torch(
     )
     assert_same(
         lambda render: losses.photometric_loss(render, *on_device, dssim),
-        lambda render: losses._photometric_loss(render, target, valid, dssim),
+        lambda render: losses.photometric_loss.plain(render, target, valid, dssim),
         [image(*shape)],
         gpu_device,
     )
@@ -90,7 +91,7 @@ def test_the_radiation_loss_is_that_of_plain_torch(gpu_device, masked):
     on_device = None if valid is None else valid.to(gpu_device)
     assert_same(
         lambda *maps: radiation.boltzmann_loss(*maps, on_device),
-        lambda *maps: radiation._boltzmann_loss(*maps, valid),
+        lambda *maps: radiation.boltzmann_loss.plain(*maps, valid),
         [image(4, 9), image(4, 9, seed=1), image(4, 9, seed=2)],
         gpu_device,
     )
@@ -98,23 +99,12 @@ def test_the_radiation_loss_is_that_of_plain_torch(gpu_device, masked):
 
 @pytest.mark.parametrize("shape", [(1, 1, 2), (1, 6, 2), (6, 1, 2), (13, 15, 3)])
 @pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("edge_aware", [False, True])
-def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked, edge_aware):
+def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked):
     valid = image(*shape, seed=1)[..., 0] > 0.3 if masked else None
-    edges = image(*shape, seed=2) if edge_aware else None
-    plane = image(*shape)[..., 0]
-    weights = [difference_weights(plane, axis, valid, edges, 2.0) for axis in (0, 1)]
-
-    def to_device(counted: int, weight: torch.Tensor | None) -> DifferenceWeights:
-        count = torch.tensor(counted, device=gpu_device) if masked else counted
-        return DifferenceWeights(
-            count, None if weight is None else weight.to(gpu_device, torch.float32)
-        )
-
-    on_device = [to_device(*axis) for axis in weights]
+    on_device = None if valid is None else valid.to(gpu_device)
     assert_same(
-        lambda values: losses.total_variation(values, on_device),
-        lambda values: losses._total_variation(values, weights),
+        lambda values: total_variation(values, on_device),
+        lambda values: total_variation.plain(values, valid),
         [image(*shape)],
         gpu_device,
     )
@@ -125,8 +115,8 @@ def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked, edge_aw
 )
 def test_the_blur_is_that_of_plain_torch(gpu_device, shape, sigma_px):
     assert_same(
-        point_spread.spread_points,
-        point_spread._spread_points,
+        point_spread.blur,
+        point_spread.blur.plain,
         [image(*shape), torch.tensor(sigma_px)],
         gpu_device,
         tolerance=6e-6,  # the gradient by σ is a sum of both signs
@@ -136,8 +126,7 @@ def test_the_blur_is_that_of_plain_torch(gpu_device, shape, sigma_px):
 def test_a_value_that_is_not_finite_is_not_hidden(gpu_device):
     spoilt = image(2, 5, 1).to(gpu_device, torch.float32)
     spoilt[1, 2, 0] = float("nan")
-    weights = [difference_weights(spoilt[..., 0], axis) for axis in (0, 1)]
-    assert losses.total_variation(spoilt, weights).isnan()
+    assert total_variation(spoilt).isnan()
     assert losses.photometric_loss(spoilt, torch.zeros_like(spoilt), None, 0.2).isnan()
 
 
@@ -154,14 +143,14 @@ def without_values(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
     host wait."""
     if request.param == "kernels":
         pytest.importorskip("triton")
-        from mrgs.method.gpu import dissimilarity as compared
-        from mrgs.method.gpu import point_spread as spread
-        from mrgs.method.gpu import variation
+        from mrgs.kernels.blur import gpu as blur
+        from mrgs.kernels.ssim import compare_gpu as compared
+        from mrgs.kernels.variation import gpu as variation
 
-        monkeypatch.setattr(gpu, "serves", lambda tensor: tensor.dtype == torch.float32)
+        monkeypatch.setattr(gpu, "runs_triton", lambda tensor: tensor.dtype == torch.float32)
         for module, names in (
             (compared, ("compare_kernel", "gradients_kernel")),
-            (spread, ("spread_kernel", "spread_backward_kernel")),
+            (blur, ("blur_kernel", "blur_backward_kernel")),
             (variation, ("variation_kernel",)),
         ):
             for name in names:
@@ -185,20 +174,17 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
 
     rendering = Rendering(*(plane(*c).requires_grad_() for c in ((3,), (), (1,), (), (), ())))
     photographed = image_model(rendering, 1)
-    for edge_aware in (False, True):
-        changed = replace(
-            config, loss=replace(config.loss, edge_aware=edge_aware, opaque=0.1, smooth_depth=1.0)
-        )
-        terms = loss_terms(
-            rendering,
-            photographed,
-            Photos(photo(3), photo(1), shares_camera=True),
-            changed,
-            SceneScale(2.0, TemperatureRange(10.0, 30.0)),
-            uncertainty,
-        )
-        assert set(terms) == {"rgb", "thermal", "smooth", "opaque", "boltzmann"}
-        total_loss(terms, loss_weights(changed, 700)).backward(retain_graph=True)
+    config = replace(config, loss=replace(config.loss, opaque=0.1, smooth_depth=1.0))
+    terms = loss_terms(
+        rendering,
+        photographed,
+        Photos(photo(3), photo(1), shares_camera=True),
+        config,
+        SceneScale(2.0, TemperatureRange(10.0, 30.0)),
+        uncertainty,
+    )
+    assert set(terms) == {"rgb", "thermal", "smooth", "opaque", "boltzmann"}
+    total_loss(terms, loss_weights(config, 700)).backward()
     assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == [
         "alpha_rgb"
     ]
@@ -221,7 +207,10 @@ def test_large_images_and_the_same_bits_again(telling_of_waits):
         return losses.photometric_loss(render, *on_device, 0.2)
 
     assert_same(
-        loss, lambda render: losses._photometric_loss(render, target, valid, 0.2), [render], "cuda"
+        loss,
+        lambda render: losses.photometric_loss.plain(render, target, valid, 0.2),
+        [render],
+        "cuda",
     )
     found = render.to("cuda", torch.float32).requires_grad_()
     with telling_of_waits("error"):

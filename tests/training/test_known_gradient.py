@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.method.losses.known_gradient import with_gradients
+from mrgs.kernels.known_gradient import with_gradients
 
 
 def test_the_gradients_are_those_given_times_the_losses_weight():

@@ -1,22 +1,16 @@
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 
 from mrgs.errors import ConfigError
 from mrgs.method.losses.photometric import (
     LossConfig,
-    _photometric_loss,
-    _total_variation,
-    difference_weights,
     opaqueness_loss,
     photometric_loss,
-    smoothness_loss,
     total_loss,
-    total_variation,
 )
+from mrgs.method.losses.smoothness import smoothness_loss, total_variation
 from mrgs.method.losses.ssim import ssim_map
 
 
@@ -86,37 +80,23 @@ def test_photometric_gradient():
 
 def test_constants_are_smooth():
     constant, depth = torch.full((8, 9, 3), 0.4), torch.full((8, 9), 5.0)
-    assert smoothness_loss(constant, depth, constant, None, 2.0, 1.0, LossConfig()) == 0
+    assert smoothness_loss(constant, depth, None, 2.0, 1.0, LossConfig()) == 0
 
 
 def test_smoothness_is_the_mean_of_first_differences():
     ramp = 0.1 * torch.arange(6, dtype=torch.float64).expand(5, 6)
     depth = 4 * torch.arange(5, dtype=torch.float64)[:, None].expand(5, 6)
     config = LossConfig(smooth_depth=0.5)
-    loss = smoothness_loss(ramp[:, :, None], depth, ramp[:, :, None], None, 8.0, 2.0, config)
+    loss = smoothness_loss(ramp[:, :, None], depth, None, 8.0, 2.0, config)
     assert loss.item() == pytest.approx(2.0 * 0.1 + 0.5 * 4 / 8)
-
-
-def test_edges_of_the_photo_cut_the_weight():
-    step = torch.zeros(4, 4, 1, dtype=torch.float64)
-    step[:, 2:] = 1.0
-    depth = step[:, :, 0]
-    plain = smoothness_loss(step, depth, step, None, 1.0, 1.0, LossConfig())
-    aware = smoothness_loss(
-        step, depth, step, None, 1.0, 1.0, LossConfig(edge_aware=True, beta=3.0)
-    )
-    assert aware.item() == pytest.approx(plain.item() * math.exp(-3.0))
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 2), (1, 6, 2), (6, 1, 2), (40, 15, 3), (40, 15, 1)])
 @pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("edge_aware", [False, True])
-def test_the_variation_is_that_of_plain_torch(shape, masked, edge_aware):
+def test_the_variation_is_that_of_plain_torch(shape, masked):
     values = image(*shape).requires_grad_()
     valid = image(*shape, seed=1)[..., 0] > 0.3 if masked else None
-    edges = image(*shape, seed=2) if edge_aware else None
-    weights = [difference_weights(values[..., 0], axis, valid, edges, 2.0) for axis in (0, 1)]
-    loss, expected = total_variation(values, weights), _total_variation(values, weights)
+    loss, expected = (f(values, valid) for f in (total_variation, total_variation.plain))
     torch.testing.assert_close(loss, expected)
     gradients = [torch.autograd.grad(3 * value, values)[0] for value in (loss, expected)]
     torch.testing.assert_close(*gradients)
@@ -128,7 +108,7 @@ def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim):
     render, target = image(70, 25, 3).requires_grad_(), image(70, 25, 3, seed=1)
     valid = image(70, 25, 1, seed=2)[..., 0] > 0.3 if masked else None
     loss, expected = (
-        f(render, target, valid, dssim) for f in (photometric_loss, _photometric_loss)
+        f(render, target, valid, dssim) for f in (photometric_loss, photometric_loss.plain)
     )
     torch.testing.assert_close(loss, expected)
     gradients = [torch.autograd.grad(value, render)[0] for value in (loss, expected)]
@@ -137,16 +117,14 @@ def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim):
 
 def test_flat_images_have_no_step():
     flat = torch.full((20, 9, 3), 0.4, requires_grad=True)
-    weights = [difference_weights(flat[..., 0], axis) for axis in (0, 1)]
-    (gradient,) = torch.autograd.grad(total_variation(flat, weights), flat)
+    (gradient,) = torch.autograd.grad(total_variation(flat), flat)
     assert (gradient == 0).all()
 
 
 def test_a_value_that_is_not_finite_is_not_hidden():
     spoilt = image(20, 9, 3)
     spoilt[10, 5, 1] = float("nan")
-    weights = [difference_weights(spoilt[..., 0], axis) for axis in (0, 1)]
-    assert total_variation(spoilt, weights).isnan()
+    assert total_variation(spoilt).isnan()
     assert photometric_loss(spoilt, image(20, 9, 3), None, 0.2).isnan()
 
 
@@ -170,7 +148,7 @@ def test_total_loss_refuses_what_it_does_not_know():
     [
         ({"dssim": 1.5}, "dssim must lie between 0 and 1, not 1.5"),
         ({"smooth": -1.0}, "smooth must be 0 or more, not -1.0"),
-        ({"beta": float("nan")}, "beta must be 0 or more, not nan"),
+        ({"opaque": float("nan")}, "opaque must be 0 or more, not nan"),
     ],
 )
 def test_impossible_weights_are_named(options, message):
@@ -178,27 +156,14 @@ def test_impossible_weights_are_named(options, message):
         LossConfig(**options)
 
 
-@pytest.mark.parametrize("edge_aware", [False, True])
-def test_smoothness_ignores_pixels_that_do_not_count(edge_aware):
+def test_smoothness_ignores_pixels_that_do_not_count():
     generator = torch.Generator().manual_seed(0)
-    image, depth, target = (torch.rand(8, 9, c, generator=generator) for c in (3, 1, 3))
+    image, depth = (torch.rand(8, 9, c, generator=generator) for c in (3, 1))
     valid = torch.rand(8, 9, generator=generator) > 0.3
     losses = []
     for value in (0.0, 7.0):
-        filled = [
-            torch.where(valid[:, :, None], tensor, value) for tensor in (image, depth, target)
-        ]
-        losses.append(
-            smoothness_loss(
-                filled[0],
-                filled[1][..., 0],
-                filled[2],
-                valid,
-                1.0,
-                1.0,
-                LossConfig(edge_aware=edge_aware),
-            )
-        )
+        filled = [torch.where(valid[:, :, None], tensor, value) for tensor in (image, depth)]
+        losses.append(smoothness_loss(filled[0], filled[1][..., 0], valid, 1.0, 1.0, LossConfig()))
     assert losses[0] == losses[1]
     assert losses[0] > 0
 

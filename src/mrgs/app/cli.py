@@ -174,6 +174,7 @@ def _train(command: Train) -> None:
             config,
             resume=command.resume,
             device=command.device,
+            plain=command.plain,
             **_hooks(progress, live),
         )
     _say_what_next(command, output, progress)
@@ -210,6 +211,7 @@ def _train_thermonerf(command: Train) -> None:
             _output(command),
             config,
             resume=command.resume,
+            plain=command.plain,
             on_start=progress.start,
             on_step=progress.step,
         )

@@ -45,10 +45,13 @@ class Train:
     """YAML file with other values for any field of a run's config.yaml, for instance field:
     {neighbours_n: 5}."""
     resume: bool = False
-    """Continue the run in the output folder; all options but --device and --view are the run's
-    own."""
+    """Continue the run in the output folder; all options but --device, --plain and --view are
+    the run's own."""
     device: DeviceName = "auto"
     """auto takes the GPU where one can be used, else the CPU. A run may go on on another."""
+    plain: bool = False
+    """Run the plain definition of every operation instead of its kernel, much slower; so does
+    MRGS_PLAIN=1, for any command."""
     view: bool = False
     """Show the model in the browser while it trains. Needs mrgs[view]."""
     port: int = 8080

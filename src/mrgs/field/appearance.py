@@ -4,10 +4,12 @@ feature."""
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from mrgs.field.encoding import positional_encoding
+from mrgs.field.rows import take, viewing_directions
+from mrgs.system.operation import operation
 
 SH_COEFFICIENTS = 48
 """16 basis functions times 3 colour channels."""
@@ -85,6 +87,28 @@ class ColorHead(nn.Module):
         return residual
 
 
+@operation
+def color_residuals(
+    head: ColorHead,
+    embedding: Float[Tensor, "n c"],
+    means: Float[Tensor, "n 3"],
+    camera_position: Float[Tensor, "3"],
+    rows: Int64[Tensor, " v"] | None = None,
+) -> Float[Tensor, "v 3"]:
+    """ĉ of Eq. 4 (rgb_alphblending): the colour head on e_m and the viewing direction.
+
+    Args:
+        head: the MLP.
+        embedding: e_m.
+        means: centres in world coordinates.
+        camera_position: centre of projection in world coordinates.
+        rows: distinct Gaussians to evaluate; all if None (V = N).
+    """
+    directions = viewing_directions(take(means, rows), camera_position)
+    residuals: Tensor = head(take(embedding, rows), directions)
+    return residuals
+
+
 class ThermalFeatureHead(nn.Module):
     """The thermal feature F_t, Sec. Rendering Overview: an MLP on e_t ⊕ PE_p of the position.
 
@@ -116,8 +140,3 @@ class ThermalFeatureHead(nn.Module):
         inputs = torch.cat([e_t, positional_encoding(positions.detach(), self.frequencies)], dim=1)
         features: Tensor = self.mlp(inputs)
         return features
-
-
-def linear_layers(mlp: nn.Sequential) -> list[tuple[Tensor, Tensor]]:
-    """Weight and bias of each linear layer, in their order."""
-    return [(layer.weight, layer.bias) for layer in mlp if isinstance(layer, nn.Linear)]

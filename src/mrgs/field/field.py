@@ -10,13 +10,18 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
-from mrgs.field import cpu
-from mrgs.field.appearance import ColorHead, OrthogonalExtraction, ThermalFeatureHead, linear_layers
+from mrgs.field.appearance import (
+    ColorHead,
+    OrthogonalExtraction,
+    ThermalFeatureHead,
+    color_residuals,
+)
 from mrgs.field.encoding import fourier_embedding, position_frame
-from mrgs.field.heat import FourierHeatTransformation, with_neighbours
-from mrgs.field.product import product
-from mrgs.field.spherical_harmonics import C0, evaluate_sh
+from mrgs.field.heat import FourierHeatTransformation
+from mrgs.field.rows import take
+from mrgs.field.spherical_harmonics import C0, shade
 from mrgs.scene.gaussians import Gaussians
+from mrgs.system.operation import operation
 
 MAX_NEIGHBOURS_N = 16
 """255 neighbours of each Gaussian; the paper stops at 48."""
@@ -125,7 +130,7 @@ class RadianceField(nn.Module):
         residuals."""
         if not self.config.residuals:
             return means.new_zeros(len(means), 0)
-        return fourier_embedding(self._normalised(means), self.config.embedding_width)
+        return fourier_embedding(self.normalised(means), self.config.embedding_width)
 
     def colors(
         self,
@@ -146,15 +151,13 @@ class RadianceField(nn.Module):
         Raises:
             IndexError: rows on the CPU that do not exist.
         """
-        _check_places("rows", rows, len(gaussians))
-        camera_position = camera_position.to(gaussians.means)
-        colors = _shade(
-            gaussians.means, gaussians.sh_dc, gaussians.sh_rest, camera_position, sh_degree, rows
-        )
-        return (
-            colors + self._color_residual(gaussians, camera_position, rows)
-            if self.config.residuals
-            else colors
+        _check_indices("rows", rows, len(gaussians))
+        means, camera_position = gaussians.means, camera_position.to(gaussians.means)
+        c = shade(means, gaussians.sh_dc, gaussians.sh_rest, camera_position, sh_degree, rows)
+        if not self.config.residuals:
+            return c
+        return c + color_residuals(
+            self.color_head, gaussians.embedding, means, camera_position, rows
         )
 
     def temperatures(
@@ -188,173 +191,76 @@ class RadianceField(nn.Module):
                 another shape.
             IndexError: rows or neighbours on the CPU that do not exist.
         """
-        _check_places("rows", rows, len(gaussians))
-        camera_position = camera_position.to(gaussians.means)
+        _check_indices("rows", rows, len(gaussians))
+        means, camera_position = gaussians.means, camera_position.to(gaussians.means)
         dc, rest = gaussians.temperature_dc, gaussians.temperature_rest
         if not self.config.residuals:
-            return _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows)
+            return shade(means, dc, rest, camera_position, sh_degree, rows)
         if gaussians.temperature_depends_on_view:
-            t = _shade(gaussians.means, dc, rest, camera_position, sh_degree, rows, floor=-math.inf)
+            t = shade(means, dc, rest, camera_position, sh_degree, rows, floor=-math.inf)
         else:
-            t = C0 * _take(dc, rows)[:, 0] + 0.5
+            t = C0 * take(dc, rows)[:, 0] + 0.5
         if residuals is None:
             return t + self.temperature_residuals(gaussians, neighbours, rows)
-        return t + _take(residuals, rows)
+        return t + take(residuals, rows)
 
-    def _color_residual(
-        self,
-        gaussians: Gaussians,
-        camera_position: Float[Tensor, "3"],
-        rows: Int64[Tensor, " v"] | None,
-    ) -> Float[Tensor, "v 3"]:
-        """ĉ: the colour head on e_m and the viewing direction."""
-        head, means, embedding = self.color_head, gaussians.means, gaussians.embedding
-        if cpu.serves(means):
-            *hidden, (weight, bias) = linear_layers(head.mlp)
-            layers = [*hidden, (head.scale * weight, head.scale * bias)]
-            listed = _listed(rows, means)
-            return cpu.color_residual(
-                layers, embedding, means, camera_position, head.frequencies, listed
-            )
-        residual: Tensor = head(
-            _take(embedding, rows), _directions(_take(means, rows), camera_position)
-        )
-        return residual
-
+    @operation
     def temperature_residuals(
         self,
         gaussians: Gaussians,
         neighbours: Int64[Tensor, "n k"] | None,
         rows: Int64[Tensor, " v"] | None = None,
     ) -> Float[Tensor, "v 1"]:
-        """t̂: orthogonal extraction, thermal head, heat transformation, and the output layer.
+        """t̂ of Eq. 5: orthogonal extraction (Eq. 7–8), thermal head on PE_p (Eq. 9), heat
+        transformation (Eq. 10–12), output layer.
 
         Arguments and errors are those of ``temperatures``; the field must have residuals.
         """
-        if self.config.neighbours_k == 0:
-            neighbours = torch.empty(
-                len(gaussians), 0, dtype=torch.int64, device=gaussians.means.device
-            )
+        neighbours = self.checked_neighbours(neighbours, len(gaussians))
+        e_t = self.extraction(gaussians.embedding, gaussians.sh)
+        features = self.thermal_head(e_t, self.normalised(gaussians.means))
+        refined = self.heat(features, gaussians.opacity_thermal, neighbours)
+        t_hat = self.config.residual_scale * self.temperature_output(refined)
+        return take(t_hat, rows)
+
+    def checked_neighbours(
+        self, neighbours: Int64[Tensor, "n k"] | None, count: int
+    ) -> Int64[Tensor, "n k"]:
+        """The neighbours of all Gaussians; no columns for a field that exchanges no heat.
+
+        Args:
+            neighbours: as given to ``temperatures``.
+            count: N, the number of Gaussians.
+
+        Raises:
+            ValueError: neighbours are needed, but are None or of another shape.
+            IndexError: neighbours on the CPU that do not exist.
+        """
+        k = self.config.neighbours_k
+        if k == 0:
+            return torch.empty(count, 0, dtype=torch.int64, device=self.center.device)
         if neighbours is None:
+            raise ValueError(f"the heat transformation needs the {k} nearest neighbours")
+        if neighbours.shape != (count, k):
             raise ValueError(
-                f"the heat transformation needs the {self.config.neighbours_k} nearest neighbours"
-            )
-        if neighbours.shape != (len(gaussians), self.config.neighbours_k):
-            raise ValueError(
-                f"neighbours of {len(gaussians)} Gaussians are needed, not of shape "
+                f"neighbours of {count} Gaussians are needed, not of shape "
                 f"{tuple(neighbours.shape)}"
             )
-        _check_places("neighbours", neighbours, len(gaussians))
-        projected = self._projected_features(gaussians, _needed(rows, neighbours))
-        opacity = _take(gaussians.opacity_thermal, rows)
-        anchors = _listed(rows, gaussians.means)
-        return self.config.residual_scale * self.heat.readout(
-            projected, opacity, neighbours, anchors, self.temperature_output
-        )
+        _check_indices("neighbours", neighbours, count)
+        return neighbours
 
-    def _projected_features(
-        self, gaussians: Gaussians, rows: Int64[Tensor, " m"] | None
-    ) -> Float[Tensor, "n r"]:
-        """What neighbours read of each F_t (``FourierHeatTransformation.readout``); 0 where not
-        asked for."""
-        readout_rows = self.heat.readout_rows(self.temperature_output)
-        means, embedding = gaussians.means, gaussians.embedding
-        if cpu.serves(means):
-            layers = (
-                self.extraction.phi_sh.weight,
-                self.extraction.phi_sh.bias,
-                *self._merged_layers(readout_rows),
-            )
-            positions, frequencies = self._normalised(means.detach()), self.thermal_head.frequencies
-            return cpu.project_features(
-                embedding,
-                gaussians.sh_dc,
-                gaussians.sh_rest,
-                layers,
-                positions,
-                frequencies,
-                _listed(rows, means),
-            )
-        sh = torch.cat([_take(gaussians.sh_dc, rows), _take(gaussians.sh_rest, rows)], dim=1)
-        e_t = self.extraction(_take(embedding, rows), sh)
-        projected = self.thermal_head(e_t, self._normalised(_take(means, rows))) @ readout_rows.T
-        if rows is None:
-            return projected
-        return projected.new_zeros(len(means), projected.shape[1]).index_copy(0, rows, projected)
-
-    def _merged_layers(
-        self, readout_rows: Float[Tensor, "r f"]
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Weight and bias of two layers around the thermal head's ReLU, each the product of two
-        linear layers.
-
-        φ_e of Eq. 8 goes into the first, W (φ_e(x) ⊕ PE_p) = W_e φ_e x + W_e b_e + W_p PE_p; the
-        read-out into the second. Both biases pass through the product as one more column.
-        """
-        phi_e, ((weight, bias), last) = self.extraction.phi_e, linear_layers(self.thermal_head.mlp)
-        of_e_t, of_position = weight.tensor_split([len(phi_e.weight)], dim=1)
-        first = product(of_e_t, torch.cat([phi_e.weight, phi_e.bias[:, None]], dim=1))
-        second = product(readout_rows, torch.cat([last[0], last[1][:, None]], dim=1))
-        return (
-            torch.cat([first[:, :-1], of_position], dim=1),
-            first[:, -1] + bias,
-            second[:, :-1],
-            second[:, -1],
-        )
-
-    def _normalised(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    def normalised(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Positions as PE_p takes them, most of them inside [-1, 1]."""
         return (means - self.center) / self.scale
 
 
-def _shade(
-    means: Float[Tensor, "n 3"],
-    dc: Float[Tensor, "n 1 c"],
-    rest: Float[Tensor, "n b c"],
-    camera_position: Float[Tensor, "3"],
-    degree: int,
-    rows: Int64[Tensor, " v"] | None,
-    floor: float = 0.0,
-) -> Float[Tensor, "v c"]:
-    """SH2RGB: spherical harmonics plus 0.5, clamped at the floor."""
-    if cpu.serves(means):
-        return cpu.shade(means, dc, rest, camera_position, degree, _listed(rows, means), floor)
-    directions = _directions(_take(means, rows), camera_position)
-    return (evaluate_sh(_take(dc, rows), _take(rest, rows), directions, degree) + 0.5).clamp_min(
-        floor
-    )
-
-
-def _directions(
-    means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]
-) -> Float[Tensor, "n 3"]:
-    """Unit vectors from the camera to the Gaussians."""
-    return nn.functional.normalize(means - camera_position, dim=1)
-
-
-def _take(
-    tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None
-) -> Float[Tensor, "v ..."]:
-    return tensor if rows is None else tensor.index_select(0, rows)
-
-
-def _listed(rows: Int64[Tensor, " v"] | None, means: Float[Tensor, "n 3"]) -> Int64[Tensor, " v"]:
-    return torch.arange(len(means), device=means.device) if rows is None else rows
-
-
-def _needed(
-    rows: Int64[Tensor, " v"] | None, neighbours: Int64[Tensor, "n k"]
-) -> Int64[Tensor, " m"] | None:
-    """These Gaussians and their neighbours; all (None) on a GPU: to learn how many they are the
-    host would wait."""
-    return None if rows is None or rows.device.type != "cpu" else with_neighbours(rows, neighbours)
-
-
-def _check_places(name: str, places: Int64[Tensor, "..."] | None, count: int) -> None:
-    """The kernels do not look again; a GPU is not asked, because the host would wait for its
-    answer."""
-    if places is None or places.device.type != "cpu" or places.numel() == 0:
+def _check_indices(name: str, indices: Int64[Tensor, "..."] | None, count: int) -> None:
+    """Kernels do not check indices; those on a GPU are trusted, because the host would have to wait
+    for them."""
+    if indices is None or not indices.is_cpu or indices.numel() == 0:
         return
-    if not (places.min() >= 0 and places.max() < count):
+    if not (indices.min() >= 0 and indices.max() < count):
         raise IndexError(
-            f"{name} must lie in 0 to {count - 1}, but reach from {places.min()} to {places.max()}"
+            f"{name} must lie in 0 to {count - 1}, but reach from {indices.min()} to "
+            f"{indices.max()}"
         )

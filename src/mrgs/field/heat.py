@@ -3,60 +3,48 @@ transformation."""
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int64
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
-from mrgs.field import cpu
-from mrgs.field.product import product
-from mrgs.system import gpu
+from mrgs.system.operation import operation
+
+SEARCHED_TOGETHER = 1_024
+"""Gaussians whose distances to all others are held at once."""
 
 
+def neighbour_distances(
+    neighbours: Int64[Tensor, "n k"], means: Float[Tensor, "n 3"], k: int
+) -> Float[Tensor, "n {k}"]:
+    """Distance of each Gaussian to its neighbours. Unlike the indices it is the same for every
+    search, because points at the same distance may stand in any order."""
+    points = means.detach().double()
+    return (points[neighbours] - points[:, None]).norm(dim=2)
+
+
+@operation(measure=neighbour_distances)
 def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n {k}"]:
     """Indices of the k nearest other Gaussians, nearest first.
 
     Where fewer than k others exist, the remaining places hold the Gaussian itself: it exchanges no
-    heat with itself. On a GPU up to 16 neighbours are searched there, more on the host.
+    heat with itself.
 
     Raises:
         ValueError: a position is not finite. Not on a GPU, which takes it as very far away: to look
             for it, the host would have to wait for the device.
     """
-    if gpu.serves(means):
-        from mrgs.field.gpu import MAX_K
-        from mrgs.field.gpu import nearest_neighbours as nearest_on_device
-
-        if k <= MAX_K:
-            return nearest_on_device(means, k)
-    points = means.detach().to("cpu", torch.float64).numpy()
-    count = len(points)
-    itself = np.arange(count, dtype=np.int64)[:, None]
-    found = max(min(k, count - 1), 0)
-    padding = np.broadcast_to(itself, (count, k - found))
-    if found == 0:
-        return torch.tensor(padding, device=means.device)
-    tree = cKDTree(points, balanced_tree=False)
-    index = np.empty((count, found + 1), np.int64)
-    order = (
-        tree.indices
-    )  # neighbours in the tree are near each other in memory: a quarter of the time saved
-    index[order] = tree.query(points[order], k=found + 1, workers=-1)[1]
-    is_other = index != itself
-    # Among coincident points the search may miss the Gaussian itself: then the farthest one goes
-    # instead.
-    is_other[is_other.all(axis=1), -1] = False
-    others = index[is_other].reshape(count, found)
-    return torch.from_numpy(np.concatenate([others, padding], axis=1)).to(means.device)
-
-
-def with_neighbours(
-    rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]
-) -> Int64[Tensor, " m"]:
-    """These Gaussians and all their neighbours, each once, in ascending order; for tensors on the
-    CPU."""
-    return torch.from_numpy(cpu.with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
+    points = means.detach().double()
+    if not points.isfinite().all():
+        raise ValueError("the positions of Gaussians must be finite")
+    itself = torch.arange(len(points), device=points.device)
+    found = max(min(k, len(points) - 1), 0)
+    neighbours = itself[:, None].repeat(1, k)
+    for rows in itself.split(SEARCHED_TOGETHER):
+        distances = torch.cdist(
+            points[rows], points, compute_mode="donot_use_mm_for_euclid_dist"
+        ).index_put((rows - rows[0], rows), points.new_tensor(torch.inf))
+        neighbours[rows, :found] = distances.topk(found, largest=False).indices
+    return neighbours
 
 
 class FourierHeatTransformation(nn.Module):
@@ -116,92 +104,3 @@ class FourierHeatTransformation(nn.Module):
         return self.anchor_weight * (anchors + flux) + self.surrounding_weight * surroundings.mean(
             dim=2
         )
-
-    def readout_rows(self, output: nn.Linear) -> Float[Tensor, "r c"]:
-        """What an anchor reads of its k-th neighbour's feature, a_k, and of any feature, w: see
-        ``readout``.
-
-        Args:
-            output: the layer behind F', of one channel.
-        """
-        w = output.weight
-        if self.k == 0:
-            return w
-        taps = product(self._through_f_q(w), self.f_grad.weight.flatten(1)).view(-1, self.k)
-        return torch.cat([taps.T, w])
-
-    def readout(
-        self,
-        projected: Float[Tensor, "n r"],
-        opacity: Float[Tensor, " v"],
-        neighbours: Int64[Tensor, "n k"],
-        rows: Int64[Tensor, " v"],
-        output: nn.Linear,
-    ) -> Float[Tensor, "v 1"]:
-        """``output(F')`` of some anchors for an output layer of one channel, far faster than
-        ``forward``.
-
-        Everything behind F_t is linear in it but for the factor o_t. So the output row w is carried
-        through the layers instead of the features: with v = f_qᵀ w and a_k = f_grad,kᵀ v,
-
-            w · q_i = w · b_q − o_t,i · (Σ_k a_k · (F_{u_k} − F_i) + v · b_grad)
-
-        and a Gaussian passes K + 1 numbers to its neighbours (a_k · F and w · F) where Eq. 11
-        passes K vectors.
-
-        Args:
-            projected: F_t · ``readout_rows``ᵀ; read at the anchors and at their neighbours.
-            opacity: o_t of the anchors, in (0, 1).
-            neighbours: of all N Gaussians; gradients flow to them too.
-            rows: the anchors.
-            output: the layer behind F'.
-        """
-        if self.k == 0:
-            return projected.index_select(0, rows) + output.bias
-        w = output.weight
-        v = self._through_f_q(w)
-        constants = torch.stack(
-            [(w * _bias(self.f_q)).sum(), (v * _bias(self.f_grad)).sum(), output.bias[0]]
-        )
-        weights = (self.anchor_weight, self.surrounding_weight)
-        return refine(projected, opacity, constants, neighbours, rows, weights)[:, None]
-
-    def _through_f_q(self, w: Float[Tensor, "1 c"]) -> Float[Tensor, "1 c"]:
-        """v = f_qᵀ w, as a row."""
-        return product(w, self.f_q.weight[:, :, 0])
-
-
-def refine(
-    projected: Float[Tensor, "n r"],
-    opacity: Float[Tensor, " v"],
-    constants: Float[Tensor, "3"],
-    neighbours: Int64[Tensor, "n k"],
-    rows: Int64[Tensor, " v"],
-    weights: tuple[float, float],
-) -> Float[Tensor, " v"]:
-    """Eq. 12 in the direction w of the output layer, w · F' + b, with the flux of Eq. 11.
-
-    Args:
-        projected: a_1 · F … a_K · F and w · F of each Gaussian F.
-        opacity: o_t of the anchors.
-        constants: w · b_q, v · b_grad and b.
-        neighbours: u_1 … u_K of all Gaussians.
-        rows: the anchors i.
-        weights: w_a and w_s.
-    """
-    if cpu.serves(projected):
-        return cpu.refine(projected, opacity, constants, neighbours, rows, weights)
-    near, anchors = neighbours.index_select(0, rows), projected.index_select(0, rows)
-    slope, level = projected[:, :-1], projected[:, -1]
-    gradient = (slope.gather(0, near) - anchors[:, :-1]).sum(dim=1)
-    flux = constants[0] - opacity * (gradient + constants[1])
-    # index_select and not level[near]: on a CPU the backward of the latter adds in an order that
-    # changes. On a GPU both do, because they add atomically; there the last bits of the gradients
-    # differ from run to run.
-    surrounding = level.index_select(0, near.flatten()).unflatten(0, near.shape).mean(dim=1)
-    return weights[0] * (anchors[:, -1] + flux) + weights[1] * surrounding + constants[2]
-
-
-def _bias(layer: nn.Conv1d) -> Tensor:
-    assert layer.bias is not None
-    return layer.bias

@@ -9,14 +9,45 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
+
+from mrgs.field.rows import take, viewing_directions
+from mrgs.system.operation import operation
 
 MAX_DEGREE = 3
 """Of colours, and of temperatures that depend on the view."""
 
 C0 = math.sqrt(1 / (4 * math.pi))
 """The constant function of degree 0: a plain value v is stored as (v − 0.5) / C0."""
+
+
+@operation
+def shade(
+    means: Float[Tensor, "n 3"],
+    dc: Float[Tensor, "n 1 c"],
+    rest: Float[Tensor, "n b c"],
+    camera_position: Float[Tensor, "3"],
+    degree: int,
+    rows: Int64[Tensor, " v"] | None = None,
+    floor: float = 0.0,
+) -> Float[Tensor, "v c"]:
+    """SH2RGB of Eq. 4 (rgb_alphblending): harmonics of the viewing direction + ½, clamped at a
+    floor.
+
+    Args:
+        means: centres in world coordinates.
+        dc: coefficients of degree 0.
+        rest: coefficients of degrees 1 to 3; those it does not hold count as zero (B = 0, 3, 8 or
+            15).
+        camera_position: centre of projection in world coordinates.
+        degree: highest degree that counts, 0 to 3.
+        rows: distinct Gaussians to evaluate; all if None (V = N).
+        floor: smallest value; −∞ for no clamp.
+    """
+    directions = viewing_directions(take(means, rows), camera_position)
+    values = evaluate_sh(take(dc, rows), take(rest, rows), directions, degree) + 0.5
+    return values.clamp_min(floor)
 
 
 def evaluate_sh(

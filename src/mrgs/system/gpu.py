@@ -1,9 +1,5 @@
-"""Which device to train and render on, and whether the Triton kernels serve there; every question
-about it is here.
-
-The kernels themselves stand in the rooms' ``gpu`` packages, which import Triton. They are imported
-only where ``serves`` said yes, so that a machine without Triton never needs it.
-"""
+"""Which device to train and render on, and whether Triton kernels run there; every question about
+it is here."""
 
 from __future__ import annotations
 
@@ -39,8 +35,8 @@ os.environ.setdefault("TRITON_DEFAULT_FP_FUSION", "1")
 _interpreted: ContextVar[bool] = ContextVar("mrgs_gpu_interpreted", default=False)
 
 
-def serves(tensor: Tensor) -> bool:
-    """Whether the Triton kernels take this tensor: float32, and on an NVIDIA GPU (or within
+def runs_triton(tensor: Tensor) -> bool:
+    """Whether Triton kernels take this tensor: float32, and on an NVIDIA GPU (or within
     ``interpreted``)."""
     if tensor.dtype != torch.float32:
         return False

@@ -22,10 +22,12 @@ from mrgs.render import Model, Photograph
 from mrgs.scene import PosedImage, Scene, View
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.operation import plainly
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
+from mrgs.training.kernel_check import check_kernels
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.step import (
     StepStatistics,
@@ -50,6 +52,7 @@ def train(
     *,
     resume: bool = False,
     device: DeviceName = "auto",
+    plain: bool = False,
     stop_at: int | None = None,
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
@@ -64,12 +67,18 @@ def train(
         resume: continue the run from its newest checkpoint, exactly; on another device up to
             rounding.
         device: "auto" takes the GPU where there is one that can be used.
+        plain: run the plain definitions of all operations instead of kernels, much slower; so does
+            the environment variable MRGS_PLAIN=1.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
             must not change, and with what the scene's cameras are taken to do to its renderings, as
             far as is learned by then.
+
+    Warns:
+        MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
+            in its place.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -87,7 +96,7 @@ def train(
     else:
         folder.require_new()
     loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    with folder.locked():
+    with folder.locked(), plainly(plain):
         if not resume:
             folder.start(config)
         try:
@@ -96,6 +105,7 @@ def train(
                 on_start(loaded, config)
             if on_model is not None:
                 on_model(trainer.model, _photograph_with(trainer.image_model, chosen))
+            trainer.check_kernels()
             trainer.run(stop_at, on_step)
         except (
             SceneError,
@@ -189,6 +199,10 @@ class _Trainer(Driver[StepStatistics]):
     def image_model(self) -> ImageModel:
         """What the scene's cameras do to the images; the same object too."""
         return self._state.image_model
+
+    def check_kernels(self) -> None:
+        """Compare the kernels in use with their plain definitions; the training stays the same."""
+        check_kernels(self._state, self._scene.train, self._config, self._scale)
 
     def _take_step(self) -> StepStatistics:
         statistics = self._with_enough_memory(self._step_on_next_view)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.field.cpu.activations import Activations
+from mrgs.kernels.dense.activations import Activations
 
 
 @pytest.fixture(autouse=True)

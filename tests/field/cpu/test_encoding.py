@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.field.cpu.encoding import encode, encode_backward
 from mrgs.field.encoding import positional_encoding
+from mrgs.kernels.dense.encoding import encode, encode_backward
 
 
 @pytest.mark.parametrize("frequencies", [0, 1, 4, 10])

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.field.cpu.harmonics import shade
-from mrgs.field.cpu.layers import SHARES, slots
+from mrgs.kernels.dense.layers import SHARES, slots
+from mrgs.kernels.harmonics.cpu import shade
 from mrgs.scene import Gaussians
 
 CAMERA = torch.tensor([0.3, -0.2, -4.0])

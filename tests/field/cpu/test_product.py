@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.field.cpu.product import (
+from mrgs.kernels.dense.product import (
     BLOCK_ROWS,
     TILE_COLUMNS,
     TILE_ROWS,
@@ -13,7 +13,7 @@ from mrgs.field.cpu.product import (
     panels,
     rounded_up,
 )
-from mrgs.field.cpu.small_product import product
+from mrgs.kernels.dense.small_product import product
 
 
 def random_array(*shape: int, seed: int = 0) -> np.ndarray:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
-from mrgs.method.camera_model.point_spread import spread_points
+from mrgs.method.camera_model.point_spread import blur
 from mrgs.render import Rendering
 from mrgs.scene import Camera, Scene
 
@@ -115,7 +115,7 @@ class PointSpread(nn.Module):
 
     def forward(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
         """The image as the lens and the detector spread it."""
-        return spread_points(image[:, :, 0], self.sigma_px)[:, :, None]
+        return blur(image[:, :, 0], self.sigma_px)[:, :, None]
 
 
 class ImageModel(nn.Module):

@@ -11,12 +11,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
-from mrgs.method.losses.convolution import convolve
-from mrgs.method.losses.dissimilarity import serves, structural_dissimilarity
-from mrgs.method.losses.known_gradient import with_gradients
-from mrgs.method.losses.photometric import masked_mean, mean_weights
+from mrgs.method.losses.photometric import masked_mean
 from mrgs.method.losses.ssim import structural_similarity
 from mrgs.scene.temperature import TemperatureRange
+from mrgs.system.operation import operation
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """The paper's τ, in W m⁻² K⁻⁴."""
@@ -120,20 +118,19 @@ class DepthUncertainty(nn.Module):
 
     def forward(self, depth: Float[Tensor, "h w"], extent: float) -> Float[Tensor, "h w"]:
         """u in (0, 1) of each pixel; depth and extent in scene units."""
-        relative = depth / extent
         assert self.psi.bias is not None
-        if depth.device.type == "cpu":
-            response = convolve(relative, self.psi.weight[0, 0], self.psi.bias)
-        else:
-            # As a product, which does not depend on torch's leave to convolve with ten bits of
-            # mantissa.
-            neighbourhoods = nn.functional.unfold(relative[None, None], kernel_size=3, padding=1)[0]
-            response = (self.psi.weight.view(1, 9) @ neighbourhoods).view(
-                depth.shape
-            ) + self.psi.bias
-        return response.sigmoid()
+        return convolve(depth / extent, self.psi.weight[0, 0], self.psi.bias).sigmoid()
 
 
+@operation
+def convolve(
+    plane: Float[Tensor, "h w"], weights: Float[Tensor, "3 3"], bias: Float[Tensor, "1"]
+) -> Float[Tensor, "h w"]:
+    """ψ of Eq. 15: a 3 × 3 convolution with zeros beyond the border."""
+    return nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[0, 0]
+
+
+@operation
 def boltzmann_loss(
     thermal: Float[Tensor, "h w"],
     radiation: Float[Tensor, "h w"],
@@ -150,26 +147,6 @@ def boltzmann_loss(
         uncertainty: u(D_t) from ``DepthUncertainty``.
         valid: pixels that count, all if None; the others are 0 in both maps.
     """
-    if not serves(thermal):
-        return _boltzmann_loss(thermal, radiation, uncertainty, valid)
-    mean, u = mean_weights(thermal, valid), uncertainty.detach()
-    trust = mean / u.exp()
-    compared, errors = structural_dissimilarity(thermal[:, :, None], radiation[:, :, None], trust)
-    untrusted = (mean * u).sum(dtype=torch.float64)
-    value = compared.total + (untrusted if isinstance(compared.total, Tensor) else untrusted.item())
-    gradients = [
-        None if gradient is None else gradient[:, :, 0]
-        for gradient in (compared.grad_x, compared.grad_y)
-    ]
-    return with_gradients(
-        value, (thermal, radiation, uncertainty), (*gradients, mean - trust * errors[:, :, 0])
-    )
-
-
-def _boltzmann_loss(
-    thermal: Tensor, radiation: Tensor, uncertainty: Tensor, valid: Tensor | None
-) -> Tensor:
-    """Eq. 16 in plain torch, for other devices; the fused kernels are tested against it."""
     if valid is not None:
         thermal, radiation = torch.where(valid, thermal, 0), torch.where(valid, radiation, 0)
     dissimilarity = 1 - structural_similarity(thermal[None], radiation[None])

@@ -1,8 +1,4 @@
-"""Structural similarity from local Gaussian windows: SSIM as 3DGS has it, and the paper's S-SSIM.
-
-In plain torch, for any device and differentiable any number of times; losses on the CPU have a
-fused kernel.
-"""
+"""Structural similarity from local Gaussian windows: SSIM as in 3DGS, and the paper's S-SSIM."""
 
 from __future__ import annotations
 

@@ -14,7 +14,6 @@ from mrgs.method.losses.photometric import (
     LossConfig,
     opaqueness_loss,
     photometric_loss,
-    smoothness_loss,
 )
 from mrgs.method.losses.radiation import (
     DepthUncertainty,
@@ -23,6 +22,7 @@ from mrgs.method.losses.radiation import (
     normalise_radiation,
     thermal_radiation,
 )
+from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.render import Rendering
 from mrgs.scene import Pixels, TemperatureRange
 
@@ -113,7 +113,6 @@ def _smoothness(
     return smoothness_loss(
         getattr(rendering, name),
         getattr(rendering, f"depth_{name}"),
-        photo.values,
         photo.valid,
         scale.extent,
         getattr(config, f"smooth_{name}"),

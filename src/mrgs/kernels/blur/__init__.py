@@ -1,0 +1,1 @@
+"""A Gaussian blur of learned width."""

@@ -1,0 +1,227 @@
+"""The colour residual ĉ and its gradient: directions, PE_v and the three layers of ``ColorHead``,
+block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from numba import prange
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+from mrgs.field.appearance import ColorHead
+from mrgs.kernels.dense.activations import Activations
+from mrgs.kernels.dense.encoding import encode, encode_backward
+from mrgs.kernels.dense.layers import (
+    SHARES,
+    Layer,
+    Sums,
+    blocks_of,
+    linear,
+    linear_backward,
+    no_sums,
+    pack,
+    read_in_order,
+    rectify,
+    rectify_backward,
+    slots,
+    total,
+)
+from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
+from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
+from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.rows import listed
+
+
+def color_residuals(
+    head: ColorHead,
+    embedding: Float[Tensor, "n c"],
+    means: Float[Tensor, "n 3"],
+    camera_position: Float[Tensor, "3"],
+    rows: Int64[Tensor, " v"] | None = None,
+) -> Float[Tensor, "v 3"]:
+    """``mrgs.field.appearance.color_residuals`` for float32 on the CPU."""
+    *hidden, output = (layer for layer in head.mlp if isinstance(layer, nn.Linear))
+    weights = [tensor for layer in hidden for tensor in (layer.weight, layer.bias)]
+    weights += [head.scale * output.weight, head.scale * output.bias]
+    keep = torch.is_grad_enabled()
+    residuals: Tensor = _ColorResidual.apply(
+        embedding, means, camera_position, *weights, head.frequencies,
+        listed(rows, len(means)), keep,
+    )  # fmt: skip
+    return residuals
+
+
+class _Network(NamedTuple):
+    first: Layer
+    second: Layer
+    output: Layer
+
+
+class _NetworkSums(NamedTuple):
+    first: Sums
+    second: Sums
+    output: Sums
+
+
+class _Inputs(NamedTuple):
+    """Arrays of all Gaussians (or their gradients); camera: its position."""
+
+    embedding: np.ndarray
+    means: np.ndarray
+    camera: np.ndarray
+
+
+class _ColorResidual(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        *tensors, frequencies, rows, keep = inputs
+        tensors = [tensor.contiguous() for tensor in tensors]
+        units = rounded_up(len(tensors[4]), TILE_COLUMNS)
+        hidden = Activations(slots(len(rows), keep), 2, BLOCK_ROWS, units)
+        residual = np.empty((len(rows), 3), np.float32)
+        gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
+        network = _packed(tensors[3:])
+        _forward(gaussians, rows.numpy(), frequencies, *network, hidden.array, keep, residual)
+        if keep:
+            ctx.save_for_backward(*tensors, rows)
+            ctx.frequencies, ctx.network, ctx.hidden = frequencies, network, hidden
+        return torch.from_numpy(residual)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        *tensors, rows = ctx.saved_tensors
+        hidden, weights = ctx.hidden.array, tensors[3::2]
+        units, inputs = hidden.shape[3], rounded_up(weights[0].shape[1], TILE_COLUMNS)
+        sums = _NetworkSums(
+            no_sums(units, inputs), no_sums(units, units), no_sums(TILE_ROWS, units)
+        )
+        gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
+        gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
+        grad = grads[0].contiguous().numpy()
+        _backward(
+            gaussians, rows.numpy(), ctx.frequencies, *ctx.network, hidden, grad, *sums, gradients
+        )
+        if ctx.needs_input_grad[2]:
+            gradients.camera[:] = -gradients.means.sum(axis=0)
+        of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
+        return (*(torch.from_numpy(array) for array in gradients), *of_layers, None, None, None)
+
+
+def _packed(parameters: Sequence[Tensor]) -> _Network:
+    return _Network(*(pack(parameters[place], parameters[place + 1]) for place in (0, 2, 4)))
+
+
+@reordering_parallel_kernel
+def _forward(gaussians, rows, frequencies, first, second, output, hidden, keep, residual):
+    for share in prange(SHARES):
+        network = _Network(first, second, output)  # here, because prange takes no tuples of tuples
+        _forward_share(
+            np.int64(share), gaussians, rows, frequencies, network, hidden, keep, residual
+        )
+
+
+@reordering_kernel
+def _forward_share(share, gaussians, rows, frequencies, network, hidden, keep, residual):
+    inputs = np.zeros((BLOCK_ROWS, network.first.no_bias.size), np.float32)
+    outputs = np.empty((BLOCK_ROWS, network.output.bias.size), np.float32)
+    first, end = blocks_of(share, rows.size)
+    for block in range(first, end):
+        start = block * BLOCK_ROWS
+        here = rows[start : start + BLOCK_ROWS]
+        _fill_inputs(gaussians, here, frequencies, inputs)
+        slot = block if keep else share
+        h1, h2 = hidden[slot, 0], hidden[slot, 1]
+        linear(inputs, network.first, h1)
+        rectify(h1)
+        linear(h1, network.second, h2)
+        rectify(h2)
+        linear(h2, network.output, outputs)
+        for place in range(here.size):
+            for channel in range(3):
+                residual[start + place, channel] = outputs[place, channel]
+
+
+@reordering_kernel
+def _fill_inputs(gaussians, rows, frequencies, inputs):
+    """e_m ⊕ PE_v of a block."""
+    width = gaussians.embedding.shape[1]
+    directions = np.empty((rows.size, 3), np.float32)
+    for place in range(rows.size):
+        row = rows[place]
+        for column in range(width):
+            inputs[place, column] = gaussians.embedding[row, column]
+        x, y, z, _ = direction(gaussians.means, gaussians.camera, row)
+        directions[place, 0], directions[place, 1], directions[place, 2] = x, y, z
+    encode(directions, frequencies, inputs[:, width:])
+
+
+@reordering_parallel_kernel
+def _backward(
+    gaussians,
+    rows,
+    frequencies,
+    first,
+    second,
+    output,
+    hidden,
+    grad,
+    first_sums,
+    second_sums,
+    output_sums,
+    gradients,
+):
+    for share in prange(SHARES):
+        network, sums = (
+            _Network(first, second, output),
+            _NetworkSums(first_sums, second_sums, output_sums),
+        )
+        _backward_share(
+            np.int64(share), gaussians, rows, frequencies, network, hidden, grad, sums, gradients
+        )
+
+
+@reordering_kernel
+def _backward_share(share, gaussians, rows, frequencies, network, hidden, grad, sums, gradients):
+    units = hidden.shape[3]
+    inputs = np.zeros((BLOCK_ROWS, network.first.no_bias.size), np.float32)
+    g_inputs, g_outputs = np.empty_like(inputs), np.zeros((BLOCK_ROWS, TILE_ROWS), np.float32)
+    h1, h2 = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)
+    g1, g2 = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)
+    first, end = blocks_of(share, rows.size)
+    for block in range(first, end):
+        start = block * BLOCK_ROWS
+        here = rows[start : start + BLOCK_ROWS]
+        _fill_inputs(gaussians, here, frequencies, inputs)
+        g_outputs[here.size :] = 0
+        for place in range(here.size):
+            for channel in range(3):
+                g_outputs[place, channel] = grad[start + place, channel]
+        read_in_order(hidden[block, 0], h1)
+        read_in_order(hidden[block, 1], h2)
+        linear_backward(g_outputs, h2, network.output, sums.output, share, g2)
+        rectify_backward(g2, h2)
+        linear_backward(g2, h1, network.second, sums.second, share, g1)
+        rectify_backward(g1, h1)
+        linear_backward(g1, inputs, network.first, sums.first, share, g_inputs)
+        _spread_inputs(gaussians, here, frequencies, inputs, g_inputs, gradients)
+
+
+@reordering_kernel
+def _spread_inputs(gaussians, rows, frequencies, inputs, g_inputs, gradients):
+    """The gradient of ``_fill_inputs``."""
+    width = gaussians.embedding.shape[1]
+    toward = np.empty(3, np.float32)
+    for place in range(rows.size):
+        row = rows[place]
+        for column in range(width):
+            gradients.embedding[row, column] = g_inputs[place, column]
+        x, y, z, inverse = direction(gaussians.means, gaussians.camera, row)
+        toward[:] = 0
+        encode_backward(inputs, g_inputs, place, width, frequencies, toward)
+        add_direction_gradient(x, y, z, inverse, toward, gradients.means, row)

@@ -1,0 +1,1 @@
+"""The 3 × 3 convolution of the depth's uncertainty."""

@@ -1,0 +1,1 @@
+"""Linear layers over blocks of rows, from which the heads are made."""

@@ -1,0 +1,306 @@
+"""The thermal chain up to the neighbours, and its gradient, block by block.
+
+Orthogonal extraction (Eq. 7), PE_p (Eq. 9) and two layers: the first is φ_e (Eq. 8) and the thermal
+head's first layer in one, the second the head's last layer and the rows of ``readout`` in one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from numba import prange
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mrgs.kernels.dense.activations import Activations
+from mrgs.kernels.dense.encoding import encode
+from mrgs.kernels.dense.layers import (
+    SHARES,
+    Layer,
+    Sums,
+    blocks_of,
+    linear,
+    linear_backward,
+    no_sums,
+    pack,
+    read_in_order,
+    rectify,
+    rectify_backward,
+    slots,
+    total,
+)
+from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
+from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+
+_SH = 48
+_EPSILON = np.float32(1e-8)
+
+
+def project_features(
+    embedding: Float[Tensor, "n c"],
+    sh_dc: Float[Tensor, "n 1 3"],
+    sh_rest: Float[Tensor, "n 15 3"],
+    layers: tuple[Tensor, ...],
+    positions: Float[Tensor, "n 3"],
+    frequencies: int,
+    rows: Int64[Tensor, " v"],
+) -> Float[Tensor, "n r"]:
+    """What neighbours read of each F_t; only ``rows`` are computed, others are 0. No gradient flows
+    to positions.
+
+    Args:
+        embedding: e_m.
+        sh_dc: colour coefficients of degree 0.
+        sh_rest: colour coefficients of degrees 1 to 3.
+        layers: weight and bias of φ_SH [C, 48], of the first layer [H, C + 6 L] and of the second
+            [K + 1, H].
+        positions: normalised to about [-1, 1].
+        frequencies: L of PE_p.
+        rows: distinct Gaussians.
+    """
+    keep = torch.is_grad_enabled()
+    projected: Tensor = _Projection.apply(
+        embedding, sh_dc, sh_rest, *layers, positions.detach(), frequencies, rows, keep
+    )
+    return projected
+
+
+class _Network(NamedTuple):
+    phi_sh: Layer
+    first: Layer
+    output: Layer
+
+
+class _NetworkSums(NamedTuple):
+    phi_sh: Sums
+    first: Sums
+    output: Sums
+
+
+class _Inputs(NamedTuple):
+    """Arrays of all Gaussians (or their gradients): e_m, the 3 and the other 45 colour
+    coefficients."""
+
+    embedding: np.ndarray
+    sh_dc: np.ndarray
+    sh_rest: np.ndarray
+
+
+class _Projection(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        *tensors, positions, frequencies, rows, keep = inputs
+        tensors = [tensor.contiguous() for tensor in tensors]
+        network = _packed(tensors[3:])
+        hidden = Activations(slots(len(rows), keep), BLOCK_ROWS, network.first.bias.size)
+        projected = np.zeros((len(positions), len(tensors[-1])), np.float32)
+        positions = positions.contiguous()
+        gaussians = _flattened(tensors[:3])
+        _forward(
+            gaussians,
+            positions.numpy(),
+            rows.numpy(),
+            frequencies,
+            *network,
+            hidden.array,
+            keep,
+            projected,
+        )
+        if keep:
+            ctx.save_for_backward(*tensors, positions, rows)
+            ctx.frequencies, ctx.network, ctx.hidden = frequencies, network, hidden
+        return torch.from_numpy(projected)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        *tensors, positions, rows = ctx.saved_tensors
+        hidden, weights = ctx.hidden.array, tensors[3::2]
+        outputs, units, width = (
+            rounded_up(len(weights[2]), TILE_ROWS),
+            hidden.shape[2],
+            len(weights[0]),
+        )
+        inputs = rounded_up(weights[1].shape[1], TILE_COLUMNS)
+        sums = _NetworkSums(
+            no_sums(rounded_up(width, TILE_COLUMNS), _SH),
+            no_sums(units, inputs),
+            no_sums(outputs, units),
+        )
+        gaussians = _flattened(tensors[:3])
+        gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
+        _backward(
+            gaussians, positions.numpy(), rows.numpy(), ctx.frequencies, *ctx.network, hidden,
+            grads[0].contiguous().numpy(), *sums, gradients,
+        )  # fmt: skip
+        of_gaussians = [
+            torch.from_numpy(array).view(tensor.shape)
+            for array, tensor in zip(gradients, tensors[:3], strict=True)
+        ]
+        of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
+        return (*of_gaussians, *of_layers, None, None, None, None)
+
+
+def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
+    return _Inputs(*(tensor.detach().flatten(1).numpy() for tensor in tensors))
+
+
+def _packed(parameters: Sequence[Tensor]) -> _Network:
+    """Of the first layer's inputs only e_orth gets a gradient."""
+    phi_sh, phi_sh_bias, first, first_bias, output, output_bias = parameters
+    return _Network(
+        pack(phi_sh, phi_sh_bias), pack(first, first_bias, len(phi_sh)), pack(output, output_bias)
+    )
+
+
+@reordering_parallel_kernel
+def _forward(
+    gaussians, positions, rows, frequencies, phi_sh, first, output, hidden, keep, projected
+):
+    for share in prange(SHARES):
+        network = _Network(phi_sh, first, output)  # here, because prange takes no tuples of tuples
+        _forward_share(
+            np.int64(share),
+            gaussians,
+            positions,
+            rows,
+            frequencies,
+            network,
+            hidden,
+            keep,
+            projected,
+        )
+
+
+@reordering_kernel
+def _forward_share(
+    share, gaussians, positions, rows, frequencies, network, hidden, keep, projected
+):
+    sh, directions, inputs = _scratch(network)
+    outputs = np.empty((BLOCK_ROWS, network.output.bias.size), np.float32)
+    first, end = blocks_of(share, rows.size)
+    for block in range(first, end):
+        here = rows[block * BLOCK_ROWS : (block + 1) * BLOCK_ROWS]
+        _fill_inputs(gaussians, positions, here, frequencies, network, sh, directions, inputs)
+        h = hidden[block if keep else share]
+        linear(inputs, network.first, h)
+        rectify(h)
+        linear(h, network.output, outputs)
+        for place in range(here.size):
+            for channel in range(projected.shape[1]):
+                projected[here[place], channel] = outputs[place, channel]
+
+
+@reordering_kernel
+def _scratch(network):
+    """SH, SH' and e_orth ⊕ PE_p of a block."""
+    inputs = rounded_up(network.first.forward.shape[1], TILE_COLUMNS)
+    return (
+        np.zeros((BLOCK_ROWS, _SH), np.float32),
+        np.zeros((BLOCK_ROWS, network.phi_sh.bias.size), np.float32),
+        np.zeros((BLOCK_ROWS, inputs), np.float32),
+    )
+
+
+@reordering_kernel
+def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, directions, inputs):
+    """e_orth ⊕ PE_p of a block, and on the way SH and SH' = φ_SH(SH)."""
+    width = gaussians.embedding.shape[1]
+    points = np.empty((rows.size, 3), np.float32)
+    for place in range(rows.size):
+        row = rows[place]
+        for channel in range(3):
+            points[place, channel] = positions[row, channel]
+            sh[place, channel] = gaussians.sh_dc[row, channel]
+        for coefficient in range(_SH - 3):
+            sh[place, 3 + coefficient] = gaussians.sh_rest[row, coefficient]
+    linear(sh, network.phi_sh, directions)
+    for place in range(rows.size):
+        row = rows[place]
+        share, _ = _share_along(gaussians.embedding, row, directions, place)
+        for column in range(width):
+            inputs[place, column] = (
+                gaussians.embedding[row, column] - share * directions[place, column]
+            )
+    encode(points, frequencies, inputs[:, width:])
+
+
+@reordering_kernel
+def _share_along(embedding, row, directions, place):
+    """(e_m · SH') / (‖SH'‖² + 1e-8) of Eq. 7, and 1 / (‖SH'‖² + 1e-8)."""
+    dot, squared_norm = np.float32(0), np.float32(0)
+    for column in range(embedding.shape[1]):
+        dot += embedding[row, column] * directions[place, column]
+        squared_norm += directions[place, column] * directions[place, column]
+    inverse = np.float32(1) / (squared_norm + _EPSILON)
+    return dot * inverse, inverse
+
+
+@reordering_parallel_kernel
+def _backward(
+    gaussians, positions, rows, frequencies, phi_sh, first, output, hidden, grad,
+    phi_sh_sums, first_sums, output_sums, gradients,
+):  # fmt: skip
+    for share in prange(SHARES):
+        network, sums = (
+            _Network(phi_sh, first, output),
+            _NetworkSums(phi_sh_sums, first_sums, output_sums),
+        )
+        _backward_share(
+            np.int64(share), gaussians, positions, rows, frequencies, network, hidden, grad, sums,
+            gradients
+        )  # fmt: skip
+
+
+@reordering_kernel
+def _backward_share(
+    share, gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients
+):
+    sh, directions, inputs = _scratch(network)
+    g_outputs = np.zeros((BLOCK_ROWS, sums.output.bias.shape[1]), np.float32)
+    h = np.empty((BLOCK_ROWS, hidden.shape[2]), np.float32)
+    g_hidden = np.empty_like(h)
+    g_directions, g_sh = np.empty_like(directions), np.empty_like(sh)
+    first, end = blocks_of(share, rows.size)
+    for block in range(first, end):
+        here = rows[block * BLOCK_ROWS : (block + 1) * BLOCK_ROWS]
+        _fill_inputs(gaussians, positions, here, frequencies, network, sh, directions, inputs)
+        g_outputs[here.size :] = 0
+        for place in range(here.size):
+            for channel in range(grad.shape[1]):
+                g_outputs[place, channel] = grad[here[place], channel]
+        read_in_order(hidden[block], h)
+        linear_backward(g_outputs, h, network.output, sums.output, share, g_hidden)
+        rectify_backward(g_hidden, h)
+        linear_backward(g_hidden, inputs, network.first, sums.first, share, g_directions)
+        _reject_backward(gaussians.embedding, here, directions, g_directions, gradients.embedding)
+        linear_backward(g_directions, sh, network.phi_sh, sums.phi_sh, share, g_sh)
+        for place in range(here.size):
+            row = here[place]
+            for channel in range(3):
+                gradients.sh_dc[row, channel] = g_sh[place, channel]
+            for coefficient in range(_SH - 3):
+                gradients.sh_rest[row, coefficient] = g_sh[place, 3 + coefficient]
+
+
+@reordering_kernel
+def _reject_backward(embedding, rows, directions, grad, grad_embedding):
+    """The gradient of Eq. 7: at e_orth in ``grad``, which becomes that at SH'."""
+    two = np.float32(2)
+    for place in range(rows.size):
+        row = rows[place]
+        share, inverse = _share_along(embedding, row, directions, place)
+        along = np.float32(0)
+        for column in range(embedding.shape[1]):
+            along += grad[place, column] * directions[place, column]
+        along *= inverse
+        for column in range(embedding.shape[1]):
+            g, direction = grad[place, column], directions[place, column]
+            grad_embedding[row, column] = g - along * direction
+            grad[place, column] = (
+                along * (two * share * direction - embedding[row, column]) - share * g
+            )

@@ -1,0 +1,151 @@
+"""A perceptron with one hidden layer as one kernel: each block of rows passes through without
+leaving the cache."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numba import prange
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mrgs.kernels.dense.layers import (
+    SHARES,
+    blocks_of,
+    linear,
+    linear_backward,
+    no_sums,
+    pack,
+    rectify,
+    rectify_backward,
+    total,
+)
+from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
+from mrgs.kernels.jit import kernel, parallel_kernel
+
+
+def perceptron(
+    inputs: Float[Tensor, "n i"],
+    hidden_weight: Float[Tensor, "h i"],
+    hidden_bias: Float[Tensor, " h"],
+    output_weight: Float[Tensor, "o h"],
+    output_bias: Float[Tensor, " o"],
+) -> Float[Tensor, "n o"]:
+    """``mrgs.baselines.thermonerf.perceptron.perceptron`` for float32 on the CPU."""
+    outputs: Tensor = _Perceptron.apply(
+        inputs, hidden_weight, hidden_bias, output_weight, output_bias
+    )
+    return outputs
+
+
+class _Perceptron(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *tensors: Tensor) -> Tensor:
+        inputs, *weights = (tensor.detach().contiguous() for tensor in tensors)
+        ctx.save_for_backward(inputs, *weights)
+        outputs = inputs.new_empty(len(inputs), len(weights[3]))
+        _forward(
+            inputs.numpy(),
+            pack(weights[0], weights[1]),
+            pack(weights[2], weights[3]),
+            outputs.numpy(),
+        )
+        return outputs
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, ...]:
+        inputs, *weights = ctx.saved_tensors
+        width = rounded_up(inputs.shape[1], TILE_COLUMNS)
+        units = rounded_up(len(weights[1]), TILE_COLUMNS)
+        hidden_sums, output_sums = (
+            no_sums(units, width),
+            no_sums(rounded_up(len(weights[3]), TILE_ROWS), units),
+        )
+        grad_inputs = torch.empty_like(inputs)
+        _backward(
+            inputs.numpy(), pack(weights[0], weights[1]), pack(weights[2], weights[3]),
+            grads[0].contiguous().numpy(),
+            hidden_sums, output_sums, grad_inputs.numpy(),
+        )  # fmt: skip
+        return grad_inputs, *total(hidden_sums, weights[0]), *total(output_sums, weights[2])
+
+
+@kernel
+def _copy_rows(source, start, block):
+    """A block of rows into the columns of a wider array; rows behind the last are zero."""
+    rows = min(BLOCK_ROWS, source.shape[0] - start)
+    for row in range(rows):
+        for column in range(source.shape[1]):
+            block[row, column] = source[start + row, column]
+    block[rows:] = 0
+    return rows
+
+
+@kernel
+def _write_rows(block, rows, start, out):
+    """The first rows and columns of a block to their place."""
+    for row in range(rows):
+        for column in range(out.shape[1]):
+            out[start + row, column] = block[row, column]
+
+
+@parallel_kernel
+def _forward(inputs, hidden_layer, output_layer, outputs):
+    for share in prange(SHARES):
+        _forward_share(np.int64(share), inputs, hidden_layer, output_layer, outputs)
+
+
+@kernel
+def _forward_share(share, inputs, hidden_layer, output_layer, outputs):
+    x = np.zeros((BLOCK_ROWS, inputs.shape[1]), np.float32)
+    h = np.empty((BLOCK_ROWS, hidden_layer.bias.size), np.float32)
+    y = np.empty((BLOCK_ROWS, output_layer.bias.size), np.float32)
+    first, end = blocks_of(share, len(inputs))
+    for block in range(first, end):
+        start = block * BLOCK_ROWS
+        rows = _copy_rows(inputs, start, x)
+        linear(x, hidden_layer, h)
+        rectify(h)
+        linear(h, output_layer, y)
+        _write_rows(y, rows, start, outputs)
+
+
+@parallel_kernel
+def _backward(inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums, grad_inputs):
+    for share in prange(SHARES):
+        _backward_share(
+            np.int64(share),
+            inputs,
+            hidden_layer,
+            output_layer,
+            grad,
+            hidden_sums,
+            output_sums,
+            grad_inputs,
+        )
+
+
+@kernel
+def _backward_share(
+    share, inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums, grad_inputs
+):
+    """The hidden values are computed anew: that costs less than to keep them."""
+    units = hidden_layer.bias.size
+    x = np.zeros((BLOCK_ROWS, hidden_layer.no_bias.size), np.float32)
+    h, g_h = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)
+    g_x, g_y = np.empty_like(x), np.zeros((BLOCK_ROWS, output_sums.bias.shape[1]), np.float32)
+    first, end = blocks_of(share, len(inputs))
+    for block in range(first, end):
+        start = block * BLOCK_ROWS
+        rows = _copy_rows(inputs, start, x)
+        linear(x, hidden_layer, h)
+        rectify(h)
+        _copy_rows(grad, start, g_y)
+        linear_backward(g_y, h, output_layer, output_sums, share, g_h)
+        rectify_backward(g_h, h)
+        linear_backward(g_h, x, hidden_layer, hidden_sums, share, g_x)
+        _write_rows(g_x, rows, start, grad_inputs)

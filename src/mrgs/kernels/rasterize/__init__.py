@@ -1,0 +1,1 @@
+"""Alpha blending of projected Gaussians."""

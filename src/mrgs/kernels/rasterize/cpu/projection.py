@@ -1,0 +1,369 @@
+"""EWA projection of the Gaussians and its backward, one Gaussian per loop turn, in double
+precision.
+
+With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
+rotation and
+scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
+    formed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrgs.kernels.jit import strict_kernel, strict_parallel_kernel
+from mrgs.kernels.rasterize.cpu.simd import pointer, prefetch, read
+from mrgs.rasterizer import contract, splat
+
+NEAR_PLANE = contract.NEAR_PLANE
+DILATION = contract.COVARIANCE_DILATION_PX2
+ALPHA_MIN = contract.ALPHA_MIN
+MARGIN = contract.FRUSTUM_MARGIN
+LOG2_E = 1.0 / math.log(2.0)
+_BLOCK = 256
+"""Gaussians that one thread takes at a time in the backward pass."""
+
+_PAIRS_AHEAD = 16
+"""Pairs whose moments are asked for before they are read: they lie all over the memory."""
+
+LARGEST_PX = 1e9
+"""Gaussians that reach farther are left out, with those whose place or size is not a number."""
+
+
+@strict_kernel()
+def _rotation(quats, i):
+    """Rotation matrix (three rows) of the normalised quaternion i, and the quaternion's length."""
+    w, x, y, z = float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / length, x / length, y / length, z / length
+    row0 = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
+    row1 = (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x))
+    row2 = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    return (row0, row1, row2), length
+
+
+@strict_kernel()
+def _to_camera(means, viewmat, i):
+    """Centre i in camera coordinates."""
+    x, y, z = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
+    return (
+        viewmat[0, 0] * x + viewmat[0, 1] * y + viewmat[0, 2] * z + viewmat[0, 3],
+        viewmat[1, 0] * x + viewmat[1, 1] * y + viewmat[1, 2] * z + viewmat[1, 3],
+        viewmat[2, 0] * x + viewmat[2, 1] * y + viewmat[2, 2] * z + viewmat[2, 3],
+    )
+
+
+@strict_kernel()
+def _clamped_slope(slope, focal, centre, size):
+    """x/z (or y/z), clamped to the widened image: outside it the linearisation J would explode."""
+    margin = MARGIN * 0.5 * size / focal
+    return min(max(slope, -centre / focal - margin), (size - centre) / focal + margin)
+
+
+@strict_kernel()
+def _jacobian_times_rotation(point, u, v, viewmat, fx, fy):
+    """The 2×3 matrix M = J R_w, with the clamped slopes u, v in J."""
+    inverse_z = 1.0 / point[2]
+    row0 = (
+        fx * inverse_z * (viewmat[0, 0] - u * viewmat[2, 0]),
+        fx * inverse_z * (viewmat[0, 1] - u * viewmat[2, 1]),
+        fx * inverse_z * (viewmat[0, 2] - u * viewmat[2, 2]),
+    )
+    row1 = (
+        fy * inverse_z * (viewmat[1, 0] - v * viewmat[2, 0]),
+        fy * inverse_z * (viewmat[1, 1] - v * viewmat[2, 1]),
+        fy * inverse_z * (viewmat[1, 2] - v * viewmat[2, 2]),
+    )
+    return row0, row1
+
+
+@strict_kernel()
+def _row_times_matrix(row, rows):
+    """A row vector times a 3×3 matrix that is given by its rows."""
+    return (
+        row[0] * rows[0][0] + row[1] * rows[1][0] + row[2] * rows[2][0],
+        row[0] * rows[0][1] + row[1] * rows[1][1] + row[2] * rows[2][1],
+        row[0] * rows[0][2] + row[1] * rows[1][2] + row[2] * rows[2][2],
+    )
+
+
+@strict_kernel()
+def _scaled(row, scales, i):
+    """A row vector with its entries multiplied by the scales of Gaussian i."""
+    return (row[0] * scales[i, 0], row[1] * scales[i, 1], row[2] * scales[i, 2])
+
+
+@strict_kernel()
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@strict_kernel()
+def _covariance(n0, n1):
+    """Σ' = N Nᵀ + 0.3 I: its entries xx, xy, yy."""
+    return _dot(n0, n0) + DILATION, _dot(n0, n1), _dot(n1, n1) + DILATION
+
+
+@strict_parallel_kernel()
+def project(
+    means, quats, scales, opacities, features, viewmat, K, width, height, means2d_offset,
+    splats, radii
+):  # fmt: skip
+    """Fill ``splats`` [N, 16] and ``radii`` [N]; a radius of 0 marks a Gaussian that is left out.
+
+    Args:
+        means, quats, scales: [N, 3], [N, 4], [N, 3].
+        opacities: o_c and o_t, [N, 2].
+        features: red, green, blue, temperature, [N, 4].
+        viewmat, K: float64, [4, 4] and [3, 3].
+        means2d_offset: pixels, [N, 2].
+    """
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    for i in prange(means.shape[0]):
+        radii[i] = 0.0
+        opacity = max(opacities[i, 0], opacities[i, 1])
+        point = _to_camera(means, viewmat, i)
+        if point[2] < NEAR_PLANE or opacity < ALPHA_MIN:
+            continue
+        u = _clamped_slope(point[0] / point[2], fx, cx, width)
+        v = _clamped_slope(point[1] / point[2], fy, cy, height)
+        m0, m1 = _jacobian_times_rotation(point, u, v, viewmat, fx, fy)
+        rotation, _ = _rotation(quats, i)
+        n0 = _scaled(_row_times_matrix(m0, rotation), scales, i)
+        n1 = _scaled(_row_times_matrix(m1, rotation), scales, i)
+        xx, xy, yy = _covariance(n0, n1)
+        determinant = xx * yy - xy * xy
+        mean_x = fx * point[0] / point[2] + cx + means2d_offset[i, 0]
+        mean_y = fy * point[1] / point[2] + cy + means2d_offset[i, 1]
+        reach = 2.0 * math.log(opacity / ALPHA_MIN)  # dᵀ Σ'⁻¹ d where α = 1/255
+        extent_x, extent_y = math.sqrt(reach * xx), math.sqrt(reach * yy)
+        outside_x = mean_x + extent_x < 0.0 or mean_x - extent_x > width
+        outside_y = mean_y + extent_y < 0.0 or mean_y - extent_y > height
+        is_usable = (
+            determinant > 0.0 and abs(mean_x) + abs(mean_y) + extent_x + extent_y < LARGEST_PX
+        )
+        if not is_usable or outside_x or outside_y:
+            continue
+        largest_variance = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        radii[i] = max(math.sqrt(reach * largest_variance), 1e-6)
+        splats[i, splat.MEAN_X] = mean_x
+        splats[i, splat.MEAN_Y] = mean_y
+        splats[i, splat.ACROSS] = -0.5 * LOG2_E * yy / determinant
+        splats[i, splat.SHEAR] = xy / yy
+        splats[i, splat.ALONG] = -0.5 * LOG2_E / yy
+        splats[i, splat.THRESHOLD] = -0.5 * LOG2_E * reach
+        splats[i, splat.DEPTH] = point[2]
+        splats[i, splat.RGB] = opacities[i, 0]
+        for channel in range(3):
+            splats[i, splat.RGB + 1 + channel] = features[i, channel]
+        splats[i, splat.THERMAL] = opacities[i, 1]
+        splats[i, splat.THERMAL + 1] = features[i, 3]
+        splats[i, splat.EXTENT_Y] = extent_y
+        splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
+
+
+@strict_kernel()
+def _screen_gradients(xx, xy, yy, g):
+    """∂L/∂μ' and ∂L/∂Σ' from the moments ``g`` of v = α ∂L/∂α = ∂L/∂(ln G').
+
+    With the conic Q = Σ'⁻¹ and d = pixel − μ', ln G' = −½ dᵀ Q d: so ∂L/∂μ' = Q Σ v d and
+    ∂L/∂Σ' = ½ Q (Σ v d dᵀ) Q.
+    """
+    determinant = xx * yy - xy * xy
+    a, b, c = yy / determinant, -xy / determinant, xx / determinant
+    grad_mean = (
+        a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY],
+        b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY],
+    )
+    dxdx, dxdy, dydy = g[splat.GRAD_DXDX], g[splat.GRAD_DXDY], g[splat.GRAD_DYDY]
+    p0, p1 = a * dxdx + b * dxdy, a * dxdy + b * dydy
+    q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
+    return grad_mean, (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
+
+
+@strict_kernel()
+def _quaternion_gradient(quats, i, length, g):
+    """∂L/∂quaternion from ∂L/∂R (three rows ``g``), through the normalisation."""
+    w, x, y, z = (
+        quats[i, 0] / length,
+        quats[i, 1] / length,
+        quats[i, 2] / length,
+        quats[i, 3] / length,
+    )
+    gw = 2 * (x * (g[2][1] - g[1][2]) + y * (g[0][2] - g[2][0]) + z * (g[1][0] - g[0][1]))
+    gx = 2 * (
+        y * (g[0][1] + g[1][0])
+        + z * (g[0][2] + g[2][0])
+        + w * (g[2][1] - g[1][2])
+        - 2 * x * (g[1][1] + g[2][2])
+    )
+    gy = 2 * (
+        x * (g[0][1] + g[1][0])
+        + z * (g[1][2] + g[2][1])
+        + w * (g[0][2] - g[2][0])
+        - 2 * y * (g[0][0] + g[2][2])
+    )
+    gz = 2 * (
+        x * (g[0][2] + g[2][0])
+        + y * (g[1][2] + g[2][1])
+        + w * (g[1][0] - g[0][1])
+        - 2 * z * (g[0][0] + g[1][1])
+    )
+    along = gw * w + gx * x + gy * y + gz * z
+    return (
+        (gw - along * w) / length,
+        (gx - along * x) / length,
+        (gy - along * y) / length,
+        (gz - along * z) / length,
+    )
+
+
+@strict_kernel()
+def _camera_point_gradient(
+    point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, grad_depth
+):
+    """∂L/∂(centre in camera coordinates) from those of M = J R_w, of μ' and of the depth."""
+    x, y, z = point
+    u = _clamped_slope(x / z, fx, cx, width)
+    v = _clamped_slope(y / z, fy, cy, height)
+    view0 = (viewmat[0, 0], viewmat[0, 1], viewmat[0, 2])
+    view1 = (viewmat[1, 0], viewmat[1, 1], viewmat[1, 2])
+    view2 = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
+    grad_j00, grad_j02 = _dot(grad_m0, view0), _dot(grad_m0, view2)
+    grad_j11, grad_j12 = _dot(grad_m1, view1), _dot(grad_m1, view2)
+    gx = fx / z * grad_mean[0]
+    gy = fy / z * grad_mean[1]
+    gz = grad_depth - (fx * x * grad_mean[0] + fy * y * grad_mean[1]) / (z * z)
+    gz -= (fx * (grad_j00 - u * grad_j02) + fy * (grad_j11 - v * grad_j12)) / (z * z)
+    if u == x / z:
+        gx -= fx / (z * z) * grad_j02
+        gz += fx * x / (z * z * z) * grad_j02
+    if v == y / z:
+        gy -= fy / (z * z) * grad_j12
+        gz += fy * y / (z * z * z) * grad_j12
+    return gx, gy, gz
+
+
+@strict_kernel()
+def _geometry_gradient(
+    i, g, means, quats, scales, viewmat, K, width, height,
+    grad_means, grad_quats, grad_scales, grad_means2d,
+):  # fmt: skip
+    """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian
+    i."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    point = _to_camera(means, viewmat, i)
+    u = _clamped_slope(point[0] / point[2], fx, cx, width)
+    v = _clamped_slope(point[1] / point[2], fy, cy, height)
+    m0, m1 = _jacobian_times_rotation(point, u, v, viewmat, fx, fy)
+    rotation, length = _rotation(quats, i)
+    p0, p1 = _row_times_matrix(m0, rotation), _row_times_matrix(m1, rotation)
+    n0, n1 = _scaled(p0, scales, i), _scaled(p1, scales, i)
+    xx, xy, yy = _covariance(n0, n1)
+    grad_mean, (hxx, hxy, hyy) = _screen_gradients(xx, xy, yy, g)
+    grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
+    # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
+    gn0 = (
+        2 * (hxx * n0[0] + hxy * n1[0]),
+        2 * (hxx * n0[1] + hxy * n1[1]),
+        2 * (hxx * n0[2] + hxy * n1[2]),
+    )
+    gn1 = (
+        2 * (hxy * n0[0] + hyy * n1[0]),
+        2 * (hxy * n0[1] + hyy * n1[1]),
+        2 * (hxy * n0[2] + hyy * n1[2]),
+    )
+    for k in range(3):
+        grad_scales[i, k] = gn0[k] * p0[k] + gn1[k] * p1[k]
+    gp0, gp1 = _scaled(gn0, scales, i), _scaled(gn1, scales, i)
+    grad_rotation = (
+        (
+            m0[0] * gp0[0] + m1[0] * gp1[0],
+            m0[0] * gp0[1] + m1[0] * gp1[1],
+            m0[0] * gp0[2] + m1[0] * gp1[2],
+        ),
+        (
+            m0[1] * gp0[0] + m1[1] * gp1[0],
+            m0[1] * gp0[1] + m1[1] * gp1[1],
+            m0[1] * gp0[2] + m1[1] * gp1[2],
+        ),
+        (
+            m0[2] * gp0[0] + m1[2] * gp1[0],
+            m0[2] * gp0[1] + m1[2] * gp1[1],
+            m0[2] * gp0[2] + m1[2] * gp1[2],
+        ),
+    )
+    gw, gx, gy, gz = _quaternion_gradient(quats, i, length, grad_rotation)
+    grad_quats[i, 0], grad_quats[i, 1], grad_quats[i, 2], grad_quats[i, 3] = gw, gx, gy, gz
+    grad_m0 = (_dot(gp0, rotation[0]), _dot(gp0, rotation[1]), _dot(gp0, rotation[2]))
+    grad_m1 = (_dot(gp1, rotation[0]), _dot(gp1, rotation[1]), _dot(gp1, rotation[2]))
+    px, py, pz = _camera_point_gradient(
+        point,
+        viewmat,
+        fx,
+        fy,
+        cx,
+        cy,
+        width,
+        height,
+        grad_m0,
+        grad_m1,
+        grad_mean,
+        g[splat.GRAD_DEPTH],
+    )
+    for k in range(3):
+        grad_means[i, k] = viewmat[0, k] * px + viewmat[1, k] * py + viewmat[2, k] * pz
+
+
+@strict_kernel()
+def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
+    """Add up the moments of one Gaussian's pairs, always in the same order, in double precision."""
+    total[:] = 0.0
+    for pair in range(first, last):
+        ahead = pair_positions[min(pair + _PAIRS_AHEAD, pair_positions.size - 1)]
+        prefetch(pair_grads, ahead * splat.GRAD_FLOATS)
+        at = pair_positions[pair] * splat.GRAD_FLOATS
+        for k in range(splat.GRAD_FLOATS):
+            total[k] += read(pair_grads, at + k)
+
+
+@strict_parallel_kernel()
+def project_backward(
+    means, quats, scales, opacities, viewmat, K, width, height, pair_grads,
+    pair_positions, pair_starts,
+    grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
+):  # fmt: skip
+    """Gather the gradient moments of each Gaussian and chain them back to its parameters.
+
+    Args:
+        pair_grads: moments per (tile, splat) pair, [P, 12].
+        pair_positions, pair_starts: the pairs of Gaussian i are
+            pair_positions[pair_starts[i]:pair_starts[i + 1]].
+        grad_*: filled, with 0 for the Gaussians without pairs.
+    """
+    count = means.shape[0]
+    for block in prange((count + _BLOCK - 1) // _BLOCK):
+        g = np.empty(splat.GRAD_FLOATS)
+        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+            if pair_starts[i] == pair_starts[i + 1]:
+                grad_means[i], grad_quats[i], grad_scales[i], grad_means2d[i] = 0.0, 0.0, 0.0, 0.0
+                grad_opacities[i], grad_features[i] = 0.0, 0.0
+                continue
+            _sum_over_tiles(
+                pointer(pair_grads), pair_positions, pair_starts[i], pair_starts[i + 1], g
+            )
+            for layer in range(2):
+                opacity = opacities[i, layer]
+                grad_opacities[i, layer] = (
+                    g[splat.GRAD_LAYERS[layer]] / opacity if opacity > 0.0 else 0.0
+                )
+            for channel in range(3):
+                grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
+            grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
+            _geometry_gradient(
+                i, g, means, quats, scales, viewmat, K, width, height,
+                grad_means, grad_quats, grad_scales, grad_means2d,
+            )  # fmt: skip

@@ -1,0 +1,160 @@
+"""The fused pass as a torch function: project, sort, list, blend; and backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mrgs.kernels.rasterize.cpu.blend import blend
+from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
+from mrgs.kernels.rasterize.cpu.projection import project, project_backward
+from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
+from mrgs.rasterizer import splat
+from mrgs.rasterizer.contract import Blend, Layer, Raster
+
+_SLOT_CHANNELS = (3, 1)
+"""The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of
+1."""
+
+
+class _FusedPass(torch.autograd.Function):
+    """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2]) ->
+    images, radii.
+
+    The images are those of both slots: features, depth, T_end, features, depth, T_end.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
+        *tensors, viewmat, K, width, height = inputs
+        tensors = [tensor.contiguous() for tensor in tensors]
+        *gaussians, backgrounds, offset = (tensor.detach().numpy() for tensor in tensors)
+        count = gaussians[0].shape[0]
+        splats = np.empty((count, splat.SPLAT_FLOATS), np.float32)
+        radii = np.empty(count, np.float32)
+        project(*gaussians, viewmat, K, width, height, offset, splats, radii)
+        order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
+        splats = gather_splats(splats, order)
+        lists = tile_lists(splats, order, count, width, height)
+        shapes = [
+            shape
+            for c in _SLOT_CHANNELS
+            for shape in ((height, width, c), (height, width), (height, width))
+        ]
+        images = [np.empty(shape, np.float32) for shape in shapes]
+        blend(
+            splats, lists.tile_splats, lists.tile_starts, backgrounds[:3], backgrounds[3:], *images
+        )
+        *outputs, radii_tensor = (torch.from_numpy(array) for array in (*images, radii))
+        ctx.mark_non_differentiable(radii_tensor)
+        ctx.save_for_backward(*tensors[:5], *outputs)
+        ctx.walk = (viewmat, K, splats, lists)
+        return (*outputs, radii_tensor)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
+        gaussians, images = saved[:5], saved[5:]
+        viewmat, K, splats, lists = ctx.walk
+        grad_images = [grad.contiguous().numpy() for grad in grads[:-1]]
+        height, width = images[1].shape
+        pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
+        blend_backward(
+            splats, lists.tile_splats, lists.tile_starts, *images, *grad_images, pair_grads
+        )
+        means, quats, scales, opacities, _ = gaussians
+        grad_gaussians = [np.empty_like(array) for array in gaussians]
+        grad_offset = np.empty((means.shape[0], 2), np.float32)
+        project_backward(
+            means, quats, scales, opacities, viewmat, K, width, height, pair_grads,
+            lists.pair_positions, lists.pair_starts, *grad_gaussians, grad_offset,
+        )  # fmt: skip
+        # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it,
+        # and cost the kernels half a core.
+        grad_backgrounds = [
+            np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)
+        ]
+        grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
+        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None)
+
+
+def rasterize(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    layers: Sequence[Layer],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+    means2d_offset: Float[Tensor, "n 2"] | None = None,
+) -> Raster:
+    """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one
+    of each, fused.
+
+    Raises:
+        ValueError: layers that are neither of these, or tensors of other types or sizes.
+    """
+    channels = [layer.features.shape[1] for layer in layers]
+    if (
+        not channels
+        or not set(channels) <= set(_SLOT_CHANNELS)
+        or len(set(channels)) != len(channels)
+    ):
+        raise ValueError(
+            f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
+        )
+    opacities, features, backgrounds = _merge_layers(
+        dict(zip(channels, layers, strict=True)), means.shape[0]
+    )
+    offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
+    _check(means, quats, scales, opacities, features, backgrounds, offset)
+    *images, radii = _FusedPass.apply(
+        means, quats, scales, opacities, features, backgrounds, offset,
+        _float64(viewmat), _float64(K), width, height,
+    )  # fmt: skip
+    blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
+    return Raster(tuple(blends[count] for count in channels), radii)
+
+
+def _check(means: Tensor, *others: Tensor) -> None:
+    """The kernels trust sizes and types, so nothing else may reach them."""
+    count = means.shape[0]
+    shapes = ((count, 3), (count, 4), (count, 3), (count, 2), (count, 4), (4,), (count, 2))
+    for tensor, shape in zip((means, *others), shapes, strict=True):
+        if tensor.dtype != torch.float32 or tensor.device.type != "cpu" or tensor.shape != shape:
+            raise ValueError(
+                f"the CPU rasterizer takes float32 tensors of matching sizes; got {tensor.dtype} "
+                f"{tuple(tensor.shape)} on {tensor.device.type} where {shape} is needed"
+            )
+
+
+def _to_blend(image: Tensor, depth: Tensor, transmittance: Tensor) -> Blend:
+    return Blend(image, depth, 1 - transmittance)
+
+
+def _float64(matrix: Tensor) -> np.ndarray:
+    """Row by row in memory: the kernels are compiled for one layout."""
+    return matrix.detach().double().contiguous().numpy()
+
+
+def _merge_layers(by_channels: dict[int, Layer], count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Opacities [N, 2], features [N, 4], backgrounds [4] of both slots; a slot without a layer is
+    transparent."""
+    layers = [
+        by_channels.get(channels)
+        or Layer(torch.zeros(count), torch.zeros(count, channels), torch.zeros(channels))
+        for channels in _SLOT_CHANNELS
+    ]
+    return (
+        torch.stack([layer.opacities for layer in layers], dim=1),
+        torch.cat([layer.features for layer in layers], dim=1),
+        torch.cat([layer.background for layer in layers]),
+    )

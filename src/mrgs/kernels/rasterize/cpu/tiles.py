@@ -1,0 +1,211 @@
+"""Depth order and tile lists.
+
+The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it, in
+depth order. The Gaussians are sorted by depth once; then the lists are counted and filled in that
+order, so that no (tile, depth) keys need sorting. Results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import prange
+
+from mrgs.kernels.jit import strict_kernel, strict_parallel_kernel
+from mrgs.kernels.rasterize.cpu.simd import load, pointer, prefetch, store
+from mrgs.rasterizer import splat
+
+TILE_WIDTH = 8
+TILE_HEIGHT = 16
+CHUNKS = 16
+"""Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the
+thread count."""
+
+PREFETCH_AHEAD = 4
+"""Records come in an order that the processor cannot foresee: each is asked for this many turns
+before it is read."""
+
+_SLACK_PX = 1e-3
+"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a
+pixel."""
+
+_RADIX_BITS = 11
+_RADIX = 1 << _RADIX_BITS
+
+
+@strict_kernel()
+def depth_order(depths, visible):
+    """Indices of the visible Gaussians, nearest first, ties by index: a stable radix sort of the
+    positive floats' bits.
+
+    Args:
+        depths: float32 [N], positive where visible.
+        visible: bool [N].
+    """
+    keys = depths.view(np.uint32)
+    count = 0
+    for i in range(visible.size):
+        count += visible[i]
+    order = np.empty(count, np.int32)
+    filled = 0
+    for i in range(visible.size):
+        if visible[i]:
+            order[filled] = i
+            filled += 1
+    target = np.empty(count, np.int32)
+    for shift in range(0, 32, _RADIX_BITS):
+        starts = np.zeros(_RADIX + 1, np.int64)
+        for k in range(count):
+            starts[((keys[order[k]] >> np.uint32(shift)) & np.uint32(_RADIX - 1)) + 1] += 1
+        for digit in range(_RADIX):
+            starts[digit + 1] += starts[digit]
+        for k in range(count):
+            digit = (keys[order[k]] >> np.uint32(shift)) & np.uint32(_RADIX - 1)
+            target[starts[digit]] = order[k]
+            starts[digit] += 1
+        order, target = target, order
+    return order
+
+
+@strict_parallel_kernel()
+def gather_splats(splats, order):
+    """splats[order], in parallel."""
+    gathered = np.empty((order.size, splat.SPLAT_FLOATS), np.float32)
+    source, target = pointer(splats), pointer(gathered)
+    for rank in prange(order.size):
+        prefetch(source, order[min(rank + PREFETCH_AHEAD, order.size - 1)] * splat.SPLAT_FLOATS)
+        store(target, rank * splat.SPLAT_FLOATS, load(source, order[rank] * splat.SPLAT_FLOATS))
+    return gathered
+
+
+@strict_kernel()
+def _tile_rows(record, tiles_y):
+    """First and last row of tiles that the splat reaches (first > last if none)."""
+    top = record[splat.MEAN_Y] - record[splat.EXTENT_Y] - _SLACK_PX
+    bottom = record[splat.MEAN_Y] + record[splat.EXTENT_Y] + _SLACK_PX
+    first = math.ceil(max(top - 0.5, 0.0))
+    last = math.floor(min(bottom - 0.5, tiles_y * TILE_HEIGHT - 1.0))
+    return int(first) // TILE_HEIGHT, (int(last) // TILE_HEIGHT if last >= first else -1)
+
+
+@strict_kernel()
+def _half_width_at(record, dy):
+    relative = dy / record[splat.EXTENT_Y]
+    return record[splat.HALF_WIDTH] * math.sqrt(max(0.0, 1.0 - relative * relative))
+
+
+@strict_kernel()
+def _tile_columns(record, tile_row, tiles_x):
+    """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if
+    none).
+
+    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own
+    rightmost point, or at the band's edge nearest to it; likewise on the left, where that point is
+    mirrored.
+    """
+    band_top = tile_row * TILE_HEIGHT + 0.5 - record[splat.MEAN_Y]
+    band_bottom = band_top + TILE_HEIGHT - 1.0
+    sheared = record[splat.SHEAR] * record[splat.EXTENT_Y]
+    reach = math.sqrt(record[splat.HALF_WIDTH] ** 2 + sheared * sheared)
+    dy_rightmost = sheared * record[splat.EXTENT_Y] / reach
+    dy = min(max(dy_rightmost, band_top), band_bottom)
+    right = record[splat.MEAN_X] + record[splat.SHEAR] * dy + _half_width_at(record, dy) + _SLACK_PX
+    dy = min(max(-dy_rightmost, band_top), band_bottom)
+    left = record[splat.MEAN_X] + record[splat.SHEAR] * dy - _half_width_at(record, dy) - _SLACK_PX
+    first = math.ceil(max(left - 0.5, 0.0))
+    last = math.floor(min(right - 0.5, tiles_x * TILE_WIDTH - 1.0))
+    return int(first) // TILE_WIDTH, (int(last) // TILE_WIDTH if last >= first else -1)
+
+
+@strict_parallel_kernel()
+def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
+    """Pairs per (chunk, tile) and per Gaussian."""
+    count = splats.shape[0]
+    for chunk in prange(CHUNKS):
+        for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
+            record = splats[rank]
+            pairs = 0
+            first_row, last_row = _tile_rows(record, tiles_y)
+            for row in range(first_row, last_row + 1):
+                first, last = _tile_columns(record, row, tiles_x)
+                for column in range(first, last + 1):
+                    chunk_counts[chunk, row * tiles_x + column] += 1
+                    pairs += 1
+            pair_counts[order[rank]] = pairs
+
+
+@strict_kernel()
+def _prefix_sums(chunk_counts, pair_counts):
+    """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks
+    in depth order."""
+    tiles = chunk_counts.shape[1]
+    tile_starts = np.empty(tiles + 1, np.int64)
+    total = 0
+    for tile in range(tiles):
+        tile_starts[tile] = total
+        for chunk in range(CHUNKS):
+            pairs = chunk_counts[chunk, tile]
+            chunk_counts[chunk, tile] = total
+            total += pairs
+    tile_starts[tiles] = total
+    pair_starts = np.zeros(pair_counts.size + 1, np.int64)
+    for i in range(pair_counts.size):
+        pair_starts[i + 1] = pair_starts[i] + pair_counts[i]
+    return tile_starts, pair_starts
+
+
+@strict_parallel_kernel()
+def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
+    """Write the lists, and for each Gaussian where its pairs stand in them."""
+    count = splats.shape[0]
+    for chunk in prange(CHUNKS):
+        for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
+            record = splats[rank]
+            pair = pair_starts[order[rank]]
+            first_row, last_row = _tile_rows(record, tiles_y)
+            for row in range(first_row, last_row + 1):
+                first, last = _tile_columns(record, row, tiles_x)
+                for column in range(first, last + 1):
+                    position = next_position[chunk, row * tiles_x + column]
+                    next_position[chunk, row * tiles_x + column] += 1
+                    tile_splats[position] = rank
+                    pair_positions[pair] = position
+                    pair += 1
+
+
+class TileLists(NamedTuple):
+    """Which splats each tile draws, and where each Gaussian is drawn (P pairs of a tile and a
+    splat).
+
+    Attributes:
+        tile_splats: splats of all tiles one after the other, int32 [P].
+        tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64
+            [tiles + 1].
+        pair_positions: positions in tile_splats of each Gaussian's pairs, one Gaussian after the
+            other, int32 [P].
+        pair_starts: those of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]],
+            int64 [N + 1].
+    """
+
+    tile_splats: np.ndarray
+    tile_starts: np.ndarray
+    pair_positions: np.ndarray
+    pair_starts: np.ndarray
+
+
+def tile_lists(
+    splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int
+) -> TileLists:
+    """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians
+    ``order`` [V] of N."""
+    tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
+    chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
+    pair_counts = np.zeros(gaussians, np.int32)
+    _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts)
+    tile_starts, pair_starts = _prefix_sums(chunk_counts, pair_counts)
+    tile_splats = np.empty(tile_starts[-1], np.int32)
+    pair_positions = np.empty(tile_starts[-1], np.int32)
+    _fill(splats, order, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)
+    return TileLists(tile_splats, tile_starts, pair_positions, pair_starts)

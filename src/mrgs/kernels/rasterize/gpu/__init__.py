@@ -1,0 +1,8 @@
+"""The rasterizer for NVIDIA GPUs, in Triton: nothing is compiled at install time.
+
+Importing this package imports Triton; ``mrgs.system.gpu.serves`` says whether to.
+"""
+
+from mrgs.kernels.rasterize.gpu.rasterize import rasterize
+
+__all__ = ["rasterize"]

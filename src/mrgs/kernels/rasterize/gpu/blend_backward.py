@@ -1,0 +1,231 @@
+"""Backward of the alpha blending: the same walk, front to back, with one running scalar per layer
+and pixel.
+
+With g the gradient of a pixel, let R_i = Σ_{j>i} w_j (g·f_j) + T_end (g·background − g_alpha): all
+that lies behind the splat i. Then ∂L/∂α_i = T_i (g·f_i) − R_i / (1 − α_i). R starts as g·pixel −
+T_end g_alpha and loses w_i (g·f_i) at each step; nothing is divided by T. Every (tile, splat) pair
+has its own record of sums, in the order in which ``tiles.list_pairs`` numbered them: those of one
+splat lie side by side, ``sum_pairs`` adds them up, and no atomics are needed. The result is the
+same bits on every run.
+"""
+
+from __future__ import annotations
+
+import triton
+import triton.language as tl
+
+from mrgs.kernels.rasterize.gpu.blend import (
+    TURNS,
+    any_unfinished,
+    blended_alpha,
+    gaussian_at,
+    load_splat,
+    tile_pixels,
+)
+from mrgs.kernels.rasterize.gpu.constants import (
+    ALPHA_MAX,
+    GRAD_DEPTH,
+    GRAD_DX,
+    GRAD_DXDX,
+    GRAD_DXDY,
+    GRAD_DY,
+    GRAD_DYDY,
+    GRAD_FLOATS,
+    GRAD_RGB,
+    GRAD_THERMAL,
+    TILE_PIXELS,
+)
+from mrgs.kernels.rasterize.gpu.jit import device_function
+
+PADDED_FLOATS = tl.constexpr(16)
+"""``GRAD_FLOATS``, and up to a power of two: what a tensor of Triton's can hold."""
+
+
+@device_function
+def _load_coverage(
+    depth, transmittance, grad_depth, grad_alpha, pixel, inside
+):  # fmt: skip
+    """T_end, the gradient of the depth, and what depth and alpha add to R at its start."""
+    passed = tl.load(transmittance + pixel, mask=inside, other=0.0)
+    grad = tl.load(grad_depth + pixel, mask=inside, other=0.0)
+    behind = grad * tl.load(depth + pixel, mask=inside, other=0.0)
+    return passed, grad, behind - passed * tl.load(grad_alpha + pixel, mask=inside, other=0.0)
+
+
+@device_function
+def _load_channel(image, grad_image, grad_background, at, inside, passed, tile):
+    """The gradient of a channel, what it adds to R at its start; and the tile's part of the
+    background's gradient."""
+    grad = tl.load(grad_image + at, mask=inside, other=0.0)
+    tl.store(grad_background + tile, tl.sum(passed * grad, axis=0))
+    return grad, grad * tl.load(image + at, mask=inside, other=0.0)
+
+
+@device_function
+def _grad_log_alpha(unclamped, alpha, own, behind):
+    """α ∂L/∂α = w (g·f) − R α / (1 − α): 0 where the splat does not blend (both α and w are), or
+    where α is clamped."""
+    root = tl.rsqrt(1.0 - alpha)  # of [0.001, 1]: a division would guard against what cannot be
+    return tl.where(unclamped < ALPHA_MAX, own - behind * (alpha * root * root), 0.0)
+
+
+@device_function
+def _with_sum(sums, field: tl.constexpr, values):
+    """The record with the sum of the values over the pixels as one of its fields."""
+    return tl.where(tl.arange(0, PADDED_FLOATS) == field, tl.sum(values, axis=0), sums)
+
+
+@device_function
+def _sum_geometry(sums, grad, dx, dy):
+    """Moments of α ∂L/∂α over the pixels' offsets from μ'."""
+    grad_dx, grad_dy = grad * dx, grad * dy
+    sums = _with_sum(sums, GRAD_DX, grad_dx)
+    sums = _with_sum(sums, GRAD_DY, grad_dy)
+    sums = _with_sum(sums, GRAD_DXDX, grad_dx * dx)
+    sums = _with_sum(sums, GRAD_DXDY, grad_dx * dy)
+    return _with_sum(sums, GRAD_DYDY, grad_dy * dy)
+
+
+@triton.jit(do_not_specialize=["tiles", "width", "height"])
+def blend_backward(
+    splats, tile_splats, tile_starts, tile_pairs,
+    image_rgb, depth_rgb, transmittance_rgb, image_thermal, depth_thermal, transmittance_thermal,
+    grad_image_rgb, grad_depth_rgb, grad_alpha_rgb, grad_image_thermal, grad_depth_thermal,
+    grad_alpha_thermal,
+    pair_grads, grad_backgrounds, tiles, width, height, HAS_RGB: tl.constexpr,
+    HAS_THERMAL: tl.constexpr,
+):  # fmt: skip
+    """Write the gradient moments of every pair that blends; the others' must be 0 beforehand.
+
+    Args:
+        splats: records, [N, 16].
+        tile_splats, tile_pairs, tile_starts: splats of all tiles, int32 [P], the numbers of their
+            pairs, int64 [P], and where each tile's begin, int32 [tiles + 1].
+        image_rgb, ..., transmittance_thermal: what ``blend`` wrote.
+        grad_*: the gradients of its images.
+        pair_grads: written, [P, 12].
+        grad_backgrounds: filled, [4, tiles]: red, green, blue and temperature of each tile.
+    """
+    tile = tl.program_id(0)
+    position, last = tl.load(tile_starts + tile), tl.load(tile_starts + tile + 1)
+    column, row, inside = tile_pixels(tile, width, height)
+    centre_x, centre_y = column.to(tl.float32) + 0.5, row.to(tl.float32) + 0.5
+    pixel = row * width + column
+    fields = tl.arange(0, PADDED_FLOATS)
+    zero = tl.zeros([TILE_PIXELS], tl.float32)
+    passed_rgb, passed_thermal = zero, zero
+    if HAS_RGB:
+        passed_rgb, gz_rgb, behind_rgb = _load_coverage(
+            depth_rgb, transmittance_rgb, grad_depth_rgb, grad_alpha_rgb, pixel, inside
+        )
+        grads, image = grad_backgrounds + tile, grad_image_rgb
+        gr, more = _load_channel(image_rgb, image, grads, 3 * pixel, inside, passed_rgb, 0)
+        behind_rgb += more
+        gg, more = _load_channel(image_rgb, image, grads, 3 * pixel + 1, inside, passed_rgb, tiles)
+        behind_rgb += more
+        gb, more = _load_channel(
+            image_rgb, image, grads, 3 * pixel + 2, inside, passed_rgb, 2 * tiles
+        )
+        behind_rgb += more
+        passed_rgb = tl.where(inside, 1.0, zero)
+    if HAS_THERMAL:
+        passed_thermal, gz_thermal, behind_thermal = _load_coverage(
+            depth_thermal,
+            transmittance_thermal,
+            grad_depth_thermal,
+            grad_alpha_thermal,
+            pixel,
+            inside,
+        )
+        gt, more = _load_channel(
+            image_thermal,
+            grad_image_thermal,
+            grad_backgrounds + tile,
+            pixel,
+            inside,
+            passed_thermal,
+            3 * tiles,
+        )
+        behind_thermal += more
+        passed_thermal = tl.where(inside, 1.0, zero)
+    unfinished = position < last
+    following = tl.load(tile_splats + position, mask=unfinished, other=0)
+    splat = load_splat(splats, following, unfinished, HAS_RGB, HAS_THERMAL)
+    following = tl.load(tile_splats + tl.minimum(position + 1, last - 1), mask=unfinished, other=0)
+    while unfinished:
+        for _ in tl.static_range(TURNS):
+            geometry, rgb, thermal = splat
+            pair = tl.load(tile_pairs + position, mask=position < last, other=0)
+            is_field = fields < tl.where(position < last, GRAD_FLOATS, 0)
+            position += 1
+            splat = load_splat(splats, following, position < last, HAS_RGB, HAS_THERMAL)
+            following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
+            dx, dy = centre_x - geometry[0], centre_y - geometry[1]
+            gaussian = gaussian_at(geometry, dx, dy)
+            sums = tl.zeros([PADDED_FLOATS], tl.float32)
+            grad, grad_z = zero, zero
+            if HAS_RGB:
+                unclamped, alpha = blended_alpha(gaussian, rgb[0], passed_rgb)
+                weight = alpha * passed_rgb
+                passed_rgb -= weight
+                own = weight * (gz_rgb * geometry[5] + gr * rgb[1] + gg * rgb[2] + gb * rgb[3])
+                behind_rgb -= own
+                grad = _grad_log_alpha(unclamped, alpha, own, behind_rgb)
+                grad_z = weight * gz_rgb
+                sums = _with_sum(sums, GRAD_RGB, grad)
+                sums = _with_sum(sums, GRAD_RGB + 1, weight * gr)
+                sums = _with_sum(sums, GRAD_RGB + 2, weight * gg)
+                sums = _with_sum(sums, GRAD_RGB + 3, weight * gb)
+            if HAS_THERMAL:
+                unclamped, alpha = blended_alpha(gaussian, thermal[0], passed_thermal)
+                weight = alpha * passed_thermal
+                passed_thermal -= weight
+                own = weight * (gz_thermal * geometry[5] + gt * thermal[1])
+                behind_thermal -= own
+                grad_thermal = _grad_log_alpha(unclamped, alpha, own, behind_thermal)
+                grad += grad_thermal
+                grad_z += weight * gz_thermal
+                sums = _with_sum(sums, GRAD_THERMAL, grad_thermal)
+                sums = _with_sum(sums, GRAD_THERMAL + 1, weight * gt)
+            sums = _with_sum(_sum_geometry(sums, grad, dx, dy), GRAD_DEPTH, grad_z)
+            tl.store(pair_grads + pair * GRAD_FLOATS + fields, sums, mask=is_field)
+        unfinished = (position < last) & any_unfinished(passed_rgb, passed_thermal)
+
+
+@triton.jit(do_not_specialize=["count"])
+def sum_pairs(
+    pair_grads, pair_ends, order, gaussian_grads, count, RANKS: tl.constexpr, PAIRS: tl.constexpr
+):
+    """Add up the moments of each Gaussian's pairs, always in the same order; 0 for a Gaussian
+    without.
+
+    A program takes several ranks of the depth order at once, and of each several pairs at once.
+
+    Args:
+        pair_grads: [P, 12].
+        pair_ends, order: cumulated counts of pairs in depth order, and the Gaussians in this order,
+            int64 [N].
+        gaussian_grads: filled, [N, 12].
+    """
+    rank = tl.program_id(0) * RANKS + tl.arange(0, RANKS)
+    inside = rank < count
+    first = tl.load(pair_ends + rank - 1, mask=inside & (rank > 0), other=0)
+    pairs = (tl.load(pair_ends + rank, mask=inside, other=0) - first).to(tl.int32)
+    fields = tl.arange(0, PADDED_FLOATS)
+    within = tl.arange(0, PAIRS)
+    is_field = fields < GRAD_FLOATS
+    total = tl.zeros([RANKS, PAIRS, PADDED_FLOATS], tl.float32)
+    begin, most = 0, tl.max(pairs, axis=0)
+    while begin < most:
+        is_pair = begin + within[None, :] < pairs[:, None]
+        at = (first[:, None] + begin + within[None, :]) * GRAD_FLOATS
+        mask = is_pair[:, :, None] & is_field[None, None, :]
+        total += tl.load(pair_grads + at[:, :, None] + fields[None, None, :], mask=mask, other=0.0)
+        begin += PAIRS
+    sums = tl.sum(total, axis=1)
+    row = tl.load(order + rank, mask=inside, other=0) * GRAD_FLOATS
+    tl.store(
+        gaussian_grads + row[:, None] + fields[None, :],
+        sums,
+        mask=inside[:, None] & is_field[None, :],
+    )

@@ -1,0 +1,1 @@
+"""Losses that compare images by SSIM: photometric loss and L_boltz."""

@@ -1,0 +1,320 @@
+"""Operations of the method: one plain torch definition each, and kernels that compute it faster.
+
+``@operation`` marks the plain definition, which is the one to read and to edit. A call asks the
+table of kernels (``mrgs.kernels``) for one that takes the device and the type of the tensors, and
+runs the plain definition if there is none. At the start of a training every kernel in use is
+compared with its plain definition (``checking``): where they differ, because someone has edited an
+equation and not yet its kernel, the plain definition runs from then on.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import fields, is_dataclass, replace
+from functools import cache, partial, update_wrapper
+from types import MethodType
+from typing import Any, Concatenate, Generic, Literal, NamedTuple, ParamSpec, TypeVar, overload
+
+import torch
+from torch import Tensor, nn
+
+from mrgs.errors import MrgsWarning
+from mrgs.system import gpu
+
+P = ParamSpec("P")
+R = TypeVar("R")
+S = TypeVar("S")
+Q = ParamSpec("Q")
+
+Device = Literal["cpu", "gpu"]
+
+KERNELS = "mrgs.kernels"
+"""Module whose ``TABLE`` lists all kernels. Named by a string and imported at the first call of
+an operation, because kernels stand above the definitions that they replace."""
+
+PLAIN_VARIABLE = "MRGS_PLAIN"
+"""Environment variable; any value but 0 turns all kernels off."""
+
+TOLERANCE = 1e-3
+"""Relative error up to which a kernel counts as equal to its plain definition."""
+
+SMALL_GRADIENT = 1e-2
+"""A gradient below this share of the operation's largest is compared with that share: one that
+vanishes, such as that of a ball's rotation, is rounding noise."""
+
+SMALLEST = 1e-30
+"""Divides where a result vanishes."""
+
+
+class Kernel(NamedTuple):
+    """An entry of the table of kernels.
+
+    Attributes:
+        replaces: full name of the operation.
+        function: full name of the function that computes it. It takes the operation's arguments,
+            and may return NotImplemented for those that it does not handle.
+        device: "gpu" for NVIDIA GPUs.
+        dtypes: of the operation's first tensor.
+    """
+
+    replaces: str
+    function: str
+    device: Device
+    dtypes: tuple[torch.dtype, ...] = (torch.float32,)
+
+
+class Operation(Generic[P, R]):
+    """A function with a plain definition and, for some devices, a kernel.
+
+    Attributes:
+        plain: the plain torch definition.
+        name: full name of the plain definition.
+        measure: what is compared of a result, from the result and the arguments.
+        rejected: whether its kernel was found to differ, so that it is not used.
+    """
+
+    __name__: str
+
+    def __init__(self, plain: Callable[P, R], measure: Callable[..., Tensor] | None = None) -> None:
+        update_wrapper(self, plain)
+        self.plain = plain
+        self.name = f"{plain.__module__}.{plain.__qualname__}"
+        self.measure = measure
+        self.rejected = False
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Compute the operation by a kernel if there is one, else by the plain definition."""
+        kernel = self.kernel((*args, *kwargs.values()))
+        if kernel is not None and _rejected_by_check.get() is not None:
+            self._check(kernel, args, kwargs)
+        if kernel is None or self.rejected:
+            return self.plain(*args, **kwargs)
+        result = kernel(*args, **kwargs)
+        return self.plain(*args, **kwargs) if result is NotImplemented else result
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> Operation[P, R]: ...
+    @overload
+    def __get__(
+        self: Operation[Concatenate[S, Q], R], instance: S, owner: type
+    ) -> Callable[Q, R]: ...
+    def __get__(self, instance: Any, owner: type) -> Any:
+        """As a method of an object; the operation itself as an attribute of the class."""
+        return self if instance is None else MethodType(self, instance)
+
+    def kernel(self, arguments: Sequence[Any]) -> Callable[..., Any] | None:
+        """The kernel for these arguments, chosen by their first tensor; None if there is none."""
+        tensor = _first_tensor(arguments)
+        if tensor is None or is_plain():
+            return None
+        device: Device | None = "gpu" if gpu.runs_triton(tensor) else None
+        if device is None and tensor.is_cpu:
+            device = "cpu"
+        entry = None if device is None else _table().get((self.name, device))
+        if entry is None or tensor.dtype not in entry.dtypes:
+            return None
+        return _imported(entry.function)
+
+    def _check(
+        self, kernel: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]
+    ) -> None:
+        """Compare the kernel with the plain definition; a warning where it is rejected."""
+        warned = _rejected_by_check.get()
+        assert warned is not None
+        expected = _outcome(self.plain, self.measure, args, kwargs)
+        try:
+            error = _relative_error(_outcome(kernel, self.measure, args, kwargs), expected)
+            problem = f"differs from the plain definition (relative error {error:.2g})"
+        except Exception as failure:  # a kernel may do anything with arguments new to it
+            error = math.inf
+            problem = f"fails where the plain definition runs ({type(failure).__name__}: {failure})"
+        if error <= TOLERANCE:
+            self.rejected = self.name in warned
+            return
+        self.rejected = True
+        if self.name not in warned:
+            warned.add(self.name)
+            warnings.warn(
+                f"{self.__name__}: the kernel {problem}; the plain definition is used, slower",
+                MrgsWarning,
+                stacklevel=3,
+            )
+
+
+@overload
+def operation(plain: Callable[P, R]) -> Operation[P, R]: ...
+@overload
+def operation(*, measure: Callable[..., Tensor]) -> Callable[[Callable[P, R]], Operation[P, R]]: ...
+def operation(plain: Any = None, *, measure: Any = None) -> Any:
+    """Mark the plain definition of an operation, which kernels may replace.
+
+    Args:
+        plain: the definition.
+        measure: turns a result and the arguments into what a check compares, for results that can
+            be written in several ways.
+    """
+    return partial(Operation, measure=measure) if plain is None else Operation(plain, measure)
+
+
+def is_plain() -> bool:
+    """Whether kernels are turned off, by ``plainly`` or by the environment variable MRGS_PLAIN."""
+    return _plain_blocks > 0 or os.environ.get(PLAIN_VARIABLE, "0") not in ("", "0")
+
+
+@contextmanager
+def plainly(enabled: bool = True) -> Iterator[None]:
+    """Within this block no thread of the process uses a kernel, unless ``enabled`` is false."""
+    global _plain_blocks
+    _plain_blocks += enabled
+    try:
+        yield
+    finally:
+        _plain_blocks -= enabled
+
+
+@contextmanager
+def checking() -> Iterator[None]:
+    """Within this block every kernel is compared with its plain definition before it is used.
+
+    Both compute the operation from the same inputs; results and gradients (for the same random
+    cotangents) may differ by ``TOLERANCE``, as a relative L2 norm. A kernel that differs is not
+    used from then on in this process. torch's random generators are left alone.
+
+    Warns:
+        MrgsWarning: a kernel differs from its plain definition, or fails.
+    """
+    token = _rejected_by_check.set(set())
+    try:
+        yield
+    finally:
+        _rejected_by_check.reset(token)
+
+
+_plain_blocks = 0
+_rejected_by_check: ContextVar[set[str] | None] = ContextVar("mrgs_rejected", default=None)
+
+
+@cache
+def _table() -> dict[tuple[str, Device], Kernel]:
+    kernels: Sequence[Kernel] = importlib.import_module(KERNELS).TABLE
+    return {(kernel.replaces, kernel.device): kernel for kernel in kernels}
+
+
+@cache
+def _imported(name: str) -> Callable[..., Any]:
+    module, _, function = name.rpartition(".")
+    found: Callable[..., Any] = getattr(importlib.import_module(module), function)
+    return found
+
+
+def _first_tensor(values: Iterable[Any]) -> Tensor | None:
+    """The first tensor among values, or in a tuple, list or dataclass among them."""
+    for value in values:
+        if isinstance(value, Tensor):
+            return value
+        found = _first_tensor(_members(value))
+        if found is not None:
+            return found
+    return None
+
+
+def _members(value: Any) -> Iterable[Any]:
+    if isinstance(value, (list, tuple)):
+        return value
+    return vars(value).values() if is_dataclass(value) else ()
+
+
+class _Outcome(NamedTuple):
+    """Results of an operation, and the gradients of its inputs for cotangents of the results."""
+
+    results: list[Tensor]
+    gradients: list[Tensor]
+
+
+def _outcome(
+    function: Callable[..., Any],
+    measure: Callable[..., Tensor] | None,
+    args: tuple[Any, ...],
+    kwargs: dict[str, Any],
+) -> _Outcome | None:
+    """What a function makes of copies of the arguments; None if it does not handle them."""
+    args, kwargs = _copied(args), {name: _copied(value) for name, value in kwargs.items()}
+    inputs = [tensor for tensor in _tensors((args, list(kwargs.values()))) if tensor.requires_grad]
+    with torch.enable_grad():
+        result = function(*args, **kwargs)
+    if result is NotImplemented:
+        return None
+    if measure is not None:
+        result = measure(result, *args, **kwargs)
+    results = list(_tensors(result))
+    generator = torch.Generator().manual_seed(0)
+    cotangents = [
+        torch.randn(tensor.shape, generator=generator, dtype=tensor.dtype).to(tensor.device)
+        for tensor in results
+    ]
+    depend = [place for place, tensor in enumerate(results) if tensor.requires_grad]
+    if not (depend and inputs):
+        return _Outcome([tensor.detach() for tensor in results], [])
+    gradients = torch.autograd.grad(
+        [results[place] for place in depend],
+        inputs,
+        [cotangents[place] for place in depend],
+        materialize_grads=True,
+    )
+    return _Outcome([tensor.detach() for tensor in results], list(gradients))
+
+
+def _copied(value: Any) -> Any:
+    """The value with tensors cut from the graph that made them; modules stay as they are."""
+    if isinstance(value, Tensor):
+        return value.detach().clone().requires_grad_(value.requires_grad)
+    if isinstance(value, (list, tuple)):
+        members = [_copied(member) for member in value]
+        return type(value)(*members) if hasattr(value, "_fields") else type(value)(members)
+    if is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in fields(value) if field.init]
+        return replace(value, **{name: _copied(getattr(value, name)) for name in names})
+    return value
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    """Floating-point tensors in a value, parameters of modules included."""
+    if isinstance(value, Tensor):
+        if value.is_floating_point():
+            yield value
+    elif isinstance(value, nn.Module):
+        yield from value.parameters()
+    else:
+        for member in _members(value):
+            yield from _tensors(member)
+
+
+def _relative_error(found: _Outcome | None, expected: _Outcome | None) -> float:
+    """The largest relative L2 error of a result or a gradient; infinite if their shapes differ."""
+    if found is None or expected is None:
+        return 0.0
+    if [t.shape for t in found.results] != [t.shape for t in expected.results]:
+        return math.inf
+    norms = [tensor.norm().item() for tensor in expected.gradients]
+    floor = SMALL_GRADIENT * max(norms, default=0.0)
+    errors = [
+        _distance(a, b) / max(b.norm().item(), SMALLEST)
+        for a, b in zip(found.results, expected.results, strict=True)
+    ]
+    errors += [
+        _distance(a, b) / max(norm, floor, SMALLEST)
+        for a, b, norm in zip(found.gradients, expected.gradients, norms, strict=True)
+    ]
+    return max(errors, default=0.0)
+
+
+def _distance(a: Tensor, b: Tensor) -> float:
+    """L2 norm of the difference; infinite where only one of the two is not a number."""
+    is_same = (a == b) | (a.isnan() & b.isnan())
+    return torch.where(is_same, 0, a - b).nan_to_num(math.inf).norm().item()

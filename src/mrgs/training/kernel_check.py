@@ -1,0 +1,112 @@
+"""The check at the start of a training: do the kernels compute what their plain definitions say?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from mrgs.field import nearest_neighbours
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.terms import Photos, SceneScale, loss_terms
+from mrgs.render import Model, render, rows_in_view
+from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
+from mrgs.system.operation import checking
+from mrgs.training.step import TrainingState
+
+SAMPLED_GAUSSIANS = 300
+WIDTH_PX = 48
+INVALID = 0.05
+"""Share of the pixels that the sample's masks leave out."""
+
+
+def check_kernels(
+    state: TrainingState, views: Sequence[View], config: TrainConfig, scale: SceneScale
+) -> None:
+    """Take the forward pass of a training step on a sample of the model, and compare each kernel
+    with its plain definition: values and gradients.
+
+    A kernel that differs is not used from then on in this process (``operation.checking``). The
+    state is left as it is. The photos are random numbers, so that none has to be read.
+
+    Args:
+        state: of the training.
+        views: the training views; those that together have all modalities are taken.
+        config: of the run.
+        scale: of the scene.
+
+    Warns:
+        MrgsWarning: a kernel differs from its plain definition.
+    """
+    generator = torch.Generator().manual_seed(0)
+    with checking(), torch.enable_grad():
+        for number in _chosen(views):
+            view = views[number]
+            rgb, thermal = (_small_camera(image) for image in (view.rgb, view.thermal))
+            model = _sampled(state.model, config, rgb or thermal)
+            rendering, _ = render(
+                model,
+                rgb,
+                thermal,
+                temperature_sh_degree=config.temperature_sh_degree_at(config.max_steps),
+            )
+            photos = Photos(
+                _random_photo(rgb, 3, generator, state.device),
+                _random_photo(thermal, 1, generator, state.device),
+                view.shares_camera,
+            )
+            photographed = state.image_model(rendering, number)
+            loss_terms(rendering, photographed, photos, config, scale, state.uncertainty)
+
+
+def _chosen(views: Sequence[View]) -> list[int]:
+    """One view with both images, or else one of each modality."""
+    most_first = sorted(range(len(views)), key=lambda number: -len(views[number].cameras))
+    chosen = [
+        next((number for number in most_first if has(views[number])), None)
+        for has in (lambda view: view.rgb is not None, lambda view: view.thermal is not None)
+    ]
+    return [number for number in dict.fromkeys(chosen) if number is not None]
+
+
+def _small_camera(image: PosedImage | None) -> Camera | None:
+    return None if image is None else image.camera.with_width(WIDTH_PX)
+
+
+def _sampled(model: Model, config: TrainConfig, camera: Camera | None) -> Model:
+    """Copies of some Gaussians that the camera sees, under the model's own layers."""
+    assert camera is not None
+    rows = _some_rows(model.gaussians, camera)
+    copies = {
+        name: tensor.detach().index_select(0, rows).requires_grad_()
+        for name, tensor in model.gaussians.tensors().items()
+    }
+    gaussians = Gaussians(**copies)
+    k = config.field.neighbours_k
+    return replace(
+        model,
+        gaussians=gaussians,
+        neighbours=nearest_neighbours(gaussians.means, k) if k > 0 else None,
+        sh_degree=config.sh_degree_at(config.max_steps),
+    )
+
+
+def _some_rows(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " m"]:
+    seen = rows_in_view(gaussians, camera)
+    if seen is None or len(seen) == 0:
+        seen = torch.arange(len(gaussians), device=gaussians.means.device)
+    count = min(SAMPLED_GAUSSIANS, len(seen))
+    return seen[torch.arange(count, device=seen.device) * len(seen) // max(count, 1)]
+
+
+def _random_photo(
+    camera: Camera | None, channels: int, generator: torch.Generator, device: torch.device
+) -> Pixels | None:
+    if camera is None:
+        return None
+    values = torch.rand(camera.height, camera.width, channels, generator=generator)
+    valid = torch.rand(camera.height, camera.width, generator=generator) >= INVALID
+    return Pixels(values.to(device), valid.to(device))
