@@ -260,7 +260,8 @@ def _outcome(
     ]
     depend = [place for place, tensor in enumerate(results) if tensor.requires_grad]
     if not (depend and inputs):
-        return _Outcome([tensor.detach() for tensor in results], [])
+        no_gradients = [torch.zeros_like(tensor) for tensor in inputs]
+        return _Outcome([tensor.detach() for tensor in results], no_gradients)
     gradients = torch.autograd.grad(
         [results[place] for place in depend],
         inputs,

@@ -1,0 +1,188 @@
+"""The dispatcher of operations, with operations and kernels made for these tests."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from pathlib import Path
+
+import pytest
+import torch
+
+from mrgs import kernels
+from mrgs.errors import MrgsWarning
+from mrgs.system import operation as module
+from mrgs.system.operation import Kernel, Operation, checking, operation, plainly
+
+SOURCE = Path(kernels.__file__).parents[1]
+
+
+def make_operation(monkeypatch, kernel, dtypes=(torch.float32,)) -> Operation:
+    """x ↦ Σ x² w of a layer, and a kernel for the CPU."""
+
+    @operation
+    def energy(x: torch.Tensor, layer: torch.nn.Linear) -> torch.Tensor:
+        return layer(x.square()).sum()
+
+    entry = Kernel(energy.name, "tests.kernel", "cpu", dtypes)
+    monkeypatch.setattr(module, "_table", lambda: {(energy.name, "cpu"): entry})
+    monkeypatch.setattr(module, "_imported", lambda name: kernel)
+    return energy
+
+
+def by_a_product(x, layer):
+    return ((x * x) @ layer.weight.T + layer.bias).sum()
+
+
+def with_half_of_a_gradient(x, layer):
+    half = 0.5 * (x + x.detach())
+    return (half.square() @ layer.weight.T + layer.bias).sum()
+
+
+def fails(x, layer):
+    raise KeyError("layer")
+
+
+def inputs(dtype=torch.float32):
+    torch.manual_seed(0)
+    layer = torch.nn.Linear(4, 2).to(dtype)
+    return torch.randn(5, 4, dtype=dtype).requires_grad_(), layer
+
+
+def test_a_kernel_runs_in_place_of_the_plain_definition(monkeypatch):
+    energy = make_operation(monkeypatch, lambda x, layer: "kernel")
+    assert energy(*inputs()) == energy(inputs()[0], layer=inputs()[1]) == "kernel"
+    assert energy.plain(*inputs()).shape == ()
+
+
+def test_other_types_and_declined_arguments_are_computed_plainly(monkeypatch):
+    energy = make_operation(monkeypatch, lambda x, layer: "kernel")
+    assert energy(*inputs(torch.float64)).dtype == torch.float64
+    declining = make_operation(monkeypatch, lambda x, layer: NotImplemented)
+    assert torch.equal(declining(*inputs()), declining.plain(*inputs()))
+
+
+def test_kernels_can_be_turned_off(monkeypatch):
+    energy = make_operation(monkeypatch, lambda x, layer: "kernel")
+    with plainly():
+        assert energy(*inputs()) != "kernel"
+    with plainly(False):
+        assert energy(*inputs()) == "kernel"
+    monkeypatch.setenv("MRGS_PLAIN", "1")
+    assert energy(*inputs()) != "kernel"
+    monkeypatch.setenv("MRGS_PLAIN", "0")
+    assert energy(*inputs()) == "kernel"
+
+
+def test_an_operation_can_be_a_method():
+    class Ball:
+        radius = 2.0
+
+        @operation
+        def area(self, factor: float) -> float:
+            """4 π r², scaled."""
+            return factor * self.radius**2
+
+    assert Ball().area(3.0) == Ball.area.plain(Ball(), 3.0) == 12.0
+    assert Ball.area.__doc__ == "4 π r², scaled."
+
+
+def test_a_kernel_that_is_right_passes_the_check(monkeypatch):
+    energy = make_operation(monkeypatch, by_a_product)
+    x, layer = inputs()
+    state = torch.random.get_rng_state()
+    with checking():
+        energy(x, layer)
+    assert not energy.rejected
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert x.grad is None
+    assert layer.weight.grad is None
+
+
+@pytest.mark.parametrize(
+    ("kernel", "message"),
+    [
+        (lambda x, layer: 1.1 * by_a_product(x, layer), r"differs .*\(relative error 0.1\)"),
+        (lambda x, layer: by_a_product(x, layer) * torch.nan, "differs"),
+        (with_half_of_a_gradient, r"differs .*\(relative error 0.5\)"),
+        (lambda x, layer: by_a_product(x, layer).detach(), "differs"),
+        (lambda x, layer: by_a_product(x, layer)[None], r"differs .*\(relative error inf\)"),
+        (fails, "fails where the plain definition runs \\(KeyError"),
+    ],
+)
+def test_a_kernel_that_differs_is_not_used_and_one_line_says_so(monkeypatch, kernel, message):
+    energy = make_operation(monkeypatch, kernel)
+    with pytest.warns(MrgsWarning, match=f"^energy: the kernel {message}") as caught, checking():
+        results = [energy(*inputs()) for _ in range(2)]
+    assert len(caught) == 1
+    expected = energy.plain(*inputs())
+    assert all(torch.equal(result, expected) for result in (*results, energy(*inputs())))
+
+
+def test_a_later_check_gives_a_kernel_another_chance(monkeypatch):
+    energy = make_operation(monkeypatch, fails)
+    with pytest.warns(MrgsWarning), checking():
+        energy(*inputs())
+    monkeypatch.setattr(module, "_imported", lambda name: by_a_product)
+    with checking():
+        energy(*inputs())
+    assert not energy.rejected
+
+
+@pytest.mark.parametrize("entry", kernels.TABLE, ids=lambda kernel: kernel.function)
+def test_every_kernel_replaces_an_operation(entry):
+    if entry.device == "gpu":
+        pytest.importorskip("triton")
+    parts = entry.replaces.split(".")
+    name = next(n for n in range(len(parts), 0, -1) if _is_module(parts[:n]))
+    found = importlib.import_module(".".join(parts[:name]))
+    operations = [value for value in vars(found).values() if isinstance(value, Operation)]
+    operations += [
+        value
+        for owner in vars(found).values()
+        if isinstance(owner, type)
+        for value in vars(owner).values()
+        if isinstance(value, Operation)
+    ]
+    if entry.replaces == "mrgs.rasterizer.reference.rasterize":
+        from mrgs.rasterizer import rasterize
+
+        operations = [rasterize]
+    assert entry.replaces in [value.name for value in operations]
+    assert callable(module._imported(entry.function))
+
+
+def _is_module(parts: list[str]) -> bool:
+    path = SOURCE.parent.joinpath(*parts)
+    return path.is_dir() or path.with_suffix(".py").exists()
+
+
+def test_what_is_compiled_into_kernels_makes_them_stale():
+    """Constants of other rooms that a Numba file imports are among the sources of the stamp."""
+    from mrgs.kernels.jit import COMPILED_IN
+
+    imported = set()
+    for path in sorted(SOURCE.joinpath("kernels").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = [
+            f"{node.module}.{alias.name}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        ]
+        if any(name.startswith("mrgs.kernels.jit.") for name in names):
+            imported |= {_file_of(name) for name in names if _is_compiled_in(name)}
+    assert imported <= set(COMPILED_IN)
+
+
+def _is_compiled_in(name: str) -> bool:
+    """Whether a name is a module or a constant of another room."""
+    is_constant = name.rpartition(".")[2].isupper()
+    is_foreign = name.startswith("mrgs.") and not name.startswith("mrgs.kernels.")
+    return is_foreign and (is_constant or _is_module(name.split(".")))
+
+
+def _file_of(name: str) -> str:
+    parts = name.split(".")
+    module_parts = parts if _is_module(parts) else parts[:-1]
+    return "/".join(module_parts[1:]) + ".py"
