@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, Shaped
 from torch import Tensor, nn
 
 
 def take(
-    tensor: Float[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None
-) -> Float[Tensor, "v ..."]:
+    tensor: Shaped[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None
+) -> Shaped[Tensor, "v ..."]:
     """The given rows of a tensor; all of it if None."""
     return tensor if rows is None else tensor.index_select(0, rows)
 

@@ -85,7 +85,9 @@ class BakedModel:
     def colors(self, position: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
         """Colour of each splat as seen from a position."""
         directions = torch.nn.functional.normalize(self.means - position, dim=1)
-        return (evaluate_sh(self.sh[:, :1], self.sh[:, 1:], directions, MAX_DEGREE) + 0.5).clamp_min(0)
+        return (
+            evaluate_sh(self.sh[:, :1], self.sh[:, 1:], directions, MAX_DEGREE) + 0.5
+        ).clamp_min(0)
 
     def render(self, camera: Camera) -> Rendering:
         """Both modalities from one camera, without gradients."""
@@ -99,11 +101,15 @@ class BakedModel:
                 self.means, self.quats, self.scales, layers, camera.viewmat, camera.K, camera.width, camera.height,
             )  # fmt: skip
         rgb, thermal = raster.blends
-        return Rendering(rgb.image, rgb.depth, thermal.image, thermal.depth, rgb.alpha, thermal.alpha)
+        return Rendering(
+            rgb.image, rgb.depth, thermal.image, thermal.depth, rgb.alpha, thermal.alpha
+        )
 
 
 @torch.no_grad()
-def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange | None) -> BakedModel:
+def bake(
+    model: Model, cameras: Sequence[Camera], temperature: TemperatureRange | None
+) -> BakedModel:
     """Fold the field of a trained model into plain splats.
 
     Args:
@@ -117,7 +123,9 @@ def bake(model: Model, cameras: Sequence[Camera], temperature: TemperatureRange 
     if not cameras:
         raise ValueError("colours cannot be fitted without a camera")
     gaussians = model.gaussians
-    positions = torch.stack([cameras[index].position for index in spread(len(cameras), DIRECTIONS)]).to(gaussians.means)
+    positions = torch.stack(
+        [cameras[index].position for index in spread(len(cameras), DIRECTIONS)]
+    ).to(gaussians.means)
     blocks = torch.arange(len(gaussians)).split(BLOCK_ROWS)
     return BakedModel(
         means=gaussians.means.detach(),
@@ -137,12 +145,20 @@ def _temperatures(model: Model) -> Float[Tensor, " n"]:
     return model.temperatures(anywhere, sh_degree=0)[:, 0]
 
 
-def _fit_colors(model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]) -> Float[Tensor, "v 16 3"]:
+def _fit_colors(
+    model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]
+) -> Float[Tensor, "v 16 3"]:
     """The coefficients whose colours come closest to c + ĉ as seen from the positions, and to the
     trained ones."""
     sh, means = model.gaussians.sh[rows], model.gaussians.means[rows]
     if model.sh_degree < MAX_DEGREE:
-        sh = torch.cat([sh[:, : (model.sh_degree + 1) ** 2], torch.zeros_like(sh[:, (model.sh_degree + 1) ** 2 :])], 1)
+        sh = torch.cat(
+            [
+                sh[:, : (model.sh_degree + 1) ** 2],
+                torch.zeros_like(sh[:, (model.sh_degree + 1) ** 2 :]),
+            ],
+            1,
+        )
     if not model.field.config.residuals:
         return sh
     identity = torch.eye(COEFFICIENTS, dtype=sh.dtype).expand(len(rows), -1, -1)

@@ -68,7 +68,9 @@ class TrainedRun(ABC):
 
     def render_view(self, view: View) -> Rendering:
         """Render a view from its own cameras, without gradients."""
-        return self.render_cameras(view.rgb.camera if view.rgb else None, view.thermal.camera if view.thermal else None)
+        return self.render_cameras(
+            view.rgb.camera if view.rgb else None, view.thermal.camera if view.thermal else None
+        )
 
     def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:
         """The rendering of a camera as the scene's cameras would have written it there, to be
@@ -85,8 +87,9 @@ class TrainedRun(ABC):
             ValueError: the scene has no known °C, or the rendering no thermal image.
         """
         if self.temperature is None or rendering.thermal is None:
-            raise ValueError("no °C: the scene has no temperature range, or the rendering has no "
-                             "thermal image")
+            raise ValueError(
+                "no °C: the scene has no temperature range, or the rendering has no thermal image"
+            )
         return self.temperature.to_celsius(rendering.thermal[..., 0])
 
     def load_scene(self) -> Scene:
@@ -103,7 +106,9 @@ class TrainedRun(ABC):
                 f"longer there; "
                 "say where it is with --scene"
             )
-        scene = load_scene(self.facts.scene, resolution=self.config.resolution, seed=self.config.seed)
+        scene = load_scene(
+            self.facts.scene, resolution=self.config.resolution, seed=self.config.seed
+        )
         require_same_scene(self.facts, scene)
         return scene
 
@@ -166,7 +171,9 @@ class ThermoNerfRun(TrainedRun):
         return None
 
 
-def open_run(path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto") -> Run | ThermoNerfRun:
+def open_run(
+    path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
+) -> Run | ThermoNerfRun:
     """Open the newest checkpoint of a run of any method, to render and to score it.
 
     Args:
@@ -183,8 +190,9 @@ def open_run(path: str | Path, scene: str | Path | None = None, device: DeviceNa
     if not holds_thermonerf(folder):
         return load_run(path, scene, device)
     if device == "cuda":
-        raise DeviceError(f"{path} is a ThermoNeRF run, which works on the CPU alone: leave "
-                          f"--device out")
+        raise DeviceError(
+            f"{path} is a ThermoNeRF run, which works on the CPU alone: leave --device out"
+        )
     newest = folder.newest_checkpoint()
     config = read_config(folder)
     model, facts = load_thermonerf(newest, config)
@@ -214,7 +222,9 @@ def load_run(path: str | Path, scene: str | Path | None = None, device: DeviceNa
     config = folder.read_config()
     model, facts, image_model = load_model(newest, config)
     chosen = gpu.choose_device(device)
-    return Run(folder, config, _moved(facts, scene), bake_temperature_residuals(model), image_model, chosen)
+    return Run(
+        folder, config, _moved(facts, scene), bake_temperature_residuals(model), image_model, chosen
+    )
 
 
 def _moved(facts: CheckpointFacts, scene: str | Path | None) -> CheckpointFacts:
