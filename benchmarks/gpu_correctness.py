@@ -277,7 +277,10 @@ def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Find
             workload.view(width, height),
             photos_on(place, width, height),
         )
-        steps = [training_step(state, view, 0, photos, config, workload.SCALE) for _ in range(3)]
+        steps = [
+            training_step(state, view, 0, photos, config, workload.SCALE).statistics
+            for _ in range(3)
+        ]
         losses.append(torch.tensor([float(step.loss) for step in steps], dtype=torch.float64))
     yield {
         "of": f"losses of three steps, {method}",

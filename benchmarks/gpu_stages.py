@@ -151,7 +151,7 @@ def _steps(clock: Clock, method: str, plan: Plan) -> Row:
     )
 
     def run() -> StepStatistics:
-        return training_step(state, view, 0, photos, config, workload.SCALE)
+        return training_step(state, view, 0, photos, config, workload.SCALE).statistics
 
     times = clock.measure({"step": run}, plan.steps, flush=False)
     return {

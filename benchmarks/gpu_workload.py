@@ -20,14 +20,13 @@ from benchmarks.workload import (
 )
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.radiation import DepthUncertainty
-from mrgs.method.losses.terms import Photos
+from mrgs.method.losses.term import Photos
+from mrgs.method.losses.terms import configured_terms
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from mrgs.render import Model
 from mrgs.scene import Pixels
-from mrgs.training.checkpoint import make_state
-from mrgs.training.step import TrainingState
+from mrgs.training.state import TrainingState
 
 MODALITIES = ("rgb", "thermal")
 CHUNK_PIXELS = 2**22
@@ -94,8 +93,8 @@ def state_on(device: torch.device, count: int, config: TrainConfig) -> TrainingS
     k = config.field.neighbours_k
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
     model = Model(parameters, field, neighbours, sh_degree=3).to(device)
-    uncertainty = DepthUncertainty().to(device)
-    state = make_state(model, uncertainty, config, CAPTURE, torch.Generator().manual_seed(3))
+    terms, generator = configured_terms(config), torch.Generator().manual_seed(3)
+    state = TrainingState.around(model, terms, config.densification, config, CAPTURE, generator)
     return replace(state, step=STEP_IN_FORCE)
 
 

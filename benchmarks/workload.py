@@ -18,13 +18,12 @@ from mrgs.field.spherical_harmonics import C0
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.radiation import DepthUncertainty
-from mrgs.method.losses.terms import Photos, SceneScale
+from mrgs.method.losses.term import Photos, SceneScale
+from mrgs.method.losses.terms import configured_terms
 from mrgs.rasterizer import Layer
 from mrgs.render import Model
 from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, TemperatureRange, View
-from mrgs.training.checkpoint import make_state
-from mrgs.training.step import TrainingState
+from mrgs.training.state import TrainingState
 
 FIELD_OF_VIEW = math.radians(60)
 
@@ -148,5 +147,6 @@ def training_state(count: int, config: TrainConfig) -> TrainingState:
     k = config.field.neighbours_k
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
     model = Model(parameters, field, neighbours, sh_degree=3)
-    state = make_state(model, DepthUncertainty(), config, CAPTURE, torch.Generator().manual_seed(3))
+    terms, generator = configured_terms(config), torch.Generator().manual_seed(3)
+    state = TrainingState.around(model, terms, config.densification, config, CAPTURE, generator)
     return replace(state, step=STEP_IN_FORCE)

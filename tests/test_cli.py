@@ -188,7 +188,7 @@ def test_what_stood_in_the_output_folder_stays(make_scene, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--method", "nerf"), "there is no method 'nerf': choose one of mrgs, mrgs-base"),
+        (("--method", "nerf"), "unknown method 'nerf'; choose one of mrgs-plus, mrgs,"),
         (("--preset", "slow"), "there is no preset 'slow': choose one of fast, default, paper"),
         (("--max-steps", 0), "max_steps must be at least 1, not 0"),
         (("--max-gaussians", 0), "max_gaussians must be at least 1"),
@@ -292,11 +292,11 @@ BAD_RUNS: dict[str, tuple[Damage, str]] = {
     ),
     "not YAML": (
         lambda folder: (folder / "config.yaml").write_text("max_steps: [1"),
-        r"config\.yaml is not valid YAML.*mend the file or train anew",
+        r"config\.yaml is not valid YAML.*fix the file or retrain",
     ),
     "bad value": (
         lambda folder: (folder / "config.yaml").write_text("max_steps: 0"),
-        r"config\.yaml: max_steps must be at least 1, not 0; mend the file or train anew",
+        r"config\.yaml: max_steps must be at least 1, not 0; fix the file or retrain",
     ),
     "no text": (
         lambda folder: (folder / "config.yaml").write_bytes(b"\xff\xfe\0"),
@@ -651,7 +651,7 @@ def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tm
     assert json.loads((output / "eval" / "metrics.json").read_text())["gaussians"] is None
     refused(
         capsys,
-        "is a ThermoNeRF run: it has no Gaussians to export, view or report on",
+        "is a run of thermonerf, which has no Gaussians to export, view or report on",
         "export",
         output,
     )

@@ -11,11 +11,10 @@ from benchmarks.timing import Stages, Timing
 from benchmarks.workload import CAPTURE, EXTENT, SCALE, photos, training_state, view
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import Method, Preset, TrainConfig, make_config
-from mrgs.method.density.densification import ScreenStatistics
 from mrgs.render import bake_temperature_residuals, render_view
 from mrgs.scene import Gaussians
-from mrgs.training.checkpoint import make_state
-from mrgs.training.step import TrainingState, control_density, training_step
+from mrgs.training.state import TrainingState
+from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
 
 STEP = "step"
 RENDER = "render"
@@ -78,7 +77,9 @@ def densification(case: Case) -> Stages:
     config = _choosing(start.model.gaussians, config)
 
     def event(state: TrainingState) -> None:
-        control_density(state, config, EXTENT)
+        statistics = StepStatistics(state.step, 0.0, {}, None, len(state.model.gaussians), False)
+        done = StepResult(statistics, [], torch.tensor(True))
+        control_density(state, done, config, EXTENT)
         state.model.neighbours = nearest_neighbours(
             state.model.gaussians.means, config.field.neighbours_k
         )
@@ -105,12 +106,11 @@ def _before_event(start: TrainingState, config: TrainConfig) -> TrainingState:
     )
     model = replace(start.model, gaussians=copies)
     generator = torch.Generator().manual_seed(5)
-    state = make_state(model, start.uncertainty, config, CAPTURE, generator)
+    state = TrainingState.around(model, (), config.densification, config, CAPTURE, generator)
     for tensor in state.gaussian_optimizer.gaussians.tensors().values():
         tensor.grad = torch.zeros_like(tensor)
     state.gaussian_optimizer.step(0.5)
     count = len(model.gaussians)
-    statistics = ScreenStatistics(torch.rand(count, generator=generator), torch.ones(count))
-    return replace(
-        state, step=config.densification.start + config.densification.every, statistics=statistics
-    )
+    seen = {"gradient_sum": torch.rand(count, generator=generator), "views": torch.ones(count)}
+    step = config.densification.start + config.densification.every
+    return replace(state, step=step, strategy_state=seen)

@@ -31,7 +31,7 @@ def train(method: str, steps: int = 3) -> dict[str, torch.Tensor]:
     view, photos = workload.view(160, 120), workload.photos(160, 120)
     losses = []
     for _ in range(steps):
-        statistics = training_step(state, view, 0, photos, config, workload.SCALE)
+        statistics = training_step(state, view, 0, photos, config, workload.SCALE).statistics
         losses.append(statistics.loss)
     tensors = {
         **state.model.gaussians.tensors(),

@@ -3,14 +3,13 @@ from __future__ import annotations
 import pytest
 
 from mrgs.baselines.thermonerf import ThermoNerfConfig, from_yaml, make_config
-from mrgs.baselines.thermonerf.config import is_thermonerf, to_yaml
 from mrgs.errors import ConfigError
-from mrgs.method import config as training_config
+from mrgs.system.strict_yaml import write_yaml
 
 
 def test_what_is_written_is_read_back(make_small_config):
     config = make_small_config(resolution=64, learning_rate=0.02)
-    assert from_yaml(to_yaml(config), "config.yaml") == config
+    assert from_yaml(write_yaml(config), "config.yaml") == config
 
 
 def test_a_part_stands_over_another_configuration(make_small_config):
@@ -18,13 +17,6 @@ def test_a_part_stands_over_another_configuration(make_small_config):
     changed = from_yaml("field: {hidden_width: 32}", "part.yaml", base)
     assert changed.field.hidden_width == 32
     assert changed.field.grid == base.field.grid
-
-
-def test_a_run_tells_its_method():
-    assert is_thermonerf(to_yaml(ThermoNerfConfig()))
-    assert not is_thermonerf(training_config.to_yaml(training_config.make_config()))
-    assert not is_thermonerf("[: not yaml")
-    assert not is_thermonerf("- a list")
 
 
 def test_the_learning_rate_decays_from_one_end_to_the_other():

@@ -8,11 +8,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from mrgs.baselines.thermonerf import ThermoNerfRun, train_thermonerf
 from mrgs.baselines.thermonerf import step as step_module
-from mrgs.baselines.thermonerf import train_thermonerf
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
-from mrgs.runs.open import ThermoNerfRun, load_run, open_run
+from mrgs.runs.open import load_run, open_run
 from mrgs.training import make_config, train
 from mrgs.training.checkpoint import load_facts, write
 from mrgs.training.run_folder import RunFolder
@@ -111,8 +111,8 @@ def test_what_needs_gaussians_refuses(small_scene, tmp_path, make_small_config):
     with pytest.raises(RunError) as caught:
         load_run(folder.path)
     assert str(caught.value) == (
-        f"{folder.path} is a ThermoNeRF run: it has no Gaussians to export, view or report on; "
-        "`mrgs eval` and `mrgs render` work with it"
+        f"{folder.path} is a run of thermonerf, which has no Gaussians to export, view or report "
+        "on; `mrgs eval` and `mrgs render` work with it"
     )
 
 
@@ -123,7 +123,7 @@ def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(
     assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
     with pytest.raises(
         RunError,
-        match="is not a ThermoNeRF run: resume it with the --method that it was trained with",
+        match="run is a run of mrgs, not of thermonerf",
     ):
         train_thermonerf(small_scene, folder.path, make_small_config(), resume=True)
 
@@ -158,9 +158,7 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(
     with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
         open_run(folder.path)
     folder.config_file.write_text(text + "colour: red\n")
-    with pytest.raises(
-        RunError, match=r"there is no field 'colour'.*; mend the file or train anew"
-    ):
+    with pytest.raises(RunError, match=r"there is no field 'colour'.*; fix the file or retrain"):
         open_run(folder.path)
     folder.config_file.write_text(text)
     path = folder.newest_checkpoint()

@@ -14,8 +14,7 @@ from mrgs.data import load_scene
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.scene import Gaussians
-from mrgs.training.step import TrainingState
-from mrgs.training.trainer import initial_state
+from mrgs.training.state import TrainingState, initial_state, learned_layers
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -74,13 +73,11 @@ def tensors_of(state: TrainingState) -> dict[str, torch.Tensor]:
         f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()
     }
     tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
-    tensors |= {
-        f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()
-    }
+    for term, layers in learned_layers(state.terms).items():
+        tensors |= {f"terms.{term}.{name}": value for name, value in layers.state_dict().items()}
     for place, moments in state.layer_optimizer.state_dict()["state"].items():
         tensors |= {f"layer_optimizer.{place}.{key}": value for key, value in moments.items()}
-    tensors["statistics.gradient_sum"] = state.statistics.gradient_sum
-    tensors["statistics.views"] = state.statistics.views
+    tensors |= {f"strategy.{name}": tensor for name, tensor in state.strategy_state.items()}
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
 

@@ -13,11 +13,11 @@ from safetensors.torch import load_file, save_file
 from mrgs.errors import RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
-from mrgs.method.losses.terms import Photos, SceneScale
+from mrgs.method.losses.term import Photos, SceneScale
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
-from mrgs.training.step import TrainingState
+from mrgs.training.state import TrainingState
 
 VIEWPOINT = Viewpoint((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
 FACTS = CheckpointFacts(
@@ -48,9 +48,9 @@ def state(make_start, config) -> TrainingState:
         number = state.sampler.next()
         view = scene.train[number]
         photos = Photos(view.rgb.load(), view.thermal.load())
-        step.training_step(
-            state, view, number, photos, config, SceneScale(scene.extent, scene.temperature)
-        )
+        scale = SceneScale(scene.extent, scene.temperature)
+        result = step.training_step(state, view, number, photos, config, scale)
+        step.control_density(state, result, config, scene.extent)
     return state
 
 
@@ -70,7 +70,7 @@ def change_header(path: Path, **changes) -> None:
 
 
 def test_everything_comes_back(state, path, config, snapshot):
-    state.skipped_in_a_row = 2
+    state.skipped_in_a_row += 2
     save(path, state, FACTS)
     found, facts = load_state(path, config), load_facts(path)
     assert facts == FACTS

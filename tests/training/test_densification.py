@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.method.density.densification import (
-    DensificationConfig,
+from mrgs.method.density.adaptive import (
+    AdaptiveDensityControl,
     DensificationCounts,
-    ScreenStatistics,
+    add_views,
     densify,
+    mean_gradients,
 )
 from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig
 from mrgs.rasterizer.reference import rotation_matrices
@@ -19,7 +20,7 @@ from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
 
 EXTENT = 10.0
-CONFIG = DensificationConfig(
+CONFIG = AdaptiveDensityControl(
     gradient_threshold=1.0, clone_below=0.01, prune_above=0.5, max_gaussians=1_000
 )
 SMALL, LARGE, HUGE = 0.05, 0.5, 6.0
@@ -44,17 +45,15 @@ def build(
     return GaussianOptimizer(gaussians, OptimizerConfig(), EXTENT)
 
 
-def statistics_of(gradients: list[float]) -> ScreenStatistics:
-    """Means of two views each."""
-    return ScreenStatistics(2 * torch.tensor(gradients), torch.full((len(gradients),), 2.0))
-
-
 def run(
     optimizer, gradients, config=CONFIG, prunes_large=False, seed=0
 ) -> tuple[DensificationCounts, Gaussians]:
     generator = torch.Generator().manual_seed(seed)
-    counts = densify(optimizer, statistics_of(gradients), config, EXTENT, prunes_large, generator)
-    return counts, optimizer.gaussians
+    change = densify(
+        optimizer.gaussians, torch.tensor(gradients), config, EXTENT, prunes_large, generator
+    )
+    optimizer.replace_rows(change.keep, change.added)
+    return change.counts, optimizer.gaussians
 
 
 def test_a_small_one_with_a_large_gradient_is_cloned(make_gaussians):
@@ -184,28 +183,28 @@ def screen_points(gradient: list[list[float]], radii: list[float], size=(40, 30)
     return ScreenPoints(offset, torch.tensor(radii), size)
 
 
-def test_statistics_are_means_over_the_views_that_drew():
-    statistics = ScreenStatistics.empty(3)
-    statistics.add([screen_points([[0.3, 0.0], [0.0, 0.2], [0.0, 0.0]], [5.0, 2.0, 0.0])])
-    statistics.add([screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0])])
-    assert statistics.views.tolist() == [2, 1, 0]
+def test_statistics_are_means_over_the_views_that_drew(make_gaussians):
+    state = CONFIG.initial_state(make_gaussians(3))
+    state = add_views(state, [screen_points([[0.3, 0.0], [0.0, 0.2], [0.0, 0.0]], [5.0, 2.0, 0.0])])
+    state = add_views(state, [screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0])])
+    assert state["views"].tolist() == [2, 1, 0]
     # in units of half the image: 20 px wide, 15 px high
     torch.testing.assert_close(
-        statistics.mean(), torch.tensor([(0.3 + 0.1) * 20 / 2, 0.2 * 15, 0.0])
+        mean_gradients(state), torch.tensor([(0.3 + 0.1) * 20 / 2, 0.2 * 15, 0.0])
     )
 
 
-def test_two_passes_of_a_view_add_up_and_count_once():
-    statistics = ScreenStatistics.empty(2)
+def test_two_passes_of_a_view_add_up_and_count_once(make_gaussians):
+    state = CONFIG.initial_state(make_gaussians(2))
     rgb = screen_points([[0.1, 0.0], [0.0, 0.0]], [5.0, 0.0])
     thermal = screen_points([[0.0, 0.1], [0.1, 0.0]], [5.0, 1.0], size=(20, 10))
-    statistics.add([rgb, thermal])
-    assert statistics.views.tolist() == [1, 1]
-    torch.testing.assert_close(statistics.mean(), torch.tensor([0.1 * 20 + 0.1 * 5, 0.1 * 10]))
+    state = add_views(state, [rgb, thermal])
+    assert state["views"].tolist() == [1, 1]
+    torch.testing.assert_close(mean_gradients(state), torch.tensor([0.1 * 20 + 0.1 * 5, 0.1 * 10]))
 
 
 def test_the_schedule():
-    config = DensificationConfig(start=100, stop=400, every=50, reset_every=150)
+    config = AdaptiveDensityControl(start=100, stop=400, every=50, reset_every=150)
     assert [step for step in range(1, 1_000) if config.densifies_at(step)] == [
         150,
         200,
@@ -230,4 +229,4 @@ def test_the_schedule():
 )
 def test_impossible_schedules_are_named(options, message):
     with pytest.raises(ConfigError, match=message):
-        DensificationConfig(**options)
+        AdaptiveDensityControl(**options)

@@ -21,15 +21,14 @@ from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
-from mrgs.method.density import densification
-from mrgs.method.density.relocation import RelocationConfig
-from mrgs.method.losses.terms import Photos, SceneScale
+from mrgs.method.density import adaptive
+from mrgs.method.losses.term import Photos, SceneScale
 from mrgs.rasterizer import Blend, Raster
 from mrgs.scene import Pixels
 from mrgs.system import gpu
 from mrgs.training import step as step_module
-from mrgs.training.step import explore_means, training_step
-from mrgs.training.trainer import initial_state
+from mrgs.training.state import initial_state
+from mrgs.training.step import control_density, training_step
 
 aten = torch.ops.aten
 
@@ -153,7 +152,7 @@ def start(small_scene, make_short_config):
             )
         for dtype in (torch.float32, torch.float64):
             scene.train[0].rgb.camera.tensors(gpu.HOST, dtype)
-        densification._half((8, 6), gpu.HOST)
+        adaptive._half((8, 6), gpu.HOST)
 
         def take(number: int = 0, masked: bool = False):
             view = scene.train[number]
@@ -164,11 +163,10 @@ def start(small_scene, make_short_config):
                 rgb, thermal = (replace(pixels, valid=valid) for pixels in (rgb, thermal))
 
             def step() -> step_module.StepStatistics:
-                statistics = training_step(
-                    state, view, number, Photos(rgb, thermal, True), config, scale
-                )
-                explore_means(state, config, scale.extent)
-                return statistics
+                photos = Photos(rgb, thermal, True)
+                result = training_step(state, view, number, photos, config, scale)
+                control_density(state, result, config, scale.extent)
+                return result.statistics
 
             return step
 
@@ -189,9 +187,7 @@ def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch
     if gpu_device != "cpu":
         pytest.skip("where there is a GPU, the next test asks it")
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
-    _, take = start(
-        method, relocation=RelocationConfig() if masked else None, image_model=EVERY_PART
-    )
+    _, take = start(method, image_model=EVERY_PART)
     steps = [take(0, masked), take(0, masked)]
     with no_round_trips(monkeypatch):
         statistics = [step() for step in steps]
@@ -214,13 +210,18 @@ def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(
         for image in (view.rgb, view.thermal)
     )
     photos, scale = Photos(*pixels, True), SceneScale(scene.extent, scene.temperature)
+
+    def take() -> None:
+        result = training_step(state, view, 0, photos, config, scale)
+        control_density(state, result, config, scale.extent)
+
     for _ in range(2):
-        training_step(state, view, 0, photos, config, scale)
+        take()
     with (
         telling_of_waits("warn"),
         pytest.warns(UserWarning, match="called a synchronizing") as caught,
     ):
-        training_step(state, view, 0, photos, config, scale)
+        take()
     assert len([each for each in caught if "called a synchronizing" in str(each.message)]) == 1
 
 
@@ -282,9 +283,7 @@ def test_all_of_a_step_is_on_one_device(
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
     device = torch.device("meta")
-    config = harmonic(
-        make_short_config(method, sh_every=1, relocation=RelocationConfig(), image_model=EVERY_PART)
-    )
+    config = harmonic(make_short_config(method, sh_every=1, image_model=EVERY_PART))
     scene = load_scene(small_scene, resolution=8)
     state = initial_state(scene, config, device)
     if config.field.neighbours_k > 0:
@@ -298,10 +297,10 @@ def test_all_of_a_step_is_on_one_device(
     )
     scale = SceneScale(scene.extent, scene.temperature)
     for number in (1, 2):
-        statistics = training_step(state, view, 0, Photos(rgb, thermal, True), config, scale)
-        explore_means(state, config, scale.extent)
-        assert statistics.step == number
-        assert statistics._measured.device == device
+        result = training_step(state, view, 0, Photos(rgb, thermal, True), config, scale)
+        control_density(state, result, config, scale.extent)
+        assert result.statistics.step == number
+        assert result.statistics._measured.device == device
     for name, tensor in snapshot(state).items():
         assert tensor.device == device or name.endswith(".step"), name
 
@@ -333,5 +332,5 @@ def test_the_kernels_train_as_the_cpu_does(method, start, snapshot):
     )
     assert set(moments_on_gpu) == set(moments_on_cpu)
     for name, here in moments_on_cpu.items():
-        if name.endswith("exp_avg") or name == "statistics.gradient_sum":
+        if name.endswith("exp_avg") or name == "strategy.gradient_sum":
             assert (moments_on_gpu[name] - here).norm() <= 1e-3 * here.norm(), name

@@ -20,12 +20,13 @@ from mrgs.method.config import make_config
 from mrgs.method.losses import photometric as losses
 from mrgs.method.losses import radiation
 from mrgs.method.losses.photometric import total_loss
-from mrgs.method.losses.radiation import DepthUncertainty
 from mrgs.method.losses.smoothness import total_variation
-from mrgs.method.losses.terms import Photos, SceneScale, loss_terms, loss_weights
+from mrgs.method.losses.term import LossContext, Photos, SceneScale
+from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.render import Rendering
 from mrgs.scene import Pixels, TemperatureRange
 from mrgs.system import gpu
+from mrgs.training.state import learned_layers
 
 
 def image(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -159,12 +160,11 @@ def without_values(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_no_loss_makes_the_host_wait(without_values, masked):
+def test_no_loss_makes_the_host_wait(without_values, masked, make_gaussians):
     config = make_config("mrgs", "fast")
     parts = ImageModelConfig(point_spread=True, thermal_gain=True)
     size, viewpoints = (30, 20), (Viewpoint((0, 0, 0), (0, 0, 1)),) * 4
     image_model = ImageModel(parts, Capture(viewpoints, 2.0, has_celsius=False)).to(without_values)
-    uncertainty = DepthUncertainty().to(without_values)
 
     def plane(*channels: int) -> torch.Tensor:
         return torch.empty(size[1], size[0], *channels, device=without_values)
@@ -174,22 +174,28 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
 
     rendering = Rendering(*(plane(*c).requires_grad_() for c in ((3,), (), (1,), (), (), ())))
     photographed = image_model(rendering, 1)
-    config = replace(config, loss=replace(config.loss, opaque=0.1, smooth_depth=1.0))
-    terms = loss_terms(
+    changed = replace(config, loss=replace(config.loss, opaque=0.1, smooth_depth=1.0))
+    context = LossContext(
         rendering,
         photographed,
         Photos(photo(3), photo(1), shares_camera=True),
-        config,
+        make_gaussians(1),
         SceneScale(2.0, TemperatureRange(10.0, 30.0)),
-        uncertainty,
     )
-    assert set(terms) == {"rgb", "thermal", "smooth", "opaque", "boltzmann"}
-    total_loss(terms, loss_weights(config, 700)).backward()
+    terms = configured_terms(changed)
+    for layers in learned_layers(terms).values():
+        layers.to(without_values)
+    values = term_values(terms, context)
+    assert set(values) == {"rgb", "thermal", "smooth", "opaque", "boltzmann"}
+    weights = {term.name: term.weight(700) for term in terms}
+    total_loss(values, weights).backward()
+    learned = [p for layers in learned_layers(terms).values() for p in layers.parameters()]
+    assert learned
+    assert all(parameter.grad is not None for parameter in learned)
     assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == [
         "alpha_rgb"
     ]
-    learned = (*uncertainty.parameters(), *image_model.parameters())
-    assert all(parameter.grad is not None for parameter in learned)
+    assert all(parameter.grad is not None for parameter in image_model.parameters())
 
 
 def test_asking_a_tensor_without_values_fails():

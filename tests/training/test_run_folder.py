@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.method.config import TrainConfig, make_config
+from mrgs.method.config import TrainConfig, from_yaml, make_config
 from mrgs.training.run_folder import RunFolder
 
 
@@ -28,7 +28,7 @@ def test_a_new_run_keeps_its_configuration(tmp_path):
     config = make_config("3dgs-rgbt", "fast", seed=7)
     folder = RunFolder(tmp_path / "a" / "b")
     folder.start(config)
-    assert folder.read_config() == config
+    assert folder.read_config(from_yaml) == config
     assert folder.checkpoints() == []
 
 
@@ -44,7 +44,7 @@ def test_a_run_is_not_started_twice(folder):
 def test_a_run_that_died_before_its_first_checkpoint_is_started_anew(folder):
     folder.append_log({"step": 1})
     folder.start(TrainConfig(seed=5))
-    assert folder.read_config().seed == 5
+    assert folder.read_config(from_yaml).seed == 5
     assert not folder.log_file.exists()
 
 
@@ -96,7 +96,7 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
     with pytest.raises(
         RunError, match=r"is not a run: its config\.yaml cannot be read; name a folder that"
     ):
-        empty.read_config()
+        empty.read_config(from_yaml)
     with pytest.raises(
         RunError, match="run has no checkpoint yet: train it first, without --resume"
     ):
@@ -109,15 +109,15 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
         (b"\xff\xfe", r"its config\.yaml cannot be read"),
         (
             b"max_steps: 0",
-            r"config\.yaml: max_steps must be at least 1, not 0; mend the file or train anew",
+            r"config\.yaml: max_steps must be at least 1, not 0; fix the file or retrain",
         ),
-        (b"steps: 7", r"config\.yaml: there is no field 'steps'; .*; mend the file or train anew"),
+        (b"steps: 7", r"config\.yaml: there is no field 'steps'; .*; fix the file or retrain"),
     ],
 )
 def test_a_damaged_configuration_is_named(content, message, folder):
     folder.config_file.write_bytes(content)
     with pytest.raises(RunError, match=message):
-        folder.read_config()
+        folder.read_config(from_yaml)
 
 
 def test_the_log_is_cut_behind_a_step(folder):

@@ -9,16 +9,15 @@ from safetensors.torch import load_file
 
 from mrgs.data import load_scene
 from mrgs.errors import DeviceError, RunError, SceneError, TrainingError
-from mrgs.method.density import relocation as relocation_module
-from mrgs.method.density.densification import ScreenStatistics
-from mrgs.method.density.relocation import RelocationConfig
+from mrgs.method.config import from_yaml
+from mrgs.method.density import adaptive
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import render_view
 from mrgs.runs.open import load_run
 from mrgs.training import METHODS, driver, step, train
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.trainer import initial_state
+from mrgs.training.state import initial_state
 from mrgs.training.views import PhotoCache
 
 
@@ -91,7 +90,7 @@ def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
     )
 
     scene = load_scene(small_scene)
-    model, _, _ = load_model(folder.newest_checkpoint(), folder.read_config())
+    model, _, _ = load_model(folder.newest_checkpoint(), folder.read_config(from_yaml))
     for view in scene.eval:
         rendering = render_view(model, view)
         photo = view.thermal.load().values
@@ -112,7 +111,7 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(
     )
     kept = ["checkpoints/step_000040.safetensors", "checkpoints/step_000045.safetensors"]
     assert names == [".lock", *kept, "config.yaml", "log.jsonl"]
-    assert folder.read_config() == config
+    assert folder.read_config(from_yaml) == config
 
     log = read_log(folder)
     assert [entry["step"] for entry in log] == [10, 20, 30, 40, 45]
@@ -358,28 +357,23 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
     monkeypatch.setattr(owner, name, full)
 
 
-RELOCATION = RelocationConfig(start=5, stop=70, every=20, noise=100.0)
-
-
 @pytest.mark.parametrize(
-    ("relocation", "owner", "name", "calls"),
+    ("owner", "name", "calls"),
     [
-        (None, step, "total_loss", {0, 7, 60}),
-        (None, step, "_thermal_error", {0, 7, 60}),
-        (None, ScreenStatistics, "add", {0, 7, 60}),
-        (None, GaussianOptimizer, "step", {0, 7, 60}),
-        (None, PhotoCache, "fetch", {0, 7, 20}),
-        (None, step, "densify", {0, 2}),
-        (None, ScreenStatistics, "empty", {1, 3}),  # the first is that of the start
-        (RELOCATION, ScreenStatistics, "empty", {1, 3}),
-        (RELOCATION, relocation_module, "draw_normal", {0, 7, 60}),
-        (RELOCATION, step, "explore", {0, 7, 60}),
+        (step, "total_loss", {0, 7, 60}),
+        (step, "_thermal_error", {0, 7, 60}),
+        (adaptive, "add_views", {0, 7, 60}),
+        (GaussianOptimizer, "step", {0, 7, 60}),
+        (PhotoCache, "fetch", {0, 7, 20}),
+        (adaptive, "densify", {0, 2}),
+        (adaptive, "_no_views", {1, 3}),  # the first is that of the start
+        (GaussianOptimizer, "replace_rows", {0, 2}),
     ],
 )
 def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
-    relocation, owner, name, calls, small_scene, tmp_path, make_short_config, monkeypatch
+    owner, name, calls, small_scene, tmp_path, make_short_config, monkeypatch
 ):
-    config = replace(eventful(make_short_config, "mrgs"), max_steps=80, relocation=relocation)
+    config = replace(eventful(make_short_config, "mrgs"), max_steps=80)
     whole = train(small_scene, tmp_path / "whole", config)
     fill_memory(monkeypatch, owner, name, calls)
     folder = train(small_scene, tmp_path / "run", config)

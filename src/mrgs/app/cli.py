@@ -43,6 +43,7 @@ from mrgs.app.terminal import (
 from mrgs.errors import ConfigError, DeviceError, MrgsError, TrainingError
 
 if TYPE_CHECKING:
+    from mrgs.runs.registry import Method
     from mrgs.scene import Scene
     from mrgs.training import StepStatistics, TrainConfig
     from mrgs.viewer import LiveView
@@ -147,75 +148,54 @@ def _check_scene(command: Prepare) -> int:
 
 
 def _train(command: Train) -> None:
-    if _is_thermonerf(command):
-        _train_thermonerf(command)
-        return
+    from mrgs.runs.open import method_of
+    from mrgs.runs.registry import find_method
     from mrgs.system.gpu import choose_device
-    from mrgs.training import from_yaml, make_config, train
+    from mrgs.training.run_folder import RunFolder
 
-    config = make_config(
-        command.method,
-        command.preset,
-        command.max_steps,
-        command.max_gaussians,
-        command.resolution,
-        command.seed,
-    )
-    if command.config is not None:
-        config = from_yaml(_read_text(command.config), str(command.config), config)
-    _check_seed(config.seed, MAX_TRAIN_SEED)
     output = _output(command)
-    note_gpu(choose_device(command.device))
+    method = method_of(RunFolder(output)) if command.resume else find_method(command.method)
+    _require_possible(command, method)
+    config = method.configure(
+        command.preset,
+        max_steps=command.max_steps,
+        max_gaussians=command.max_gaussians,
+        resolution=command.resolution,
+        seed=command.seed,
+        changes="" if command.config is None else _read_text(command.config),
+        source=str(command.config),
+    )
+    _check_seed(config.seed, MAX_TRAIN_SEED)
+    device = command.device if method.uses_gpu else "cpu"
+    note_gpu(choose_device(device))
     progress = TrainingProgress()
     with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
-        train(
+        method.train(
             command.scene,
             output,
             config,
             resume=command.resume,
-            device=command.device,
+            device=device,
             plain=command.plain,
             **_hooks(progress, live),
         )
     _say_what_next(command, output, progress)
 
 
-def _is_thermonerf(command: Train) -> bool:
-    """A resumed run keeps its own method."""
-    if not command.resume:
-        return command.method == "thermonerf"
-    from mrgs.baselines.thermonerf.run_files import holds_thermonerf
-    from mrgs.training.run_folder import RunFolder
+def _require_possible(command: Train, method: Method) -> None:
+    """Options that the method can follow.
 
-    return holds_thermonerf(RunFolder(_output(command)))
-
-
-def _train_thermonerf(command: Train) -> None:
-    from mrgs.baselines.thermonerf import from_yaml, make_config, train_thermonerf
-
+    Raises:
+        ConfigError: one needs Gaussians, and there are none.
+        DeviceError: the method cannot use a GPU.
+    """
     for option, value in (("--view", command.view), ("--max-gaussians", command.max_gaussians)):
-        if value:
+        if value and not method.has_gaussians:
             raise ConfigError(
-                f"{option} needs a method with Gaussians, and thermonerf has none: leave it out"
+                f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
             )
-    if command.device == "cuda":
-        raise DeviceError("thermonerf works on the CPU alone: leave --device out")
-    config = make_config(command.preset, command.max_steps, command.resolution, command.seed)
-    if command.config is not None:
-        config = from_yaml(_read_text(command.config), str(command.config), config)
-    _check_seed(config.seed, MAX_TRAIN_SEED)
-    progress = TrainingProgress()
-    with progress:
-        train_thermonerf(
-            command.scene,
-            _output(command),
-            config,
-            resume=command.resume,
-            plain=command.plain,
-            on_start=progress.start,
-            on_step=progress.step,
-        )
-    _say_what_next(command, _output(command), progress)
+    if command.device == "cuda" and not method.uses_gpu:
+        raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
 
 
 def _output(command: Train) -> Path:

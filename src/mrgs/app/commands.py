@@ -8,8 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from mrgs.runs.registry import registered_methods
+
 if TYPE_CHECKING:
     from mrgs.prepare import PrepareOptions
+
+METHODS_HELP = "; ".join(f"{each.name}: {each.description}" for each in registered_methods())
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 """As in ``mrgs.system.gpu``, which loads torch."""
@@ -28,9 +32,7 @@ class Train:
     """The scene's folder."""
     output: Path | None = None
     """The run's folder; by default runs/SCENE-METHOD."""
-    method: str = "mrgs-plus"
-    """mrgs-plus, mrgs (as published), mrgs-base, mrgs-fourier, mrgs-boltz, 3dgs-rgbt, or
-    thermonerf."""
+    method: Annotated[str, tyro.conf.arg(help=METHODS_HELP)] = "mrgs-plus"
     preset: str = "default"
     """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: int | None = None
@@ -200,8 +202,8 @@ class Compare:
     jobs: int = 1
     """Runs at a time; the cores are divided among them."""
     device: DeviceName = "auto"
-    """Where to train and render; auto takes the GPU where one can be used. thermonerf takes the CPU
-    in any case."""
+    """Where to train and render; auto takes the GPU where one can be used. Methods
+    that have no kernels for it take the CPU."""
     output: Path = Path("runs/compare")
     """The folder of the runs, tables and figures."""
     lpips_weights: Path | None = None

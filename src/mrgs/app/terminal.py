@@ -17,14 +17,14 @@ from mrgs.errors import MrgsWarning, SceneError
 if TYPE_CHECKING:
     import torch
 
-    from mrgs.baselines.thermonerf import ThermoNerfConfig, ThermoNerfStatistics
     from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
     from mrgs.prepare import Preparation, StageReport
     from mrgs.runs.open import Run, TrainedRun
     from mrgs.scene import Scene
-    from mrgs.training import StepStatistics, TrainConfig
+    from mrgs.training.driver import Statistics
+    from mrgs.training.run_folder import RunConfig
 
 PLAIN_LINE_EVERY_S = 10.0
 """Between progress lines where the output is not a terminal."""
@@ -128,7 +128,7 @@ class TrainingProgress:
         self._first_step: int | None = None
         self._started = self._last_line = time.perf_counter()
         self._smoothed: dict[str, float] = {}
-        self._unread: deque[StepStatistics | ThermoNerfStatistics] = deque(maxlen=STEPS_REMEMBERED)
+        self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
         self._terminal = sys.stdout.isatty()
         self._previous_handler: Any = None
 
@@ -150,7 +150,7 @@ class TrainingProgress:
         if self._terminal and self._first_step is not None:
             print()
 
-    def start(self, scene: Scene, config: TrainConfig | ThermoNerfConfig) -> None:
+    def start(self, scene: Scene, config: RunConfig) -> None:
         """Say what will be trained."""
         self._max_steps = config.max_steps
         self._span_c = None if scene.temperature is None else scene.temperature.span_c
@@ -166,7 +166,7 @@ class TrainingProgress:
             flush=True,
         )
 
-    def step(self, statistics: StepStatistics | ThermoNerfStatistics) -> bool:
+    def step(self, statistics: Statistics) -> bool:
         """Show a step; True asks the training to stop."""
         now = time.perf_counter()
         if self._first_step is None:
@@ -197,7 +197,7 @@ class TrainingProgress:
                 self._smooth("thermal", statistics.thermal_error)
         self._unread.clear()
 
-    def _line(self, statistics: StepStatistics | ThermoNerfStatistics, now: float) -> str:
+    def _line(self, statistics: Statistics, now: float) -> str:
         thermal = self._smoothed.get("thermal")
         parts = [f"step {statistics.step:,}/{self._max_steps:,}"]
         steps = statistics.step - (self._first_step or 0)
@@ -281,13 +281,12 @@ class PrepareProgress:
             print("\r\033[K", end="")
 
 
-def _plan(scene: Scene, config: TrainConfig | ThermoNerfConfig) -> str:
+def _plan(scene: Scene, config: RunConfig) -> str:
     """What will be trained, and the memory that it will need."""
-    from mrgs.baselines.thermonerf import ThermoNerfConfig
-    from mrgs.training import estimate_bytes
+    from mrgs.training import TrainConfig, estimate_bytes
 
-    if isinstance(config, ThermoNerfConfig):
-        return f"{config.method}, {config.max_steps:,} steps of {config.rays_per_batch:,} rays"
+    if not isinstance(config, TrainConfig):
+        return f"{config.method}, {config.max_steps:,} steps"
     cap = config.densification.max_gaussians
     first, last = (
         estimate_bytes(scene, config, count) / 2**30

@@ -86,7 +86,7 @@ def compare(
         renders: other programs' renderings by the name that the tables give them: folders that hold
             one folder per scene, see :mod:`mrgs.evaluation.renders`.
         jobs: how many runs at a time; the machine's cores are divided among them.
-        device: where they train and render; ThermoNeRF on the CPU in any case.
+        device: where they train and render, if their method can use a GPU.
         lpips_weights: weights for LPIPS; without them it is left out.
         say: called with lines that say how far all is.
 

@@ -5,22 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
-from mrgs.baselines import thermonerf
-from mrgs.baselines.thermonerf import ThermoNerfConfig, run_files, train_thermonerf
-from mrgs.baselines.thermonerf.config import is_thermonerf
-from mrgs.baselines.thermonerf.config import to_yaml as thermonerf_yaml
 from mrgs.errors import ConfigError
-from mrgs.method.config import to_yaml
+from mrgs.runs.open import method_of
+from mrgs.runs.registry import find_method
 from mrgs.system.gpu import DeviceName
-from mrgs.system.strict_yaml import parse_yaml
-from mrgs.training import TrainConfig, from_yaml, make_config, train
-from mrgs.training.run_folder import RunFolder
+from mrgs.system.strict_yaml import parse_yaml, write_yaml
+from mrgs.training.run_folder import RunConfig, RunFolder
 
 DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
 
-AnyConfig: TypeAlias = TrainConfig | ThermoNerfConfig
 OnStep: TypeAlias = Callable[[Any], bool | None]
 """Called with a step's statistics, which have ``step`` and ``gaussians``; returning True stops the
 training."""
@@ -32,7 +27,7 @@ class Variant:
 
     Attributes:
         name: what the tables call it.
-        method: any that ``mrgs train`` knows.
+        method: any that is registered.
         changes: the values that differ from the method's, as YAML; empty for none.
         source: where the changes come from, for messages.
     """
@@ -63,7 +58,7 @@ class Options:
     """What is compared, and what every run shares.
 
     Attributes:
-        methods: any that ``mrgs train`` knows, in the order of the tables' rows.
+        methods: any that are registered, in the order of the tables' rows.
         variants: methods with changed values; their rows come after those of the methods.
         neighbours: n of the paper's Table 4; each is a run of ``mrgs``.
         seeds: how many seeds, from 0.
@@ -83,7 +78,7 @@ class Options:
     resolution: int | None = None
 
 
-def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
+def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
     """The configuration of one run.
 
     Args:
@@ -106,39 +101,29 @@ def configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
     return config
 
 
-def _configure(variant: Variant, options: Options, seed: int) -> AnyConfig:
-    if variant.method == thermonerf.METHOD:
-        nerf = thermonerf.make_config(options.preset, options.max_steps, options.resolution, seed)
-        return (
-            replace(thermonerf.from_yaml(variant.changes, variant.source, nerf), seed=seed)
-            if variant.changes
-            else nerf
-        )
-    config = make_config(
-        variant.method,
+def _configure(variant: Variant, options: Options, seed: int) -> RunConfig:
+    config: RunConfig = find_method(variant.method).configure(
         options.preset,
-        options.max_steps,
-        options.max_gaussians,
-        options.resolution,
-        seed,
+        max_steps=options.max_steps,
+        max_gaussians=options.max_gaussians,
+        resolution=options.resolution,
+        seed=seed,
+        changes=variant.changes,
+        source=variant.source,
     )
-    return (
-        replace(from_yaml(variant.changes, variant.source, config), seed=seed)
-        if variant.changes
-        else config
-    )
+    return replace(cast(Any, config), seed=seed)
 
 
-def device_of(config: AnyConfig, device: DeviceName) -> DeviceName:
-    """Where a run of this configuration works: ThermoNeRF on the CPU, all others where they are
-    asked to."""
-    return "cpu" if isinstance(config, ThermoNerfConfig) else device
+def device_of(config: RunConfig, device: DeviceName) -> DeviceName:
+    """Where a run of this configuration works: where it is asked to, if its method can use a
+    GPU."""
+    return device if find_method(config.method).uses_gpu else "cpu"
 
 
 def train_run(
     scene: Path,
     folder: Path,
-    config: AnyConfig,
+    config: RunConfig,
     on_step: OnStep | None = None,
     device: DeviceName = "auto",
 ) -> None:
@@ -148,38 +133,33 @@ def train_run(
         MrgsError: the scene or the folder cannot be used, or the training had to stop.
     """
     resume = bool(RunFolder(folder).checkpoints())
-    if isinstance(config, ThermoNerfConfig):
-        train_thermonerf(scene, folder, config, resume=resume, on_step=on_step)
-    else:
-        train(scene, folder, config, resume=resume, device=device, on_step=on_step)
+    find_method(config.method).train(
+        scene, folder, config, resume=resume, device=device_of(config, device), on_step=on_step
+    )
 
 
-def to_text(config: AnyConfig) -> str:
+def to_text(config: RunConfig) -> str:
     """The configuration as YAML."""
-    return thermonerf_yaml(config) if isinstance(config, ThermoNerfConfig) else to_yaml(config)
+    return write_yaml(config)
 
 
-def from_text(text: str) -> AnyConfig:
+def from_text(text: str) -> RunConfig:
     """The configuration that ``to_text`` wrote.
 
     Raises:
         ConfigError: it is not a configuration.
     """
-    return (
-        thermonerf.from_yaml(text, "the request")
-        if is_thermonerf(text)
-        else from_yaml(text, "the request")
-    )
+    values = parse_yaml(text, "the request")
+    if not isinstance(values, dict) or not isinstance(values.get("method"), str):
+        raise ConfigError("the request must hold the fields of a configuration")
+    config: RunConfig = find_method(values["method"]).read_config(text, "the request")
+    return config
 
 
-def read_config(folder: RunFolder) -> AnyConfig:
+def read_config(folder: RunFolder) -> RunConfig:
     """The configuration of a run of any method.
 
     Raises:
         RunError: the folder is not a run, or its configuration cannot be used.
     """
-    return (
-        run_files.read_config(folder)
-        if run_files.holds_thermonerf(folder)
-        else folder.read_config()
-    )
+    return folder.read_config(method_of(folder).read_config)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mrgs.comparison.methods import AnyConfig, Options, Variant, configure
+from mrgs.comparison.methods import Options, Variant, configure
 from mrgs.comparison.single import require_same_config
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, SceneError
 from mrgs.system.atomic import replacing
 from mrgs.training import make_config
+from mrgs.training.run_folder import RunConfig
 
 NEIGHBOURS_METHOD = "mrgs"
 """The method whose number of neighbours the paper's Table 4 varies."""
@@ -35,7 +36,7 @@ class Job:
     scene_name: str
     method: str
     seed: int
-    config: AnyConfig
+    config: RunConfig
     folder: Path
 
     def __str__(self) -> str:

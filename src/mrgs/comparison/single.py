@@ -8,19 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mrgs.comparison.methods import AnyConfig, OnStep, device_of, read_config, train_run
+from mrgs.comparison.methods import OnStep, device_of, read_config, train_run
 from mrgs.errors import ConfigError
 from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
 from mrgs.runs.open import open_run
 from mrgs.system.gpu import DeviceName
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.run_folder import RunConfig, RunFolder
 
 
 def run_one(
     scene: Path,
     folder: Path,
-    config: AnyConfig,
+    config: RunConfig,
     *,
     device: DeviceName = "auto",
     lpips_weights: Path | None = None,
@@ -33,7 +33,7 @@ def run_one(
         scene: the scene's folder.
         folder: the run's folder.
         config: what the run is trained with.
-        device: where it is trained and rendered; ThermoNeRF on the CPU in any case.
+        device: where it is trained and rendered, if its method can use a GPU.
         lpips_weights: weights for LPIPS, see ``evaluate_run``.
         on_step: called after every training step; returning True stops with a checkpoint.
         on_score: called after each scored view with their number and that of all.
@@ -53,7 +53,7 @@ def run_one(
     return True
 
 
-def is_scored(folder: Path, config: AnyConfig, with_lpips: bool) -> bool:
+def is_scored(folder: Path, config: RunConfig, with_lpips: bool) -> bool:
     """Whether the folder holds the scores of the finished run, with LPIPS if they must have it.
 
     Scores of an older version, which lack a figure, do not count if the run can be scored again as
@@ -76,7 +76,7 @@ def read_metrics(folder: Path) -> dict[str, Any] | None:
     return document if isinstance(document, dict) else None
 
 
-def require_same_config(folder: Path, config: AnyConfig) -> None:
+def require_same_config(folder: Path, config: RunConfig) -> None:
     """A folder that holds a run holds one of this configuration.
 
     Raises:
@@ -108,7 +108,7 @@ def flat(config: Any) -> dict[str, Any]:
     return values
 
 
-def _is_trained(folder: Path, config: AnyConfig) -> bool:
+def _is_trained(folder: Path, config: RunConfig) -> bool:
     """Read off the newest checkpoint's name, which is the same for every method."""
     return config.max_steps in (
         int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints()

@@ -1,9 +1,9 @@
-"""A run's whole configuration: the knobs of every room, nested; the methods and presets that fill
-them in."""
+"""A run's whole configuration: nested settings, and the methods and presets that fill them in."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -11,16 +11,13 @@ from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
 from mrgs.field.spherical_harmonics import MAX_DEGREE
 from mrgs.method.camera_model.image_model import Capture, ImageModelConfig
-from mrgs.method.density.densification import DensificationConfig
-from mrgs.method.density.relocation import RelocationConfig
+from mrgs.method.density import AdaptiveDensityControl, ConfiguredStrategy
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.system.strict_yaml import read_yaml, write_yaml
 
-Method = Literal["mrgs", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "3dgs-rgbt", "mrgs-plus"]
 Preset = Literal["fast", "default", "paper"]
-METHODS: tuple[Method, ...] = get_args(Method)
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True)
@@ -49,7 +46,7 @@ class TrainConfig:
     """Everything that a run depends on besides the scene.
 
     Attributes:
-        method: the method's name.
+        method: the method's name in the registry (``mrgs.runs.registry``).
         preset: the preset's name.
         max_steps: training steps, one view each.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
@@ -71,12 +68,10 @@ class TrainConfig:
         radiation: L_boltz; None leaves it out.
         image_model: what the cameras do to the images; nothing as published.
         optimizer: learning rates.
-        densification: adaptive density control.
-        relocation: moves and adds Gaussians instead, up to densification.max_gaussians; None as
-            published.
+        densification: the density control.
     """
 
-    method: Method = "mrgs"
+    method: str = "mrgs"
     preset: Preset = "default"
     max_steps: int = 30_000
     resolution: int | None = None
@@ -93,8 +88,7 @@ class TrainConfig:
     radiation: RadiationConfig | None = dataclasses.field(default_factory=RadiationConfig)
     image_model: ImageModelConfig = dataclasses.field(default_factory=ImageModelConfig)
     optimizer: OptimizerConfig = dataclasses.field(default_factory=OptimizerConfig)
-    densification: DensificationConfig = dataclasses.field(default_factory=DensificationConfig)
-    relocation: RelocationConfig | None = None
+    densification: ConfiguredStrategy = dataclasses.field(default_factory=AdaptiveDensityControl)
 
     def __post_init__(self) -> None:
         for name in ("max_steps", "sh_every", "neighbours_every", "checkpoint_every"):
@@ -142,12 +136,11 @@ def make_config(
         ConfigError: an unknown method or preset, or a value that is not allowed.
     """
     if method not in METHODS:
-        raise ConfigError(f"there is no method {method!r}: choose one of {', '.join(METHODS)}")
+        raise ConfigError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     if preset not in PRESETS:
         raise ConfigError(f"there is no preset {preset!r}: choose one of {', '.join(PRESETS)}")
-    config = _with_method(
-        _with_preset(TrainConfig(resolution=resolution, seed=seed), preset), method
-    )
+    config = _with_preset(TrainConfig(method=method, resolution=resolution, seed=seed), preset)
+    config = _CHANGES[method](config)
     if max_steps is not None:
         config = _with_steps(config, max_steps)
     if max_gaussians is not None:
@@ -157,29 +150,49 @@ def make_config(
     return config
 
 
-def _with_method(config: TrainConfig, method: Method) -> TrainConfig:
-    """Switch on what the method has (the paper's ablation table)."""
-    if method == "3dgs-rgbt":
-        return replace(
-            config,
-            method=method,
-            shares_opacity=True,
-            temperature_sh_degree=MAX_DEGREE,
-            field=replace(config.field, residuals=False),
-            loss=replace(config.loss, smooth=0.0),
-            radiation=None,
-        )
-    if method == "mrgs-plus":
-        loss = replace(config.loss, opaque=PLUS_OPAQUE)
-        config = replace(
-            config, temperature_sh_degree=None, loss=loss, image_model=PLUS_IMAGE_MODEL
-        )
+def _rgbt_baseline(config: TrainConfig) -> TrainConfig:
+    """3DGS_RGB-T: one opacity, temperatures as harmonics, nothing of the paper's."""
     return replace(
         config,
-        method=method,
-        field=replace(config.field, fourier=method in ("mrgs-plus", "mrgs", "mrgs-fourier")),
-        radiation=config.radiation if method in ("mrgs-plus", "mrgs", "mrgs-boltz") else None,
+        shares_opacity=True,
+        temperature_sh_degree=MAX_DEGREE,
+        field=replace(config.field, residuals=False),
+        loss=replace(config.loss, smooth=0.0),
+        radiation=None,
     )
+
+
+def _without_heat(config: TrainConfig) -> TrainConfig:
+    """Without the Fourier heat transformation."""
+    return replace(config, field=replace(config.field, fourier=False))
+
+
+def _without_radiation(config: TrainConfig) -> TrainConfig:
+    """Without L_boltz."""
+    return replace(config, radiation=None)
+
+
+def _plus(config: TrainConfig) -> TrainConfig:
+    """With a model of the thermal camera, and L_opaque."""
+    return replace(
+        config,
+        temperature_sh_degree=None,
+        loss=replace(config.loss, opaque=PLUS_OPAQUE),
+        image_model=PLUS_IMAGE_MODEL,
+    )
+
+
+_CHANGES: Mapping[str, Callable[[TrainConfig], TrainConfig]] = {
+    "mrgs": lambda config: config,
+    "mrgs-base": lambda config: _without_radiation(_without_heat(config)),
+    "mrgs-fourier": _without_radiation,
+    "mrgs-boltz": _without_heat,
+    "3dgs-rgbt": _rgbt_baseline,
+    "mrgs-plus": _plus,
+}
+"""What each method changes in the configuration of ``mrgs`` (the paper's ablation table)."""
+
+METHODS = tuple(_CHANGES)
 
 
 def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
@@ -205,11 +218,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
 
 
 def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The same schedule in another number of steps.
-
-    Opacity resets are not moved closer together: the opacities need a fixed number of steps to
-    recover, so short schedules have none.
-    """
+    """The same schedule in another number of steps."""
     if steps < 1:
         raise ConfigError(f"max_steps must be at least 1, not {steps}")
     factor = steps / config.max_steps
@@ -217,24 +226,18 @@ def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     def scaled(count: int) -> int:
         return max(1, round(count * factor))
 
-    old = config.densification
     radiation = config.radiation
     if radiation is not None:
         start = scaled(radiation.decay_from)
         radiation = replace(
             radiation, decay_from=start, decay_until=max(scaled(radiation.decay_until), start + 1)
         )
-    relocation = config.relocation
-    if relocation is not None:
-        start = scaled(relocation.start)
-        relocation = replace(relocation, start=start, stop=max(scaled(relocation.stop), start + 1))
     return replace(
         config,
         max_steps=steps,
         sh_every=scaled(config.sh_every),
         radiation=radiation,
-        relocation=relocation,
-        densification=replace(old, start=scaled(old.start), stop=scaled(old.stop)),
+        densification=config.densification.rescaled(factor),
     )
 
 

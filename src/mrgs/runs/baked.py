@@ -98,7 +98,8 @@ class BakedModel:
                 Layer(self.opacity_thermal, self.temperatures[:, None], colors.new_zeros(1)),
             ]
             raster = rasterize(
-                self.means, self.quats, self.scales, layers, camera.viewmat, camera.K, camera.width, camera.height,
+                self.means, self.quats, self.scales, layers, camera.viewmat, camera.K,
+                camera.width, camera.height,
             )  # fmt: skip
         rgb, thermal = raster.blends
         return Rendering(

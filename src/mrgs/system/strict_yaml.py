@@ -50,8 +50,11 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def _over(base: Any, values: Any) -> Any:
-    """Nested dictionaries, ``values`` where they have an entry and ``base`` elsewhere."""
+    """Nested dictionaries, ``values`` where they have an entry and ``base`` elsewhere; where they
+    name another member of a union, nothing of ``base``."""
     if not isinstance(base, dict) or not isinstance(values, dict):
+        return values
+    if "name" in base and values.get("name", base["name"]) != base["name"]:
         return values
     return {**base, **{name: _over(base.get(name), value) for name, value in values.items()}}
 
@@ -75,12 +78,22 @@ def _build(cls: type[Config], values: Any, source: str) -> Config:
         raise ConfigError(f"{source}: {error}") from error
 
 
+def _member(options: list[Any], value: Any) -> Any:
+    """The member of a union that the value names: members have a field ``name: Literal[...]``. The
+    first where it names none of them."""
+    name = value.get("name") if isinstance(value, dict) else None
+    named = (
+        option for option in options[1:] if name in get_args(typing.get_type_hints(option)["name"])
+    )
+    return next(named, options[0])
+
+
 def _convert(hint: Any, value: Any, source: str) -> Any:
     """Check a value against its field's type; nested dataclasses are built."""
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         if value is None:
             return None
-        (hint,) = (option for option in get_args(hint) if option is not type(None))
+        hint = _member([option for option in get_args(hint) if option is not type(None)], value)
     if dataclasses.is_dataclass(hint):
         return _build(typing.cast(type, hint), value, source)
     if typing.get_origin(hint) is Literal:

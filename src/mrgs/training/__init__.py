@@ -1,5 +1,5 @@
-"""From a scene folder to a trained run: losses, radiation, optimizers, densification, checkpoints,
-the loop."""
+"""From a scene folder to a trained run: the loop, its state, views and photos, checkpoints, the run
+folder."""
 
 from mrgs.method.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config
 from mrgs.training.memory import estimate_bytes

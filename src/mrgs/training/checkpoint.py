@@ -5,27 +5,27 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import safetensors.torch
 import torch
 from safetensors import SafetensorError, safe_open
-from torch import Tensor, nn
+from torch import Tensor
 
 from mrgs.errors import RunError
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig
-from mrgs.method.density.densification import ScreenStatistics
-from mrgs.method.losses.radiation import DepthUncertainty
-from mrgs.method.optimizer import GaussianOptimizer
+from mrgs.method.density import Strategy
+from mrgs.method.losses.term import Term
+from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model
 from mrgs.scene import Gaussians, Scene, TemperatureRange
 from mrgs.system.atomic import replacing
 from mrgs.system.gpu import HOST
-from mrgs.training.step import TrainingState
-from mrgs.training.views import ViewSampler
+from mrgs.training.state import TrainingState, layer_parameters, learned_layers
 
 FORMAT = 4
 """Raised whenever older files can no longer be read."""
@@ -55,6 +55,21 @@ class CheckpointFacts(NamedTuple):
     skipped_steps: int
     device: str = "cpu"
 
+    @classmethod
+    def at_start(cls, scene: Scene, path: str | Path) -> CheckpointFacts:
+        """Before the first step.
+
+        Args:
+            scene: to train on.
+            path: of its folder.
+        """
+        place = str(Path(path).resolve())
+        return cls(0, place, Capture.of(scene), scene.temperature, 0.0, 0, 0)
+
+    def moved_to(self, path: str | Path | None) -> CheckpointFacts:
+        """The same with the place where the scene is now, if that is given."""
+        return self if path is None else self._replace(scene=str(Path(path).resolve()))
+
 
 def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     """Write everything that training needs to go on exactly, in one file that is either whole or
@@ -63,33 +78,41 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     Raises:
         RunError: the file cannot be written.
     """
+    parts: dict[str, Mapping[str, Tensor]] = {
+        "gaussians": state.gaussian_optimizer.state(),
+        "field": state.model.field.state_dict(),
+        "image_model": state.image_model.state_dict(),
+        "layer_optimizer": _layer_moments(state.layer_optimizer),
+        "strategy": state.strategy_state,
+    }
+    for term, layers in learned_layers(state.terms).items():
+        parts[f"terms.{term}"] = layers.state_dict()
     tensors = {
-        f"gaussians.{name}": tensor for name, tensor in state.gaussian_optimizer.state().items()
+        f"{part}.{name}": tensor for part, named in parts.items() for name, tensor in named.items()
     }
-    tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
-    tensors |= {
-        f"uncertainty.{name}": tensor for name, tensor in state.uncertainty.state_dict().items()
-    }
-    tensors |= {
-        f"image_model.{name}": tensor for name, tensor in state.image_model.state_dict().items()
-    }
-    tensors |= {
-        f"layer_optimizer.{name}": tensor
-        for name, tensor in _layer_moments(state.layer_optimizer).items()
-    }
-    tensors["statistics.gradient_sum"] = state.statistics.gradient_sum
-    tensors["statistics.views"] = state.statistics.views
     tensors["sampler.waiting"] = state.sampler.state()
     tensors["generator"] = state.generator.get_state()
     if state.model.neighbours is not None:
         tensors["neighbours"] = state.model.neighbours
-    write(path, tensors, facts, int(state.skipped_in_a_row))
+    made_with = _made_with(state.strategy, state.terms)
+    write(path, tensors, facts, int(state.skipped_in_a_row), made_with)
 
 
 def write(
-    path: Path, tensors: dict[str, Tensor], facts: CheckpointFacts, skipped_in_a_row: int
+    path: Path,
+    tensors: dict[str, Tensor],
+    facts: CheckpointFacts,
+    skipped_in_a_row: int,
+    more: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a checkpoint of any method.
+
+    Args:
+        path: the file.
+        tensors: by name.
+        facts: about the run.
+        skipped_in_a_row: steps skipped since the last good one.
+        more: entries of the header that only the method reads, for JSON.
 
     Raises:
         RunError: the file cannot be written.
@@ -101,6 +124,7 @@ def write(
         "capture": facts.capture._asdict(),
         "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
         "skipped_in_a_row": skipped_in_a_row,
+        **(more or {}),
     }
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     with replacing(path) as temporary:
@@ -134,6 +158,17 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
         )
 
 
+def facts_to_resume(path: Path, scene: Scene, scene_path: str | Path) -> CheckpointFacts:
+    """The facts of a checkpoint that is trained on, with the place where its scene is now.
+
+    Raises:
+        RunError: not a whole checkpoint of this format, or of another scene.
+    """
+    facts = load_facts(path)
+    require_same_scene(facts, scene)
+    return facts.moved_to(scene_path)._replace(capture=Capture.of(scene))
+
+
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts, ImageModel]:
     """The model of a checkpoint, to render with, and what its scene's cameras do to the images.
 
@@ -155,32 +190,44 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
     return model, facts, image_model
 
 
-def load_state(path: Path, config: TrainConfig, device: torch.device = HOST) -> TrainingState:
+def load_state(
+    path: Path,
+    config: TrainConfig,
+    device: torch.device = HOST,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+) -> TrainingState:
     """The whole state of a checkpoint, to train on.
 
     Args:
         path: the checkpoint, written on whatever device.
         config: the run's configuration.
         device: where to train on.
+        strategy: density control, if the run was given one.
+        terms: of the loss, if the run was given any.
 
     Raises:
-        RunError: not a whole checkpoint of this format, or not of this configuration.
+        RunError: not a whole checkpoint of this format, not of this configuration, or of another
+            strategy or other terms.
     """
     tensors, header = _read(path)
     facts = _facts(path, header)
+    strategy = config.densification if strategy is None else strategy
+    all_terms = configured_terms(config, terms)
+    _require_made_with(path, header, _made_with(strategy, all_terms))
     try:
         model = _model(tensors, config, facts).to(device)
-        uncertainty = DepthUncertainty()
-        uncertainty.load_state_dict(_below(tensors, "uncertainty."))
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
-        state = make_state(model, uncertainty, config, facts.capture, generator)
+        for term, layers in learned_layers(all_terms).items():
+            layers.load_state_dict(_below(tensors, f"terms.{term}."))
+        state = TrainingState.around(model, all_terms, strategy, config, facts.capture, generator)
         state.image_model.load_state_dict(_below(tensors, "image_model."))
         state.gaussian_optimizer.load_moments(_below(tensors, "gaussians."))
         _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
-        state.statistics = ScreenStatistics(
-            *(tensors[f"statistics.{name}"].to(device) for name in ("gradient_sum", "views"))
-        )
+        state.strategy_state = {
+            name: tensor.to(device) for name, tensor in _below(tensors, "strategy.").items()
+        }
         state.sampler.load(tensors["sampler.waiting"])
         state.skipped_in_a_row += int(header["skipped_in_a_row"])
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -189,37 +236,23 @@ def load_state(path: Path, config: TrainConfig, device: torch.device = HOST) -> 
     return state
 
 
-def make_state(
-    model: Model,
-    uncertainty: DepthUncertainty,
-    config: TrainConfig,
-    capture: Capture,
-    generator: torch.Generator,
-) -> TrainingState:
-    """A state at step 0: fresh optimizers around a model, on its device."""
-    device = model.gaussians.means.device
-    uncertainty = uncertainty.to(device)
-    image_model = ImageModel(config.image_model, capture).to(device)
-    gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, capture.extent)
-    model.gaussians = gaussian_optimizer.gaussians
-    groups = [{"params": list(uncertainty.parameters()), "lr": config.optimizer.uncertainty}]
-    layers = list(model.field.parameters())
-    if layers:
-        groups.append({"params": layers, "lr": config.optimizer.heads})
-    groups += image_model.parameter_groups()
-    groups = [{**group, "initial_lr": group["lr"]} for group in groups]
-    return TrainingState(
-        step=0,
-        model=model,
-        uncertainty=uncertainty,
-        image_model=image_model,
-        gaussian_optimizer=gaussian_optimizer,
-        layer_optimizer=torch.optim.Adam(groups, fused=True),
-        statistics=ScreenStatistics.empty(len(model.gaussians), device),
-        sampler=ViewSampler(capture.views, generator),
-        generator=generator,
-        skipped_in_a_row=torch.zeros((), dtype=torch.int64, device=device),
-    )
+def _made_with(strategy: Strategy, terms: Sequence[Term]) -> dict[str, Any]:
+    """What a configuration need not say, because Python may have given it."""
+    return {"strategy": type(strategy).__name__, "terms": [term.name for term in terms]}
+
+
+def _require_made_with(path: Path, header: dict[str, Any], made_with: dict[str, Any]) -> None:
+    """A run goes on with the strategy and the terms that it began with.
+
+    Raises:
+        RunError: they are others.
+    """
+    for name, value in made_with.items():
+        if header.get(name) != value:
+            raise RunError(
+                f"{path} was trained with {name} {header.get(name)}, not {value}: give train() "
+                f"the same strategy and terms again"
+            )
 
 
 def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -300,21 +333,17 @@ def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
     }
 
 
-def _layer_parameters(optimizer: torch.optim.Adam) -> list[nn.Parameter]:
-    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
-
-
 def _layer_moments(optimizer: torch.optim.Adam) -> dict[str, Tensor]:
     """Moments by the place of their parameter."""
     return {
         f"{place}.{key}": value
-        for place, parameter in enumerate(_layer_parameters(optimizer))
+        for place, parameter in enumerate(layer_parameters(optimizer))
         for key, value in optimizer.state.get(parameter, {}).items()
     }
 
 
 def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor]) -> None:
-    for place, parameter in enumerate(_layer_parameters(optimizer)):
+    for place, parameter in enumerate(layer_parameters(optimizer)):
         state = _below(tensors, f"{place}.")
         if state:
             optimizer.state[parameter] = {

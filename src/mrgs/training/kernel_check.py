@@ -11,11 +11,12 @@ from torch import Tensor
 
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.terms import Photos, SceneScale, loss_terms
+from mrgs.method.losses.term import LossContext, Photos, SceneScale
+from mrgs.method.losses.terms import term_values
 from mrgs.render import Model, render, rows_in_view
-from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
+from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, Scene, View
 from mrgs.system.operation import checking
-from mrgs.training.step import TrainingState
+from mrgs.training.state import TrainingState
 
 SAMPLED_GAUSSIANS = 300
 WIDTH_PX = 48
@@ -23,9 +24,7 @@ INVALID = 0.05
 """Share of the pixels that the sample's masks leave out."""
 
 
-def check_kernels(
-    state: TrainingState, views: Sequence[View], config: TrainConfig, scale: SceneScale
-) -> None:
+def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> None:
     """Take the forward pass of a training step on a sample of the model, and compare each kernel
     with its plain definition: values and gradients.
 
@@ -34,17 +33,16 @@ def check_kernels(
 
     Args:
         state: of the training.
-        views: the training views; those that together have all modalities are taken.
+        scene: of the training; views that together have all modalities are taken.
         config: of the run.
-        scale: of the scene.
 
     Warns:
         MrgsWarning: a kernel differs from its plain definition.
     """
     generator = torch.Generator().manual_seed(0)
     with checking(), torch.enable_grad():
-        for number in _chosen(views):
-            view = views[number]
+        for number in _chosen(scene.train):
+            view = scene.train[number]
             rgb, thermal = (_small_camera(image) for image in (view.rgb, view.thermal))
             model = _sampled(state.model, config, rgb or thermal)
             rendering, _ = render(
@@ -58,8 +56,10 @@ def check_kernels(
                 _random_photo(thermal, 1, generator, state.device),
                 view.shares_camera,
             )
-            photographed = state.image_model(rendering, number)
-            loss_terms(rendering, photographed, photos, config, scale, state.uncertainty)
+            observed = state.image_model(rendering, number)
+            scale = SceneScale(scene.extent, scene.temperature)
+            context = LossContext(rendering, observed, photos, model.gaussians, scale)
+            term_values(state.terms, context)
 
 
 def _chosen(views: Sequence[View]) -> list[int]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from typing import TypeVar
 
 import torch
 
@@ -10,6 +12,8 @@ from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.config import TrainConfig
 from mrgs.scene import Scene
 from mrgs.training.views import CACHE_BYTES
+
+Result = TypeVar("Result")
 
 _FLOAT = 4
 _ADAM_COPIES = 4
@@ -59,3 +63,27 @@ def peak_memory_bytes(device: torch.device | None = None) -> int:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def retried_when_full(action: Callable[[], Result], undo: Callable[[], None]) -> Result:
+    """Do something; once more should a GPU's memory be full, after the memory that torch holds in
+    reserve was given back.
+
+    Args:
+        action: changes what lasts only once it has all the memory that it needs.
+        undo: brings back what the action has changed nonetheless, and frees memory.
+
+    Raises:
+        torch.cuda.OutOfMemoryError: it was full again; ``undo`` was called.
+    """
+    try:
+        return action()
+    except torch.cuda.OutOfMemoryError:
+        pass  # what the action has made is freed when this block is left
+    undo()
+    torch.cuda.empty_cache()
+    try:
+        return action()
+    except torch.cuda.OutOfMemoryError:
+        undo()
+        raise

@@ -3,18 +3,50 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import ConfigError, RunError
-from mrgs.method.config import TrainConfig, from_yaml, to_yaml
+from mrgs.errors import ConfigError, RunError, SceneError
 from mrgs.system.atomic import replacing
+from mrgs.system.strict_yaml import parse_yaml, write_yaml
 
 CHECKPOINTS_KEPT = 2
+
+
+@runtime_checkable
+class RunConfig(Protocol):
+    """What the configuration of every method has; it is a dataclass besides."""
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+
+    @property
+    def max_steps(self) -> int:
+        """Training steps."""
+
+    @property
+    def resolution(self) -> int | None:
+        """Images wider than this many pixels are reduced to it; None keeps them."""
+
+    @property
+    def seed(self) -> int:
+        """Of every random choice."""
+
+    @property
+    def checkpoint_every(self) -> int:
+        """Steps between checkpoints."""
+
+
+_EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
+
+Config = TypeVar("Config")
+ReadConfig = Callable[[str, str], Config]
+"""From the text of a config.yaml and the file's name, for messages."""
 
 
 class RunFolder:
@@ -80,18 +112,16 @@ class RunFolder:
                 f"--output"
             )
         if self.config_file.exists():
-            try:
-                self.read_config()
-            except RunError:
+            if not self._config_values().keys() >= _EVERY_CONFIG_HAS:
                 raise RunError(
                     f"{self.path} holds a config.yaml that is not a run's: choose another --output"
-                ) from None
+                )
         elif self.log_file.exists():
             raise RunError(
                 f"{self.path} holds a log.jsonl that is not a run's: choose another --output"
             )
 
-    def start(self, config: TrainConfig) -> None:
+    def start(self, config: RunConfig) -> None:
         """Make the folder a new run.
 
         Raises:
@@ -101,23 +131,51 @@ class RunFolder:
         with self._writing():
             self.log_file.unlink(missing_ok=True)
         with replacing(self.config_file) as temporary:
-            temporary.write_text(to_yaml(config), encoding="utf-8")
+            temporary.write_text(write_yaml(config), encoding="utf-8")
 
-    def read_config(self) -> TrainConfig:
+    @property
+    def method(self) -> str:
+        """The name of the run's method.
+
+        Raises:
+            RunError: the folder is not a run.
+        """
+        values = self.read_config(parse_yaml)
+        if not isinstance(values, dict) or not isinstance(values.get("method"), str):
+            raise RunError(f"{self.path} is not a run: its config.yaml names no method")
+        name: str = values["method"]
+        return name
+
+    def read_config(self, read: ReadConfig[Config]) -> Config:
         """The run's configuration.
+
+        Args:
+            read: the method's.
 
         Raises:
             RunError: the folder is not a run, or its configuration cannot be used.
         """
         try:
-            return from_yaml(self.config_file.read_text(encoding="utf-8"), str(self.config_file))
+            return read(self._config_text(), str(self.config_file))
+        except ConfigError as error:
+            raise RunError(f"{error}; fix the file or retrain") from error
+
+    def _config_text(self) -> str:
+        try:
+            return self.config_file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise RunError(
                 f"{self.path} is not a run: its config.yaml cannot be read; name a folder that "
                 f"`mrgs train` wrote"
             ) from error
-        except ConfigError as error:
-            raise RunError(f"{error}; mend the file or train anew") from error
+
+    def _config_values(self) -> dict[str, Any]:
+        """The outermost entries of config.yaml; empty where it holds something else."""
+        try:
+            values = self.read_config(parse_yaml)
+        except RunError:
+            return {}
+        return values if isinstance(values, dict) else {}
 
     def append_log(self, entry: dict[str, Any]) -> None:
         """Add a line to the log.
@@ -159,6 +217,26 @@ class RunFolder:
         finally:
             lock.release()
 
+    @contextmanager
+    def training(self, config: RunConfig, resume: bool) -> Iterator[None]:
+        """Hold the folder while a run in it is trained: a new one, unless ``resume``.
+
+        A run that ends before its first checkpoint, because of the scene or of Ctrl-C, leaves
+        nothing.
+
+        Raises:
+            RunError: another process holds the folder, or it cannot be used.
+        """
+        with self.locked():
+            if not resume:
+                self.start(config)
+            try:
+                yield
+            except (SceneError, KeyboardInterrupt):  # photos are decoded when their turn comes
+                if not self.checkpoints():
+                    self.discard()
+                raise
+
     def discard(self) -> None:
         """Remove a run that never came to a checkpoint, and the folder if nothing else is in it;
         under the lock."""
@@ -169,7 +247,7 @@ class RunFolder:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Turn what the file system refuses into an error that the user can mend."""
+        """Turn what the file system refuses into an error with a remedy."""
         try:
             yield
         except Timeout:

@@ -4,82 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from mrgs.field import nearest_neighbours
-from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
-from mrgs.method.density.densification import DensificationCounts, ScreenStatistics, densify
-from mrgs.method.density.relocation import (
-    RelocationConfig,
-    RelocationCounts,
-    explore,
-    relocate,
-    sparsity_loss,
-)
+from mrgs.method.density import DensityStep
 from mrgs.method.losses.photometric import total_loss
-from mrgs.method.losses.radiation import DepthUncertainty
-from mrgs.method.losses.terms import Photos, SceneScale, loss_terms, loss_weights
-from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
-from mrgs.render import Model, Rendering, render
+from mrgs.method.losses.term import LossContext, Photos, SceneScale
+from mrgs.method.losses.terms import term_values
+from mrgs.render import Rendering, ScreenPoints, render
 from mrgs.scene import View
-from mrgs.training.views import ViewSampler
-
-
-@dataclass
-class TrainingState:
-    """All that changes during training, and so all that a checkpoint must hold.
-
-    Attributes:
-        step: steps done.
-        model: what is trained; its Gaussians are those of ``gaussian_optimizer``.
-        uncertainty: ψ of L_boltz.
-        image_model: what the cameras do to the images.
-        gaussian_optimizer: Adam over the Gaussians.
-        layer_optimizer: Adam over the field's layers, ψ and the image model.
-        statistics: of the screen-space gradients since the last densification.
-        sampler: the order of the views.
-        generator: of every random choice after the start.
-        skipped_in_a_row: steps skipped since the last good one, because of a value that was not
-            finite; on the model's device.
-    """
-
-    step: int
-    model: Model
-    uncertainty: DepthUncertainty
-    image_model: ImageModel
-    gaussian_optimizer: GaussianOptimizer
-    layer_optimizer: torch.optim.Adam
-    statistics: ScreenStatistics
-    sampler: ViewSampler
-    generator: torch.Generator
-    skipped_in_a_row: Int64[Tensor, ""] = field(
-        default_factory=lambda: torch.zeros((), dtype=torch.int64)
-    )
-
-    @property
-    def device(self) -> torch.device:
-        """Where it is, but for the order of the views and the generator, which stay with the
-        host."""
-        return self.model.gaussians.means.device
-
-    def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
-        """Undo a step that was broken off before it moved anything.
-
-        Args:
-            step: what ``step`` was before it.
-            generator: state of the generator.
-            waiting: state of the sampler.
-        """
-        self.step = step
-        self.generator.set_state(generator)
-        self.sampler.load(waiting)
-        self.gaussian_optimizer.zero_grad()
-        self.layer_optimizer.zero_grad(set_to_none=True)
+from mrgs.training.state import TrainingState
 
 
 class StepStatistics:
@@ -148,6 +86,20 @@ def _together(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
     )
 
 
+class StepResult(NamedTuple):
+    """A step that has moved the parameters, before density control.
+
+    Attributes:
+        statistics: what it measured.
+        passes: projected centres of the view's passes, with their gradients.
+        finite: whether it counted; on the device.
+    """
+
+    statistics: StepStatistics
+    passes: list[ScreenPoints]
+    finite: Bool[Tensor, ""]
+
+
 def training_step(
     state: TrainingState,
     view: View,
@@ -155,12 +107,11 @@ def training_step(
     photos: Photos,
     config: TrainConfig,
     scale: SceneScale,
-) -> StepStatistics:
+) -> StepResult:
     """Render a view, compare it with its photos, move the parameters.
 
-    On a GPU the host waits for nothing: whether a step counts is decided there, and the statistics
-    tell it when asked. Where its memory does not suffice nothing has moved yet, unless it was at
-    the first step for Adam's moments, which torch makes one parameter after another.
+    A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there:
+    the host does not wait.
 
     Args:
         state: changed in place.
@@ -171,136 +122,72 @@ def training_step(
         scale: of the scene.
     """
     state.step += 1
-    model = state.model
-    model.sh_degree = config.sh_degree_at(state.step)
-    _refresh_neighbours(state, config)
+    state.model.sh_degree = config.sh_degree_at(state.step)
+    state.refresh_neighbours(config)
 
     rendering, passes = render(
-        model,
+        state.model,
         view.rgb.camera if view.rgb else None,
         view.thermal.camera if view.thermal else None,
         config.temperature_sh_degree_at(state.step),
     )
-    photographed = state.image_model(rendering, number)
-    terms = loss_terms(rendering, photographed, photos, config, scale, state.uncertainty)
-    loss = total_loss(terms, loss_weights(config, state.step))
-    if config.relocation is not None:
-        loss = loss + sparsity_loss(model.gaussians, scale.extent, config.relocation)
+    observed = state.image_model(rendering, number)
+    context = LossContext(rendering, observed, photos, state.model.gaussians, scale)
+    values = term_values(state.terms, context)
+    loss = total_loss(values, {term.name: term.weight(state.step) for term in state.terms})
     loss.backward()
 
-    good = are_finite(loss, state.gaussian_optimizer.gradients() + _layer_gradients(state))
-    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~good
-    screen_statistics = state.statistics.copy()
-    screen_statistics.add(passes, good)
-    measured = StepStatistics(
-        step=state.step,
-        loss=loss,
-        terms=terms,
-        thermal_error=_thermal_error(photographed, photos),
-        gaussians=len(model.gaussians),
-        skipped=~good,
+    finite = state.gradients_are_finite(loss)
+    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~finite
+    error = _thermal_error(observed, photos)
+    statistics = StepStatistics(
+        state.step, loss, values, error, len(state.model.gaussians), ~finite
     )
-    # Above is all that needs memory, so that a step for which it does not suffice can be repeated.
-    _move(state, config, good)
-    state.statistics, state.skipped_in_a_row = screen_statistics, skipped_in_a_row
-    return measured
-
-
-def _move(state: TrainingState, config: TrainConfig, good: Bool[Tensor, ""]) -> None:
-    """Adam's step of all parameters; nothing where the step is not good."""
-    progress = state.step / config.max_steps
-    state.gaussian_optimizer.step(progress, good)
-    set_rates(state.layer_optimizer, config.optimizer.slowdown_at(progress))
-    step_if(good, state.layer_optimizer)
-    state.layer_optimizer.zero_grad(set_to_none=True)
-
-
-def explore_means(state: TrainingState, config: TrainConfig, extent: float) -> None:
-    """The noise of relocation, where a run has it, after a step; nothing where the step was not
-    good.
-
-    It depends on where the step has moved the Gaussians, and is apart from it so that each can be
-    repeated alone where a GPU's memory does not suffice.
-    """
-    if config.relocation is None:
-        return
-    rate = config.optimizer.means_at(state.step / config.max_steps) * extent
-    explore(
-        state.model.gaussians, rate, config.relocation, state.generator, state.skipped_in_a_row == 0
-    )
-
-
-def changes_density(config: TrainConfig, step: int) -> bool:
-    """Whether ``control_density`` has something to do after this step."""
-    if config.relocation is not None:
-        return config.relocation.relocates_at(step)
-    return config.densification.densifies_at(step) or config.densification.resets_at(step)
+    # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
+    state.move(config, finite)
+    state.skipped_in_a_row = skipped_in_a_row
+    return StepResult(statistics, passes, finite)
 
 
 def control_density(
-    state: TrainingState, config: TrainConfig, extent: float
-) -> DensificationCounts | RelocationCounts | None:
-    """Add, remove or move Gaussians and reset opacities where the schedule says so; None if rows
-    stay as they are.
+    state: TrainingState, result: StepResult, config: TrainConfig, extent: float
+) -> Mapping[str, int] | None:
+    """Let the strategy adapt the Gaussians after a step.
 
     Where a GPU's memory does not suffice, nothing has changed.
+
+    Args:
+        state: changed in place.
+        result: of the step.
+        config: of the run.
+        extent: of the scene.
+
+    Returns:
+        the strategy's counts for the log; None where it has left the rows as they are.
     """
-    counts: DensificationCounts | RelocationCounts | None
-    if config.relocation is not None:
-        counts = _relocate(state, config.relocation, config.densification.max_gaussians)
-    else:
-        counts = _densify(state, config, extent)
-    if counts is not None:
-        state.statistics.clear()
-        state.model.neighbours = None
-    return counts
-
-
-def _relocate(
-    state: TrainingState, schedule: RelocationConfig, budget: int
-) -> RelocationCounts | None:
-    if not schedule.relocates_at(state.step):
-        return None
-    return relocate(
-        state.gaussian_optimizer, schedule, state.step, budget, state.generator, state.statistics
+    strategy, before = state.strategy, state.model.gaussians.means
+    passes = (
+        [_only_if(result.finite, points) for points in result.passes]
+        if strategy.needs_screen_gradients
+        else []
     )
+    step = DensityStep(
+        state.step, extent, config.distant_points, passes, result.finite, state.generator
+    )
+    update = strategy.after_step(state.strategy_state, state.gaussian_optimizer, step)
+    state.strategy_state = update.state
+    if state.model.gaussians.means is not before:
+        state.model.neighbours = None
+    return update.counts
 
 
-def _densify(
-    state: TrainingState, config: TrainConfig, extent: float
-) -> DensificationCounts | None:
-    counts, schedule = None, config.densification
-    if schedule.densifies_at(state.step):
-        prunes_large = (
-            state.step > schedule.reset_every and not config.distant_points
-        )  # the sky is large
-        counts = densify(
-            state.gaussian_optimizer,
-            state.statistics,
-            schedule,
-            extent,
-            prunes_large,
-            state.generator,
-        )
-    if schedule.resets_at(state.step):
-        state.gaussian_optimizer.limit_opacities(schedule.reset_opacity)
-    return counts
-
-
-def _refresh_neighbours(state: TrainingState, config: TrainConfig) -> None:
-    """Search the neighbours anew when N has changed, and every so many steps because the Gaussians
-    move."""
-    k = config.field.neighbours_k
-    if k > 0 and (state.model.neighbours is None or state.step % config.neighbours_every == 0):
-        state.model.neighbours = nearest_neighbours(state.model.gaussians.means, k)
-
-
-def _layer_gradients(state: TrainingState) -> list[Tensor]:
-    """Of the field's layers, ψ and the image model, as far as the view had any."""
-    layers = [
-        parameter for group in state.layer_optimizer.param_groups for parameter in group["params"]
-    ]
-    return [parameter.grad for parameter in layers if parameter.grad is not None]
+def _only_if(finite: Bool[Tensor, ""], points: ScreenPoints) -> ScreenPoints:
+    """The projected centres of a pass; without gradients, and none of them drawn, if the step was
+    skipped."""
+    offset = points.offset.detach()
+    if points.offset.grad is not None:
+        offset.grad = torch.where(finite, points.offset.grad, 0)
+    return points._replace(offset=offset, radii=torch.where(finite, points.radii, 0))
 
 
 def _thermal_error(rendering: Rendering, photos: Photos) -> Float[Tensor, ""] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import TypeVar
@@ -10,14 +10,11 @@ from typing import TypeVar
 import torch
 
 from mrgs.data import load_scene
-from mrgs.errors import SceneError, TrainingError
-from mrgs.field import RadianceField
-from mrgs.method.camera_model.image_model import Capture, ImageModel
-from mrgs.method.config import TrainConfig
-from mrgs.method.losses.radiation import DepthUncertainty
-from mrgs.method.losses.terms import Photos, SceneScale
-from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import start_points
+from mrgs.errors import TrainingError
+from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.config import TrainConfig, from_yaml
+from mrgs.method.density import Strategy
+from mrgs.method.losses.term import Photos, SceneScale, Term
 from mrgs.render import Model, Photograph
 from mrgs.scene import PosedImage, Scene, View
 from mrgs.system import gpu
@@ -28,15 +25,10 @@ from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
 from mrgs.training.kernel_check import check_kernels
+from mrgs.training.memory import retried_when_full
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.step import (
-    StepStatistics,
-    TrainingState,
-    changes_density,
-    control_density,
-    explore_means,
-    training_step,
-)
+from mrgs.training.state import TrainingState, initial_state
+from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
 from mrgs.training.views import PhotoCache, PhotoSource
 
 Result = TypeVar("Result")
@@ -54,6 +46,8 @@ def train(
     device: DeviceName = "auto",
     plain: bool = False,
     stop_at: int | None = None,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, Photograph], None] | None = None,
@@ -70,6 +64,9 @@ def train(
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
+        strategy: density control instead of the configuration's; a resumed run needs it again.
+        terms: of the loss, besides the configuration's; one with the name of such a term takes its
+            place. A resumed run needs them again.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
@@ -82,7 +79,8 @@ def train(
 
     Raises:
         SceneError: the scene cannot be used.
-        RunError: the output folder cannot be used.
+        RunError: the output folder cannot be used, or the resumed run had another strategy or other
+            terms.
         DeviceError: the GPU was asked for and cannot be used.
         TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
             up to ten steps later), or the GPU's memory does not suffice; the last good checkpoint
@@ -92,62 +90,27 @@ def train(
     folder = RunFolder(output)
     if resume:
         folder.newest_checkpoint()
-        config = folder.read_config()
+        config = folder.read_config(from_yaml)
     else:
         folder.require_new()
     loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    with folder.locked(), plainly(plain):
-        if not resume:
-            folder.start(config)
-        try:
-            trainer = _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume, chosen)
-            if on_start is not None:
-                on_start(loaded, config)
-            if on_model is not None:
-                on_model(trainer.model, _photograph_with(trainer.image_model, chosen))
-            trainer.check_kernels()
-            trainer.run(stop_at, on_step)
-        except (
-            SceneError,
-            KeyboardInterrupt,
-        ):  # a photo that cannot be decoded is found when its turn comes
-            if not folder.checkpoints():
-                folder.discard()
-            raise
+    with folder.training(config, resume), plainly(plain):
+        if resume:
+            newest = folder.newest_checkpoint()
+            facts = checkpoint.facts_to_resume(newest, loaded, scene)
+            state = checkpoint.load_state(newest, config, chosen, strategy, terms)
+            folder.cut_log(facts.step)
+        else:
+            facts = CheckpointFacts.at_start(loaded, scene)
+            state = initial_state(loaded, config, chosen, strategy, terms)
+        trainer = _Trainer(folder, facts, loaded, config, state)
+        if on_start is not None:
+            on_start(loaded, config)
+        if on_model is not None:
+            on_model(state.model, _photograph_with(state.image_model, chosen))
+        check_kernels(state, loaded, config)
+        trainer.run(stop_at, on_step)
     return folder
-
-
-def initial_state(scene: Scene, config: TrainConfig, device: torch.device = HOST) -> TrainingState:
-    """The state at step 0; every random choice follows from the seed, and torch's own generators
-    are left alone.
-
-    It is made on the CPU, and so the same whatever the device.
-    """
-    capture = Capture.of(scene)
-    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian
-    # from being pruned.
-    shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
-    generator = torch.Generator().manual_seed(config.seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.default_generator.manual_seed(config.seed)
-        field = RadianceField(config.field)
-        uncertainty = DepthUncertainty()
-        field.set_frame(scene.points.positions)
-        gaussians = initial_gaussians(
-            start_points(scene, config),
-            field,
-            shares_opacity,
-            config.temperature_sh_degree_of(capture),
-            config.densification.max_gaussians,
-            generator,
-        )
-    model = Model(
-        gaussians,
-        field,
-        neighbours=None,
-        sh_degree=0,
-    )
-    return checkpoint.make_state(model.to(device), uncertainty, config, capture, generator)
 
 
 def _photograph_with(image_model: ImageModel, device: torch.device) -> Photograph:
@@ -158,73 +121,53 @@ def _photograph_with(image_model: ImageModel, device: torch.device) -> Photograp
     return lambda rendering, camera: deepcopy(image_model).to(HOST).expected(rendering, camera)
 
 
-def _images(view: View) -> list[PosedImage]:
-    return [image for image in (view.rgb, view.thermal) if image is not None]
-
-
 class _Trainer(Driver[StepStatistics]):
-    """Trains Gaussians."""
+    """Trains Gaussians: choose a view, take a step on it, control the density."""
 
     def __init__(
         self,
         folder: RunFolder,
+        facts: CheckpointFacts,
         scene: Scene,
-        scene_path: str,
         config: TrainConfig,
-        resume: bool,
-        device: torch.device,
+        state: TrainingState,
     ) -> None:
-        facts = CheckpointFacts(0, scene_path, Capture.of(scene), scene.temperature, 0.0, 0, 0)
-        if resume:
-            newest = folder.newest_checkpoint()
-            found = checkpoint.load_facts(newest)
-            checkpoint.require_same_scene(found, scene)
-            self._state = checkpoint.load_state(newest, config, device)
-            facts = found._replace(scene=scene_path, capture=facts.capture)
-            folder.cut_log(found.step)
-        else:
-            self._state = initial_state(scene, config, device)
+        device = state.device
         self._scene = scene
         self._config = config
+        self._state = state
         self._scale = SceneScale(scene.extent, scene.temperature)
-        self._photos: PhotoSource = PhotoCache() if device.type == "cpu" else DevicePhotos(device)
+        self._photos: PhotoSource = PhotoCache() if device == HOST else DevicePhotos(device)
         super().__init__(folder, facts, config.max_steps, config.checkpoint_every, device)
 
-    @property
-    def model(self) -> Model:
-        """The model that is trained; the same object from the first step to the last."""
-        return self._state.model
-
-    @property
-    def image_model(self) -> ImageModel:
-        """What the scene's cameras do to the images; the same object too."""
-        return self._state.image_model
-
-    def check_kernels(self) -> None:
-        """Compare the kernels in use with their plain definitions; the training stays the same."""
-        check_kernels(self._state, self._scene.train, self._config, self._scale)
-
     def _take_step(self) -> StepStatistics:
-        statistics = self._with_enough_memory(self._step_on_next_view)
-        self._with_enough_memory(self._explore)
+        result = self._with_enough_memory(self._step_on_next_view)
         self._fetch_next_view()
-        if changes_density(self._config, statistics.step) and not statistics.skipped:
-            self._with_enough_memory(self._control_density)
-        return statistics
+        self._with_enough_memory(lambda: self._control_density(result))
+        return result.statistics
 
-    def _step_on_next_view(self) -> StepStatistics:
-        state = self._state
-        number = state.sampler.next()
+    def _step_on_next_view(self) -> StepResult:
+        number = self._state.sampler.next()
         view = self._scene.train[number]
         rgb, thermal = (
             None if image is None else self._photos.load(image)
             for image in (view.rgb, view.thermal)
         )
         photos = Photos(rgb, thermal, view.shares_camera)
-        return training_step(state, view, number, photos, self._config, self._scale)
+        return training_step(self._state, view, number, photos, self._config, self._scale)
 
-    def _explore(self) -> None:
-        explore_means(self._state, self._config, self._scale.extent)
+    def _control_density(self, result: StepResult) -> None:
+        state = self._state
+        counts = control_density(state, result, self._config, self._scale.extent)
+        if counts is None:
+            return
+        gaussians = len(state.model.gaussians)
+        self._folder.append_log({"step": state.step, **counts, "gaussians": gaussians})
+        if gaussians == 0:
+            raise TrainingError(
+                f"every Gaussian has turned transparent by step {state.step}: check the scene's "
+                f"poses and images"
+            )
 
     def _fetch_next_view(self) -> None:
         """Let its photos come ahead of their turn, if there is memory for them."""
@@ -237,26 +180,26 @@ class _Trainer(Driver[StepStatistics]):
             self._photos.release()
 
     def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
-        """Do something; once more, should a GPU's memory be full, with all given back that torch
-        holds in reserve.
+        """Do a part of a step; see ``retried_when_full``.
 
-        An action changes the model when it has all the memory that it needs, so that to repeat it
-        does nothing twice. But for one case: Adam makes its moments at the first step, one
-        parameter after another.
+        Adam makes its moments at the first step, one parameter after another: this alone is not
+        undone.
 
         Raises:
-            TrainingError: it is full again; the state before the action is left as a checkpoint.
+            TrainingError: a GPU's memory does not suffice; the state before is left as a
+                checkpoint.
         """
         state = self._state
         before = (state.step, state.generator.get_state(), state.sampler.state())
-        for _ in range(2):
-            try:
-                return action()
-            except torch.cuda.OutOfMemoryError:
-                pass  # what the action has made is freed when this block is left
+
+        def undo() -> None:
             state.go_back(*before)
             self._photos.release()
-            torch.cuda.empty_cache()
+
+        try:
+            return retried_when_full(action, undo)
+        except torch.cuda.OutOfMemoryError:
+            pass  # a checkpoint needs the memory that the error's frames hold
         raise self._out_of_memory()
 
     def _out_of_memory(self) -> TrainingError:
@@ -276,22 +219,13 @@ class _Trainer(Driver[StepStatistics]):
             f"Gaussians; {kept}: {go_on} with a smaller --max-gaussians or --resolution"
         )
 
-    def _control_density(self) -> None:
-        state = self._state
-        counts = control_density(state, self._config, self._scale.extent)
-        if counts is not None:
-            self._folder.append_log(
-                {"step": state.step, **counts._asdict(), "gaussians": len(state.model.gaussians)}
-            )
-        if len(state.model.gaussians) == 0:
-            raise TrainingError(
-                f"every Gaussian has turned transparent by step {state.step}: check the scene's "
-                f"poses and images"
-            )
-
     @property
     def _skipped_in_a_row(self) -> int:
         return int(self._state.skipped_in_a_row)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         checkpoint.save(path, self._state, facts)
+
+
+def _images(view: View) -> list[PosedImage]:
+    return [image for image in (view.rgb, view.thermal) if image is not None]

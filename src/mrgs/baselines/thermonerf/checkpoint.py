@@ -49,7 +49,7 @@ def load_model(path: Path, config: ThermoNerfConfig) -> tuple[ThermoNerf, Checkp
     return _model(path, tensors, config), facts
 
 
-def load_state(path: Path, config: ThermoNerfConfig) -> tuple[TrainingState, CheckpointFacts]:
+def load_state(path: Path, config: ThermoNerfConfig) -> TrainingState:
     """Everything in a checkpoint, to train on.
 
     Raises:
@@ -74,7 +74,7 @@ def load_state(path: Path, config: ThermoNerfConfig) -> tuple[TrainingState, Che
                 state.optimizer.state[parameter] = moments
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise _mismatch(path) from error
-    return state, facts
+    return state
 
 
 def _read(path: Path) -> dict[str, Tensor]:

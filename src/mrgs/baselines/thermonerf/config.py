@@ -10,7 +10,7 @@ from mrgs.baselines.thermonerf.field import FieldConfig, HashGridConfig
 from mrgs.baselines.thermonerf.losses import LossConfig
 from mrgs.baselines.thermonerf.sampling import SamplingConfig
 from mrgs.errors import ConfigError
-from mrgs.system.strict_yaml import parse_yaml, read_yaml, write_yaml
+from mrgs.system.strict_yaml import read_yaml
 
 METHOD: Literal["thermonerf"] = "thermonerf"
 
@@ -24,7 +24,7 @@ class ThermoNerfConfig:
     """Everything that a run depends on besides the scene.
 
     Attributes:
-        method: always ``thermonerf``; tells the run from one with Gaussians.
+        method: always ``thermonerf``.
         max_steps: training steps, one batch of rays each.
         rays_per_batch: rays of a step, drawn over all training views.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
@@ -89,24 +89,10 @@ def make_config(
     return ThermoNerfConfig(max_steps=steps, rays_per_batch=rays, resolution=resolution, seed=seed)
 
 
-def to_yaml(config: ThermoNerfConfig) -> str:
-    """The configuration as YAML, every field written out."""
-    return write_yaml(config)
-
-
 def from_yaml(text: str, source: str, base: ThermoNerfConfig | None = None) -> ThermoNerfConfig:
-    """The configuration that ``to_yaml`` wrote, or a part of one over another; see ``read_yaml``.
+    """A configuration as ``write_yaml`` writes it, or a part of one; see ``read_yaml``.
 
     Raises:
         ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
     """
     return read_yaml(ThermoNerfConfig, text, source, base)
-
-
-def is_thermonerf(text: str) -> bool:
-    """Whether the text of a run's config.yaml is that of a ThermoNeRF run."""
-    try:
-        values = parse_yaml(text, "config.yaml")
-    except ConfigError:
-        return False
-    return isinstance(values, dict) and values.get("method") == METHOD

@@ -7,17 +7,23 @@ from pathlib import Path
 
 import torch
 
-from mrgs.baselines.thermonerf import checkpoint, run_files
-from mrgs.baselines.thermonerf.config import ThermoNerfConfig
+from mrgs.baselines.thermonerf import checkpoint
+from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml
 from mrgs.baselines.thermonerf.model import ALL_ROWS
 from mrgs.baselines.thermonerf.pixels import PixelPool
-from mrgs.baselines.thermonerf.step import ThermoNerfStatistics, initial_state, training_step
+from mrgs.baselines.thermonerf.run import require_cpu
+from mrgs.baselines.thermonerf.step import (
+    ThermoNerfStatistics,
+    TrainingState,
+    initial_state,
+    training_step,
+)
 from mrgs.data import load_scene
-from mrgs.errors import SceneError
-from mrgs.method.camera_model.image_model import Capture
+from mrgs.errors import RunError
 from mrgs.scene import Scene
+from mrgs.system.gpu import DeviceName
 from mrgs.system.operation import checking, plainly
-from mrgs.training.checkpoint import CheckpointFacts, require_same_scene
+from mrgs.training.checkpoint import CheckpointFacts, facts_to_resume
 from mrgs.training.driver import Driver
 from mrgs.training.run_folder import RunFolder
 
@@ -34,6 +40,7 @@ def train_thermonerf(
     config: ThermoNerfConfig,
     *,
     resume: bool = False,
+    device: DeviceName = "auto",
     plain: bool = False,
     stop_at: int | None = None,
     on_step: OnStep | None = None,
@@ -46,6 +53,7 @@ def train_thermonerf(
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
         resume: continue the run from its newest checkpoint, exactly.
+        device: "auto" or "cpu".
         plain: run the plain definitions of all operations instead of kernels, much slower.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
@@ -58,29 +66,34 @@ def train_thermonerf(
     Raises:
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used.
+        DeviceError: the GPU was asked for.
         TrainingError: three steps in a row gave values that are not finite; the last good
             checkpoint is kept.
     """
+    require_cpu(device)
     folder = RunFolder(output)
     if resume:
         folder.newest_checkpoint()
-        config = run_files.read_config(folder)
+        if folder.method != METHOD:
+            raise RunError(f"{folder.path} is a run of {folder.method}, not of {METHOD}")
+        config = folder.read_config(from_yaml)
     else:
-        run_files.require_new(folder)
+        folder.require_new()
     loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    with folder.locked(), plainly(plain):
-        if not resume:
-            run_files.start(folder, config)
-        try:
-            trainer = _Trainer(folder, loaded, str(Path(scene).resolve()), config, resume)
-            if on_start is not None:
-                on_start(loaded, config)
-            trainer.check_kernels()
-            trainer.run(stop_at, on_step)
-        except (SceneError, KeyboardInterrupt):
-            if not folder.checkpoints():
-                folder.discard()
-            raise
+    with folder.training(config, resume), plainly(plain):
+        if resume:
+            newest = folder.newest_checkpoint()
+            facts = facts_to_resume(newest, loaded, scene)
+            state = checkpoint.load_state(newest, config)
+            folder.cut_log(facts.step)
+        else:
+            facts = CheckpointFacts.at_start(loaded, scene)
+            state = initial_state(loaded, config)
+        trainer = _Trainer(folder, facts, loaded, config, state)
+        if on_start is not None:
+            on_start(loaded, config)
+        trainer.check_kernels()
+        trainer.run(stop_at, on_step)
     return folder
 
 
@@ -90,20 +103,14 @@ class _Trainer(Driver[ThermoNerfStatistics]):
     def __init__(
         self,
         folder: RunFolder,
+        facts: CheckpointFacts,
         scene: Scene,
-        scene_path: str,
         config: ThermoNerfConfig,
-        resume: bool,
+        state: TrainingState,
     ) -> None:
-        if resume:
-            self._state, facts = checkpoint.load_state(folder.newest_checkpoint(), config)
-            require_same_scene(facts, scene)
-            folder.cut_log(facts.step)
-        else:
-            self._state = initial_state(scene, config)
-            facts = CheckpointFacts(0, scene_path, Capture.of(scene), scene.temperature, 0.0, 0, 0)
         self._config = config
-        self._pool = PixelPool(scene, self._state.model.frame)
+        self._state = state
+        self._pool = PixelPool(scene, state.model.frame)
         super().__init__(folder, facts, config.max_steps, config.checkpoint_every)
 
     def check_kernels(self) -> None:

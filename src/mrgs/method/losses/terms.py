@@ -1,9 +1,8 @@
-"""The terms of L_total that a view has (Sec. Total Loss), and which images each of them
-compares."""
+"""The terms of L_total (Eq. 20, Sec. Total Loss)."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
@@ -17,130 +16,150 @@ from mrgs.method.losses.photometric import (
 )
 from mrgs.method.losses.radiation import (
     DepthUncertainty,
+    RadiationConfig,
     boltzmann_loss,
     boltzmann_weight,
     normalise_radiation,
     thermal_radiation,
 )
 from mrgs.method.losses.smoothness import smoothness_loss
-from mrgs.render import Rendering
-from mrgs.scene import Pixels, TemperatureRange
+from mrgs.method.losses.term import LossContext, Term
 
 MODALITIES = ("rgb", "thermal")
 
 
-class Photos(NamedTuple):
-    """A view's photos.
-
-    Attributes:
-        rgb: None if the view has no colour image.
-        thermal: None if it has no thermal image.
-        shares_camera: whether one camera took both, so that a pixel of the one is the same pixel of
-            the other.
-    """
-
-    rgb: Pixels | None
-    thermal: Pixels | None
-    shares_camera: bool = False
-
-
-class SceneScale(NamedTuple):
-    """What lengths and temperatures are measured by.
-
-    Attributes:
-        extent: the scene's extent in scene units.
-        temperature: scale of the thermal values; None if the scene has no known °C.
-    """
-
-    extent: float
-    temperature: TemperatureRange | None
-
-
-def loss_terms(
-    rendering: Rendering,
-    photographed: Rendering,
-    photos: Photos,
-    config: TrainConfig,
-    scale: SceneScale,
-    uncertainty: DepthUncertainty,
-) -> dict[str, Tensor]:
-    """L_c, L_t, L_smooth, L_opaque and L_boltz of a view, as far as the view and the method have
-    them.
+def configured_terms(config: TrainConfig, extra: Sequence[Term] = ()) -> tuple[Term, ...]:
+    """The terms of a training.
 
     Args:
-        rendering: what the model shows; smoothness is asked of it.
-        photographed: the same as its cameras would have written it; the photos are compared with
-            it.
-        photos: of the view.
-        config: of the run.
-        scale: of the scene.
-        uncertainty: ψ of L_boltz.
+        config: says which of the paper's terms there are.
+        extra: more terms; one with the name of a configured term takes its place.
     """
-    terms: dict[str, Tensor] = {}
-    for name in MODALITIES:
-        image, photo = getattr(photographed, name), getattr(photos, name)
-        if image is not None and photo is not None:
-            terms[name] = photometric_loss(image, photo.values, photo.valid, config.loss.dssim)
-    if config.loss.smooth > 0:
-        terms["smooth"] = torch.stack(
-            [_smoothness(rendering, photos, name, config.loss, scale) for name in terms]
-        ).sum()
-    if config.loss.opaque > 0 and photos.shares_camera:
-        terms["opaque"] = _opaqueness(rendering)
-    if config.radiation is not None and "thermal" in terms:
-        terms["boltzmann"] = _radiation(photographed, photos, scale, uncertainty)
-    return terms
+    loss, radiation = config.loss, config.radiation
+    terms: list[Term] = [Photometric(name, loss.dssim) for name in MODALITIES]
+    if loss.smooth > 0:
+        terms.append(Smoothness(loss))
+    if loss.opaque > 0:
+        terms.append(Opaqueness(loss.opaque))
+    if radiation is not None:
+        terms.append(Boltzmann(radiation, config.optimizer.uncertainty))
+    named = {term.name: term for term in (*terms, *extra)}
+    return tuple(named.values())
 
 
-def loss_weights(config: TrainConfig, step: int) -> dict[str, float]:
-    """λ of each term at a step."""
-    weights = {
-        "rgb": 1.0,
-        "thermal": 1.0,
-        "smooth": config.loss.smooth,
-        "opaque": config.loss.opaque,
-    }
-    if config.radiation is not None:
-        weights["boltzmann"] = boltzmann_weight(step, config.radiation)
-    return weights
+def term_values(terms: Sequence[Term], context: LossContext) -> dict[str, Float[Tensor, ""]]:
+    """The unweighted value of each term that the view has, by name."""
+    values = {term.name: term.value(context) for term in terms}
+    return {name: value for name, value in values.items() if value is not None}
 
 
-def _smoothness(
-    rendering: Rendering, photos: Photos, name: str, config: LossConfig, scale: SceneScale
-) -> Float[Tensor, ""]:
-    """L_smooth of one modality."""
-    photo = getattr(photos, name)
-    return smoothness_loss(
-        getattr(rendering, name),
-        getattr(rendering, f"depth_{name}"),
-        photo.valid,
-        scale.extent,
-        getattr(config, f"smooth_{name}"),
-        config,
-    )
+class Photometric(Term):
+    """L_c or L_t, Eq. 17 (L_m).
+
+    Args:
+        modality: which; also the term's name.
+        dssim: λ of Eq. 17.
+    """
+
+    def __init__(self, modality: str, dssim: float) -> None:
+        self.name = modality
+        self._dssim = dssim
+
+    def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
+        image, photo = getattr(context.observed, self.name), getattr(context.photos, self.name)
+        if image is None or photo is None:
+            return None
+        return photometric_loss(image, photo.values, photo.valid, self._dssim)
 
 
-def _opaqueness(rendering: Rendering) -> Float[Tensor, ""]:
-    """L_opaque of a rendering by one camera."""
-    assert rendering.alpha_thermal is not None
-    assert rendering.alpha_rgb is not None
-    assert rendering.depth_thermal is not None
-    assert rendering.depth_rgb is not None
-    return opaqueness_loss(
-        rendering.alpha_thermal, rendering.alpha_rgb, rendering.depth_thermal, rendering.depth_rgb
-    )
+class Smoothness(Term):
+    """L_smooth, Eq. 18, summed over the modalities.
+
+    Args:
+        config: its weight, and those of its parts.
+    """
+
+    name = "smooth"
+
+    def __init__(self, config: LossConfig) -> None:
+        self._config = config
+
+    def weight(self, step: int) -> float:  # noqa: D102
+        return self._config.smooth
+
+    def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
+        parts = [
+            self._of(name, context)
+            for name in MODALITIES
+            if getattr(context.rendering, name) is not None
+            and getattr(context.photos, name) is not None
+        ]
+        return torch.stack(parts).sum() if parts else None
+
+    def _of(self, modality: str, context: LossContext) -> Float[Tensor, ""]:
+        photo = getattr(context.photos, modality)
+        return smoothness_loss(
+            getattr(context.rendering, modality),
+            getattr(context.rendering, f"depth_{modality}"),
+            photo.valid,
+            context.scale.extent,
+            getattr(self._config, f"smooth_{modality}"),
+            self._config,
+        )
 
 
-def _radiation(
-    photographed: Rendering, photos: Photos, scale: SceneScale, uncertainty: DepthUncertainty
-) -> Float[Tensor, ""]:
-    """L_boltz from the photo's temperatures and the rendered depth."""
-    photo, depth = photos.thermal, photographed.depth_thermal
-    assert photo is not None
-    assert depth is not None
-    assert photographed.thermal is not None
-    radiation = thermal_radiation(photo.values[..., 0], depth, scale.extent, scale.temperature)
-    radiation = normalise_radiation(radiation, photo.valid)
-    return boltzmann_loss(
-        photographed.thermal[..., 0], radiation, uncertainty(depth, scale.extent), photo.valid
-    )
+class Opaqueness(Term):
+    """L_opaque, not in the paper; for views whose photos share a camera.
+
+    Args:
+        weight: λ.
+    """
+
+    name = "opaque"
+
+    def __init__(self, weight: float) -> None:
+        self._weight = weight
+
+    def weight(self, step: int) -> float:  # noqa: D102
+        return self._weight
+
+    def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
+        if not context.photos.shares_camera:
+            return None
+        rgb_depth, thermal_depth = context.rendering.depth_rgb, context.rendering.depth_thermal
+        rgb_alpha, thermal_alpha = context.rendering.alpha_rgb, context.rendering.alpha_thermal
+        assert rgb_depth is not None
+        assert thermal_depth is not None
+        assert rgb_alpha is not None
+        assert thermal_alpha is not None
+        return opaqueness_loss(thermal_alpha, rgb_alpha, thermal_depth, rgb_depth)
+
+
+class Boltzmann(Term):
+    """L_boltz, Eq. 13–16, from the photo's temperatures and the rendered depth; learns ψ.
+
+    Args:
+        config: its weight λ_boltz over the steps.
+        learning_rate: of ψ.
+    """
+
+    name = "boltzmann"
+
+    def __init__(self, config: RadiationConfig, learning_rate: float) -> None:
+        self._config = config
+        self._uncertainty = DepthUncertainty()
+        self.learned = self._uncertainty
+        self.learning_rate = learning_rate
+
+    def weight(self, step: int) -> float:  # noqa: D102
+        return boltzmann_weight(step, self._config)
+
+    def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
+        photo, depth = context.photos.thermal, context.observed.depth_thermal
+        image, scale = context.observed.thermal, context.scale
+        if photo is None or depth is None or image is None:
+            return None
+        radiation = thermal_radiation(photo.values[..., 0], depth, scale.extent, scale.temperature)
+        radiation = normalise_radiation(radiation, photo.valid)
+        uncertainty = self._uncertainty(depth, scale.extent)
+        return boltzmann_loss(image[..., 0], radiation, uncertainty, photo.valid)

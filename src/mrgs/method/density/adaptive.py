@@ -9,19 +9,19 @@ both passes are added.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.errors import ConfigError
+from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, StrategyState
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
-from mrgs.system.gpu import HOST
 
 SPLIT_INTO = 2
 SPLIT_SHRINK = 1.6
@@ -29,11 +29,16 @@ SPLIT_SHRINK = 1.6
 
 
 @dataclass(frozen=True)
-class DensificationConfig:
-    """When and how Gaussians are added and removed; the defaults are 3DGS's, without its prune by
-    size on the screen.
+class AdaptiveDensityControl(Strategy):
+    """3DGS's adaptive density control, without its prune by size on the screen; the defaults are
+    3DGS's.
+
+    It remembers, for each Gaussian since the last densification, the sum of the norms of its
+    screen-space gradients (``gradient_sum``, [N]) and the number of views that drew it (``views``,
+    [N]).
 
     Attributes:
+        name: of the strategy.
         start: no densification up to this step.
         stop: none after this step.
         every: steps between densifications.
@@ -49,6 +54,7 @@ class DensificationConfig:
         max_gaussians: the cap; those with the largest gradients come first.
     """
 
+    name: Literal["adaptive"] = "adaptive"
     start: int = 500
     stop: int = 15_000
     every: int = 100
@@ -58,7 +64,6 @@ class DensificationConfig:
     prune_above: float = 0.1
     reset_every: int = 3_000
     reset_opacity: float = 0.01
-    max_gaussians: int = 5_000_000
 
     def __post_init__(self) -> None:
         if self.every < 1 or self.reset_every < 1 or self.max_gaussians < 1:
@@ -67,6 +72,42 @@ class DensificationConfig:
             )
         if not 0 < self.prune_opacity < self.reset_opacity < 1:
             raise ConfigError("densification: 0 < prune_opacity < reset_opacity < 1 must hold")
+
+    def initial_state(self, gaussians: Gaussians) -> StrategyState:
+        """No view drew any of them yet."""
+        return _no_views(len(gaussians), gaussians.means.device)
+
+    def after_step(
+        self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
+    ) -> DensityUpdate:
+        """Add the view's gradients; clone, split, prune and reset where the schedule says so."""
+        state = add_views(state, step.passes)
+        densifies, resets = self.densifies_at(step.number), self.resets_at(step.number)
+        if not (densifies or resets) or step.skipped:
+            return DensityUpdate(state)
+        counts = None
+        if densifies:
+            prunes_large = step.number > self.reset_every and not step.has_sky
+            change = densify(
+                optimizer.gaussians,
+                mean_gradients(state),
+                self,
+                step.extent,
+                prunes_large,
+                step.generator,
+            )
+            state = _no_views(len(change.keep) + len(change.added), change.keep.device)
+            optimizer.replace_rows(change.keep, change.added)
+            counts = change.counts._asdict()
+        if resets:
+            optimizer.limit_opacities(self.reset_opacity)
+        return DensityUpdate(state, counts)
+
+    def rescaled(self, factor: float) -> AdaptiveDensityControl:
+        """Start and stop move; opacity resets do not move closer together: the opacities need a
+        fixed number of steps to recover, so short schedules have none."""
+        start, stop = (max(1, round(step * factor)) for step in (self.start, self.stop))
+        return replace(self, start=start, stop=stop)
 
     def densifies_at(self, step: int) -> bool:
         """Whether Gaussians are added and removed after this step."""
@@ -77,52 +118,32 @@ class DensificationConfig:
         return step < self.stop and step % self.reset_every == 0
 
 
-class ScreenStatistics:
-    """Sum of the screen-space gradients' norms since the last densification, and the number of
-    views that drew each.
+def _no_views(count: int, device: torch.device) -> StrategyState:
+    """The statistics of Gaussians that no view drew."""
+    return {name: torch.zeros(count, device=device) for name in ("gradient_sum", "views")}
 
-    Attributes:
-        gradient_sum: [N].
-        views: [N].
+
+def add_views(state: StrategyState, passes: Sequence[ScreenPoints]) -> StrategyState:
+    """The statistics with one view more, whose gradients count in units of half the image's size
+    (3DGS).
+
+    Args:
+        state: the statistics so far.
+        passes: of the view.
     """
+    gradient_sum, views = state["gradient_sum"], state["views"]
+    drawn = torch.zeros_like(views, dtype=torch.bool)
+    for points in passes:
+        if points.offset.grad is not None:
+            half = _half(points.size, points.offset.device)
+            gradient_sum = gradient_sum + (points.offset.grad * half).norm(dim=1)
+        drawn |= points.radii > 0
+    return {"gradient_sum": gradient_sum, "views": views + drawn}
 
-    def __init__(self, gradient_sum: Float[Tensor, " n"], views: Float[Tensor, " n"]) -> None:
-        self.gradient_sum = gradient_sum
-        self.views = views
 
-    @classmethod
-    def empty(cls, count: int, device: torch.device = HOST) -> ScreenStatistics:
-        """Nothing seen yet, of ``count`` Gaussians."""
-        return cls(torch.zeros(count, device=device), torch.zeros(count, device=device))
-
-    def copy(self) -> ScreenStatistics:
-        """The same numbers in memory of their own."""
-        return ScreenStatistics(self.gradient_sum.clone(), self.views.clone())
-
-    def clear(self) -> None:
-        """Forget what was seen."""
-        self.gradient_sum.zero_()
-        self.views.zero_()
-
-    def add(self, passes: Sequence[ScreenPoints], good: Bool[Tensor, ""] | None = None) -> None:
-        """Take the gradients of one view's passes, in units of half the image's size as 3DGS counts
-        them.
-
-        Args:
-            passes: of the view.
-            good: whether the view counts; where not, nothing is taken. None if it does.
-        """
-        drawn = torch.zeros_like(self.views, dtype=torch.bool)
-        for points in passes:
-            if points.offset.grad is not None:
-                norms = (points.offset.grad * _half(points.size, points.offset.device)).norm(dim=1)
-                self.gradient_sum += norms if good is None else torch.where(good, norms, 0)
-            drawn |= points.radii > 0
-        self.views += drawn if good is None else drawn & good
-
-    def mean(self) -> Float[Tensor, " n"]:
-        """Mean norm of the gradient over the views that drew the Gaussian."""
-        return self.gradient_sum / self.views.clamp_min(1)
+def mean_gradients(state: StrategyState) -> Float[Tensor, " n"]:
+    """Mean norm of the gradient over the views that drew each Gaussian."""
+    return state["gradient_sum"] / state["views"].clamp_min(1)
 
 
 @lru_cache(maxsize=16)
@@ -140,29 +161,36 @@ class DensificationCounts(NamedTuple):
     pruned: int
 
 
+class RowChange(NamedTuple):
+    """Which Gaussians stay, in this order, and which follow them."""
+
+    keep: Int64[Tensor, " k"]
+    added: Gaussians
+    counts: DensificationCounts
+
+
 @torch.no_grad()
 def densify(
-    optimizer: GaussianOptimizer,
-    statistics: ScreenStatistics,
-    config: DensificationConfig,
+    gaussians: Gaussians,
+    gradients: Float[Tensor, " n"],
+    config: AdaptiveDensityControl,
     extent: float,
     prunes_large: bool,
     generator: torch.Generator,
-) -> DensificationCounts:
+) -> RowChange:
     """Clone small and split large Gaussians whose screen-space gradient is large; remove
     transparent ones.
 
     Args:
-        optimizer: holds the Gaussians; its rows change.
-        statistics: since the last event; started anew.
+        gaussians: which are left as they are.
+        gradients: mean norm of each Gaussian's screen-space gradient.
         config: thresholds and the cap.
         extent: of the scene.
         prunes_large: whether Gaussians above ``prune_above`` are removed too.
         generator: of the places of the split halves.
     """
-    gaussians = optimizer.gaussians
     sizes = gaussians.scales.max(dim=1).values
-    chosen = _within_budget(statistics.mean(), config, len(gaussians))
+    chosen = _within_budget(gradients, config, len(gaussians))
     is_large = sizes > config.clone_below * extent
     cloned, split = (chosen & ~is_large).nonzero()[:, 0], (chosen & is_large).nonzero()[:, 0]
     added = _concatenate(_rows(gaussians, cloned), _split(_rows(gaussians, split), generator))
@@ -170,26 +198,15 @@ def densify(
     added_survives = ~_is_superfluous(added, config, extent, prunes_large)
     pruned = int((~survives).sum() + (~added_survives).sum())
     survives[split] = False
-    kept, new = survives.nonzero()[:, 0], _rows(added, added_survives.nonzero()[:, 0])
-    replace_rows(optimizer, statistics, kept, new)
-    return DensificationCounts(len(cloned), len(split), pruned)
-
-
-def replace_rows(
-    optimizer: GaussianOptimizer,
-    statistics: ScreenStatistics,
-    keep: Int64[Tensor, " k"],
-    added: Gaussians,
-) -> None:
-    """Keep these rows, append new ones, and start the statistics anew; nothing of it where memory
-    does not suffice."""
-    empty = ScreenStatistics.empty(len(keep) + len(added), keep.device)
-    optimizer.replace_rows(keep, added)
-    statistics.gradient_sum, statistics.views = empty.gradient_sum, empty.views
+    return RowChange(
+        keep=survives.nonzero()[:, 0],
+        added=_rows(added, added_survives.nonzero()[:, 0]),
+        counts=DensificationCounts(len(cloned), len(split), pruned),
+    )
 
 
 def _within_budget(
-    gradients: Float[Tensor, " n"], config: DensificationConfig, count: int
+    gradients: Float[Tensor, " n"], config: AdaptiveDensityControl, count: int
 ) -> Bool[Tensor, " n"]:
     """Which Gaussians densify: each adds one, and the cap lets only the largest gradients do so."""
     chosen = gradients >= config.gradient_threshold
@@ -202,7 +219,7 @@ def _within_budget(
 
 
 def _is_superfluous(
-    gaussians: Gaussians, config: DensificationConfig, extent: float, prunes_large: bool
+    gaussians: Gaussians, config: AdaptiveDensityControl, extent: float, prunes_large: bool
 ) -> Bool[Tensor, " n"]:
     """Transparent in both modalities, or too large."""
     superfluous = (
@@ -221,13 +238,13 @@ def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
             for name, tensor in gaussians.tensors().items()
         }
     )
-    noise = draw_normal(halves.means, generator) * halves.scales
-    halves.means = halves.means + rotate(halves.quats, noise)
+    noise = _draw_normal(halves.means, generator) * halves.scales
+    halves.means = halves.means + _rotate(halves.quats, noise)
     halves.log_scales = halves.log_scales - torch.tensor(SPLIT_SHRINK).log()
     return halves
 
 
-def draw_normal(like: Float[Tensor, "*k"], generator: torch.Generator) -> Float[Tensor, "*k"]:
+def _draw_normal(like: Float[Tensor, "*k"], generator: torch.Generator) -> Float[Tensor, "*k"]:
     """Standard normal numbers of a tensor's shape, on its device.
 
     They are drawn on the host, so that they do not depend on the device, and copied without waiting
@@ -237,7 +254,7 @@ def draw_normal(like: Float[Tensor, "*k"], generator: torch.Generator) -> Float[
     return numbers.to(like.device, non_blocking=True)
 
 
-def rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """Vectors rotated by quaternions wxyz: v + 2w (r × v) + 2 r × (r × v)."""
     unit = torch.nn.functional.normalize(quats, dim=1)
     w, r = unit[:, :1], unit[:, 1:]

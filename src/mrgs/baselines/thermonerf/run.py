@@ -1,0 +1,67 @@
+"""A trained ThermoNeRF, opened to be rendered from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mrgs.baselines.thermonerf.checkpoint import load_model
+from mrgs.baselines.thermonerf.config import ThermoNerfConfig, from_yaml
+from mrgs.baselines.thermonerf.model import ThermoNerf
+from mrgs.errors import DeviceError
+from mrgs.render import Rendering
+from mrgs.scene import Camera
+from mrgs.system.gpu import DeviceName
+from mrgs.training.run_folder import RunFolder
+from mrgs.training.trained_run import TrainedRun
+
+
+@dataclass(frozen=True, eq=False)
+class ThermoNerfRun(TrainedRun):
+    """A run that can be rendered and scored, but has no Gaussians.
+
+    Attributes:
+        model: what it learned.
+    """
+
+    config: ThermoNerfConfig
+    model: ThermoNerf
+
+    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:  # noqa: D102
+        return self.model.render(rgb_camera, thermal_camera)
+
+    @property
+    def gaussian_count(self) -> None:  # noqa: D102
+        return None
+
+
+def open_thermonerf(
+    path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
+) -> ThermoNerfRun:
+    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU.
+
+    Args:
+        path: the run's folder.
+        scene: the scene's folder, if it has moved since training.
+        device: "auto" or "cpu".
+
+    Raises:
+        RunError: the folder is not a run, or its checkpoint cannot be used.
+        DeviceError: the GPU was asked for.
+    """
+    require_cpu(device)
+    folder = RunFolder(path)
+    newest = folder.newest_checkpoint()
+    config = folder.read_config(from_yaml)
+    model, facts = load_model(newest, config)
+    return ThermoNerfRun(folder, config, facts.moved_to(scene), model)
+
+
+def require_cpu(device: DeviceName) -> None:
+    """There are no kernels for a GPU.
+
+    Raises:
+        DeviceError: the GPU was asked for.
+    """
+    if device == "cuda":
+        raise DeviceError("thermonerf works on the CPU alone")

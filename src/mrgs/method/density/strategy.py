@@ -1,0 +1,106 @@
+"""What density control is: the one interface through which training adds, removes and moves
+Gaussians."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, TypeAlias
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from mrgs.errors import ConfigError
+from mrgs.method.optimizer import GaussianOptimizer
+from mrgs.render import ScreenPoints
+from mrgs.scene import Gaussians
+
+StrategyState: TypeAlias = dict[str, Tensor]
+"""What a strategy remembers between steps, by name; saved in checkpoints."""
+
+
+class DensityStep(NamedTuple):
+    """A training step, as a strategy sees it after the parameters have moved.
+
+    Attributes:
+        number: of the step, from 1.
+        extent: the scene's extent in scene units.
+        has_sky: whether training started with distant points, whose Gaussians are large.
+        passes: projected centres of the view's passes. Their ``offset.grad`` is the gradient of
+            the loss; it is 0, and nothing counts as drawn, where the step was skipped. Empty for a
+            strategy without ``needs_screen_gradients``.
+        finite: whether the step counted: False where the loss or a gradient was not finite.
+        generator: of every random choice, on the CPU.
+    """
+
+    number: int
+    extent: float
+    has_sky: bool
+    passes: Sequence[ScreenPoints]
+    finite: Bool[Tensor, ""]
+    generator: torch.Generator
+
+    @property
+    def skipped(self) -> bool:
+        """Whether the step moved nothing. Reading it waits for a GPU: ask where it matters."""
+        return not bool(self.finite)
+
+
+class DensityUpdate(NamedTuple):
+    """What a strategy returns after a step.
+
+    Attributes:
+        state: what it remembers from now on.
+        counts: for the log, by name, where it added, removed or moved Gaussians; else None.
+    """
+
+    state: StrategyState
+    counts: Mapping[str, int] | None = None
+
+
+@dataclass(frozen=True)
+class Strategy(ABC):
+    """Density control: its settings are fields, its state is passed in and out.
+
+    Subclass it as a frozen dataclass and give an instance to ``train(..., strategy=...)``. To name
+    it in a config.yaml, give it a field ``name: Literal["..."]`` and add it to
+    ``mrgs.method.density.ConfiguredStrategy``.
+
+    Attributes:
+        max_gaussians: cap on the number of Gaussians, at the start too.
+    """
+
+    max_gaussians: int = 5_000_000
+
+    needs_screen_gradients: ClassVar[bool] = True
+    """Whether ``after_step`` reads ``DensityStep.passes``."""
+
+    def __post_init__(self) -> None:
+        if self.max_gaussians < 1:
+            raise ConfigError(f"max_gaussians must be at least 1, not {self.max_gaussians}")
+
+    def initial_state(self, gaussians: Gaussians) -> StrategyState:
+        """What the strategy remembers before the first step; nothing by default."""
+        return {}
+
+    @abstractmethod
+    def after_step(
+        self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
+    ) -> DensityUpdate:
+        """Adapt the Gaussians; called once after every step.
+
+        Change them through the optimizer (``replace_rows``, ``limit_opacities``), after everything
+        else has been computed, and leave ``state`` as it is: the call is repeated where a GPU's
+        memory did not suffice.
+
+        Args:
+            state: what the last call returned.
+            optimizer: holds the Gaussians.
+            step: the step that was just done.
+        """
+
+    def rescaled(self, factor: float) -> Strategy:
+        """The same settings for a schedule of ``factor`` times as many steps."""
+        return self

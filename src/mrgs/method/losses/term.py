@@ -1,0 +1,84 @@
+"""What a loss is: the one interface through which training compares a rendering with photos."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from mrgs.render import Rendering
+from mrgs.scene import Gaussians, Pixels, TemperatureRange
+
+
+class Photos(NamedTuple):
+    """A view's photos.
+
+    Attributes:
+        rgb: None if the view has no colour image.
+        thermal: None if it has no thermal image.
+        shares_camera: whether one camera took both, so that a pixel of the one is the same pixel of
+            the other.
+    """
+
+    rgb: Pixels | None
+    thermal: Pixels | None
+    shares_camera: bool = False
+
+
+class SceneScale(NamedTuple):
+    """What lengths and temperatures are measured by.
+
+    Attributes:
+        extent: the scene's extent in scene units.
+        temperature: scale of the thermal values; None if the scene has no known °C.
+    """
+
+    extent: float
+    temperature: TemperatureRange | None
+
+
+class LossContext(NamedTuple):
+    """What a loss may look at.
+
+    Attributes:
+        rendering: what the model shows from the view's cameras.
+        observed: the rendering as the cameras would have recorded it: what photos are compared
+            with.
+        photos: of the view.
+        gaussians: of the model.
+        scale: of the scene.
+    """
+
+    rendering: Rendering
+    observed: Rendering
+    photos: Photos
+    gaussians: Gaussians
+    scale: SceneScale
+
+
+class Term(ABC):
+    """One term of L_total (Eq. 20): a name, a weight λ over the steps, and a value.
+
+    Give an instance to ``train(..., terms=[...])``, or add it to ``configured_terms``. Its value
+    is logged as ``loss_NAME``, unweighted.
+
+    Attributes:
+        name: of the term, unique in a training.
+        learned: parameters of the term's own, which are trained and saved with the model; None if
+            it has none.
+        learning_rate: of these parameters.
+    """
+
+    name: str
+    learned: nn.Module | None = None
+    learning_rate: float = 1e-3
+
+    def weight(self, step: int) -> float:
+        """λ at a step; 1 by default."""
+        return 1.0
+
+    @abstractmethod
+    def value(self, context: LossContext) -> Float[Tensor, ""] | None:
+        """The unweighted loss of a view; None where the view has not what it compares."""

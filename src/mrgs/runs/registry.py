@@ -1,0 +1,148 @@
+"""The methods that can be trained, compared and opened, by name.
+
+Nothing is imported for a method before it is used, so that the command line can list them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from mrgs.errors import ConfigError
+
+PLUGINS = "mrgs.methods"
+"""The entry points by which an installed package offers its ``Method`` objects."""
+
+
+def imported(module: str, name: str) -> Callable[..., Any]:
+    """A function of a module that is imported when the function is first called."""
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments, **options)
+
+    return call
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method: how a model of a scene is configured, trained and opened.
+
+    A method that trains Gaussians with ``mrgs.train`` needs no more than the first three; give
+    ``train`` a strategy or terms of its own with ``functools.partial``.
+
+    Attributes:
+        name: as ``--method`` and a run's config.yaml say it.
+        description: one line, for the help.
+        make_config: configuration of a preset, from the keywords ``preset``, ``max_steps``,
+            ``resolution``, ``seed``, and ``max_gaussians`` where the method has Gaussians. A
+            dataclass with what ``mrgs.training.run_folder.RunConfig`` asks for.
+        train: trains or resumes a run, with the parameters of ``mrgs.train``; without ``on_model``
+            where the method has no Gaussians.
+        open: opens the newest checkpoint of a run as a ``TrainedRun``, from the folder, the scene
+            (or None) and the device.
+        read_config: configuration from YAML, the file's name, and the configuration that holds
+            what the YAML leaves out (or None).
+        has_gaussians: whether there is something to view and to export.
+        uses_gpu: whether it can train and render on a GPU.
+    """
+
+    name: str
+    description: str
+    make_config: Callable[..., Any]
+    train: Callable[..., Any] = field(default=imported("mrgs.training", "train"))
+    open: Callable[..., Any] = field(default=imported("mrgs.runs.open", "open_gaussians"))
+    read_config: Callable[..., Any] = field(default=imported("mrgs.training", "from_yaml"))
+    has_gaussians: bool = True
+    uses_gpu: bool = True
+
+    def configure(
+        self,
+        preset: str = "default",
+        *,
+        max_steps: int | None = None,
+        max_gaussians: int | None = None,
+        resolution: int | None = None,
+        seed: int = 0,
+        changes: str = "",
+        source: str = "",
+    ) -> Any:
+        """The configuration of a preset, with changed values.
+
+        Args:
+            preset: the preset's name.
+            max_steps: the preset's schedule is rescaled to these; None keeps it.
+            max_gaussians: cap on the Gaussians, where the method has any; None keeps the preset's.
+            resolution: images wider than this many pixels are reduced to it.
+            seed: of every random choice.
+            changes: YAML of the values that differ; they count before the others.
+            source: where the changes come from, for messages.
+
+        Raises:
+            ConfigError: a value that is not allowed, or changes for another method.
+        """
+        options = {"max_steps": max_steps, "resolution": resolution, "seed": seed}
+        if self.has_gaussians:
+            options["max_gaussians"] = max_gaussians
+        config = replace(self.make_config(preset=preset, **options), method=self.name)
+        if not changes:
+            return config
+        changed = self.read_config(changes, source, config)
+        if changed.method != self.name:
+            raise ConfigError(f"{source} is for the method {changed.method}, not {self.name}")
+        return changed
+
+
+_METHODS: dict[str, Method] = {}
+
+
+def register(method: Method) -> None:
+    """Make a method known by its name, in place of one of the same name."""
+    _METHODS[method.name] = method
+
+
+def find_method(name: str) -> Method:
+    """The method of a name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name not in _METHODS:
+        for plugin in entry_points(group=PLUGINS):
+            register(plugin.load())
+    if name not in _METHODS:
+        raise ConfigError(f"unknown method {name!r}; choose one of {', '.join(_METHODS)}")
+    return _METHODS[name]
+
+
+def registered_methods() -> tuple[Method, ...]:
+    """All methods, in the order of their registration."""
+    return tuple(_METHODS.values())
+
+
+for _name, _description in {
+    "mrgs-plus": "MrGS with a model of the thermal camera, and L_opaque",
+    "mrgs": "MrGS as published",
+    "mrgs-base": "without heat transformation and L_boltz",
+    "mrgs-fourier": "without L_boltz",
+    "mrgs-boltz": "without heat transformation",
+    "3dgs-rgbt": "3DGS with a temperature and one opacity",
+}.items():
+    register(Method(_name, _description, partial(imported("mrgs.training", "make_config"), _name)))
+
+_NERF = "mrgs.baselines.thermonerf"
+register(
+    Method(
+        "thermonerf",
+        "a neural radiance field, on the CPU",
+        imported(_NERF, "make_config"),
+        imported(_NERF, "train_thermonerf"),
+        imported(_NERF, "open_thermonerf"),
+        imported(_NERF, "from_yaml"),
+        has_gaussians=False,
+        uses_gpu=False,
+    )
+)

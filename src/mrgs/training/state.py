@@ -1,0 +1,199 @@
+"""All that changes during training, and how it is made at step 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor, nn
+
+from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.method.camera_model.image_model import Capture, ImageModel
+from mrgs.method.config import TrainConfig
+from mrgs.method.density import Strategy, StrategyState
+from mrgs.method.losses.term import Term
+from mrgs.method.losses.terms import configured_terms
+from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
+from mrgs.method.start.initialisation import initial_gaussians
+from mrgs.method.start.start_points import start_points
+from mrgs.render import Model
+from mrgs.scene import Scene
+from mrgs.system.gpu import HOST
+from mrgs.training.views import ViewSampler
+
+
+@dataclass
+class TrainingState:
+    """All that changes during training, and so all that a checkpoint must hold.
+
+    Attributes:
+        step: steps done.
+        model: what is trained; its Gaussians are those of ``gaussian_optimizer``.
+        terms: of the loss, with their learned parameters.
+        image_model: what the cameras do to the images.
+        gaussian_optimizer: Adam over the Gaussians.
+        layer_optimizer: Adam over the layers of the terms, the field and the image model.
+        strategy: density control.
+        strategy_state: what it remembers.
+        sampler: the order of the views.
+        generator: of every random choice after the start.
+        skipped_in_a_row: steps skipped since the last good one, because of a value that was not
+            finite; on the model's device.
+    """
+
+    step: int
+    model: Model
+    terms: tuple[Term, ...]
+    image_model: ImageModel
+    gaussian_optimizer: GaussianOptimizer
+    layer_optimizer: torch.optim.Adam
+    strategy: Strategy
+    strategy_state: StrategyState
+    sampler: ViewSampler
+    generator: torch.Generator
+    skipped_in_a_row: Int64[Tensor, ""]
+
+    @classmethod
+    def around(
+        cls,
+        model: Model,
+        terms: tuple[Term, ...],
+        strategy: Strategy,
+        config: TrainConfig,
+        capture: Capture,
+        generator: torch.Generator,
+    ) -> TrainingState:
+        """A state at step 0: fresh optimizers around a model, on its device."""
+        device = model.gaussians.means.device
+        gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, capture.extent)
+        model.gaussians = gaussian_optimizer.gaussians
+        image_model = ImageModel(config.image_model, capture).to(device)
+        for layers in learned_layers(terms).values():
+            layers.to(device)
+        return cls(
+            step=0,
+            model=model,
+            terms=terms,
+            image_model=image_model,
+            gaussian_optimizer=gaussian_optimizer,
+            layer_optimizer=_layer_optimizer(model.field, terms, image_model, config),
+            strategy=strategy,
+            strategy_state=strategy.initial_state(model.gaussians),
+            sampler=ViewSampler(capture.views, generator),
+            generator=generator,
+            skipped_in_a_row=torch.zeros((), dtype=torch.int64, device=device),
+        )
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is, but for the order of the views and the generator, which stay with the
+        host."""
+        return self.model.gaussians.means.device
+
+    def refresh_neighbours(self, config: TrainConfig) -> None:
+        """Search the neighbours (Eq. 9) when N has changed, and every so many steps because the
+        Gaussians move."""
+        k = config.field.neighbours_k
+        if k > 0 and (self.model.neighbours is None or self.step % config.neighbours_every == 0):
+            self.model.neighbours = nearest_neighbours(self.model.gaussians.means, k)
+
+    def gradients_are_finite(self, loss: Tensor) -> Bool[Tensor, ""]:
+        """Whether neither the loss nor a gradient holds a NaN or an infinity; on the device."""
+        layers = [layer.grad for layer in layer_parameters(self.layer_optimizer)]
+        present = [gradient for gradient in layers if gradient is not None]
+        return are_finite(loss, self.gaussian_optimizer.gradients() + present)
+
+    def move(self, config: TrainConfig, finite: Bool[Tensor, ""]) -> None:
+        """Adam's step of all parameters; nothing moves where ``finite`` is False."""
+        progress = self.step / config.max_steps
+        self.gaussian_optimizer.step(progress, finite)
+        set_rates(self.layer_optimizer, config.optimizer.slowdown_at(progress))
+        step_if(finite, self.layer_optimizer)
+        self.layer_optimizer.zero_grad(set_to_none=True)
+
+    def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
+        """Undo a step that was broken off before it moved anything.
+
+        Args:
+            step: what ``step`` was before it.
+            generator: state of the generator.
+            waiting: state of the sampler.
+        """
+        self.step = step
+        self.generator.set_state(generator)
+        self.sampler.load(waiting)
+        self.gaussian_optimizer.zero_grad()
+        self.layer_optimizer.zero_grad(set_to_none=True)
+
+
+def initial_state(
+    scene: Scene,
+    config: TrainConfig,
+    device: torch.device = HOST,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+) -> TrainingState:
+    """The state at step 0, from the scene's start points.
+
+    Every random choice follows from the seed, and torch's own generators are left alone. It is
+    made on the CPU, and so the same whatever the device.
+
+    Args:
+        scene: to train on.
+        config: of the run.
+        device: where to train.
+        strategy: density control; the configuration's if None.
+        terms: of the loss, besides the configuration's; see ``configured_terms``.
+    """
+    capture = Capture.of(scene)
+    strategy = config.densification if strategy is None else strategy
+    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian
+    # from being pruned.
+    shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
+    generator = torch.Generator().manual_seed(config.seed)
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(config.seed)
+        field = RadianceField(config.field)
+        all_terms = configured_terms(config, terms)
+        field.set_frame(scene.points.positions)
+        gaussians = initial_gaussians(
+            start_points(scene, config),
+            field,
+            shares_opacity,
+            config.temperature_sh_degree_of(capture),
+            strategy.max_gaussians,
+            generator,
+        )
+    model = Model(
+        gaussians,
+        field,
+        neighbours=None,
+        sh_degree=0,
+    ).to(device)
+    return TrainingState.around(model, all_terms, strategy, config, capture, generator)
+
+
+def learned_layers(terms: Sequence[Term]) -> dict[str, nn.Module]:
+    """What the terms learn, by their names."""
+    return {term.name: term.learned for term in terms if term.learned is not None}
+
+
+def layer_parameters(optimizer: torch.optim.Adam) -> list[nn.Parameter]:
+    """All parameters of an optimizer, in its order."""
+    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
+
+
+def _layer_optimizer(
+    field: RadianceField, terms: Sequence[Term], image_model: ImageModel, config: TrainConfig
+) -> torch.optim.Adam:
+    """Adam over all layers, each with its learning rate."""
+    groups = [
+        {"params": list(term.learned.parameters()), "lr": term.learning_rate}
+        for term in terms
+        if term.learned is not None
+    ]
+    groups.append({"params": list(field.parameters()), "lr": config.optimizer.heads})
+    groups += image_model.parameter_groups()
+    return torch.optim.Adam([{**group, "initial_lr": group["lr"]} for group in groups], fused=True)
