@@ -458,7 +458,7 @@ def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, m
         assert run("train", small_scene, "--output", output, *TINY) == 130
     printed = capsys.readouterr()
     assert (
-        f"a checkpoint is kept; go on with: mrgs train {small_scene} --output '{output}' --resume"
+        f"checkpoint saved; resume with: mrgs train {small_scene} --output '{output}' --resume"
         in printed.out
     )
     assert "stopping after this step" in printed.err
@@ -466,7 +466,7 @@ def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, m
     assert signal.getsignal(signal.SIGINT) is before
     assert [path.name for path in (output / "checkpoints").iterdir()] == ["step_000001.safetensors"]
     assert run("train", small_scene, "--output", output, "--resume") == 0
-    assert f"score it:  mrgs eval '{output}'" in capsys.readouterr().out
+    assert f"next: mrgs eval '{output}'" in capsys.readouterr().out
     assert (output / "checkpoints" / "step_000003.safetensors").is_file()
 
 
@@ -485,7 +485,7 @@ def test_ctrl_c_in_the_last_step_is_a_finished_run(small_scene, tmp_path, monkey
         )
         == 0
     )
-    assert "trained:" in capsys.readouterr().out
+    assert "next: mrgs eval" in capsys.readouterr().out
 
 
 def test_a_second_ctrl_c_stops_at_once_and_leaves_nothing(
@@ -517,7 +517,7 @@ def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_p
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=300)
     assert process.returncode == 130
-    assert "go on with: mrgs train" in out
+    assert "resume with: mrgs train" in out
     assert "Traceback" not in error
     again = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
     assert (again.returncode, again.stdout) == (2, "")
@@ -625,7 +625,7 @@ def test_renders_of_another_program_are_scored(small_scene, tmp_path, capsys):
         "--scene",
         small_scene,
     )
-    refused(capsys, "--resolution goes with --renders", "eval", own_run, "--resolution", "30")
+    refused(capsys, "--resolution needs --renders", "eval", own_run, "--resolution", "30")
 
 
 def test_methods_are_compared(small_scene, tmp_path, capsys):
@@ -633,10 +633,10 @@ def test_methods_are_compared(small_scene, tmp_path, capsys):
     assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0
     assert "PSNR, dB" in capsys.readouterr().out
     assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
-    refused(capsys, "write NAME=PATH", "compare", small_scene, *tiny, "--renders", "somewhere")
-    refused(capsys, "a is there twice", "compare", small_scene, *tiny, "--renders", "a=b", "a=c")
+    refused(capsys, "use NAME=PATH", "compare", small_scene, *tiny, "--renders", "somewhere")
+    refused(capsys, "a is used twice", "compare", small_scene, *tiny, "--renders", "a=b", "a=c")
     refused(
-        capsys, "no.yaml cannot be read", "compare", small_scene, *tiny, "--variants", "a=no.yaml"
+        capsys, "no.yaml: cannot be read", "compare", small_scene, *tiny, "--variants", "a=no.yaml"
     )
 
 
@@ -737,20 +737,24 @@ def test_progress_is_plain_lines_where_there_is_no_terminal(
     assert "\033" not in printed
     lines = [line for line in printed.splitlines() if line.startswith("step ")]
     assert [line.split(" | ")[0] for line in lines] == ["step 1/3", "step 2/3", "step 3/3"]
-    assert re.search(r"\| loss 0\.\d{4} \| thermal \d+\.\d\d °C \| 25 Gaussians", lines[0])
+    assert re.search(r"\| loss 0\.\d{4} \| thermal error \d+\.\d\d °C \| 25 Gaussians", lines[0])
     assert re.search(r"step 3/3 \| 0:00 left \|.* steps/s$", lines[-1])
 
 
 def test_progress_is_one_line_on_a_terminal(small_scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("TERM", "xterm")
     assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
-    shown = next(line for line in capsys.readouterr().out.split("\n") if "\r" in line)
-    parts = shown.split("\r")[1:]
-    assert parts[-1].startswith("step 3/3")
-    assert all(part.endswith("\033[K") and len(part) <= 39 + 3 for part in parts)
+    bars = [line for line in capsys.readouterr().out.split("\n") if "step 3/3" in line]
+    assert len(bars) == 1
+    drawn = [re.sub(r"\033\[[\d;?]*\w", "", part) for part in bars[0].split("\r")]
+    assert "step 3/3" in drawn[-1]
+    assert all(len(part) <= 60 for part in drawn)
     assert run("eval", tmp_path / "run") == 0
-    assert "\rscoring 1/2\rscoring 2/2\n" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.index("scoring 1/2") < out.index("scoring 2/2")
+    assert out.count("\033[?25l") == out.count("\033[?25h") == 1, "the cursor comes back"
 
 
 def test_time_left_is_readable():
@@ -858,4 +862,4 @@ def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, caps
     assert read == []
     progress.step(Step(3, 0.5, {}, 0.25, 10, False))
     assert set(read) == {1, 2, 3}
-    assert "loss 0.5000 | thermal 0.2500 (no °C)" in capsys.readouterr().out
+    assert "loss 0.5000 | thermal error 0.250 (normalised)" in capsys.readouterr().out

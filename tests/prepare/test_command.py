@@ -54,7 +54,7 @@ def test_stages_are_said_and_what_to_do_next(asked, capsys):
     notes = printed.err.splitlines()
     assert notes[0] == "mrgs: note: thermal camera: The camera moved."
     assert notes[1] == "mrgs: note: left out: 0.txt: is no photo"
-    assert notes[-1] == "mrgs: note: left out: 5 more; my scene/prepare.html lists all"
+    assert notes[-1] == "mrgs: note: left out: 5 more; see my scene/prepare.html"
     assert len(notes) == 22
     assert asked == [(Path("photos"), Path("my scene"), PrepareOptions())]
 
@@ -158,15 +158,16 @@ def test_ctrl_c_says_that_the_same_command_goes_on(monkeypatch, capsys):
 
 def test_on_a_terminal_one_line_follows_the_step(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    clock = iter(range(100))
-    monkeypatch.setattr(terminal.time, "perf_counter", lambda: float(next(clock)))
+    monkeypatch.setenv("TERM", "xterm")
     with terminal.PrepareProgress() as progress:
         progress.step("poses: matching", 3, 7)
-        progress.step("poses", 0, 0)
+        progress.step("poses [mapping]", 0, 0)
         progress.stage(StageReport("poses", ("4 of 4.",), (), 61.0))
     out = capsys.readouterr().out
-    assert "\rposes: matching 3/7 | 0:00\033[K" in out
-    assert "\rposes | 0:00\033[K\r\033[Kposes:           4 of 4. (61.0 s)\n" in out
+    before, _, after = out.partition("poses [mapping] ")
+    assert re.search(r"poses: matching 3/7 .*0:00:00", before)
+    assert "\033[2K" in after, "the bar is erased before the stage is printed"
+    assert after.endswith("poses:           4 of 4. (61.0 s)\n")
 
 
 @pytest.mark.parametrize(("severity", "code"), [("warning", 0), ("error", 1)])

@@ -37,7 +37,7 @@ from mrgs.app.terminal import (
     print_figures,
     print_metrics,
     print_table,
-    say_where_to_look,
+    print_viewer_address,
     scene_if_there,
 )
 from mrgs.errors import ConfigError, DeviceError, MrgsError, TrainingError
@@ -58,16 +58,17 @@ MAX_SYNTH_SEED = 1_000_000
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0, 1 for a bad scene, 2 for what the user can mend, 130
-    after Ctrl-C."""
+    """Run a command; returns the exit code: 0, 1 for a bad scene, 2 for a user error, 130 after
+    Ctrl-C."""
     # Threads that spin while they wait cost more than they save on shared cores. Read once, when
     # torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     command: Any = tyro.cli(
         Command,
         prog="mrgs",
-        description="RGB and thermal photos in, one 3D Gaussian model with colour and °C out.",
+        description="Train a 3D Gaussian model with colour and °C from RGB and thermal photos.",
         args=argv,
+        config=(tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff),
     )
     handlers: dict[type, Callable[[Any], int | None]] = {
         Prepare: _prepare,
@@ -87,7 +88,7 @@ def main(argv: list[str] | None = None) -> int:
         except MrgsError as error:
             print(f"mrgs: error: {error}", file=sys.stderr)
             return EXIT_USER_ERROR
-        except BrokenPipeError:  # the reader of a pipe has gone; nothing more can be said
+        except BrokenPipeError:  # the reader of the pipe has exited
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
         except KeyboardInterrupt:
@@ -210,16 +211,16 @@ def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> 
         go_on = shlex.join(
             ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
         )
-        print(f"a checkpoint is kept; go on with: {go_on}")
+        print(f"checkpoint saved; resume with: {go_on}")
         raise KeyboardInterrupt
     quoted = shlex.quote(str(output))
-    print(f"trained:   {output}\nscore it:  mrgs eval {quoted}\nrender it: mrgs render {quoted}")
+    print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
 
 
 def _live_view(output: Path, port: int) -> LiveView:
     from mrgs.viewer import LiveView
 
-    return LiveView(output, port=port, on_ready=say_where_to_look)
+    return LiveView(output, port=port, on_ready=print_viewer_address)
 
 
 def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
@@ -241,20 +242,19 @@ def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
 def _eval(command: Eval) -> None:
     if command.renders is not None:
         if command.scene is not None:
-            raise ConfigError(
-                "with --renders the scene is given in the run's place: leave --scene out"
-            )
+            raise ConfigError("with --renders, give the scene instead of the run and omit --scene")
         _eval_renders(command, command.renders)
         return
     if command.resolution is not None:
         raise ConfigError(
-            "--resolution goes with --renders: a run is scored at the size that it was trained at"
+            "--resolution needs --renders: a run is scored at its training resolution"
         )
     from mrgs.evaluation import evaluate_run
     from mrgs.runs.open import open_run
 
     run = open_run(command.run, command.scene, command.device)
-    metrics = evaluate_run(run, command.lpips_weights, counter("scoring"))
+    with counter("scoring") as progress:
+        metrics = evaluate_run(run, command.lpips_weights, progress)
     print_metrics(run, metrics)
     print(
         f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: "
@@ -265,13 +265,14 @@ def _eval(command: Eval) -> None:
 def _eval_renders(command: Eval, folder: Path) -> None:
     from mrgs.evaluation.renders import evaluate_renders
 
-    metrics = evaluate_renders(
-        command.run,
-        folder,
-        resolution=command.resolution,
-        lpips_weights=command.lpips_weights,
-        progress=counter("scoring"),
-    )
+    with counter("scoring") as progress:
+        metrics = evaluate_renders(
+            command.run,
+            folder,
+            resolution=command.resolution,
+            lpips_weights=command.lpips_weights,
+            progress=progress,
+        )
     print_figures(metrics)
     print(
         f"scores:   {folder / 'eval' / 'metrics.md'}\npictures: "
@@ -307,7 +308,7 @@ def _compare(command: Compare) -> None:
             say=lambda line: print(line, flush=True),
         )
     except KeyboardInterrupt:
-        print("the runs that were under way have left checkpoints; the same command goes on")
+        print("interrupted runs keep their checkpoints; re-run the same command to resume")
         raise
     for table in comparison.tables:
         print_table(table)
@@ -315,9 +316,8 @@ def _compare(command: Compare) -> None:
     if comparison.failures:
         name, reason = next(iter(comparison.failures.items()))
         raise TrainingError(
-            f"{len(comparison.failures)} of the tables' rows lack scores, the first is {name} "
-            f"({reason}); "
-            "mend the cause and run the same command again"
+            f"{len(comparison.failures)} rows of the tables have no scores, first {name} "
+            f"({reason}); fix the cause and re-run the same command"
         )
 
 
@@ -327,9 +327,9 @@ def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str,
     for pair in pairs:
         name, separator, path = pair.partition("=")
         if not separator or not name or not path:
-            raise ConfigError(f"{option} {pair}: write NAME=PATH, for instance {example}")
+            raise ConfigError(f"{option} {pair}: use NAME=PATH, for example {example}")
         if name in named:
-            raise ConfigError(f"{option} {pair}: {name} is there twice; choose another name")
+            raise ConfigError(f"{option} {pair}: {name} is used twice; choose another name")
         named[name] = Path(path)
     return named
 
@@ -339,7 +339,8 @@ def _render(command: Render) -> None:
     from mrgs.runs.open import open_run
 
     run = open_run(command.run, command.scene, command.device)
-    folder = render_run(run, command.split, command.palette, command.frames, counter("rendering"))
+    with counter("rendering") as progress:
+        folder = render_run(run, command.split, command.palette, command.frames, progress)
     print(f"images: {folder}")
 
 
@@ -349,7 +350,7 @@ def _view(command: View) -> None:
 
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
-    view(run, scene_if_there(run), command.host, command.port, on_ready=say_where_to_look)
+    view(run, scene_if_there(run), command.host, command.port, on_ready=print_viewer_address)
 
 
 def _export(command: Export) -> None:
@@ -395,24 +396,25 @@ def _demo(command: Demo) -> None:
     )
     _eval(Eval(run=command.output, device=device))
     _render(Render(run=command.output, device=device))
-    print(f"\nLook at {command.output / 'eval' / 'contact_sheet.png'} first.")
+    print(f"\nOpen {command.output / 'eval' / 'contact_sheet.png'} first.")
 
 
 def _synth(command: Synth) -> None:
     from mrgs_synth import synthesize
 
     _check_seed(command.seed, MAX_SYNTH_SEED)
-    synthesize(
-        command.output,
-        scene=command.scene,
-        width=command.width,
-        height=command.height,
-        train_views=command.train_views,
-        eval_views=command.eval_views,
-        samples=command.samples,
-        seed=command.seed,
-        progress=counter("photographing"),
-    )
+    with counter("rendering") as progress:
+        synthesize(
+            command.output,
+            scene=command.scene,
+            width=command.width,
+            height=command.height,
+            train_views=command.train_views,
+            eval_views=command.eval_views,
+            samples=command.samples,
+            seed=command.seed,
+            progress=progress,
+        )
     print(f"scene: {command.output}")
 
 
@@ -421,7 +423,7 @@ def _read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"{path} cannot be read ({getattr(error, 'strerror', 'not UTF-8')}): name a text file"
+            f"{path}: cannot be read as text ({getattr(error, 'strerror', 'not UTF-8')})"
         ) from error
 
 
@@ -431,13 +433,13 @@ def _check_seed(seed: int, largest: int) -> None:
 
 
 def _bundled_scene() -> Path:
-    """The example scene: beside the installed package, or in the checkout."""
+    """Folder of the bundled scene, in the installed package or the checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "examples", package.parents[1] / "examples"):
         if (folder / "tabletop" / "transforms.json").is_file():
             return folder / "tabletop"
     raise ConfigError(
-        "the bundled scene is not installed: run `mrgs demo` from a checkout, or reinstall mrgs"
+        "the bundled scene is not installed; run `mrgs demo` from a checkout, or reinstall mrgs"
     )
 
 

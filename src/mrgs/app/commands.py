@@ -24,155 +24,152 @@ class Train:
     """Train a model of a scene.
 
     A scene is a folder in the layout of ThermoScenes, nerfstudio or COLMAP. The model, its log and
-    its checkpoints go into the run folder. Ctrl-C leaves a checkpoint; --resume goes on exactly
-    where it was.
+    its checkpoints are written to the run folder. Ctrl-C saves a checkpoint; --resume continues
+    from it.
     """
 
     scene: tyro.conf.Positional[Path]
-    """The scene's folder."""
+    """Scene folder."""
     output: Path | None = None
-    """The run's folder; by default runs/SCENE-METHOD."""
+    """Run folder; by default runs/SCENE-METHOD."""
     method: Annotated[str, tyro.conf.arg(help=METHODS_HELP)] = "mrgs-plus"
     preset: str = "default"
     """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: int | None = None
-    """Steps; the preset's whole schedule is stretched or shrunk to them."""
+    """Number of steps; the preset's schedule is rescaled to fit."""
     max_gaussians: int | None = None
-    """Cap on the number of Gaussians."""
+    """Maximum number of Gaussians."""
     resolution: int | None = None
-    """Images wider than this many pixels are reduced to it."""
+    """Downscale images wider than this many pixels."""
     seed: int = 0
-    """Seed of every random choice."""
+    """Random seed."""
     config: Path | None = None
-    """YAML file with other values for any field of a run's config.yaml, for instance field:
-    {neighbours_n: 5}."""
+    """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
     resume: bool = False
-    """Continue the run in the output folder; all options but --device, --plain and --view are
-    the run's own."""
+    """Resume the run in --output; all options but --device, --plain and --view come from the saved
+    run."""
     device: DeviceName = "auto"
-    """auto takes the GPU where one can be used, else the CPU. A run may go on on another."""
+    """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
     plain: bool = False
     """Run the plain definition of every operation instead of its kernel, much slower; so does
     MRGS_PLAIN=1, for any command."""
     view: bool = False
     """Show the model in the browser while it trains. Needs mrgs[view]."""
     port: int = 8080
-    """TCP port of --view; 0 takes a free one."""
+    """TCP port of --view; 0 picks a free port."""
 
 
 @dataclass(frozen=True)
 class Eval:
-    """Score a run on its scene's eval views: RUN/eval/metrics.json, metrics.md and
-    contact_sheet.png.
+    """Score a run on its scene's evaluation views.
 
-    With --renders, score another program's images of a scene instead: DIR/eval.
+    Writes metrics.json, metrics.md and contact_sheet.png to RUN/eval. With --renders DIR, scores
+    another program's images of a scene instead, and writes to DIR/eval.
     """
 
     run: tyro.conf.Positional[Path]
-    """The run's folder; with --renders, the scene's."""
+    """Run folder; with --renders, the scene folder."""
     renders: Path | None = None
-    """Folder of images named like the eval views: rgb/NAME.png and thermal/NAME.png or .tiff;
-    docs/experiments.md."""
+    """Images to score: DIR/rgb/NAME.png, DIR/thermal/NAME.png or .tiff (docs/experiments.md)."""
     resolution: int | None = None
-    """With --renders: photos wider than this many pixels are reduced to it, as in training."""
+    """With --renders: downscale photos wider than this many pixels, as in training."""
     scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
+    """Scene folder, if it has moved since training."""
     lpips_weights: Path | None = None
-    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
+    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
     device: DeviceName = "auto"
-    """Where to render; auto takes the GPU where one can be used."""
+    """Device to render on; auto uses a usable GPU, else the CPU."""
 
 
 @dataclass(frozen=True)
 class Render:
-    """Write images into RUN/renders: RGB, temperature (float32 TIFF in °C, and colour-mapped),
+    """Render images into RUN/renders: RGB, temperature (°C as float32 TIFF, and colour-mapped),
     depth."""
 
     run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    """Run folder."""
     scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
+    """Scene folder, if it has moved since training."""
     split: Literal["eval", "train", "path"] = "eval"
-    """The eval views, the training views, or a camera path around the scene (frames, and video
-    where installed)."""
+    """Evaluation views, training views, or a camera path (frames; a video with mrgs[video])."""
     palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
-    """Colours of the thermal images."""
+    """Palette of the thermal images."""
     frames: int = 120
-    """Frames of the camera path."""
+    """Number of frames of the camera path."""
     device: DeviceName = "auto"
-    """Where to render; auto takes the GPU where one can be used."""
+    """Device to render on; auto uses a usable GPU, else the CPU."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Look at a run in the browser: colour, temperature, depth, °C under the cursor. Needs
+    """View a run in the browser: colour, temperature, depth, °C under the cursor. Needs
     mrgs[view]."""
 
     run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    """Run folder."""
     scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
+    """Scene folder, if it has moved since training."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets other machines look too."""
+    """Address to listen on; 0.0.0.0 exposes the viewer to the network."""
     port: int = 8080
-    """TCP port; 0 takes a free one."""
+    """TCP port; 0 picks a free port."""
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write a run for other programs: splats, points, a mesh, cameras, one HTML page that needs
-    nothing else."""
+    """Export a run for other programs: splats, points, a mesh, cameras, a self-contained HTML
+    page."""
 
     run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    """Run folder."""
     format: Literal[
         "all", "ply", "spz", "glb", "splat", "points", "las", "mesh", "cameras", "page"
     ] = "all"
-    """What to write; docs/export.md says what is in each."""
+    """What to write; see docs/export.md."""
     output: Path | None = None
-    """The folder to write into; by default RUN/export."""
+    """Output folder; by default RUN/export."""
     scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
+    """Scene folder, if it has moved since training."""
     palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
-    """Colours of the temperatures."""
+    """Palette of the temperatures."""
     range_c: tuple[float, float] | None = None
-    """°C of the palette's first and last colour; by default the scene's whole range."""
+    """°C of the palette's first and last colour; by default the scene's full range."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """Write one page for a thermographer: hottest and coldest spots, scores, capture, limits.
-    Prints to PDF."""
+    """Write a one-page report for a thermographer: hottest and coldest spots, scores, capture,
+    limits."""
 
     run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    """Run folder."""
     output: Path | None = None
-    """The file; by default RUN/report.html."""
+    """Output file; by default RUN/report.html."""
     scene: Path | None = None
-    """The scene's folder, where it is no longer at the place it was trained from."""
+    """Scene folder, if it has moved since training."""
     device: DeviceName = "auto"
-    """Where to render; auto takes the GPU where one can be used."""
+    """Device to render on; auto uses a usable GPU, else the CPU."""
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Train on the bundled scene, score, render, and say where to look. Takes a few minutes."""
+    """Train on the bundled scene, score it and render it. Takes a few minutes."""
 
     output: Path = Path("runs/demo")
-    """The run's folder."""
+    """Run folder."""
     device: DeviceName = "auto"
-    """Where to train and render; auto takes the GPU where one can be used."""
+    """Device to train and render on; auto uses a usable GPU, else the CPU."""
 
 
 @dataclass(frozen=True)
 class Compare:
     """Train and score methods on scenes, and write the paper's tables and figures.
 
-    The same command goes on where it was cut off. docs/experiments.md says how to read the tables.
+    Re-run the same command to resume. See docs/experiments.md for how to read the tables.
     """
 
     scenes: tyro.conf.Positional[tuple[Path, ...]]
-    """The scenes' folders."""
+    """Scene folders."""
     methods: tuple[str, ...] = (
         "3dgs-rgbt",
         "mrgs-base",
@@ -181,33 +178,32 @@ class Compare:
         "mrgs",
         "mrgs-plus",
     )
-    """Any that mrgs train --method knows."""
+    """Methods, as for mrgs train --method."""
     variants: tuple[str, ...] = ()
-    """Also methods with changed values, NAME=FILE: as for mrgs train --config, with a line such as
-    method: mrgs."""
+    """Methods with other settings, NAME=FILE: as for mrgs train --config, plus method: METHOD."""
     neighbours: tuple[int, ...] = ()
-    """Also the table of neighbours: mrgs with each n; the paper has 1 3 5 7."""
+    """Values of n for the table of neighbours; the paper has 1 3 5 7."""
     renders: tuple[str, ...] = ()
-    """Other programs' images, NAME=DIR, with those of each scene in DIR/SCENE."""
+    """Other programs' images, NAME=DIR; those of each scene are in DIR/SCENE."""
     seeds: int = 1
-    """Runs of each method on each scene."""
+    """Number of runs per method and scene."""
     preset: str = "default"
     """fast, default or paper, as in mrgs train."""
     max_steps: int | None = None
-    """Steps; the preset's whole schedule is stretched or shrunk to them."""
+    """Number of steps; the preset's schedule is rescaled to fit."""
     max_gaussians: int | None = None
-    """Cap on the number of Gaussians."""
+    """Maximum number of Gaussians."""
     resolution: int | None = None
-    """Images wider than this many pixels are reduced to it."""
+    """Downscale images wider than this many pixels."""
     jobs: int = 1
-    """Runs at a time; the cores are divided among them."""
+    """Number of parallel runs; they share the cores."""
     device: DeviceName = "auto"
-    """Where to train and render; auto takes the GPU where one can be used. Methods
-    that have no kernels for it take the CPU."""
+    """Device to train and render on; auto uses a usable GPU, else the CPU. Methods without GPU
+    support use the CPU."""
     output: Path = Path("runs/compare")
-    """The folder of the runs, tables and figures."""
+    """Folder of the runs, tables and figures."""
     lpips_weights: Path | None = None
-    """VGG-16 and LPIPS weights (safetensors); without them LPIPS is left out."""
+    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
 
 
 @dataclass(frozen=True)
@@ -309,23 +305,22 @@ class Prepare:
 
 @dataclass(frozen=True)
 class Synth:
-    """Generate a scene with exact temperatures and depths: the bundled table-top, or another. Needs
-    mrgs[synth]."""
+    """Generate a scene with exact temperatures and depths. Needs mrgs[synth]."""
 
     output: tyro.conf.Positional[Path]
-    """The new scene's folder."""
+    """Folder of the new scene."""
     scene: Literal["tabletop", "facade", "electronics"] = "tabletop"
-    """What to generate: things on a table, a house in winter, or a powered circuit board."""
+    """Scene: things on a table, a house in winter, or a powered circuit board."""
     train_views: int = 40
-    """Training views."""
+    """Number of training views."""
     eval_views: int = 8
-    """Held-out views."""
+    """Number of evaluation views."""
     width: int = 320
     """Image width in pixels."""
     height: int = 240
     """Image height in pixels."""
     samples: int = 64
-    """Paths per pixel: more take longer and are less noisy."""
+    """Paths per pixel; more take longer and reduce noise."""
     seed: int = 0
     """Seed of the scene's random details and of the sensor's noise."""
 

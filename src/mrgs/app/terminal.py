@@ -1,8 +1,7 @@
-"""What the terminal shows: notes, counters, the line that follows a training, scores."""
+"""What the terminal shows: notes, progress bars, scores."""
 
 from __future__ import annotations
 
-import shutil
 import signal
 import sys
 import time
@@ -11,6 +10,17 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.table import Column
 
 from mrgs.errors import MrgsWarning, SceneError
 
@@ -27,18 +37,23 @@ if TYPE_CHECKING:
     from mrgs.training.run_folder import RunConfig
 
 PLAIN_LINE_EVERY_S = 10.0
-"""Between progress lines where the output is not a terminal."""
+"""Interval of the progress lines if the output is not a terminal."""
+
+REFRESH_EVERY_S = 0.2
+"""Interval of a progress bar's updates during training."""
+
+BAR_WIDTH = 20
 
 STEPS_REMEMBERED = 250
-"""Between two lines; earlier ones weigh less than 1 % in the means that are shown."""
+"""Steps averaged per update; earlier ones weigh less than 1 % in the running means."""
 
 LEFT_OUT_SHOWN = 20
-"""Files that are named at the end of a preparation."""
+"""Skipped files listed at the end of ``mrgs prepare``."""
 
 
 @contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Show what was mended or left out as one line each, and each once."""
+    """Print each distinct warning once, on one line."""
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
@@ -58,25 +73,45 @@ def plain_warnings() -> Iterator[None]:
         yield
 
 
-def counter(verb: str) -> Callable[[int, int], None]:
-    """A progress callback: one line that counts up on a terminal, a line at the end elsewhere."""
+def _progress_bar(*columns: ProgressColumn, **options: Any) -> Progress:
+    """A progress bar on standard output; disabled if that is not a terminal."""
+    return Progress(
+        *columns,
+        console=Console(highlight=False),
+        redirect_stderr=sys.stderr.isatty(),
+        disable=not sys.stdout.isatty(),
+        **options,
+    )
 
-    def show(done: int, total: int) -> None:
-        if sys.stdout.isatty():
-            print(f"\r{verb} {done}/{total}", end="\n" if done == total else "", flush=True)
-        elif done == total:
-            print(f"{verb} {done}/{total}")
 
-    return show
+def _text_column() -> TextColumn:
+    """The task's description on one line, cut off where the terminal ends."""
+    column = Column(no_wrap=True, overflow="ellipsis")
+    return TextColumn("{task.description}", markup=False, table_column=column)
 
 
-def say_where_to_look(url: str) -> None:
-    """The viewer is ready."""
-    print(f"open {url} in a browser; Ctrl-C here ends it", flush=True)
+@contextmanager
+def counter(verb: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress callback (done, total): a bar on a terminal, one line at the end elsewhere."""
+    with _progress_bar(_text_column(), BarColumn(BAR_WIDTH), auto_refresh=False) as bar:
+        task = bar.add_task(verb, total=None)
+
+        def show(done: int, total: int) -> None:
+            text = f"{verb} {done}/{total}"
+            bar.update(task, description=text, completed=done, total=total, refresh=True)
+            if bar.disable and done == total:
+                print(text)
+
+        yield show
+
+
+def print_viewer_address(url: str) -> None:
+    """Say that the viewer is ready."""
+    print(f"open {url} in a browser; press Ctrl-C here to stop", flush=True)
 
 
 def note_gpu(device: torch.device) -> None:
-    """Say so if a GPU is used."""
+    """Name the GPU if one is used."""
     from mrgs.system.gpu import device_title
 
     if device.type == "cuda":
@@ -84,40 +119,40 @@ def note_gpu(device: torch.device) -> None:
 
 
 def note_unfinished(run: Run) -> None:
-    """Say so if the run has not come to its end, since its newest checkpoint is what is used."""
+    """Warn that the run is unfinished and its newest checkpoint is used."""
     if run.facts.step < run.config.max_steps:
         print(
-            f"mrgs: note: the run is at step {run.facts.step:,} of {run.config.max_steps:,}; "
-            "its newest checkpoint is used",
+            f"mrgs: note: this run stopped at step {run.facts.step:,} of {run.config.max_steps:,}; "
+            "using its newest checkpoint",
             file=sys.stderr,
         )
 
 
 def print_baking_loss(loss: BakingLoss) -> None:
-    """What plain splats lose against the trained model, as PSNR on the held-out views."""
+    """PSNR on the held-out views that plain splats lose against the trained model."""
     named = {"RGB": loss.rgb_db, "thermal": loss.thermal_db}
     known = [
         f"{name} {round(value, 2) + 0.0:.2f} dB"
         for name, value in named.items()
         if value is not None
     ]
-    costs = ", ".join(known) or "an unknown amount: there are no held-out views"
-    print(f"baking costs {costs}")
+    lost = ", ".join(known) or "unknown, there are no held-out views"
+    print(f"quality loss of the export: {lost}")
 
 
 def scene_if_there(run: Run) -> Scene | None:
-    """The run's scene, or None with a note where it has gone."""
+    """The run's scene, or None with a note if it cannot be read."""
     try:
         return run.load_scene()
     except SceneError as error:
-        print(f"mrgs: note: no photos and no captured cameras: {error}", file=sys.stderr)
+        print(f"mrgs: note: photos and cameras are not available: {error}", file=sys.stderr)
         return None
 
 
 class TrainingProgress:
-    """The line that follows a training: step, time left, loss, °C, Gaussians, speed.
+    """Progress of a training: step, time left, loss, thermal error, Gaussians, speed.
 
-    The first Ctrl-C ends the training after the step, the second at once.
+    The first Ctrl-C ends the training after the current step, the second at once.
     """
 
     def __init__(self) -> None:
@@ -129,7 +164,8 @@ class TrainingProgress:
         self._started = self._last_line = time.perf_counter()
         self._smoothed: dict[str, float] = {}
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
-        self._terminal = sys.stdout.isatty()
+        self._bar = _progress_bar(BarColumn(BAR_WIDTH), _text_column(), auto_refresh=False)
+        self._task = self._bar.add_task("")
         self._previous_handler: Any = None
 
     def __enter__(self) -> None:
@@ -138,7 +174,7 @@ class TrainingProgress:
                 raise KeyboardInterrupt
             self._interrupted = True
             print(
-                "\nmrgs: stopping after this step; Ctrl-C again stops at once, without a "
+                "mrgs: stopping after this step; press Ctrl-C again to stop now, without a "
                 "checkpoint",
                 file=sys.stderr,
             )
@@ -147,33 +183,35 @@ class TrainingProgress:
 
     def __exit__(self, *_: object) -> None:
         signal.signal(signal.SIGINT, self._previous_handler)
-        if self._terminal and self._first_step is not None:
-            print()
+        if self._first_step is not None:
+            self._bar.stop()
 
     def start(self, scene: Scene, config: RunConfig) -> None:
-        """Say what will be trained."""
+        """Print what will be trained."""
         self._max_steps = config.max_steps
         self._span_c = None if scene.temperature is None else scene.temperature.span_c
         print(
             f"{scene.name}: {len(scene.train)} training views, {len(scene.eval)} held out, "
             f"{len(scene.points.positions):,} start points"
         )
-        for note in scene.notes:  # what was mended has been shown already, in the same words
+        for note in scene.notes:  # those already shown are not repeated
             warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
         print(_plan(scene, config))
         print(
-            "The first run on a machine compiles the kernels, which takes up to a minute.",
+            "The first run on a machine compiles the kernels; this takes up to a minute.",
             flush=True,
         )
 
     def step(self, statistics: Statistics) -> bool:
-        """Show a step; True asks the training to stop."""
+        """Show a step; returns True to stop the training."""
         now = time.perf_counter()
         if self._first_step is None:
-            # The first step compiles and reads; it would spoil the speed.
+            # Not counted in the speed: the first step compiles kernels and reads photos.
             self._first_step, self._started = statistics.step, now
+            self._bar.update(self._task, total=self._max_steps)
+            self._bar.start()
         self._unread.append(statistics)
-        interval = 0.2 if self._terminal else PLAIN_LINE_EVERY_S
+        interval = PLAIN_LINE_EVERY_S if self._bar.disable else REFRESH_EVERY_S
         self.unfinished = self._interrupted and statistics.step < self._max_steps
         if (
             now - self._last_line >= interval
@@ -183,14 +221,17 @@ class TrainingProgress:
             self._last_line = now
             self._read()
             line = self._line(statistics, now)
-            if self._terminal:  # a line that wraps would stay
-                line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\033[K"
-            print(line, end="" if self._terminal else "\n", flush=True)
+            if self._bar.disable:
+                print(line, flush=True)
+            else:
+                self._bar.update(
+                    self._task, completed=statistics.step, description=line, refresh=True
+                )
         return self.unfinished
 
     def _read(self) -> None:
-        """Take up what the steps since the last line measured; only now, because on a GPU to read
-        is to wait."""
+        """Read what the steps since the last update measured; not earlier, because on a GPU
+        reading waits."""
         for statistics in self._unread:
             self._smooth("loss", statistics.loss)
             if statistics.thermal_error is not None:
@@ -208,9 +249,9 @@ class TrainingProgress:
             parts.append(f"loss {self._smoothed['loss']:.4f}")
         if thermal is not None:
             parts.append(
-                f"thermal {thermal:.4f} (no °C)"
+                f"thermal error {thermal:.3f} (normalised)"
                 if self._span_c is None
-                else f"thermal {thermal * self._span_c:.2f} °C"
+                else f"thermal error {thermal * self._span_c:.2f} °C"
             )
         if statistics.gaussians is not None:
             parts.append(f"{statistics.gaussians:,} Gaussians")
@@ -219,27 +260,28 @@ class TrainingProgress:
         return " | ".join(parts)
 
     def _smooth(self, name: str, value: float) -> None:
-        """Mean over about the last fifty steps; values that are not finite are left out."""
+        """Update the mean over about the last fifty steps; skips values that are not finite."""
         if value - value == 0:
             old = self._smoothed.get(name, value)
             self._smoothed[name] = old + 0.02 * (value - old)
 
 
 class PrepareProgress:
-    """The lines that follow a preparation: the step under way, each stage when it is done, at the
-    end what to know."""
+    """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end."""
 
     def __init__(self) -> None:
-        self._terminal = sys.stdout.isatty()
         self._started = self._last_line = time.perf_counter()
         self._step = ""
         self._warnings: list[str] = []
+        self._bar = _progress_bar(
+            SpinnerColumn(), _text_column(), TimeElapsedColumn(), transient=True
+        )
 
     def __enter__(self) -> PrepareProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._clear()
+        self._bar.stop()
         sys.stdout.flush()
         for text in self._warnings:
             print(f"mrgs: note: {text}", file=sys.stderr)
@@ -247,20 +289,23 @@ class PrepareProgress:
     def step(self, step: str, done: int, total: int) -> None:
         """Show how far a step is."""
         now = time.perf_counter()
+        text = f"{step} {done}/{total}" if total else step
         if step != self._step:
-            self._step, self._started = step, now
-            self._last_line = now if not self._terminal else 0.0
-        if now - self._last_line < (0.1 if self._terminal else PLAIN_LINE_EVERY_S):
-            return
-        self._last_line = now
-        line = f"{step}{f' {done}/{total}' if total else ''} | {_duration(now - self._started)}"
-        if self._terminal:  # a line that wraps would stay
-            line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\033[K"
-        print(line, end="" if self._terminal else "\n", flush=True)
+            self._step, self._started, self._last_line = step, now, now
+            for task in self._bar.task_ids:
+                self._bar.remove_task(task)
+            self._bar.add_task(text, total=None)
+            self._bar.start()
+        if not self._bar.disable:
+            self._bar.update(self._bar.task_ids[0], description=text)
+        elif now - self._last_line >= PLAIN_LINE_EVERY_S:
+            self._last_line = now
+            print(f"{text} | {_duration(now - self._started)}", flush=True)
 
     def stage(self, report: StageReport) -> None:
-        """Say what a stage found."""
-        self._clear()
+        """Print what a stage found."""
+        self._bar.stop()
+        self._step = ""
         took = "as before" if report.reused else f"{report.seconds:.1f} s"
         first, *others = report.lines
         print(f"{report.title + ':':17}{first} ({took})")
@@ -270,19 +315,15 @@ class PrepareProgress:
         self._warnings += [f"{report.title}: {text}" for text in report.warnings]
 
     def end(self, preparation: Preparation) -> None:
-        """Name what was left out."""
+        """List the skipped files."""
         for item in preparation.left_out[:LEFT_OUT_SHOWN]:
             self._warnings.append(f"left out: {item.name}: {item.reason}")
         if (more := len(preparation.left_out) - LEFT_OUT_SHOWN) > 0:
-            self._warnings.append(f"left out: {more} more; {preparation.page} lists all")
-
-    def _clear(self) -> None:
-        if self._terminal:
-            print("\r\033[K", end="")
+            self._warnings.append(f"left out: {more} more; see {preparation.page}")
 
 
 def _plan(scene: Scene, config: RunConfig) -> str:
-    """What will be trained, and the memory that it will need."""
+    """Method, steps, cap on the Gaussians, and the memory needed."""
     from mrgs.training import TrainConfig, estimate_bytes
 
     if not isinstance(config, TrainConfig):
@@ -294,12 +335,12 @@ def _plan(scene: Scene, config: RunConfig) -> str:
     )
     return (
         f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
-        f"about {first:.1f} GiB of memory at the start, {last:.1f} GiB with all of them"
+        f"memory: about {first:.1f} GiB at the start, {last:.1f} GiB at the cap"
     )
 
 
 def _duration(seconds: float) -> str:
-    """Minutes and seconds, with hours in front where there are any."""
+    """M:SS, or H:MM:SS from an hour on."""
     minutes, rest = divmod(int(seconds), 60)
     return (
         f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
@@ -309,15 +350,15 @@ def _duration(seconds: float) -> str:
 
 
 def print_metrics(run: TrainedRun, metrics: Metrics) -> None:
-    """The means, and what they cost."""
+    """Print the mean scores, the number of Gaussians and the training time."""
     print_figures(metrics)
     gaussians = "" if run.gaussian_count is None else f"{run.gaussian_count:,} Gaussians, "
     print(f"{gaussians}{run.facts.train_seconds / 60:.1f} minutes of training")
 
 
 def print_figures(metrics: Metrics) -> None:
-    """The means, a line for each modality; the second conventions of PSNR and SSIM are in the
-    report only."""
+    """Print the mean scores, one line per modality; the alternative conventions of PSNR and SSIM
+    are in the report only."""
     from mrgs.evaluation.report import COLUMNS, format_figure
 
     for title, figures in (
@@ -335,7 +376,7 @@ def print_figures(metrics: Metrics) -> None:
 
 
 def print_table(table: Table) -> None:
-    """A table of a comparison, one block per scene; * marks the best figure, + the second best."""
+    """Print a comparison's table, one block per scene; * marks the best figure, + the second."""
     from mrgs.comparison.text import to_plain
 
     print("\n" + to_plain(table), end="")
