@@ -122,7 +122,7 @@ def note_unfinished(run: Run) -> None:
     """Warn that the run is unfinished and its newest checkpoint is used."""
     if run.facts.step < run.config.max_steps:
         print(
-            f"mrgs: note: this run stopped at step {run.facts.step:,} of {run.config.max_steps:,}; "
+            f"mrgs: note: the run is at step {run.facts.step:,} of {run.config.max_steps:,}; "
             "using its newest checkpoint",
             file=sys.stderr,
         )
