@@ -72,9 +72,10 @@ def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     for words in (
         "Hottest and coldest spots", "H1", "C1", "position x, y, z",
-        "6 to learn from, 2 held "
-        "out", "8, 40 × 30 pixels", "10 °C to 30 °C", "not in the scene's files",
-        "60 of 60", "Emissivity", "Reflections", "Where no photo looked", "The thermal photo reads",
+        "6 training, 2 evaluation", "8, 40 × 30 pixels", "10 °C to 30 °C",
+        "not in the scene's files",
+        "60 of 60", "Emissivity", "Reflections", "not covered by photos",
+        "The thermal photo reads",
     ):  # fmt: skip
         assert words in page.text
     spots = [float(value) for value in re.findall(r"[HC]\d: (-?\d+\.\d) °C", page.text)]
@@ -101,7 +102,7 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     Image.new("RGB", (64, 32), (200, 10, 10)).save(run.folder.path / "eval" / "contact_sheet.png")
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     assert "Thermal PSNR, dB 41.24" in page.text
-    assert "Colour SSIM 0.8400" in page.text
+    assert "RGB SSIM 0.8400" in page.text
     assert "LPIPS" not in page.text
     assert "mrgs eval" not in page.text
 
@@ -129,7 +130,7 @@ def test_foreign_metrics_are_named(run, tmp_path, content):
 def test_a_broken_contact_sheet_is_named(run, tmp_path):
     (run.folder.path / "eval" / "contact_sheet.png").write_bytes(b"not a picture")
     with pytest.raises(
-        RunError, match=r"contact_sheet\.png cannot be read .*; make it anew with `mrgs eval`"
+        RunError, match=r"contact_sheet\.png cannot be read .*; run `mrgs eval` again"
     ):
         write_report(run, run.load_scene(), tmp_path / "report.html")
 

@@ -3,33 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from datetime import date
-from html import escape
 from pathlib import Path
-from typing import Any
 
 from mrgs.check.images import image_problems
 from mrgs.check.looks import Look, look_at
+from mrgs.check.page import write_check_page
 from mrgs.check.poses import pose_problems
 from mrgs.check.problems import Problem, SceneCheck, worst_first
 from mrgs.data import load_scene
 from mrgs.data.files import scene_error
-from mrgs.data.lens import Lens
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.prepare.contract import Progress
-from mrgs.prepare.page.cameras import lens_rows, world_section
-from mrgs.prepare.page.charts import span_of
-from mrgs.prepare.page.document import write_document
-from mrgs.prepare.page.markup import bullets, fact_table, paragraph, section
-from mrgs.prepare.page.overlay import thermal_on_rgb
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs_section, thumbnail_width
-from mrgs.prepare.page.temperatures import temperatures_section
-from mrgs.prepare.page.world import orbit_facts, world_of
-from mrgs.scene import Camera, Scene
-from mrgs.scene.view import spread
-
-PAGE = "check.html"
+from mrgs.prepare.page.pairs import thumbnail_width
+from mrgs.scene import Scene
 
 
 def check_scene(scene: str | Path, progress: Progress | None = None) -> SceneCheck:
@@ -57,13 +43,12 @@ def check_scene(scene: str | Path, progress: Progress | None = None) -> SceneChe
         loaded, mended = _load(scene)
     except SceneError as error:
         unread = (Problem("error", str(error)),)
-        return SceneCheck(unread, (), _write_page(folder, unread, (), [], {}))
+        return SceneCheck(unread, (), write_check_page(folder, unread))
     looks = _looks(loaded, report)
     found = [*mended, *pose_problems(loaded), *image_problems(loaded, looks)]
     problems = worst_first(found)
     lines = _facts(loaded)
-    sections, facts = _pictures(loaded, looks)
-    return SceneCheck(problems, lines, _write_page(folder, problems, lines, sections, facts))
+    return SceneCheck(problems, lines, write_check_page(folder, problems, lines, loaded, looks))
 
 
 def _load(scene: Path) -> tuple[Scene, list[Problem]]:
@@ -110,78 +95,3 @@ def _facts(scene: Scene) -> tuple[str, ...]:
         f"units."
     )
     return (*lines, *scene.notes)
-
-
-def _pictures(scene: Scene, looks: Sequence[Look]) -> tuple[list[str], dict[str, Any]]:
-    """The sections that show the scene, and what the page's scripts read."""
-    views = [*scene.train, *scene.eval]
-    held_out = frozenset(view.name for view in scene.eval)
-    world = world_of(
-        {view.name: view.cameras[0] for view in views}, held_out, scene.points, False, False
-    )
-    shown = [looks[index].shot for index in spread(len(looks), MOST_SHOWN)]
-    overlays = {
-        shot.name: overlay
-        for shot in shown
-        if (overlay := thermal_on_rgb(shot, scene.points)) is not None
-    }
-    unit = "" if scene.temperature is None else "°C"
-    spans = [span for look in looks if look.shot.thermal is not None
-             and (span := span_of(look.shot.name, look.shot.thermal))]  # fmt: skip
-    sections = [
-        world_section(world),
-        pairs_section(shown, overlays, unit, len(looks)),
-        temperatures_section([look.shot for look in looks], spans, unit, [], {}),
-        _lenses(scene),
-    ]
-    return sections, {"orbit": orbit_facts(world)}
-
-
-def _lenses(scene: Scene) -> str:
-    views = [*scene.train, *scene.eval]
-    rgb = {view.name: _lens(view.rgb.camera) for view in views if view.rgb}
-    thermal = {view.name: _lens(view.thermal.camera) for view in views if view.thermal}
-    note = paragraph("As the pinhole cameras to which the images are undistorted.", "note")
-    rows = [*lens_rows(rgb, "RGB"), *lens_rows(thermal, "Thermal")]
-    return section("cameras", "Lenses", note + fact_table(rows))
-
-
-def _lens(camera: Camera) -> Lens:
-    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    return Lens(camera.width, camera.height, fx, fy, cx, cy)
-
-
-def _write_page(
-    folder: Path,
-    problems: Sequence[Problem],
-    lines: Sequence[str],
-    sections: Sequence[str],
-    facts: dict[str, Any],
-) -> Path:
-    title = f"Scene check: {folder.resolve().name}"
-    subtitle = f"{date.today().isoformat()}. {folder}"
-    sections = [_summary(problems, lines), *sections]
-    return write_document(folder / PAGE, title, subtitle, sections, {"orbit": None, **facts})
-
-
-def _summary(problems: Sequence[Problem], lines: Sequence[str]) -> str:
-    errors = sum(problem.severity == "error" for problem in problems)
-    if errors:
-        lead = (
-            f"{errors} error{'' if errors == 1 else 's'}: the scene will not train, or not "
-            f"give what it should."
-        )
-    elif problems:
-        lead = "The scene can be trained on. What could make the model worse:"
-    else:
-        lead = "Nothing wrong was found."
-    items = "".join(
-        f'<li class="{problem.severity}"><b>{problem.severity.capitalize()}:</b> '
-        f"{escape(problem.text)}"
-        + (f"<span>{escape(problem.remedy)}</span>" if problem.remedy else "")
-        + "</li>"
-        for problem in problems
-    )
-    listing = f'<ul class="problems">{items}</ul>' if items else ""
-    facts = f"<h2>What it holds</h2>{bullets(lines)}" if lines else ""
-    return f'<section id="summary">{paragraph(lead, "lead")}{listing}{facts}</section>'

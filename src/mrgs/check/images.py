@@ -9,7 +9,7 @@ import numpy as np
 from mrgs.check.looks import Look
 from mrgs.check.problems import Problem, Severity
 from mrgs.prepare.consistency import agreements, luma
-from mrgs.prepare.page.markup import views_text
+from mrgs.prepare.page.previews import views_text
 from mrgs.scene import Scene
 
 _SATURATED = 0.02
@@ -96,7 +96,7 @@ def _sizes(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
 
 
 def _flat(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    flat = [look.shot.name for look in looks if look.spread is not None and look.spread < _FLAT]
+    flat = [look.preview.name for look in looks if look.spread is not None and look.spread < _FLAT]
     if not flat:
         return []
     text = (
@@ -115,8 +115,11 @@ def _flat(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
 def _saturated(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
     found = []
     for end, shares in (
-        ("lower", {look.shot.name: look.cold_end for look in looks if look.cold_end is not None}),
-        ("upper", {look.shot.name: look.hot_end for look in looks if look.hot_end is not None}),
+        (
+            "lower",
+            {look.preview.name: look.cold_end for look in looks if look.cold_end is not None},
+        ),
+        ("upper", {look.preview.name: look.hot_end for look in looks if look.hot_end is not None}),
     ):
         mean = float(np.mean(list(shares.values()))) if shares else 0.0
         if mean > _SATURATED:
@@ -135,7 +138,7 @@ def _saturated(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
 
 
 def _gain(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    shots = [look.shot for look in looks]
+    shots = [look.preview for look in looks]
     found = agreements(
         [shot.thermal for shot in shots], [shot.thermal_camera for shot in shots], scene.points
     )
@@ -158,7 +161,7 @@ def _gain(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
 
 
 def _exposure(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    shots = [look.shot for look in looks]
+    shots = [look.preview for look in looks]
     images = [None if shot.rgb is None else luma(shot.rgb) for shot in shots]
     found = agreements(images, [shot.rgb_camera for shot in shots], scene.points)
     names = [
@@ -180,7 +183,7 @@ def _exposure(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
 
 
 def _blurred(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    known = {look.shot.name: look.sharpness for look in looks if look.sharpness is not None}
+    known = {look.preview.name: look.sharpness for look in looks if look.sharpness is not None}
     if len(known) < _FEWEST_TO_COMPARE:
         return []
     limit = _BLURRED * float(np.median(list(known.values())))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from mrgs.data.thermal import LUMINANCE
 from mrgs.errors import SceneError
-from mrgs.prepare.page.shots import Shot, shot_of_pixels
+from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.scene import Pixels, PosedImage, TemperatureRange, View
 
 _AT_END = 1e-3
@@ -23,7 +23,7 @@ class Look:
     """A view, looked at.
 
     Attributes:
-        shot: the view in small.
+        preview: the view at the size of the page.
         sharpness: of the RGB image, see ``sharpness``; None without one.
         cold_end: share of the thermal pixels at or below the scale's lower end; None without a
             thermal image.
@@ -32,7 +32,7 @@ class Look:
         failures: messages of images that cannot be read.
     """
 
-    shot: Shot
+    preview: Preview
     sharpness: float | None
     cold_end: float | None
     hot_end: float | None
@@ -47,7 +47,7 @@ def look_at(view: View, status: str, temperature: TemperatureRange | None, width
     rgb, thermal = (_read(image, failures) for image in (view.rgb, view.thermal))
     ends = None if thermal is None else _ends(thermal)
     return Look(
-        shot=shot_of_pixels(view, status, temperature, width, rgb, thermal),
+        preview=preview_of_pixels(view, status, temperature, width, rgb, thermal),
         sharpness=None if rgb is None else sharpness((rgb.values @ LUMINANCE).double().numpy()),
         cold_end=None if ends is None else ends[0],
         hot_end=None if ends is None else ends[1],

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.check.problems import Problem
-from mrgs.prepare.page.markup import views_text
+from mrgs.prepare.page.previews import views_text
 from mrgs.scene import Camera, Scene, View
 from mrgs.scene.view import spread
 

@@ -1,5 +1,4 @@
-"""The report's pictures: photo and thermal rendering of one view with the spots marked, and a crop
-of each spot."""
+"""The report's pictures: a view with the spots marked, and a crop of each spot."""
 
 from __future__ import annotations
 
@@ -9,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from mrgs.pictures.drawing import INK, Scale, draw_text, text_width
@@ -21,28 +19,17 @@ from mrgs.scene import Camera, View
 
 OVERVIEW_PX = 720
 OVERVIEW_CANDIDATES = 24
-"""Views that are tried for the overview."""
+"""Number of views that are tried for the overview."""
 
 LABEL_PX = 18
 CROP_PX = 260
 CROP_SHARE = 0.4
-"""Of the image's shorter side."""
+"""Side of a crop, as a share of the image's shorter side."""
 
 SAME_DEPTH = 0.05
-"""A view sees a spot where its surface is within this share of the spot's depth."""
+"""A view sees a spot if its rendered depth there differs by less than this share."""
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
-
-
-class Span(NamedTuple):
-    """Values of the normalised temperatures 0 and 1 on the scale of the pictures."""
-
-    low: float
-    high: float
-
-    def shown(self, values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        """Normalised values on that scale."""
-        return self.low + values * (self.high - self.low)
 
 
 class Marked(NamedTuple):
@@ -60,10 +47,12 @@ class Marked(NamedTuple):
 
 
 def overview(
-    views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale, span: Span
+    views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale
 ) -> Marked:
-    """Of some of the views, the one that sees the most spots, all that it sees marked with their
-    names."""
+    """Photo and thermal rendering of the view that sees the most spots, with their names.
+
+    At most ``OVERVIEW_CANDIDATES`` views are tried.
+    """
     thermal_views = [index for index, view in enumerate(views) if view.thermal is not None]
     step = -(-len(thermal_views) // OVERVIEW_CANDIDATES)
     candidates = thermal_views[::step]
@@ -73,7 +62,7 @@ def overview(
     )
     view = views[index]
     assert view.thermal is not None
-    thermal = _enlarged(_thermal_picture(render(view.thermal.camera), scale, span), OVERVIEW_PX)
+    thermal = _enlarged(_thermal_picture(render(view.thermal.camera), scale), OVERVIEW_PX)
     photo = (
         None
         if view.rgb is None
@@ -86,11 +75,10 @@ def overview(
     return Marked(index, photo, thermal)
 
 
-def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale, span: Span) -> Marked:
-    """The surroundings of a spot in the photo and in the thermal rendering of the view that shows
-    it best."""
+def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale) -> Marked:
+    """Crops around a spot from the photo and the thermal rendering of its best view."""
     assert view.thermal is not None
-    thermal = _crop(_thermal_picture(rendering, scale, span), view.thermal.camera, spot)
+    thermal = _crop(_thermal_picture(rendering, scale), view.thermal.camera, spot)
     photo = None
     if view.rgb is not None:
         photo = _crop(Image.fromarray(to_rgb8(view.rgb.load().values)), view.rgb.camera, spot)
@@ -98,8 +86,10 @@ def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale, span: Span
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
-    """What the view's thermal photo shows there: the mean of 3×3 pixels, normalised; None where it
-    is not valid."""
+    """Normalised temperature of the thermal photo at a spot: the mean of 3×3 pixels.
+
+    None where the photo has no valid pixel.
+    """
     assert view.thermal is not None
     pixels = view.thermal.load()
     values = to_array(pixels.values[..., 0])
@@ -126,15 +116,14 @@ def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
 
 
 def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
-    """Column and row of a spot, which may lie outside the image; NaN if it is not before the
-    camera."""
+    """Column and row of a spot, which may lie outside the image; NaN behind the camera."""
     column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
     return column, row
 
 
-def _thermal_picture(rendering: Rendering, scale: Scale, span: Span) -> Image.Image:
+def _thermal_picture(rendering: Rendering, scale: Scale) -> Image.Image:
     assert rendering.thermal is not None
-    values = span.shown(to_array(rendering.thermal[..., 0]))
+    values = scale.low + to_array(rendering.thermal[..., 0]) * (scale.high - scale.low)
     return Image.fromarray(colorize(values, scale.low, scale.high, scale.palette))
 
 

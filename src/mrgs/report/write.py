@@ -1,20 +1,20 @@
-"""Write the report: one HTML file with everything in it, to be read in a browser or printed to
-PDF."""
+"""Writes the report: one HTML file with everything in it, for a browser or for print."""
 
 from __future__ import annotations
 
 from datetime import date
-from html import escape
-from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
-from mrgs.report.sections import capture, contact_sheet, limits, metrics, spots, training
+from mrgs.pictures.html import PAGE_STYLE, write_html
+from mrgs.report.sections import (
+    capture_rows,
+    find_shown_spots,
+    read_contact_sheet,
+    read_scores,
+    training_rows,
+)
 from mrgs.runs.open import Run
 from mrgs.scene import Scene
-from mrgs.system.atomic import replacing
-from mrgs.system.webpage import policy_hash
 
 
 def write_report(run: Run, scene: Scene, path: Path) -> Path:
@@ -35,32 +35,23 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
         RunError: ``metrics.json`` or the contact sheet cannot be read, or the file cannot be
             written.
     """
-    sections = [
-        spots(run, scene),
-        limits(
-            scene.temperature,
-            run.image_model.thermal_gain is not None,
-            run.model.gaussians.temperature_depends_on_view,
-        ),
-        capture(scene),
-        metrics(run),
-        contact_sheet(run),
-        training(run),
-    ]
-    style = files("mrgs.report").joinpath("report.css").read_text(encoding="utf-8")
-    page = Template(
-        files("mrgs.report").joinpath("report.html").read_text(encoding="utf-8")
-    ).substitute(
-        title=escape(f"Thermal report: {scene.name}"),
-        subtitle=escape(
-            f"{date.today().isoformat()}. Run {run.folder.path.resolve().name}, "
-            f"{run.config.method}."
-        ),
-        version=escape(version("mrgs")),
-        style=style,
-        style_hash=policy_hash(style),
-        sections="\n".join(sections),
+    return write_html(
+        path,
+        "report/report.html",
+        title=f"Thermal report: {scene.name}",
+        subtitle=f"{date.today().isoformat()}. Run {run.folder.path.resolve().name}, "
+        f"{run.config.method}.",
+        styles=[PAGE_STYLE, "report/report.css"],
+        run_folder=run.folder.path,
+        step=run.facts.step,
+        has_thermal=scene.has_thermal,
+        temperature=scene.temperature,
+        spots=find_shown_spots(run, scene) if scene.has_thermal else None,
+        has_thermal_gains=run.image_model.thermal_gain is not None,
+        depends_on_view=run.model.gaussians.temperature_depends_on_view,
+        capture=capture_rows(scene),
+        notes=scene.notes,
+        scores=read_scores(run),
+        contact_sheet=read_contact_sheet(run),
+        training=training_rows(run),
     )
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return path

@@ -51,7 +51,7 @@ def test_what_the_reader_refuses_is_an_error_on_a_page(make_scene):
     check = check_scene(folder)
     assert not check.usable
     assert "transforms.json: is not valid JSON" in texts(check)
-    assert "1 error: the scene will not train" in check.page.read_text(encoding="utf-8")
+    assert "1 error: the scene cannot be trained on" in check.page.read_text(encoding="utf-8")
 
 
 def test_what_the_reader_mends_is_a_warning(make_scene):

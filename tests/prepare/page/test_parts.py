@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from mrgs.data.lens import Lens
+from mrgs.pictures.html import InlineImage
 from mrgs.prepare.page.cameras import lens_text
-from mrgs.prepare.page.charts import histogram, span_chart, span_of
-from mrgs.prepare.page.markup import views_text
 from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_on_rgb
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs_section, thumbnail_width
-from mrgs.prepare.page.shots import Shot
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
+from mrgs.prepare.page.previews import Preview, views_text
+from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
 from mrgs.prepare.page.world import orbit_facts, plans, round_length, world_of
 from mrgs.scene import Camera, PointCloud
 
@@ -38,9 +38,11 @@ def wall(depth: float) -> PointCloud:
     )
 
 
-def shot_of(thermal: np.ndarray, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Shot:
+def preview_of(
+    thermal: np.ndarray, rgb_camera: Camera | None, thermal_camera: Camera | None
+) -> Preview:
     rgb = np.full((48, 64, 3), 90, dtype=np.uint8)
-    return Shot(
+    return Preview(
         "view", "training", True, rgb, rgb_camera, thermal.astype(np.float32), thermal_camera
     )
 
@@ -49,21 +51,21 @@ def test_the_thermal_image_lands_where_the_photo_shows_the_same_thing():
     """Thermal camera 0.5 to the right, wall at 5: what the photo has at column c, it has at c -
     6."""
     columns = np.tile(np.arange(64.0), (48, 1))
-    overlay = thermal_on_rgb(shot_of(columns, camera(), camera(0.5)), wall(5.0))
+    overlay = thermal_on_rgb(preview_of(columns, camera(), camera(0.5)), wall(5.0))
     np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
     assert np.isnan(overlay[:, :6]).all()
 
 
 def test_an_overlay_needs_both_poses():
     thermal = np.zeros((48, 64))
-    assert thermal_on_rgb(shot_of(thermal, camera(), None), wall(5.0)) is None
-    assert thermal_on_rgb(shot_of(thermal, None, camera()), wall(5.0)) is None
+    assert thermal_on_rgb(preview_of(thermal, camera(), None), wall(5.0)) is None
+    assert thermal_on_rgb(preview_of(thermal, None, camera()), wall(5.0)) is None
 
 
 def test_few_points_give_their_median_depth():
     columns = np.tile(np.arange(64.0), (48, 1))
     few = PointCloud(wall(5.0).positions[300:303], wall(5.0).colors[300:303])
-    overlay = thermal_on_rgb(shot_of(columns, camera(), camera(0.5)), few)
+    overlay = thermal_on_rgb(preview_of(columns, camera(), camera(0.5)), few)
     np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
 
 
@@ -137,16 +139,18 @@ def test_a_camera_alone_can_be_drawn():
     assert math.isfinite(orbit_facts(world)["radius"])
 
 
-def test_spans_are_those_of_the_valid_pixels():
+def test_spreads_are_those_of_the_valid_pixels():
     values = np.array([[np.nan, 10.0], [20.0, 30.0]])
-    span = span_of("a", values)
-    assert (span.lowest, span.median, span.highest) == (10, 20, 30)
-    assert span_of("a", np.full((2, 2), np.nan)) is None
+    spread = temperature_spread("a", values)
+    assert (spread.lowest, spread.median, spread.highest) == (10, 20, 30)
+    assert temperature_spread("a", np.full((2, 2), np.nan)) is None
 
 
 def test_charts_have_axes_with_units_and_escaped_names():
-    spans = [span_of(name, np.array([[15.0, 22.0], [30.0, 41.0]])) for name in ("<x>", "b")]
-    chart = span_chart(spans, 10.0, 50.0, "°C")
+    spreads = [
+        temperature_spread(name, np.array([[15.0, 22.0], [30.0, 41.0]])) for name in ("<x>", "b")
+    ]
+    chart = spread_chart(spreads, 10.0, 50.0, "°C")
     assert "50 °C" in chart
     assert "&lt;x&gt;: 15.0 to 41.0 °C" in chart
     assert "<x>" not in chart
@@ -175,17 +179,20 @@ def test_a_hundred_pairs_stay_under_six_megabytes():
     """Coarse noise under fine noise: more detail than photos have at this size."""
     rng = np.random.default_rng(0)
     width = thumbnail_width(100)
-    shots, overlays = [], {}
+    previews, overlays = [], {}
     for index in range(10):
         coarse = np.kron(rng.uniform(30, 220, (18, 24, 3)), np.ones((10, 10, 1)))
         rgb = np.clip(coarse + rng.normal(0, 12, coarse.shape), 0, 255).astype(np.uint8)
         thermal = np.kron(rng.uniform(10, 40, (9, 12)), np.ones((20, 20))) + rng.normal(
             0, 0.1, (180, 240)
         )
-        shots.append(
-            Shot(f"v{index}", "training", True, rgb, None, thermal.astype(np.float32), None)
+        previews.append(
+            Preview(f"v{index}", "training", True, rgb, None, thermal.astype(np.float32), None)
         )
         overlays[f"v{index}"] = thermal.astype(np.float32)
     assert rgb.shape[1] == width
-    assert 10 * len(pairs_section(shots, overlays, "°C", 10)) < 6e6
+    cards = pairs(previews, overlays, "°C", 10).cards
+    pictures = [part for card in cards for part in card if isinstance(part, InlineImage)]
+    assert len(pictures) == 4 * len(cards)
+    assert 10 * sum(len(picture.source) for picture in pictures) < 6e6
     assert MOST_SHOWN <= 120

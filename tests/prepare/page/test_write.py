@@ -55,7 +55,7 @@ def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
     for words in (
         "5 of 6 views are in the scene: 4 to train on, 1 held "
         "out", "mrgs train '", "table & chairs'",
-        "1 thing to look at first:", "One photo was taken a day later.",
+        "1 warning:", "One photo was taken a day later.",
         "pairs", "6 pairs.", "5 min 12 s", "from before",
         "From above, north is up", "0.5 m",
         "view 0", "held out", "view 1", "training", "not in the scene: too few features",

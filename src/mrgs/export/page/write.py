@@ -1,15 +1,11 @@
-"""Put the model, the cameras and the page's own code into one HTML file."""
+"""Writes the model, the cameras and the viewer's code into one HTML file."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
-from html import escape
-from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -19,12 +15,11 @@ from mrgs.errors import ConfigError
 from mrgs.export.page.packing import pack
 from mrgs.export.page.visibility import most_visible
 from mrgs.pictures.files import to_array
+from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range, palette_table
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, TemperatureRange, spread
 from mrgs.scene.camera_paths import focus_point
-from mrgs.system.atomic import replacing
-from mrgs.system.webpage import policy_hash, script_json
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
@@ -89,15 +84,26 @@ def write_page(
         "range": list(range_c if range_c is not None else visible_range(baked, shown)),
         "temperature": _scale(baked.temperature),
     }
-    data = {
-        "modalities": " ".join(kinds),
-        "facts": script_json(facts),
-        "model": _base64(packed.data),
-    }
-    page = _assemble(_texts(baked, packed.header, title, cameras, palette, notes) | data)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return path
+    return write_html(
+        path,
+        "export/page/page.html",
+        title=title,
+        styles=["export/page/page.css"],
+        scripts=[f"export/page/{name}" for name in SCRIPTS],
+        sources=["worker-src blob:"],
+        modalities=" ".join(kinds),
+        date=date.today().isoformat(),
+        temperature=baked.temperature,
+        palettes=PALETTES,
+        palette=palette,
+        cameras=list(cameras),
+        notes=notes,
+        splats=packed.header["count"],
+        left_out=len(baked) - packed.header["count"],
+        facts=script_json(facts),
+        worker=asset("export/page/worker.js"),
+        model=_base64(packed.data),
+    )
 
 
 def visible_range(baked: BakedModel, cameras: Sequence[Camera]) -> tuple[float, float]:
@@ -114,32 +120,6 @@ def visible_range(baked: BakedModel, cameras: Sequence[Camera]) -> tuple[float, 
     if baked.temperature is None:
         return low, high
     return baked.temperature.to_celsius(low), baked.temperature.to_celsius(high)
-
-
-def _texts(
-    baked: BakedModel,
-    header: dict[str, Any],
-    title: str,
-    cameras: Iterable[str],
-    palette: PaletteName,
-    notes: Sequence[str],
-) -> dict[str, str]:
-    """What the page says, escaped."""
-    return {
-        "title": escape(title),
-        "subtitle": escape(date.today().isoformat()),
-        "recorded": escape(_recorded(baked.temperature)),
-        "version": escape(version("mrgs")),
-        "scale_unit": "" if baked.temperature is None else ", °C",
-        "palette_options": _options(PALETTES, palette),
-        "camera_options": _options(cameras),
-        "notes": "".join(
-            f"<li>{escape(note)}</li>" for note in [*_limits(baked.temperature), *notes]
-        ),
-        "facts_list": "".join(
-            f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in _about(baked, header)
-        ),
-    }
 
 
 def _check(
@@ -192,79 +172,6 @@ def _scale(temperature: TemperatureRange | None) -> dict[str, Any]:
     if temperature is None:
         return {"min": 0.0, "max": 1.0, "unit": ""}
     return {"min": temperature.min_c, "max": temperature.max_c, "unit": "°C"}
-
-
-def _recorded(temperature: TemperatureRange | None) -> str:
-    if temperature is None:
-        return "Relative thermal values: the photos hold no °C."
-    return f"Recorded range {temperature.min_c:.4g} to {temperature.max_c:.4g} °C."
-
-
-def _limits(temperature: TemperatureRange | None) -> list[str]:
-    """What a reader of the numbers must know."""
-    lines = [
-        "These are apparent temperatures: what the thermal camera computed with the emissivity, "
-        "reflected temperature "
-        "and distance that were set in it. Nothing is corrected here.",
-        "Bare metal, glass, water and other shiny surfaces mirror the temperature of what they "
-        "face.",
-        "The numbers come from a model fitted to the photos. At edges and on parts finer than a "
-        "thermal pixel they "
-        "blend with their surroundings; where no photo looked they are a guess.",
-        "Dark grey means that the model shows no surface there. Places at the cold end of the "
-        "range can look so too, "
-        "because they are as cold as the model's empty background.",
-    ]
-    if temperature is None:
-        return [
-            "The photos hold no °C: the values are relative, from 0 (coldest) to 1 (warmest).",
-            *lines[1:],
-        ]
-    recorded = f"{temperature.min_c:.4g} to {temperature.max_c:.4g} °C"
-    return [
-        *lines,
-        f"The photos record {recorded}: what was colder or warmer shows the end of this range.",
-    ]
-
-
-def _about(baked: BakedModel, header: dict[str, Any]) -> list[tuple[str, str]]:
-    left_out = len(baked) - header["count"]
-    invisible = f" ({left_out:,} that no pixel can show left out)" if left_out else ""
-    unit = "°C" if baked.temperature is not None else "relative"
-    return [
-        ("Model", f"{header['count']:,} Gaussian splats{invisible}"),
-        ("Temperature", unit),
-        (
-            "Depth",
-            "along the viewing axis, in scene units; metres only if the capture was scaled to "
-            "metres",
-        ),
-        (
-            "Made with",
-            f"mrgs {version('mrgs')}; everything is in this file, and nothing is sent anywhere",
-        ),
-    ]
-
-
-def _options(labels: Iterable[str], selected: str = "") -> str:
-    return "".join(
-        f"<option{' selected' if label == selected else ''}>{escape(label)}</option>"
-        for label in labels
-    )
-
-
-def _assemble(content: dict[str, str]) -> str:
-    """Fill the template; the policy allows exactly this script and this style."""
-    script = '"use strict";\n' + "\n".join(_asset(name) for name in SCRIPTS)
-    style = _asset("page.css")
-    hashes = {"script_hash": policy_hash(script), "style_hash": policy_hash(style)}
-    return Template(_asset("page.html")).substitute(
-        content, script=script, worker=_asset("worker.js"), style=style, **hashes
-    )
-
-
-def _asset(name: str) -> str:
-    return files("mrgs.export.page").joinpath(name).read_text(encoding="utf-8")
 
 
 def _base64(content: bytes) -> str:

@@ -1,11 +1,10 @@
-"""The sections on the cameras: where they stand, their lenses, and the thermal camera against the
-RGB camera."""
+"""Facts about the lenses, and about the thermal camera relative to the RGB camera."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from html import escape
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float64
@@ -13,38 +12,23 @@ from torch import Tensor
 
 from mrgs.data.lens import Lens
 from mrgs.prepare.contract import Georeference
-from mrgs.prepare.page.markup import column_table, fact_table, folded, paragraph, section
-from mrgs.prepare.page.world import World, plans
 from mrgs.prepare.rig import RigCalibration
 
-_ORBIT_HELP = (
-    "Drag to turn, wheel or pinch to zoom. Point at a camera for its name; click it to "
-    "see its photos."
-)
 
+class RigFacts(NamedTuple):
+    """The calibrated thermal camera on the page.
 
-def world_section(world: World | None) -> str:
-    """Cameras and points, to turn on the screen, and from above and from the side in print."""
-    if world is None:
-        return section("world", "Cameras and points", paragraph("There is no scene yet."))
-    north = "" if world.north else " Which way is up is taken from how the cameras were held."
-    drawings = "".join(
-        f"<figure>{drawing}<figcaption>{escape(caption)}.</figcaption></figure>"
-        for caption, drawing in plans(world)
-    )
-    colors = '<span class="key camera">training</span> <span class="key held">held out</span>'
-    content = (
-        '<div id="orbit"><canvas id="orbit-canvas" tabindex="0" aria-label="cameras and points in '
-        "3D: drag to turn, "
-        'arrow keys turn, plus and minus zoom"></canvas><div id="orbit-name" hidden></div></div>'
-        f'<p class="note">{escape(_ORBIT_HELP + north)} {colors}</p><div '
-        f'class="plans">{drawings}</div>'
-    )
-    return section("world", "Cameras and points", content)
+    Attributes:
+        rows: facts about the camera.
+        views: name, matches, residual and uncertainty of each view, the least certain first.
+    """
+
+    rows: list[tuple[str, str]]
+    views: list[tuple[str, str, str, str]]
 
 
 def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
-    """Each lens of a set of images once, with the number of its views."""
+    """A row for each distinct lens, with the number of its views."""
     distinct: dict[Lens, int] = {}
     for lens in lenses.values():
         distinct[lens] = distinct.get(lens, 0) + 1
@@ -79,20 +63,20 @@ def lens_text(lens: Lens) -> str:
     )
 
 
-def rig_content(rig: RigCalibration, georeference: Georeference | None) -> str:
-    """The thermal camera against the RGB camera: summary, and a row for each view."""
-    unit = georeference is not None and georeference.metric
+def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFacts:
+    """The thermal camera relative to the RGB camera: summary, and a row for each view."""
+    metric = georeference is not None and georeference.metric
     median, most = rig.residual_px
     rows = [
         ("Thermal lens", lens_text(rig.lens)),
-        ("Distance between the lenses", _offset(rig.thermal_from_rgb, unit)),
+        ("Distance between the lenses", _offset(rig.thermal_from_rgb, metric)),
         ("Angle between the axes", f"{_angle_deg(rig.thermal_from_rgb):.2f}°"),
         (
             "Residual",
-            f"{median:.2f} px (median), {most:.2f} px (nine tenths are below), in thermal pixels",
+            f"{median:.2f} px (median), {most:.2f} px (90th percentile), in thermal pixels",
         ),
         ("Uncertainty", f"{rig.uncertainty_px:.2f} px (one standard deviation)"),
-        ("Motion from pair to pair", f"{rig.motion_px:.2f} px (median)"),
+        ("Motion between pairs", f"{rig.motion_px:.2f} px (median)"),
     ]
     if rig.target is not None:
         fit = rig.target.residual_px[0]
@@ -102,20 +86,11 @@ def rig_content(rig: RigCalibration, georeference: Georeference | None) -> str:
                 f"seen by both cameras in {rig.target.pairs} pairs; {fit:.2f} px residual (median)",
             )
         )
-    views = column_table(
-        ["View", "Matches", "Residual, px", "Uncertainty, px"],
-        [
-            [view.name, str(view.matches), _number(view.residual_px), _number(view.uncertainty_px)]
-            for view in sorted(
-                rig.views, key=lambda view: (-_finite(view.uncertainty_px), view.name)
-            )
-        ],
-    )
-    return (
-        "<h3>Thermal camera against RGB camera</h3>"
-        + fact_table(rows)
-        + folded(f"Each of the {len(rig.views)} views, the least certain first", views)
-    )
+    views = [
+        (view.name, str(view.matches), _number(view.residual_px), _number(view.uncertainty_px))
+        for view in sorted(rig.views, key=lambda view: (-_finite(view.uncertainty_px), view.name))
+    ]
+    return RigFacts(rows, views)
 
 
 def _offset(thermal_from_rgb: Float64[Tensor, "4 4"], metric: bool) -> str:

@@ -1,5 +1,5 @@
-"""The thermal image laid over the photo, by the depth of what the photo shows: a misplaced camera
-is seen at once."""
+"""The thermal image warped onto the photo by the depth of the scene, which shows misplaced
+cameras."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from mrgs.prepare.page.shots import Shot
+from mrgs.prepare.page.previews import Preview
 from mrgs.prepare.rig.depth import STEP_PX, inverse_depth
 from mrgs.prepare.rig.images import sampled
 from mrgs.scene import Camera, PointCloud
@@ -23,23 +23,23 @@ _EDGE_SHARE = 0.12
 
 
 def thermal_on_rgb(
-    shot: Shot, points: PointCloud, visible: Int64[Tensor, " k"] | None = None
+    preview: Preview, points: PointCloud, visible: Int64[Tensor, " k"] | None = None
 ) -> Float32[np.ndarray, "h w"] | None:
     """The thermal image as the photo's camera would have taken it; NaN where it shows nothing.
 
-    Each pixel of the photo is carried to the surface between the sparse points, and from there into
-    the thermal image. What one camera sees and something hides from the other is not told apart.
+    Each pixel of the photo is unprojected to the surface between the sparse points, and projected
+    from there into the thermal image. Occlusions are ignored.
 
     Args:
-        shot: the view.
+        preview: the view.
         points: start points, in world coordinates.
         visible: indices of those that the photo saw; None if that is not known.
 
     Returns:
         The image; None if the view lacks a pose or one of its images.
     """
-    camera, thermal_camera = shot.rgb_camera, shot.thermal_camera
-    if camera is None or thermal_camera is None or shot.thermal is None:
+    camera, thermal_camera = preview.rgb_camera, preview.thermal_camera
+    if camera is None or thermal_camera is None or preview.thermal is None:
         return None
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     depth = _depth(camera, columns, rows, points, visible)
@@ -49,13 +49,12 @@ def thermal_on_rgb(
     pixels, _ = thermal_camera.project(world)
     inside = thermal_camera.contains(pixels).numpy()
     x, y = np.nan_to_num(pixels.numpy()).transpose(2, 0, 1)
-    values = sampled(shot.thermal, np.where(inside, x, 0.0), np.where(inside, y, 0.0))
+    values = sampled(preview.thermal, np.where(inside, x, 0.0), np.where(inside, y, 0.0))
     return np.where(inside, values, np.nan).astype(np.float32)
 
 
 def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
-    """The steepest edges of an image as thin lines on nothing (a palette image whose colours differ
-    in opacity)."""
+    """The steepest edges of an image as thin lines on a transparent palette image."""
     known = np.isfinite(values)
     filled = np.where(known, values, np.median(values[known]) if known.any() else 0.0)
     down, right = np.gradient(gaussian_filter(filled.astype(np.float64), _EDGE_BLUR_PX))
@@ -79,8 +78,7 @@ def _levels(opacity: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 
 def _inner(known: np.ndarray) -> np.ndarray:
-    """1 where a pixel and its surroundings are known: the border of what is known is no edge of the
-    scene."""
+    """Mask of pixels whose surroundings are known: a border of valid pixels is no edge."""
     return gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
 
 
@@ -104,8 +102,7 @@ def _depth(
     points: PointCloud,
     visible: Int64[Tensor, " k"] | None,
 ) -> Float[np.ndarray, "h w"]:
-    """How far each pixel's surface is; the points' median depth where they are too few to tell a
-    surface."""
+    """Depth of each pixel's surface; the points' median depth where they are too few for one."""
     positions = points.positions.double().numpy()
     found = inverse_depth(positions, camera, None if visible is None else visible.numpy())
     if found is not None:

@@ -1,64 +1,222 @@
-"""The section on the temperatures: their histogram, each photo's span, and what the files say of
-them."""
+"""Temperatures of all photos: charts as SVG, readable in print, and what the files say."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from markupsafe import Markup
 
-from mrgs.pictures.palette import display_range
-from mrgs.prepare.page.charts import Span, histogram, span_chart
-from mrgs.prepare.page.markup import bullets, fact_table, figure, paragraph, section
-from mrgs.prepare.page.shots import Shot
+from mrgs.pictures.html import render
+from mrgs.pictures.palette import display_range, palette_table, round_ticks, tick_labels
+from mrgs.prepare.page.previews import Preview
 
 _BINS = 90
+_TEMPLATE = "prepare/page/chart.svg"
+_WIDTH, _HEIGHT = 900, 190
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 34
+_FRAME = {
+    "width": _WIDTH,
+    "height": _HEIGHT,
+    "left": _LEFT,
+    "right": _WIDTH - _RIGHT,
+    "bottom": _HEIGHT - _BOTTOM,
+    "label_y": _HEIGHT - 10,
+}
+_LABEL_MARGIN = 60
+"""Labels nearer than this to the right border end at their tick, px."""
 
 
-def temperatures_section(
-    shots: Sequence[Shot],
-    spans: Sequence[Span],
+@dataclass(frozen=True)
+class TemperatureSpread:
+    """Temperatures of one photo, in °C or relative.
+
+    Attributes:
+        name: of the view.
+        lowest: minimum.
+        low: 5th percentile.
+        median: 50th percentile.
+        high: 95th percentile.
+        highest: maximum.
+    """
+
+    name: str
+    lowest: float
+    low: float
+    median: float
+    high: float
+    highest: float
+
+
+class Temperatures(NamedTuple):
+    """The section ``temperatures`` of ``sections.html``.
+
+    Attributes:
+        has_celsius: whether the values are °C.
+        facts: rows of the table.
+        histogram: SVG of all pixels.
+        spreads: SVG with a column per photo.
+        notes: sentences from the thermal files.
+    """
+
+    has_celsius: bool
+    facts: Sequence[tuple[str, str]]
+    histogram: Markup
+    spreads: Markup
+    notes: list[str]
+
+
+class _Bar(NamedTuple):
+    x: float
+    y: float
+    height: float
+    color: str
+
+
+class _Tick(NamedTuple):
+    position: float
+    label: str
+    anchor: str
+
+
+class _Column(NamedTuple):
+    title: str
+    x: float
+    lowest: float
+    low: float
+    median: float
+    high: float
+    highest: float
+
+
+def temperatures(
+    previews: Sequence[Preview],
     unit: str,
     facts: Sequence[tuple[str, str]],
     notes: Mapping[str, int],
-) -> str:
-    """The section; nothing where there is no thermal image.
+) -> Temperatures | None:
+    """Charts of the thermal images; None without any.
 
     Args:
-        shots: whose pixels the histogram counts.
-        spans: of all thermal images.
+        previews: views whose pixels are counted.
         unit: °C, or empty for relative values.
         facts: rows of the table.
-        notes: what the files say, and of how many photos it is said.
+        notes: sentences from the thermal files, each with the number of photos that say it.
     """
-    if not spans:
-        return ""
-    low, high = min(span.lowest for span in spans), max(span.highest for span in spans)
+    images = {view.name: view.thermal for view in previews if view.thermal is not None}
+    found = [temperature_spread(name, image) for name, image in images.items()]
+    spreads = [spread for spread in found if spread is not None]
+    if not spreads:
+        return None
+    low, high = min(item.lowest for item in spreads), max(item.highest for item in spreads)
     low, high = (low, high) if high > low else display_range(np.array([low, high]))
-    images = [shot.thermal[np.isfinite(shot.thermal)] for shot in shots if shot.thermal is not None]
-    counts, _ = np.histogram(np.concatenate(images), bins=_BINS, range=(low, high))
-    what = "temperature" if unit else "relative value, from black to white (°C are not known)"
-    bars = histogram(counts.astype(np.float64), low, high, unit)
-    content = (
-        fact_table(facts)
-        + figure(bars, f"All photos: how many pixels have which {what}.")
-        + figure(
-            span_chart(spans, low, high, unit),
-            "Each photo: the line runs from its lowest to its highest value, the bar holds nine "
-            "tenths of its pixels. "
-            "Neighbours that see the same things should reach about as far.",
-        )
-        + (paragraph("What the thermal files say:") + bullets(said(notes)) if notes else "")
+    values = np.concatenate([image[np.isfinite(image)] for image in images.values()])
+    counts, _ = np.histogram(values, bins=_BINS, range=(low, high))
+    return Temperatures(
+        bool(unit),
+        facts,
+        histogram(counts.astype(np.float64), low, high, unit),
+        spread_chart(spreads, low, high, unit),
+        [text if count == 1 else f"{text} ({count} photos)" for text, count in notes.items()],
     )
-    return section("temperatures", "Temperatures", content)
-
-
-def said(notes: Mapping[str, int]) -> list[str]:
-    """Sentences that several photos share, each once, with their number."""
-    return [text if count == 1 else f"{text} ({count} photos)" for text, count in notes.items()]
 
 
 def counted(sentences: Sequence[str]) -> dict[str, int]:
-    """Each sentence once, in the order of their first appearance, and how often it was there."""
+    """Number of occurrences of each sentence, in the order of first appearance."""
     return dict(Counter(sentences))
+
+
+def temperature_spread(name: str, values: Float[np.ndarray, "h w"]) -> TemperatureSpread | None:
+    """The spread of a thermal image, NaN where not valid; None if no pixel is valid."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    low, median, high = (float(value) for value in np.percentile(known, [5, 50, 95]))
+    return TemperatureSpread(name, float(known.min()), low, median, high, float(known.max()))
+
+
+def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: str) -> Markup:
+    """SVG of the number of pixels by temperature; empty if there are none.
+
+    Args:
+        counts: one per equal step from ``low`` to ``high``.
+        low: the first step's lower end.
+        high: the last step's upper end.
+        unit: of both.
+    """
+    if not counts.sum():
+        return Markup()
+    width = (_WIDTH - _LEFT - _RIGHT) / len(counts)
+    heights = (_HEIGHT - _TOP - _BOTTOM) * counts / counts.max()
+    colors = palette_table("inferno")[np.linspace(20, 235, len(counts)).astype(int)]
+    bars = [
+        _Bar(
+            _LEFT + index * width,
+            _HEIGHT - _BOTTOM - height,
+            height,
+            "#" + bytes(colors[index]).hex(),
+        )
+        for index, height in enumerate(heights)
+        if height > 0
+    ]
+    ticks = [
+        _Tick(x, label, "end" if x > _WIDTH - _LABEL_MARGIN else "middle")
+        for share, label in _ticks(low, high, 8, unit)
+        for x in [_LEFT + (_WIDTH - _LEFT - _RIGHT) * share]
+    ]
+    return render(
+        _TEMPLATE, text="histogram of the temperatures", kind="histogram",
+        frame=_FRAME, bars=bars, bar_width=width + 0.3, ticks=ticks,
+    )  # fmt: skip
+
+
+def spread_chart(
+    spreads: Sequence[TemperatureSpread], low: float, high: float, unit: str
+) -> Markup:
+    """SVG with a column per photo: a line from minimum to maximum, a bar over 90 % of the pixels.
+
+    Args:
+        spreads: one per photo; the chart is empty without any.
+        low: lower end of the axis.
+        high: upper end of the axis.
+        unit: of all values.
+    """
+    if not spreads:
+        return Markup()
+    step = (_WIDTH - _LEFT - _RIGHT) / len(spreads)
+
+    def y(value: float) -> float:
+        share = (min(max(value, low), high) - low) / (high - low)
+        return _HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share
+
+    columns = [
+        _Column(
+            f"{item.name}: {item.lowest:.1f} to {item.highest:.1f} {unit}",
+            _LEFT + (index + 0.5) * step,
+            *(y(value) for value in (item.lowest, item.low, item.median, item.high, item.highest)),
+        )
+        for index, item in enumerate(spreads)
+    ]
+    ticks = [
+        _Tick(_HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share, label, "end")
+        for share, label in _ticks(low, high, 5, unit)
+    ]
+    ends = (spreads[0].name, spreads[-1].name if len(spreads) > 1 else "")
+    return render(
+        _TEMPLATE, text="temperatures of each photo", kind="spread",
+        frame=_FRAME, columns=columns, bar_width=min(0.7 * step, 14), ticks=ticks, ends=ends,
+    )  # fmt: skip
+
+
+def _ticks(low: float, high: float, most: int, unit: str) -> list[tuple[float, str]]:
+    """Share of the axis and label of each tick; the last label has the unit."""
+    values = round_ticks(low, high, most)
+    labels = list(tick_labels(values))
+    labels[-1:] = [f"{label} {unit}".strip() for label in labels[-1:]]
+    return [
+        ((value - low) / (high - low), label) for value, label in zip(values, labels, strict=True)
+    ]

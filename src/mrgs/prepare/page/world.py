@@ -1,18 +1,18 @@
-"""Where the cameras stand and what they see: what the page's 3D view needs, and two drawings for
-print."""
+"""Cameras and points: data for the page's 3D view, and two drawings for print."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
+from markupsafe import Markup
 
+from mrgs.pictures.html import render
 from mrgs.scene import Camera, PointCloud
 from mrgs.scene.view import spread
 
@@ -117,24 +117,22 @@ def _slopes(camera: Camera) -> Float[np.ndarray, "2"]:
 
 
 def frustum_size(positions: Float[np.ndarray, "n 3"], size: float) -> float:
-    """How deep cameras are drawn: so that neighbours hardly touch, and visible in a scene of this
-    size."""
+    """Drawn depth of the cameras' pyramids: visible, and hardly touching their neighbours."""
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(distances, np.inf)
     nearest = np.median(distances.min(axis=1)) if len(positions) > 1 else np.inf
     return float(np.clip(0.8 * nearest, 0.02 * size, 0.06 * size))
 
 
-def plans(world: World) -> list[tuple[str, str]]:
-    """Two drawings, from above and from the side: a caption and an SVG each."""
+def plans(world: World) -> list[tuple[str, Markup]]:
+    """Caption and SVG of two drawings, from above and from the side."""
     right, ahead = _horizontal_axes(world)
     above = "From above" + (", north is up" if world.north else "")
     return [(above, _plan(world, right, ahead)), ("From the side", _plan(world, right, world.up))]
 
 
 def _horizontal_axes(world: World) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """East and north; where these are not known, so that the cameras look up in the drawing on
-    average."""
+    """East and north, or axes in which the cameras look up on average if north is not known."""
     if world.north:
         return np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     directions = np.stack([camera.forward.numpy() for camera in world.cameras.values()])
@@ -146,8 +144,21 @@ def _horizontal_axes(world: World) -> tuple[Float[np.ndarray, "3"], Float[np.nda
     return np.cross(ahead, world.up), ahead
 
 
-def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray, "3"]) -> str:
-    """An orthographic drawing: x along ``right``, y along ``upwards``."""
+class _DrawnCamera(NamedTuple):
+    name: str
+    held_out: bool
+    outline: str
+
+
+class _ScaleBar(NamedTuple):
+    x: int
+    y: int
+    length: float
+    label: str
+
+
+def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray, "3"]) -> Markup:
+    """An orthographic drawing as SVG: x along ``right``, y along ``upwards``."""
     axes = np.stack([right, -upwards])
     positions = np.stack([camera.position.numpy() for camera in world.cameras.values()])
     box = _box(world, positions)
@@ -156,18 +167,18 @@ def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray
     size = float((high - low).max()) * 1.08
     scale = _PLAN_PX / size
     origin = (low + high) / 2 - size / 2
-    dots = _dots((world.points @ axes.T - origin) * scale, world.colors)
     length = frustum_size(positions, size)
     cameras = []
     for name, camera in world.cameras.items():
         apex = (camera.position.numpy() @ axes.T - origin) * scale
-        kind = "held" if name in world.held_out else "camera"
         outline = _outline(apex, _cone(camera, length) @ axes.T * scale)
-        cameras.append(f'<g><title>{escape(name)}</title><path d="{outline}" class="{kind}"/></g>')
-    return (
-        f'<svg class="plan" viewBox="0 0 {_PLAN_PX} {_PLAN_PX}" role="img" aria-label="cameras '
-        f'and points">'
-        f"{dots}{''.join(cameras)}{_scale_bar(world, scale)}</svg>"
+        cameras.append(_DrawnCamera(name, name in world.held_out, outline))
+    return render(
+        "prepare/page/plan.svg",
+        size=_PLAN_PX,
+        dots=_dots((world.points @ axes.T - origin) * scale, world.colors),
+        cameras=cameras,
+        bar=_scale_bar(world, scale),
     )
 
 
@@ -184,34 +195,30 @@ def _cone(camera: Camera, length: float) -> Float[np.ndarray, "4 3"]:
     return corners @ camera.viewmat[:3, :3].numpy()
 
 
-def _dots(pixels: Float[np.ndarray, "n 2"], colors: Float[np.ndarray, "n 3"]) -> str:
-    """Points by colour, a path each, so that they are few bytes."""
+def _dots(
+    pixels: Float[np.ndarray, "n 2"], colors: Float[np.ndarray, "n 3"]
+) -> list[tuple[str, str]]:
+    """Colour and path of the points; those of one colour share a path, which keeps the file
+    small."""
     chosen = spread(len(pixels), _PLAN_POINTS)
     pixels, levels = pixels[chosen], np.rint(colors[chosen] * 5).astype(int)
     inside = ((pixels >= 0) & (pixels <= _PLAN_PX)).all(axis=1)
-    by_color: dict[tuple[int, ...], list[str]] = {}
+    by_color: dict[str, list[str]] = {}
     for (x, y), level in zip(pixels[inside], levels[inside], strict=True):
-        by_color.setdefault(tuple(level.tolist()), []).append(f"M{x:.0f} {y:.0f}h0")
-    return "".join(
-        f'<path class="dot" stroke="#{"".join(f"{40 * value:02x}" for value in level)}" '
-        f'd="{"".join(dots)}"/>'
-        for level, dots in by_color.items()
-    )
+        color = "#" + "".join(f"{40 * value:02x}" for value in level.tolist())
+        by_color.setdefault(color, []).append(f"M{x:.0f} {y:.0f}h0")
+    return [(color, "".join(dots)) for color, dots in by_color.items()]
 
 
-def _scale_bar(world: World, scale: float) -> str:
+def _scale_bar(world: World, scale: float) -> _ScaleBar:
     """A round length, with its unit where that is known."""
     length = round_length(_BAR_SHARE * _PLAN_PX / scale)
-    x, y = 14, _PLAN_PX - 14
     label = (
         f"{length:g} m"
         if world.metric
         else f"{length:g} unit{'' if length == 1 else 's'}, scale not known"
     )
-    return (
-        f'<path d="M{x} {y - 5}v5h{length * scale:.1f}v-5" class="ruler"/><text x="{x}" '
-        f'y="{y - 10}">{label}</text>'
-    )
+    return _ScaleBar(14, _PLAN_PX - 14, length * scale, label)
 
 
 def round_length(most: float) -> float:

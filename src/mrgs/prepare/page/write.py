@@ -1,44 +1,34 @@
-"""The page of a prepared scene: what was understood of the photos, so that mistakes are seen before
-training."""
+"""The page of a prepared scene, so that mistakes in the photos are seen before training."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
 
 from mrgs.data import load_scene
-from mrgs.data.lens import Lens
+from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.prepare.consistency import Agreement, agreements
 from mrgs.prepare.contract import Development, Georeference, LeftOut, Reconstruction, StageReport
-from mrgs.prepare.page.cameras import lens_rows, rig_content, world_section
-from mrgs.prepare.page.charts import span_of
-from mrgs.prepare.page.document import write_document
-from mrgs.prepare.page.markup import (
-    bullets,
-    column_table,
-    fact_table,
-    paragraph,
-    section,
-    views_text,
-)
-from mrgs.prepare.page.measure import measure_section
+from mrgs.prepare.page.cameras import lens_rows, rig_facts
+from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
 from mrgs.prepare.page.overlay import thermal_on_rgb
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs_section, thumbnail_width
-from mrgs.prepare.page.shots import Shot, shot_of_files, shot_of_view
-from mrgs.prepare.page.temperatures import counted, temperatures_section
-from mrgs.prepare.page.world import World, orbit_facts, world_of
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
+from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view, views_text
+from mrgs.prepare.page.temperatures import Temperatures, counted, temperatures
+from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
 from mrgs.prepare.rig import RigCalibration
 from mrgs.scene import Scene, View
 from mrgs.scene.view import spread
 
 PAGE = "prepare.html"
+SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
 
 
 def write_page(
@@ -54,9 +44,8 @@ def write_page(
     """Write ``prepare.html`` into the scene's folder; returns its path.
 
     One file that needs nothing from the network: warnings, stages with their times, cameras and
-    points, each view's photo and thermal image and how they lie on each other, temperatures,
-    lenses, and what was left out. What it shows of the views is what ``load_scene`` reads, so that
-    it is what training will see.
+    points, each view's photo and thermal image and their overlay, temperatures, lenses, and what
+    was left out. Its views are what ``load_scene`` reads, so that it shows what training will see.
 
     Args:
         scene: the folder of the scene, written by ``write_scene`` if there are poses.
@@ -64,7 +53,7 @@ def write_page(
         development: the images.
         reconstruction: poses in the scene's world; None if there are none. The scene itself may be
             missing still.
-        rig: the thermal camera; None if there is none of its own.
+        rig: the thermal camera; None if it is not a camera of its own.
         georeference: scale and north; None if nothing is known of them.
         left_out: files that are in no view, to be listed with the views that have no pose.
 
@@ -73,23 +62,60 @@ def write_page(
         RunError: the page cannot be written.
     """
     content = _content(scene, development, reconstruction)
+    metric = georeference is not None and georeference.metric
     world = _world(content, development, georeference)
-    sections = [
-        _summary(content, stages),
-        _stages(stages),
-        world_section(world),
-        pairs_section(
-            content.shots, _overlays(content, reconstruction), content.unit, content.total
+    return write_scene_page(
+        scene / PAGE,
+        "prepare/page/prepare.html",
+        f"Prepared scene: {scene.resolve().name}",
+        world,
+        views=content.counts,
+        has_celsius=bool(content.unit),
+        folder=shlex.quote(str(scene)),
+        warnings=_warnings(content, stages),
+        stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in stages],
+        north=world is not None and world.north,
+        pairs=pairs(
+            content.previews, _overlays(content, reconstruction), content.unit, content.total
         ),
-        _temperatures(content, development),
-        _cameras(content, reconstruction, rig, georeference),
-        _measure(scene, development, reconstruction, georeference),
-        _left_out(content, development, reconstruction, left_out),
-    ]
-    title = f"Prepared scene: {scene.resolve().name}"
-    subtitle = f"{date.today().isoformat()}. {scene}"
-    facts = {"orbit": None if world is None else orbit_facts(world)}
-    return write_document(scene / PAGE, title, subtitle, sections, facts)
+        temperatures=_temperatures(content, development),
+        lenses=_lenses(reconstruction, georeference),
+        rig=None if rig is None else rig_facts(rig, georeference),
+        one_camera=content.scene is not None
+        and reconstruction is not None
+        and reconstruction.images == "rgb",
+        photos=_measured(scene, development, reconstruction),
+        metric=metric,
+        left_out=_left_out(development, reconstruction, left_out),
+    )
+
+
+def write_scene_page(
+    path: Path, template: str, title: str, world: World | None, **values: Any
+) -> Path:
+    """Write a page that shows a scene; returns its path.
+
+    Args:
+        path: ends with .html, in the scene's folder.
+        template: extends ``scene.html``.
+        title: plain text.
+        world: cameras and points; None if there are none.
+        values: for the template.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    return write_html(
+        path,
+        template,
+        title=title,
+        subtitle=f"{date.today().isoformat()}. {path.parent}",
+        styles=[PAGE_STYLE, "prepare/page/scene.css"],
+        scripts=[f"prepare/page/{name}" for name in SCRIPTS],
+        facts=script_json({"orbit": None if world is None else orbit_facts(world)}),
+        plans=[] if world is None else plans(world),
+        **values,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,20 +123,26 @@ class _Content:
     """What several sections show.
 
     Attributes:
-        folder: the scene's.
         total: number of developed views.
         scene: as it will be read; None without poses.
-        shots: the views that are shown, in small.
-        agreements: how each shot's thermal image agrees with the others.
+        previews: the views that are shown.
+        agreements: how each preview's thermal image agrees with the others.
         unit: of the thermal values; empty where they are relative.
     """
 
-    folder: Path
     total: int
     scene: Scene | None
-    shots: list[Shot]
+    previews: list[Preview]
     agreements: list[Agreement | None]
     unit: str
+
+    @property
+    def counts(self) -> Mapping[str, int] | None:
+        """Numbers of views for the template; None without poses."""
+        if self.scene is None:
+            return None
+        training, held_out = len(self.scene.train), len(self.scene.eval)
+        return {"training": training, "held_out": held_out, "total": self.total}
 
 
 def _content(
@@ -127,23 +159,25 @@ def _content(
         if reconstruction is not None
         else {}
     )
-    shots = []
+    previews = []
     for view in shown:
         if view.name in views:
-            shots.append(shot_of_view(*views[view.name], temperature, width))
+            previews.append(preview_of_view(*views[view.name], temperature, width))
         else:
             reason = (
                 f"not in the scene: {failed[view.name]}"
                 if view.name in failed
                 else "in no scene yet"
             )
-            shots.append(shot_of_files(scene, view, reason, temperature, width))
-    found: list[Agreement | None] = [None] * len(shots)
+            previews.append(preview_of_files(scene, view, reason, temperature, width))
+    found: list[Agreement | None] = [None] * len(previews)
     if reconstruction is not None and written:
-        images = [shot.thermal if shot.registered else None for shot in shots]
-        found = agreements(images, [shot.thermal_camera for shot in shots], reconstruction.points)
+        images = [view.thermal if view.registered else None for view in previews]
+        found = agreements(
+            images, [view.thermal_camera for view in previews], reconstruction.points
+        )
     known = temperature is not None or any(view.range_c is not None for view in development.views)
-    return _Content(scene, len(development.views), loaded, shots, found, "°C" if known else "")
+    return _Content(len(development.views), loaded, previews, found, "°C" if known else "")
 
 
 def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
@@ -173,57 +207,29 @@ def _world(
 def _overlays(
     content: _Content, reconstruction: Reconstruction | None
 ) -> dict[str, Float32[np.ndarray, "h w"]]:
-    """The thermal images as the photos' cameras would have taken them."""
+    """By the view's name, the thermal image warped onto the photo."""
     if reconstruction is None or content.scene is None:
         return {}
     visible = reconstruction.visible or {}
     found = {
-        shot.name: thermal_on_rgb(shot, reconstruction.points, visible.get(shot.name))
-        for shot in content.shots
+        view.name: thermal_on_rgb(view, reconstruction.points, visible.get(view.name))
+        for view in content.previews
     }
     return {name: image for name, image in found.items() if image is not None}
 
 
-def _summary(content: _Content, stages: Sequence[StageReport]) -> str:
-    """What came of it, what to do next, and every warning."""
-    said = (text for stage in stages for text in stage.warnings)
-    warnings = list(dict.fromkeys((*said, *_jumps(content))))
-    if content.scene is None:
-        lead = "There is no scene yet; the stages below say why."
-        next_step = ""
-    else:
-        train, held_out = len(content.scene.train), len(content.scene.eval)
-        lead = (
-            f"{train + held_out} of {content.total} views are in the scene: {train} to train on, "
-            f"{held_out} held out "
-            f"to score the model. "
-            f"{'' if content.unit else 'Its thermal values are relative: °C are not known. '}"
-            "Look through this page; if it shows what you photographed, train:"
-        )
-        next_step = (
-            f'<p class="next"><code>mrgs train '
-            f"{escape(shlex.quote(str(content.folder)))}</code></p>"
-        )
-    found = (
-        f"{len(warnings)} thing{'' if len(warnings) == 1 else 's'} to look at first:"
-        if warnings
-        else ""
-    )
-    listing = (
-        f'<div class="attention">{paragraph(found, "strong")}{bullets(warnings)}</div>'
-        if warnings
-        else ""
-    )
-    return f'<section id="summary">{paragraph(lead, "lead")}{next_step}{listing}</section>'
-
-
-def _stages(stages: Sequence[StageReport]) -> str:
-    rows = [(stage.title, " ".join(stage.lines), _time(stage)) for stage in stages]
-    return (
-        section("stages", "What was done", column_table(["Stage", "Result", "Time"], rows))
-        if rows
-        else ""
-    )
+def _warnings(content: _Content, stages: Sequence[StageReport]) -> list[str]:
+    """Each warning of the stages once, and one about thermal images that do not agree."""
+    warnings = dict.fromkeys(text for stage in stages for text in stage.warnings)
+    pairs = zip(content.previews, content.agreements, strict=True)
+    names = [view.name for view, agreement in pairs if agreement is not None and agreement.jumps]
+    if names:
+        warnings[
+            f"In {views_text(names)} the same places are warmer or colder than in the others, as "
+            "automatic gain or a changed span makes them. Photograph with a fixed span, or provide "
+            "radiometric files."
+        ] = None
+    return list(warnings)
 
 
 def _time(stage: StageReport) -> str:
@@ -233,105 +239,56 @@ def _time(stage: StageReport) -> str:
     return f"{minutes} min {seconds:02d} s" if minutes else f"{stage.seconds:.1f} s"
 
 
-def _temperatures(content: _Content, development: Development) -> str:
-    spans = [
-        span
-        for shot in content.shots
-        if shot.thermal is not None and (span := span_of(shot.name, shot.thermal))
-    ]
+def _temperatures(content: _Content, development: Development) -> Temperatures | None:
     ranges = sum(view.range_c is not None for view in development.views)
     without = len(development.views) - ranges
     facts = [("Photos", f"{ranges} with °C" + (f", {without} without" if without else ""))]
     cameras = counted([view.camera for view in development.views if view.camera is not None])
     if cameras:
-        facts.append(
-            (
-                "Thermal camera",
-                ", ".join(f"{name} ({count} photos)" for name, count in cameras.items()),
-            )
-        )
+        names = ", ".join(f"{name} ({count} photos)" for name, count in cameras.items())
+        facts.append(("Thermal camera", names))
     if content.scene is not None and content.scene.temperature is not None:
         temperature = content.scene.temperature
         facts.append(("Range of the scene", f"{temperature.min_c:g} to {temperature.max_c:g} °C"))
     notes = counted([note for view in development.views for note in view.notes])
-    return temperatures_section(content.shots, spans, content.unit, facts, notes)
+    return temperatures(content.previews, content.unit, facts, notes)
 
 
-def _jumps(content: _Content) -> list[str]:
-    """A warning of thermal images that do not agree with the others on what both see."""
-    pairs = zip(content.shots, content.agreements, strict=True)
-    names = [shot.name for shot, agreement in pairs if agreement is not None and agreement.jumps]
-    if not names:
-        return []
-    return [
-        f"In {views_text(names)} the same places are warmer or colder than in the others, as an "
-        f"automatic gain or a "
-        "changed span makes them. Photograph with a fixed span, or give radiometric files."
-    ]
-
-
-def _cameras(
-    content: _Content,
-    reconstruction: Reconstruction | None,
-    rig: RigCalibration | None,
-    georeference: Georeference | None,
-) -> str:
+def _lenses(
+    reconstruction: Reconstruction | None, georeference: Georeference | None
+) -> list[tuple[str, str]]:
+    """Facts about poses, lenses and scale; none without poses."""
     if reconstruction is None:
-        return ""
-    lenses: dict[str, Lens] = {
-        name: reconstruction.lenses[name] for name in reconstruction.viewmats
-    }
-    what = "RGB lens" if reconstruction.images == "rgb" else "Thermal lens"
+        return []
     rows = [("Poses", reconstruction.source)]
     if reconstruction.reprojection_px is not None:
         rows.append(("Reprojection error", f"{reconstruction.reprojection_px:.2f} px (mean)"))
     rows.append(("Points", f"{len(reconstruction.points.positions):,}"))
-    rows += lens_rows(lenses, what)
+    lenses = {name: reconstruction.lenses[name] for name in reconstruction.viewmats}
+    rows += lens_rows(lenses, "RGB lens" if reconstruction.images == "rgb" else "Thermal lens")
     if georeference is not None:
         rows.append(("Scale and north", georeference.text))
         if georeference.residual_m is not None:
-            rows.append(
-                ("Distance from the GPS positions", f"{georeference.residual_m:.2f} m (median)")
-            )
-    is_shared = content.scene is not None and reconstruction.images == "rgb" and rig is None
-    shared = paragraph("One camera serves both images.", "note") if is_shared else ""
-    own = rig_content(rig, georeference) if rig is not None else shared
-    return section("cameras", "Lenses", fact_table(rows) + own)
+            residual = f"{georeference.residual_m:.2f} m (median)"
+            rows.append(("Distance from the GPS positions", residual))
+    return rows
 
 
-def _measure(
-    scene: Path,
-    development: Development,
-    reconstruction: Reconstruction | None,
-    georeference: Georeference | None,
-) -> str:
-    """The section on a known distance; nothing where no photo has a pose."""
+def _measured(
+    scene: Path, development: Development, reconstruction: Reconstruction | None
+) -> list[MeasuredPhoto]:
+    """RGB photos with a pose, to measure a known distance in."""
     if reconstruction is None or reconstruction.images != "rgb":
-        return ""
-    views = [
-        view
-        for view in development.views
-        if view.name in reconstruction.viewmats and view.rgb is not None
-    ]
-    return measure_section(scene, views, georeference)
+        return []
+    posed = reconstruction.viewmats
+    views = [view for view in development.views if view.name in posed and view.rgb is not None]
+    return measured_photos(scene, views)
 
 
 def _left_out(
-    content: _Content,
-    development: Development,
-    reconstruction: Reconstruction | None,
-    more: Sequence[LeftOut],
-) -> str:
+    development: Development, reconstruction: Reconstruction | None, more: Sequence[LeftOut]
+) -> list[tuple[str, str]]:
     """Every file and view that is not in the scene, once, with the reason."""
     failed = reconstruction.failed if reconstruction is not None else ()
-    items = list(
-        dict.fromkeys((item.name, item.reason) for item in (*more, *development.left_out, *failed))
-    )
-    if not items:
-        nothing = (
-            "Nothing: every photo is in the scene."
-            if content.scene is not None
-            else "Nothing so far."
-        )
-        return section("left-out", "Left out", paragraph(nothing))
-    return section("left-out", "Left out", column_table(["File or view", "Why"], items))
+    items = (*more, *development.left_out, *failed)
+    return list(dict.fromkeys((item.name, item.reason) for item in items))

@@ -1,7 +1,8 @@
-"""The images of a view at the size in which the page shows them, and their cameras."""
+"""The images of a view at the size in which the page shows them, and how views are named."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,13 +22,12 @@ from mrgs.scene import Camera, Pixels, TemperatureRange, View
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """A view in small.
+class Preview:
+    """A view at the size in which the page shows it.
 
     Attributes:
         name: the view's.
-        status: its part in the scene: "training" or "held out"; or why it has none, half a
-            sentence.
+        status: "training" or "held out", or why the view is not in the scene.
         registered: whether it has a pose.
         rgb: None for a view without a colour image.
         rgb_camera: of ``rgb``; None without a pose.
@@ -45,28 +45,29 @@ class Shot:
     thermal_camera: Camera | None
 
 
-def shot_of_view(view: View, status: str, temperature: TemperatureRange | None, width: int) -> Shot:
-    """The shot of a view with a pose, at most ``width`` pixels wide.
+def preview_of_view(
+    view: View, status: str, temperature: TemperatureRange | None, width: int
+) -> Preview:
+    """Preview of a view with a pose, at most ``width`` pixels wide.
 
     Raises:
         SceneError: an image cannot be read.
     """
     rgb = None if view.rgb is None else view.rgb.load()
     thermal = None if view.thermal is None else view.thermal.load()
-    return shot_of_pixels(view, status, temperature, width, rgb, thermal)
+    return preview_of_pixels(view, status, temperature, width, rgb, thermal)
 
 
-def shot_of_pixels(
+def preview_of_pixels(
     view: View,
     status: str,
     temperature: TemperatureRange | None,
     width: int,
     rgb: Pixels | None,
     thermal: Pixels | None,
-) -> Shot:
-    """The same from images that have been read; None for an image that is not there or could not be
-    read."""
-    return Shot(
+) -> Preview:
+    """Preview of a view whose images have been read; None stands for a missing image."""
+    return Preview(
         name=view.name,
         status=status,
         registered=True,
@@ -81,11 +82,10 @@ def shot_of_pixels(
     )
 
 
-def shot_of_files(
+def preview_of_files(
     scene: Path, view: DevelopedView, status: str, temperature: TemperatureRange | None, width: int
-) -> Shot:
-    """The shot of a view without a pose, from its files as they are. An image that cannot be read
-    is left out."""
+) -> Preview:
+    """Preview of a view without a pose, from its files; unreadable images are left out."""
     rgb = thermal = None
     try:
         if view.rgb is not None:
@@ -98,7 +98,14 @@ def shot_of_files(
         )
     except SceneError as error:
         status = f"{status}; {error}"
-    return Shot(view.name, status, False, rgb, None, thermal, None)
+    return Preview(view.name, status, False, rgb, None, thermal, None)
+
+
+def views_text(names: Sequence[str], most: int = 5) -> str:
+    """How many views, and the first of them by name, in a sentence."""
+    shown = ", ".join(names[:most])
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{len(names)} view{'' if len(names) == 1 else 's'} ({shown}{more})"
 
 
 def _camera(camera: Camera, width: int) -> Camera:

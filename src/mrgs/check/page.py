@@ -1,0 +1,84 @@
+"""The page that shows a checked scene and its problems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mrgs.check.looks import Look
+from mrgs.check.problems import Problem
+from mrgs.data.lens import Lens
+from mrgs.prepare.page.cameras import lens_rows
+from mrgs.prepare.page.overlay import thermal_on_rgb
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs
+from mrgs.prepare.page.temperatures import temperatures
+from mrgs.prepare.page.world import World, world_of
+from mrgs.prepare.page.write import write_scene_page
+from mrgs.scene import Camera, Scene
+from mrgs.scene.view import spread
+
+PAGE = "check.html"
+
+
+def write_check_page(
+    folder: Path,
+    problems: Sequence[Problem],
+    lines: Sequence[str] = (),
+    scene: Scene | None = None,
+    looks: Sequence[Look] = (),
+) -> Path:
+    """Write ``check.html`` into the scene's folder; returns its path.
+
+    Args:
+        folder: the scene's.
+        problems: worst first.
+        lines: facts about the scene, one sentence each.
+        scene: None if it cannot be read.
+        looks: its views.
+
+    Raises:
+        RunError: the page cannot be written.
+    """
+    return write_scene_page(
+        folder / PAGE,
+        "check/check.html",
+        f"Scene check: {folder.resolve().name}",
+        None if scene is None else _world(scene),
+        problems=problems,
+        errors=sum(problem.severity == "error" for problem in problems),
+        lines=lines,
+        shown=None if scene is None else _shown(scene, looks),
+    )
+
+
+def _world(scene: Scene) -> World:
+    """Cameras and points."""
+    cameras = {view.name: view.cameras[0] for view in (*scene.train, *scene.eval)}
+    held_out = frozenset(view.name for view in scene.eval)
+    return world_of(cameras, held_out, scene.points, metric=False, north=False)
+
+
+def _shown(scene: Scene, looks: Sequence[Look]) -> dict[str, Any]:
+    """Views, temperatures and lenses."""
+    previews = [looks[index].preview for index in spread(len(looks), MOST_SHOWN)]
+    warped = {view.name: thermal_on_rgb(view, scene.points) for view in previews}
+    overlays = {name: image for name, image in warped.items() if image is not None}
+    unit = "" if scene.temperature is None else "°C"
+    return {
+        "pairs": pairs(previews, overlays, unit, len(looks)),
+        "temperatures": temperatures([look.preview for look in looks], unit, [], {}),
+        "lenses": _lenses(scene),
+    }
+
+
+def _lenses(scene: Scene) -> list[tuple[str, str]]:
+    views = [*scene.train, *scene.eval]
+    rgb = {view.name: _lens(view.rgb.camera) for view in views if view.rgb}
+    thermal = {view.name: _lens(view.thermal.camera) for view in views if view.thermal}
+    return [*lens_rows(rgb, "RGB"), *lens_rows(thermal, "Thermal")]
+
+
+def _lens(camera: Camera) -> Lens:
+    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return Lens(camera.width, camera.height, fx, fy, cx, cy)

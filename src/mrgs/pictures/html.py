@@ -1,0 +1,133 @@
+"""Pages of one HTML file: templates, pictures inside the page, and a policy that lets nothing else
+in."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+from markupsafe import Markup
+from PIL import Image
+
+from mrgs.system.atomic import replacing
+
+PAGE_STYLE = "pictures/templates/page.css"
+"""Style sheet of all pages that are read like a document."""
+
+
+class InlineImage(NamedTuple):
+    """A picture as a ``data:`` address, which the macro ``image`` of ``parts.html`` shows.
+
+    Attributes:
+        source: the address.
+        width: pixels.
+        height: pixels.
+        text: what the picture shows, for readers who cannot see it.
+    """
+
+    source: Markup
+    width: int
+    height: int
+    text: str
+
+
+def inline_image(
+    image: Image.Image, text: str, *, quality: int = 80, png: bool = False
+) -> InlineImage:
+    """Encode a picture as JPEG, or as PNG, for use inside a page."""
+    buffer = io.BytesIO()
+    if png:
+        image.save(buffer, "PNG", optimize=True)
+    else:
+        image.save(buffer, "JPEG", quality=quality)
+    kind, content = "png" if png else "jpeg", base64.b64encode(buffer.getvalue()).decode("ascii")
+    return InlineImage(Markup(f"data:image/{kind};base64,{content}"), *image.size, text)
+
+
+def policy_hash(text: str) -> str:
+    """Source of a content security policy that allows exactly this script or style."""
+    digest = hashlib.sha256(text.encode("utf-8", "replace")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode('ascii')}'"
+
+
+def script_json(value: Any) -> Markup:
+    """JSON that cannot end the script element that holds it."""
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))
+
+
+def asset(name: str) -> Markup:
+    """Text of a file of the package ``mrgs``, such as a script, by its path inside the package."""
+    return Markup(files("mrgs").joinpath(name).read_text(encoding="utf-8"))
+
+
+def render(template: str, **values: Any) -> Markup:
+    """Fill a template, named by its path inside the package ``mrgs``; all text is escaped."""
+    return Markup(_environment().get_template(template).render(values))
+
+
+def write_html(
+    path: Path,
+    template: str,
+    *,
+    title: str,
+    styles: Sequence[str],
+    scripts: Sequence[str] = (),
+    sources: Sequence[str] = (),
+    **values: Any,
+) -> Path:
+    """Write a page that needs nothing from the network, and whose policy forbids it to ask.
+
+    Args:
+        path: ends with .html.
+        template: extends ``pictures/templates/base.html``.
+        title: plain text.
+        styles: paths of style sheets inside the package ``mrgs``.
+        scripts: paths of scripts inside the package ``mrgs``, run as one.
+        sources: further directives of the content security policy.
+        values: for the template.
+
+    Returns:
+        The path.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    style = "\n".join(asset(name) for name in styles)
+    script = '"use strict";\n' + "\n".join(asset(name) for name in scripts) if scripts else ""
+    policy = ["default-src 'none'", "img-src data:", *sources]
+    policy += [f"script-src {policy_hash(script)}"] if script else []
+    policy += [f"style-src {policy_hash(style)}"]
+    page = render(
+        template,
+        title=title,
+        version=version("mrgs"),
+        policy=Markup("; ".join(policy)),
+        style=Markup(style),
+        script=Markup(script),
+        **values,
+    )
+    with replacing(path) as temporary:
+        # Names of files need not be valid text.
+        temporary.write_text(page, encoding="utf-8", errors="replace")
+    return path
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("mrgs", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
