@@ -1,12 +1,10 @@
-"""Measures one case and prints the result as JSON: ``python -m benchmarks.child REQUEST``, started
-by ``processes``."""
+"""Measures one case: ``python -m benchmarks.child REQUEST``, started by ``processes``."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
-import json
-import sys
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +13,7 @@ import torch
 from benchmarks import memory
 from benchmarks.plan import GROUPS, Case, Effort
 from benchmarks.timing import SkippedError, Stages, measure
+from mrgs.system.child import read_request, send, when_asked_to_stop
 
 
 def prepare(case: Case) -> Stages:
@@ -55,9 +54,9 @@ def import_what_torch_imports_late() -> None:
 
 
 def main() -> None:
-    """Measure the cases of the request one after the other; the last one's result goes to
-    stdout."""
-    request = json.loads(sys.argv[1])
+    """Measure the cases of the request one after the other; the last one's result is sent."""
+    when_asked_to_stop(lambda: os._exit(1))
+    request = read_request()
     torch.set_num_threads(request["threads"])
     import_what_torch_imports_late()
     memory.reset_peak()
@@ -69,7 +68,7 @@ def main() -> None:
         if limit is not None:
             memory.limit_address_space(limit)
         result = result_of(case, Effort(**request["effort"]), base_bytes)
-    sys.stdout.write(json.dumps(result))
+    send(end="done", result=result)
 
 
 if __name__ == "__main__":

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Event, Timer
 from typing import Any
 
 from benchmarks.plan import GROUPS, ONE_RUN, SMALLEST, Case, Effort
+from mrgs.system.child import Child
 
 ROOT = Path(__file__).parents[1]
-TIMEOUT_S = 300
+CHILD = ("-m", "benchmarks.child")
+TIMEOUT_S = 300.0
 
 
 def measure_case(case: Case, effort: Effort, threads: int) -> dict[str, Any]:
@@ -40,23 +41,28 @@ def _run(
         "effort": dataclasses.asdict(effort),
         "threads": threads,
     }
-    # Threads that spin while they wait would starve those of the other of the two pools, torch's
-    # and Numba's.
-    counts = {
-        "OMP_NUM_THREADS": str(threads),
-        "NUMBA_NUM_THREADS": str(threads),
-        "OMP_WAIT_POLICY": "PASSIVE",
-    }
-    try:
-        child = subprocess.run(
-            [sys.executable, "-m", "benchmarks.child", json.dumps(request)],
-            cwd=ROOT, env={**os.environ, **counts, **variables}, capture_output=True, text=True,
-            timeout=TIMEOUT_S,
+    counts = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+    paths = (str(ROOT), os.environ.get("PYTHONPATH", ""))
+    with TemporaryDirectory() as folder:
+        child = Child(
+            CHILD, request, Path(folder) / "log.txt",
+            PYTHONPATH=os.pathsep.join(filter(None, paths)), **counts, **variables,
         )  # fmt: skip
-    except subprocess.TimeoutExpired:
+        late = Event()
+
+        def end() -> None:
+            late.set()
+            child.kill()
+
+        timer = Timer(TIMEOUT_S, end)
+        timer.start()
+        try:
+            for _ in child.messages():
+                pass
+        finally:
+            timer.cancel()
+            child.close()
+        reason = child.failure()
+    if late.is_set():
         return {"skipped": f"not done after {TIMEOUT_S} s"}
-    if child.returncode != 0:
-        lines = child.stderr.strip().splitlines() or [f"exit status {child.returncode}"]
-        return {"failed": lines[-1]}
-    result: dict[str, Any] = json.loads(child.stdout)
-    return result
+    return {"failed": reason} if reason is not None else child.end["result"]

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import json
-import subprocess
-
 import pytest
 from benchmarks.plan import GROUPS, ONE_RUN, SMALLEST
 from benchmarks.processes import measure_case
@@ -13,37 +10,38 @@ CASE = GROUPS["prototype-avx2"].case(*SMALLEST)
 SIZE = {"group": "prototype-avx2", "gaussians": 1_000, "width": 64, "height": 48}
 
 
-def child_that(monkeypatch, returncode: int = 0, stdout: str = "", stderr: str = "") -> list[dict]:
-    """Replaces the child; returns the keyword arguments it is started with."""
-    started = []
-
-    def run(command, **options):
-        started.append(options)
-        return subprocess.CompletedProcess(command, returncode, stdout, stderr)
-
-    monkeypatch.setattr(processes.subprocess, "run", run)
-    return started
+@pytest.fixture
+def child(monkeypatch):
+    """Puts a script in the place of the child; ``say`` is known in it."""
+    say = "import json, os, sys, time\ndef say(**message): print(json.dumps(message), flush=True)\n"
+    return lambda script: monkeypatch.setattr(processes, "CHILD", ("-c", say + script))
 
 
-def test_a_result_goes_with_its_case(monkeypatch):
-    started = child_that(monkeypatch, stdout=json.dumps({"peak_bytes": 7}))
-    assert measure_case(CASE, ONE_RUN, threads=3) == {**SIZE, "peak_bytes": 7}
-    environment = started[0]["env"]
-    assert (environment["NUMBA_NUM_THREADS"], environment["OMP_NUM_THREADS"]) == ("3", "3")
-    assert environment["ONEDNN_MAX_CPU_ISA"] == "AVX2"
+def test_a_result_goes_with_its_case(child):
+    child("""
+names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OMP_WAIT_POLICY", "ONEDNN_MAX_CPU_ISA")
+say(end="done", result={"peak_bytes": 7, "environment": [os.environ[name] for name in names]})
+""")
+    environment = ["3", "3", "PASSIVE", "AVX2"]
+    expected = {**SIZE, "peak_bytes": 7, "environment": environment}
+    assert measure_case(CASE, ONE_RUN, threads=3) == expected
 
 
 @pytest.mark.parametrize(
-    ("stderr", "reason"), [("Traceback\nKeyError: x\n", "KeyError: x"), ("", "exit status -9")]
+    ("script", "reason"),
+    [
+        ("raise KeyError('x')", "the process ended with status 1 (KeyError: 'x')"),
+        ("os.kill(os.getpid(), 9)", "the system ended the process (signal 9)"),
+    ],
 )
-def test_a_child_that_fails_says_why(monkeypatch, stderr, reason):
-    child_that(monkeypatch, returncode=-9, stderr=stderr)
-    assert measure_case(CASE, ONE_RUN, threads=2) == {**SIZE, "failed": reason}
+def test_a_child_that_fails_says_why(child, script, reason):
+    child(script)
+    result = measure_case(CASE, ONE_RUN, threads=2)
+    assert result.pop("failed").startswith(reason)
+    assert result == SIZE
 
 
-def test_a_child_that_does_not_end_is_skipped(monkeypatch):
-    def run(command, timeout, **options):
-        raise subprocess.TimeoutExpired(command, timeout)
-
-    monkeypatch.setattr(processes.subprocess, "run", run)
+def test_a_child_that_does_not_end_is_skipped(child, monkeypatch):
+    monkeypatch.setattr(processes, "TIMEOUT_S", 0.2)
+    child("time.sleep(600)")
     assert "not done" in measure_case(CASE, ONE_RUN, threads=2)["skipped"]

@@ -15,7 +15,7 @@ from mrgs.comparison.methods import Variant, configure, to_text
 def at_home(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave this process's signals and standard input alone."""
     monkeypatch.setattr(child.signal, "signal", lambda *_: None)
-    monkeypatch.setattr(child.Reporter, "_wait_for_end_of_input", lambda self: None)
+    monkeypatch.setattr(child, "when_asked_to_stop", lambda action: None)
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_what_the_user_can_mend_is_said_in_one_message(tmp_path, request_for, ca
 def test_the_end_of_input_stops_the_training_with_a_checkpoint(
     small_scene, request_for, capsys, monkeypatch
 ):
-    monkeypatch.setattr(child.Reporter, "_wait_for_end_of_input", lambda self: self._stop.set())
+    monkeypatch.setattr(child, "when_asked_to_stop", lambda action: action())
     request = request_for(small_scene)
     assert child.main(request) == 0
     assert said(capsys)[-1] == {"end": "stopped"}
@@ -61,14 +61,15 @@ def test_the_end_of_input_stops_the_training_with_a_checkpoint(
 
 
 def test_the_end_of_input_stops_the_scoring(small_scene, request_for, capsys, monkeypatch):
-    send = child.Reporter.send
+    send, stop = child.send, []
 
-    def end_with_the_first_view(self, **message):
-        send(self, **message)
+    def end_with_the_first_view(**message):
+        send(**message)
         if message.get("scored") == 1:
-            self._stop.set()
+            stop[0]()
 
-    monkeypatch.setattr(child.Reporter, "send", end_with_the_first_view)
+    monkeypatch.setattr(child, "send", end_with_the_first_view)
+    monkeypatch.setattr(child, "when_asked_to_stop", stop.append)
     request = request_for(small_scene)
     assert child.main(request) == 0
     assert said(capsys)[-2:] == [{"scored": 1, "of": 2}, {"end": "stopped"}]

@@ -161,9 +161,8 @@ def test_a_child_that_says_nothing_has_failed(make_jobs):
 def test_a_child_that_the_system_ended(make_jobs):
     (reason,) = do(make_jobs("os.kill(os.getpid(), 9)"))[0].values()
     assert (
-        reason
-        == "the system ended the process (signal 9), most likely for want of memory: use fewer "
-        "--jobs"
+        reason == "the system ended the process (signal 9), most likely for want of memory: run "
+        "fewer at a time"
     )
 
 

@@ -17,10 +17,12 @@ def silent(step: str, done: int, of: int) -> None:
 
 @pytest.fixture
 def child(monkeypatch):
-    """Puts a script in the place of the process; its folder is ``sys.argv[1]``."""
+    """Puts a script in the place of the process; ``folder`` is known in it."""
     monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.4")
     return lambda script: monkeypatch.setattr(
-        process, "CHILD", ("-c", "import json, os, sys, time\n" + script)
+        process,
+        "CHILD",
+        ("-c", "import json, os, sys, time; folder = json.loads(sys.argv[1])\n" + script),
     )
 
 
@@ -43,8 +45,8 @@ print(json.dumps({"end": "done"}))
         ("os.kill(os.getpid(), "
          "9)", "the system ended the process (signal 9), most likely for want of memory; close "
          "other programs or use smaller photos, and call again to continue"),
-        ("os.abort()", "the process ended with status -6; call again to continue"),
-        ("pass", "the process ended with status 0; call again to continue"),
+        ("os.abort()", "the process ended with status -6 (no message); call again to continue"),
+        ("pass", "the process ended with status 0 (no message); call again to continue"),
     ],
 )  # fmt: skip
 def test_a_child_that_fails(child, tmp_path, script, reason):
@@ -63,7 +65,7 @@ def test_what_the_child_writes_to_its_errors_is_kept(child, tmp_path):
 
 def test_the_child_ends_with_the_call(child, tmp_path):
     child("""
-open(sys.argv[1] + "/pid", "w").write(str(os.getpid()))
+open(folder + "/pid", "w").write(str(os.getpid()))
 print(json.dumps({"step": "features", "done": 0, "of": 2}), flush=True)
 time.sleep(600)
 """)

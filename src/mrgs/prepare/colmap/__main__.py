@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import sys
-import threading
 from pathlib import Path
-from typing import Any
 
 from mrgs.prepare.colmap.job import read_job
+from mrgs.system.child import read_request, send, when_asked_to_stop
 
 LEAST_FREE_BYTES = 50 * 2**20
-
-
-def send(**message: Any) -> None:
-    """One line for the process that waits."""
-    sys.stdout.write(json.dumps(message) + "\n")
-    sys.stdout.flush()
 
 
 def report(step: str, done: int, of: int) -> None:
@@ -28,7 +20,8 @@ def report(step: str, done: int, of: int) -> None:
 
 def main(folder: Path) -> int:
     """Do what is left of the job; returns the exit status."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    # Nothing is lost: the database has transactions, and the model is moved when it is complete.
+    when_asked_to_stop(lambda: os._exit(1))
     try:
         from mrgs.prepare.colmap.features import find_features
         from mrgs.prepare.colmap.mapping import map_images
@@ -51,12 +44,5 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _end_with_parent() -> None:
-    while os.read(0, 1024):  # not sys.stdin: its lock would be held when the interpreter ends
-        pass
-    # Nothing is lost: the database has transactions, and the model is moved when it is complete.
-    os._exit(1)
-
-
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main(Path(read_request())))

@@ -7,15 +7,11 @@ down; its memory is given back when it ends.
 from __future__ import annotations
 
 import importlib.metadata
-import json
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any, TextIO
 
 from mrgs.errors import ConfigError, RunError, SceneError
 from mrgs.prepare.contract import Progress
-from mrgs.system.isolation import CHILD_FOLDER, child_environment
+from mrgs.system.child import OUT_OF_MEMORY, Child
 
 CHILD = ("-m", "mrgs.prepare.colmap")
 LOG_FILE = "log.txt"
@@ -32,31 +28,27 @@ def run_colmap(folder: Path, progress: Progress) -> None:
     """
     _check_installed()
     log = folder / LOG_FILE
-    with _opened(log) as errors:
-        process = subprocess.Popen(
-            [sys.executable, *CHILD, str(folder.resolve())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            # Threads that spin while they wait would starve those that work.
-            env=child_environment(OMP_WAIT_POLICY="PASSIVE"),
-            cwd=CHILD_FOLDER,
-            start_new_session=True,  # Ctrl-C is for this process alone
-        )
     try:
-        end = _listen(process, progress)
-        status = process.wait()
+        child = Child(CHILD, str(folder.resolve()), log)
+    except OSError as error:
+        raise RunError(
+            f"{log} cannot be written ({error.strerror}); free the place or choose another"
+        ) from None
+    try:
+        for message in child.messages():
+            progress(message["step"], message["done"], message["of"])
     finally:
-        process.kill()
-        process.wait()
-        for pipe in (process.stdin, process.stdout):
-            assert pipe is not None
-            pipe.close()
-    if status != 0 or end.get("end") != "done":
-        raise SceneError(f"finding the poses failed: {_reason(status, end)}; see {log}")
+        child.close()
+    if reason := child.failure():
+        raise SceneError(f"finding the poses failed: {reason}{_remedy(child, reason)}; see {log}")
+
+
+def _remedy(child: Child, reason: str) -> str:
+    if child.end:  # an error that it understands
+        return ""
+    if reason == OUT_OF_MEMORY:
+        return "; close other programs or use smaller photos, and call again to continue"
+    return "; call again to continue"
 
 
 def _check_installed() -> None:
@@ -69,40 +61,3 @@ def _check_installed() -> None:
         ) from None
     if int(version.partition(".")[0]) < LEAST_VERSION:
         raise ConfigError(f"pycolmap {version} is too old: {install}")
-
-
-def _opened(log: Path) -> TextIO:
-    try:
-        return log.open("w", encoding="utf-8")
-    except OSError as error:
-        raise RunError(
-            f"{log} cannot be written ({error.strerror}); free the place or choose another"
-        ) from None
-
-
-def _listen(process: subprocess.Popen[str], progress: Progress) -> dict[str, Any]:
-    """Forward the progress; returns the last message."""
-    assert process.stdout is not None
-    end: dict[str, Any] = {}
-    for line in process.stdout:
-        try:
-            message = json.loads(line)
-        except ValueError:  # a library that prints
-            continue
-        if isinstance(message, dict) and "step" in message:
-            progress(message["step"], message["done"], message["of"])
-        elif isinstance(message, dict) and "end" in message:
-            end = message
-    return end
-
-
-def _reason(status: int, end: dict[str, Any]) -> str:
-    if end.get("end") == "error":
-        return str(end["message"])
-    if status == -9:
-        return (
-            "the system ended the process (signal 9), most likely for want of memory; close other "
-            "programs or use "
-            "smaller photos, and call again to continue"
-        )
-    return f"the process ended with status {status}; call again to continue"

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mrgs.system.child import OUT_OF_MEMORY, Child
+
+SCRIPT = "from mrgs.system.child import read_request, send, when_asked_to_stop\n"
+
+
+@pytest.fixture
+def start(tmp_path: Path):
+    """Starts children that run a script, and ends them after the test."""
+    children = []
+
+    def start(script: str, request: object = None) -> Child:
+        children.append(Child(("-c", SCRIPT + script), request, tmp_path / "log.txt"))
+        return children[-1]
+
+    yield start
+    for child in children:
+        child.close()
+
+
+def test_the_request_comes_back_and_what_is_no_message_is_skipped(start):
+    child = start("print('a library'); send(got=read_request()); send(end='done')", {"a": [1, "é"]})
+    assert list(child.messages()) == [{"got": {"a": [1, "é"]}}]
+    assert child.end == {"end": "done"}
+    assert child.failure() is None
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        ("send(end='error', message='no disk'); raise SystemExit(2)", "no disk"),
+        ("raise ValueError('broken')", "the process ended with status 1 (ValueError: broken)"),
+        ("send(step=1)", "the process ended with status 0 (no message)"),
+        ("import os; os.kill(os.getpid(), 9)", OUT_OF_MEMORY),
+    ],
+)
+def test_a_failure_has_a_reason(start, script, reason):
+    child = start(script)
+    list(child.messages())
+    assert child.failure() == reason
+
+
+def test_a_child_can_be_asked_to_stop(start):
+    child = start(
+        "import threading; stop = threading.Event(); when_asked_to_stop(stop.set); send(step=1); "
+        "stop.wait(); send(end='stopped')"
+    )
+    messages = child.messages()
+    assert next(messages) == {"step": 1}
+    child.stop()
+    assert list(messages) == []
+    assert child.failure() is None
+
+
+def test_a_child_ends_with_its_parent(tmp_path):
+    orphan = (
+        "import os, time; when_asked_to_stop(lambda: os._exit(1)); send(pid=os.getpid()); "
+        "time.sleep(600)"
+    )
+    parent = f"""
+from pathlib import Path
+from mrgs.system.child import Child
+child = Child(("-c", {SCRIPT + orphan!r}), None, Path({str(tmp_path / "log.txt")!r}))
+print(next(child.messages())["pid"], flush=True)
+import os; os.kill(os.getpid(), 9)
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", parent], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == -signal.SIGKILL
+    pid = int(run.stdout)
+    deadline = time.monotonic() + 20
+    with pytest.raises(ProcessLookupError):  # noqa: PT012
+        while time.monotonic() < deadline:
+            os.kill(pid, 0)
+            time.sleep(0.05)
