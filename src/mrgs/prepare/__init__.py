@@ -5,42 +5,19 @@ The names below are imported on first use: the process that finds the poses need
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from mrgs.system.lazy import lazy_imports
 
 if TYPE_CHECKING:
-    from mrgs.prepare.contract import LeftOut, Preparation, Progress, StageReport
-    from mrgs.prepare.georeference import KnownDistance
-    from mrgs.prepare.options import PrepareOptions, parse_known_distance, parse_target
-    from mrgs.prepare.run import prepare
+    from mrgs.prepare.contract import LeftOut as LeftOut
+    from mrgs.prepare.contract import Preparation as Preparation
+    from mrgs.prepare.contract import Progress as Progress
+    from mrgs.prepare.contract import StageReport as StageReport
+    from mrgs.prepare.georeference import KnownDistance as KnownDistance
+    from mrgs.prepare.options import PrepareOptions as PrepareOptions
+    from mrgs.prepare.options import parse_known_distance as parse_known_distance
+    from mrgs.prepare.options import parse_target as parse_target
+    from mrgs.prepare.run import prepare as prepare
 
-_HOMES = {
-    "KnownDistance": "georeference",
-    "LeftOut": "contract",
-    "Preparation": "contract",
-    "PrepareOptions": "options",
-    "Progress": "contract",
-    "StageReport": "contract",
-    "parse_known_distance": "options",
-    "parse_target": "options",
-    "prepare": "run",
-}
-
-__all__ = [
-    "KnownDistance",
-    "LeftOut",
-    "Preparation",
-    "PrepareOptions",
-    "Progress",
-    "StageReport",
-    "parse_known_distance",
-    "parse_target",
-    "prepare",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'mrgs.prepare' has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(f"mrgs.prepare.{_HOMES[name]}"), name)
+__getattr__, __all__ = lazy_imports(__name__, __file__)
