@@ -1,8 +1,10 @@
-"""The one way in: a thermal photo of any kind that is known."""
+"""Reads thermal photos of all kinds; another camera maker is another entry of ``READERS``."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.radiometric import fff, jpeg
@@ -15,8 +17,73 @@ from mrgs.data.radiometric.table import read_table
 
 MAX_BYTES = 256 * 2**20
 
-_RASTERS = (b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RASTERS = (jpeg.SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
+
+
+class Reader(NamedTuple):
+    """A kind of file.
+
+    Attributes:
+        recognises: whether a file is of this kind, from its content and path.
+        read: its photo; raises ``SceneError`` if it cannot be read.
+    """
+
+    recognises: Callable[[bytes, Path], bool]
+    read: Callable[[bytes, Path, Overrides], ThermalPhoto]
+
+
+def _is_flir_jpeg(data: bytes, path: Path) -> bool:
+    return data.startswith(jpeg.SIGNATURE) and jpeg.flir_record(data, path) is not None
+
+
+def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    record = jpeg.flir_record(data, path)
+    assert record is not None
+    return read_flir(record, path, read_exif(data), overrides)
+
+
+def _is_fff(data: bytes, path: Path) -> bool:
+    return data.startswith(fff.SIGNATURES)
+
+
+def _read_fff(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    return read_flir(data, path, ExifFacts(), overrides)
+
+
+def _is_dji_jpeg(data: bytes, path: Path) -> bool:
+    return data.startswith(jpeg.SIGNATURE) and jpeg.holds_dji_signal(data, read_exif(data).make)
+
+
+def _refuse_dji_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    raise needs_converting(path)
+
+
+def _is_raster(data: bytes, path: Path) -> bool:
+    return data.startswith(_RASTERS)
+
+
+def _read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    return read_raster(data, path, read_exif(data), overrides)
+
+
+def _is_table(data: bytes, path: Path) -> bool:
+    return path.suffix.lower() in _TABLE_SUFFIXES
+
+
+def _is_bare_numbers(data: bytes, path: Path) -> bool:
+    return path.suffix.lower() == ".raw"
+
+
+READERS = (
+    Reader(_is_flir_jpeg, _read_flir_jpeg),
+    Reader(_is_dji_jpeg, _refuse_dji_jpeg),
+    Reader(_is_fff, _read_fff),
+    Reader(_is_raster, _read_raster),
+    Reader(_is_table, read_table),
+    Reader(_is_bare_numbers, read_bare_numbers),
+)
+"""All kinds of files; the first that recognises a file reads it."""
 
 
 def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> ThermalPhoto:
@@ -40,28 +107,16 @@ def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> Therma
 def _read(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     if not data:
         raise scene_error(path, "is empty; copy the photo from the camera again")
-    if data.startswith(jpeg.SIGNATURE):
-        exif = read_exif(data)
-        if record := jpeg.flir_record(data, path):
-            return read_flir(record, path, exif, overrides)
-        if jpeg.holds_dji_signal(data, exif.make):
-            raise needs_converting(path)
-        return read_raster(data, path, exif, overrides)
-    if data.startswith(fff.SIGNATURES):
-        return read_flir(data, path, ExifFacts(), overrides)
-    if data.startswith(_RASTERS):
-        return read_raster(data, path, read_exif(data), overrides)
-    if path.suffix.lower() in _TABLE_SUFFIXES:
-        return read_table(data, path, overrides)
-    if path.suffix.lower() == ".raw":
-        return read_bare_numbers(data, path, overrides)
+    for reader in READERS:
+        if reader.recognises(data, path):
+            return reader.read(data, path, overrides)
     raise scene_error(
         path, "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)"
     )
 
 
 def _with_unused(photo: ThermalPhoto, overrides: Overrides) -> ThermalPhoto:
-    """Says which of the user's values had no effect."""
+    """The photo with a warning that names overrides without effect."""
     if photo.facts.parameters is None:
         unused = [*overrides.of_parameters()]
         why = "the file holds finished numbers, not the camera's signal"
