@@ -16,11 +16,11 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+
+from benchmarks import gpu, gpu_correctness, gpu_gsplat, gpu_stages, gpu_timing, gpu_workload
 from benchmarks.gpu_plan import FULL, TRIAL
 from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
 from benchmarks.plan import ONE_RUN, Effort
-
-from benchmarks import gpu, gpu_correctness, gpu_gsplat, gpu_stages, gpu_timing, gpu_workload
 from mrgs.method.config import make_config
 
 CPU = torch.device("cpu")

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 
 import pytest
+
+from benchmarks import gpu_resources
 from benchmarks.gpu_compile import listed, parse_log, unlisted
 from benchmarks.gpu_resources import (
     DOCUMENT,
@@ -19,8 +21,6 @@ from benchmarks.gpu_resources import (
     with_newest,
     worsened,
 )
-
-from benchmarks import gpu_resources
 from mrgs.kernels.gpu_spec import KernelSpec
 
 GOOD = {"registers": 40, "spill_stores": 0, "spill_loads": 0, "stack": 0, "shared": 512, "warps": 4}

@@ -12,9 +12,8 @@ from mrgs.training import make_config, train
 
 pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
 
-from benchmarks.live_view import ALONE, PAUSES_S, Turn, camera_messages, to_markdown, watch
-
 from benchmarks import live_view
+from benchmarks.live_view import ALONE, PAUSES_S, Turn, camera_messages, to_markdown, watch
 from mrgs.viewer.source import TrainedSource
 from mrgs.viewer.web import open_viewer
 

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+
 from benchmarks.plan import GAUSSIANS, GROUPS, QUICK, SIZES, Case
 
 ROOT = Path(__file__).parents[2]

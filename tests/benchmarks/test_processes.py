@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import pytest
-from benchmarks.plan import GROUPS, ONE_RUN, SMALLEST
-from benchmarks.processes import measure_case
 
 from benchmarks import processes
+from benchmarks.plan import GROUPS, ONE_RUN, SMALLEST
+from benchmarks.processes import measure_case
 
 CASE = GROUPS["prototype-avx2"].case(*SMALLEST)
 SIZE = {"group": "prototype-avx2", "gaussians": 1_000, "width": 64, "height": 48}

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+
 from benchmarks.prototype import CPP_MS, FUSED, MLP, SSIM_CONV, TARGET_RATIO, estimate, factor
 
 SIZE = (50_000, 640, 480)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+
 from benchmarks.chart import draw, points
 from benchmarks.prototype import ADAM, FUSED, MLP, SSIM_CONV, SSIM_SHIFTED
 from benchmarks.report import CALIBRATIONS, milliseconds, table, to_markdown, with_load

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from benchmarks.calibration import ARITHMETIC, MEMORY
 from benchmarks.child import prepare, result_of
 from benchmarks.plan import GROUPS, ONE_RUN, SMALLEST

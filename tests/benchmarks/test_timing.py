@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.plan import Effort
-from benchmarks.timing import Summary, Timing, measure
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from benchmarks.plan import Effort
+from benchmarks.timing import Summary, Timing, measure
 
 
 @settings(max_examples=30)

@@ -11,6 +11,7 @@ import sys
 import tracemalloc
 
 import pytest
+
 from benchmarks.plan import ONE_RUN, Case
 from benchmarks.processes import measure_case, warm_up
 from benchmarks.stages.rasterizer import FusedPass, PassInStages

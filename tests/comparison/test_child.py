@@ -9,6 +9,7 @@ import pytest
 
 from mrgs.comparison import child
 from mrgs.comparison.methods import Variant, configure, to_text
+from tests.helpers.comparison import tiny_options
 
 
 @pytest.fixture(autouse=True)
@@ -19,9 +20,9 @@ def at_home(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def request_for(tmp_path: Path, make_options):
+def request_for(tmp_path: Path):
     def make(scene: Path) -> dict[str, str | None]:
-        config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+        config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
         return {
             "scene": str(scene), "folder": str(tmp_path / "run"), "config": to_text(config),
             "device": "cpu", "lpips_weights": None,

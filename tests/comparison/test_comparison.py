@@ -21,6 +21,7 @@ from mrgs.comparison.single import run_one
 from mrgs.errors import MrgsError
 from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train
+from tests.helpers.comparison import tiny_options
 
 
 @pytest.fixture
@@ -73,10 +74,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return methods
 
 
-def test_two_methods_on_two_scenes_with_two_seeds(
-    here, opened, small_scene, twin, tmp_path, make_options
-):
-    options = make_options(seeds=2, methods=("mrgs-fourier", "mrgs"))
+def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twin, tmp_path):
+    options = tiny_options(seeds=2, methods=("mrgs-fourier", "mrgs"))
     said: list[str] = []
     result = compare([small_scene, twin], tmp_path / "out", options, say=said.append)
     assert len(here) == 8
@@ -104,17 +103,17 @@ def test_two_methods_on_two_scenes_with_two_seeds(
     assert opened == ["mrgs-fourier", "mrgs"] * 2
 
 
-def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path, make_options):
-    first = compare([small_scene], tmp_path / "out", make_options(methods=("3dgs-rgbt",)))
+def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path):
+    first = compare([small_scene], tmp_path / "out", tiny_options(methods=("3dgs-rgbt",)))
     said: list[str] = []
-    second = compare([small_scene], tmp_path / "out", make_options(), say=said.append)
+    second = compare([small_scene], tmp_path / "out", tiny_options(), say=said.append)
     assert here == ["balls, 3dgs-rgbt, seed 0", "balls, mrgs, seed 0"]
     assert said == ["2 runs, 1 of them scored already"]
     assert second.tables[0].rows[0].cells == first.tables[0].rows[0].cells
 
 
-def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path, make_options):
-    options = make_options(methods=("3dgs-rgbt",))
+def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path):
+    options = tiny_options(methods=("3dgs-rgbt",))
     (job,) = plan([small_scene], tmp_path / "out", options)
     train(small_scene, job.folder, job.config, stop_at=2)
     result = compare([small_scene], tmp_path / "out", options)
@@ -123,11 +122,11 @@ def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path, make_o
 
 
 def test_a_run_that_fails_leaves_a_dash_with_its_reason(
-    here, small_scene, twin, tmp_path, make_options, monkeypatch
+    here, small_scene, twin, tmp_path, monkeypatch
 ):
     for path in (twin / "images").glob("*train_00003*"):
         path.write_bytes(path.read_bytes()[:200])
-    options = make_options(methods=("3dgs-rgbt",), max_steps=20)
+    options = tiny_options(methods=("3dgs-rgbt",), max_steps=20)
     result = compare([small_scene, twin], tmp_path / "out", options)
     assert list(result.failures) == ["twin, 3dgs-rgbt, seed 0"]
     text = read(tmp_path / "out" / "tables" / "thermal.md")
@@ -136,14 +135,14 @@ def test_a_run_that_fails_leaves_a_dash_with_its_reason(
     assert (tmp_path / "out" / "figures" / "qualitative.png").is_file()
 
 
-def test_renders_of_another_program_stand_in_the_tables(here, small_scene, tmp_path, make_options):
+def test_renders_of_another_program_stand_in_the_tables(here, small_scene, tmp_path):
     for kind, source in (("rgb", "images"), ("thermal", "thermal")):
         shutil.copytree(
             small_scene / source,
             tmp_path / "other" / "balls" / kind,
             ignore=shutil.ignore_patterns("*train*"),
         )
-    options = make_options(methods=("3dgs-rgbt",))
+    options = tiny_options(methods=("3dgs-rgbt",))
     result = compare(
         [small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"}
     )
@@ -156,8 +155,8 @@ def test_renders_of_another_program_stand_in_the_tables(here, small_scene, tmp_p
         assert figure.width > 900
 
 
-def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path, make_options):
-    options = make_options(methods=("3dgs-rgbt",))
+def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path):
+    options = tiny_options(methods=("3dgs-rgbt",))
     result = compare(
         [small_scene], tmp_path / "out", options, renders={"Other": tmp_path / "other"}
     )
@@ -165,8 +164,8 @@ def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path, make
     assert "is not a folder" in result.failures["balls, Other"]
 
 
-def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_path, make_options):
-    options = make_options(methods=("3dgs-rgbt",))
+def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_path):
+    options = tiny_options(methods=("3dgs-rgbt",))
     compare([twin], tmp_path / "out", options)
     for kind, source in (("rgb", "images"), ("thermal", "thermal")):
         shutil.copytree(
@@ -183,25 +182,25 @@ def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_pa
     assert files_in(tmp_path / "out" / "figures") == set()  # no photo to show
 
 
-def test_the_neighbours_alone_have_no_figure(here, opened, small_scene, tmp_path, make_options):
-    result = compare([small_scene], tmp_path / "out", make_options(methods=(), neighbours=(1, 3)))
+def test_the_neighbours_alone_have_no_figure(here, opened, small_scene, tmp_path):
+    result = compare([small_scene], tmp_path / "out", tiny_options(methods=(), neighbours=(1, 3)))
     assert [table.name for table in result.tables] == ["neighbours"]
     assert not (tmp_path / "out" / "figures").exists()
     assert opened == []
 
 
 def test_a_method_of_the_neighbours_may_stand_in_the_depth_figure(
-    here, opened, small_scene, tmp_path, make_options
+    here, opened, small_scene, tmp_path
 ):
     compare(
-        [small_scene], tmp_path / "out", make_options(methods=("mrgs-fourier",), neighbours=(1, 3))
+        [small_scene], tmp_path / "out", tiny_options(methods=("mrgs-fourier",), neighbours=(1, 3))
     )
     assert files_in(tmp_path / "out" / "figures") == {"qualitative.png", "depth.png"}
     assert opened == ["mrgs-fourier", "mrgs"]
 
 
 def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(
-    here, small_scene, tmp_path, make_options, monkeypatch
+    here, small_scene, tmp_path, monkeypatch
 ):
     do_all = comparison.run_jobs
 
@@ -212,31 +211,29 @@ def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(
         )
 
     monkeypatch.setattr(comparison, "run_jobs", run_jobs)
-    options = make_options(methods=("3dgs-rgbt",), neighbours=(1,))
+    options = tiny_options(methods=("3dgs-rgbt",), neighbours=(1,))
     result = compare([small_scene], tmp_path / "out", options)
     assert list(result.failures) == ["balls, 3dgs-rgbt, seed 0"]
     assert not (tmp_path / "out" / "figures").exists()
 
 
-def test_tables_and_figures_of_an_earlier_call_are_removed(
-    here, small_scene, tmp_path, make_options
-):
+def test_tables_and_figures_of_an_earlier_call_are_removed(here, small_scene, tmp_path):
     out = tmp_path / "out"
-    compare([small_scene], out, make_options(methods=("mrgs-fourier", "mrgs")))
+    compare([small_scene], out, tiny_options(methods=("mrgs-fourier", "mrgs")))
     for folder in ("tables", "figures"):
         (out / folder / "notes.txt").write_text("mine")
-    compare([small_scene], out, make_options(methods=("mrgs",)))
+    compare([small_scene], out, tiny_options(methods=("mrgs",)))
     assert {path.split(".")[0] for path in files_in(out / "tables")} == {"thermal", "rgb", "notes"}
     assert files_in(out / "figures") == {"qualitative.png", "notes.txt"}
 
 
-def test_a_method_named_twice_has_one_row(here, small_scene, tmp_path, make_options):
-    result = compare([small_scene], tmp_path / "out", make_options(methods=("mrgs", "mrgs")))
+def test_a_method_named_twice_has_one_row(here, small_scene, tmp_path):
+    result = compare([small_scene], tmp_path / "out", tiny_options(methods=("mrgs", "mrgs")))
     assert [[row.labels for row in table.rows] for table in result.tables] == [[("mrgs",)]] * 2
 
 
-def test_scores_of_an_older_version_are_renewed(here, small_scene, tmp_path, make_options):
-    options = make_options(methods=("3dgs-rgbt",))
+def test_scores_of_an_older_version_are_renewed(here, small_scene, tmp_path):
+    options = tiny_options(methods=("3dgs-rgbt",))
     compare([small_scene], tmp_path / "out", options)
     path = tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0" / "eval" / "metrics.json"
     older = json.loads(read(path))
@@ -252,10 +249,8 @@ def test_scores_of_an_older_version_are_renewed(here, small_scene, tmp_path, mak
     )
 
 
-def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(
-    here, small_scene, tmp_path, make_options
-):
-    options = make_options(methods=("3dgs-rgbt",))
+def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_scene, tmp_path):
+    options = tiny_options(methods=("3dgs-rgbt",))
     compare([small_scene], tmp_path / "out", options)
     shutil.rmtree(tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0" / "checkpoints")
     result = compare([small_scene], tmp_path / "out", options)
@@ -281,28 +276,28 @@ def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(
         ),
     ],
 )
-def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_path, make_options):
+def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_path):
     with pytest.raises(MrgsError, match=message):
-        compare([small_scene], tmp_path / "out", make_options(), **arguments)
+        compare([small_scene], tmp_path / "out", tiny_options(), **arguments)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path, make_options):
+def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path):
     few = Variant("few", "mrgs", "densification: {max_gaussians: 30}", "few.yaml")
     result = compare(
-        [small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few,))
+        [small_scene], tmp_path / "out", tiny_options(methods=("mrgs",), variants=(few,))
     )
     assert [row.labels for row in result.tables[0].rows] == [("mrgs",), ("few",)]
     with pytest.raises(MrgsError, match="--variants few: a method has this name already"):
         compare(
-            [small_scene], tmp_path / "out", make_options(methods=("mrgs",), variants=(few, few))
+            [small_scene], tmp_path / "out", tiny_options(methods=("mrgs",), variants=(few, few))
         )
 
 
-def test_in_a_process_of_its_own(small_scene, tmp_path, make_options):
+def test_in_a_process_of_its_own(small_scene, tmp_path):
     said: list[str] = []
     result = compare(
-        [small_scene], tmp_path / "out", make_options(methods=("3dgs-rgbt",)), say=said.append
+        [small_scene], tmp_path / "out", tiny_options(methods=("3dgs-rgbt",)), say=said.append
     )
     assert result.failures == {}
     assert said[0] == "1 runs, 0 of them scored already"

@@ -6,6 +6,7 @@ from mrgs.comparison.methods import Variant, configure, from_text, read_config, 
 from mrgs.comparison.single import flat
 from mrgs.errors import ConfigError
 from mrgs.training.run_folder import RunFolder
+from tests.helpers.comparison import tiny_options
 
 
 def changes(variant, options):
@@ -18,19 +19,19 @@ def changes(variant, options):
     return {name: other[name] for name in usual if usual[name] != other[name]}
 
 
-def test_a_variant_differs_from_its_method_by_what_its_text_says(make_options):
+def test_a_variant_differs_from_its_method_by_what_its_text_says():
     text = "{method: mrgs, seed: 7, densification: {max_gaussians: 90}, field: {neighbours_n: 5}}"
     variant = Variant.from_text("wide", text, "wide.yaml")
     assert (variant.name, variant.method) == ("wide", "mrgs")
-    assert changes(variant, make_options()) == {
+    assert changes(variant, tiny_options()) == {
         "densification.max_gaussians": 90,
         "field.neighbours_n": 5,
     }
 
 
-def test_a_variant_of_thermonerf(make_options):
+def test_a_variant_of_thermonerf():
     variant = Variant.from_text("few rays", "{method: thermonerf, rays_per_batch: 64}", "few.yaml")
-    assert changes(variant, make_options()) == {"rays_per_batch": 64}
+    assert changes(variant, tiny_options()) == {"rays_per_batch": 64}
 
 
 @pytest.mark.parametrize("text", ["3", "{seed: 1}", "{method: 3}"])
@@ -41,38 +42,36 @@ def test_a_variant_names_its_method(text):
         Variant.from_text("wide", text, "wide.yaml")
 
 
-def test_a_misspelt_value_of_a_variant(make_options):
+def test_a_misspelt_value_of_a_variant():
     with pytest.raises(ConfigError, match=r"wide.yaml: there is no field 'sed'"):
         configure(
-            Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), make_options(), 0
+            Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), tiny_options(), 0
         )
 
 
 @pytest.mark.parametrize("method", ["mrgs", "thermonerf"])
-def test_a_variant_has_the_resolution_of_all(method, make_options):
+def test_a_variant_has_the_resolution_of_all(method):
     variant = Variant.from_text("small", f"{{method: {method}, resolution: 20}}", "small.yaml")
     for resolution in (None, 30):
         with pytest.raises(
             ConfigError,
             match=r"^small.yaml has a resolution of its own, but all runs are compared at",
         ):
-            configure(variant, make_options(resolution=resolution), 0)
-    assert configure(variant, make_options(resolution=20), 0).resolution == 20
+            configure(variant, tiny_options(resolution=resolution), 0)
+    assert configure(variant, tiny_options(resolution=20), 0).resolution == 20
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt", "thermonerf"])
-def test_a_configuration_survives_its_text(method, make_options):
-    config = configure(Variant(method, method), make_options(), 1)
+def test_a_configuration_survives_its_text(method):
+    config = configure(Variant(method, method), tiny_options(), 1)
     assert from_text(to_text(config)) == config
     with pytest.raises(ConfigError, match="the request must hold the fields of a configuration"):
         from_text("3")
 
 
 @pytest.mark.parametrize("method", ["3dgs-rgbt", "thermonerf"])
-def test_every_method_is_trained_continued_and_read_back(
-    method, small_scene, tmp_path, make_options
-):
-    config = configure(Variant(method, method), make_options(), 0)
+def test_every_method_is_trained_continued_and_read_back(method, small_scene, tmp_path):
+    config = configure(Variant(method, method), tiny_options(), 0)
     train_run(small_scene, tmp_path, config, lambda statistics: statistics.step == 2)
     steps = []
     train_run(small_scene, tmp_path, config, lambda statistics: steps.append(statistics.step))

@@ -9,13 +9,15 @@ from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import neighbour_methods, plan
 from mrgs.errors import ConfigError, SceneError
 from mrgs.training import train
+from tests.helpers.comparison import tiny_options
+from tests.helpers.scenes import write_scene
 
 
-def test_every_seed_is_done_for_all_before_the_next(
-    small_scene, make_scene, tmp_path, make_options
-):
+def test_every_seed_is_done_for_all_before_the_next(small_scene, tmp_path):
     jobs = plan(
-        [small_scene, make_scene()], tmp_path / "out", make_options(seeds=2, neighbours=(1, 3))
+        [small_scene, write_scene(tmp_path / "scene")],
+        tmp_path / "out",
+        tiny_options(seeds=2, neighbours=(1, 3)),
     )
     assert [str(job) for job in jobs[:4]] == [
         "balls, 3dgs-rgbt, seed "
@@ -26,27 +28,27 @@ def test_every_seed_is_done_for_all_before_the_next(
     assert (jobs[-1].config.seed, jobs[-1].config.field.neighbours_n) == (1, 1)
 
 
-def test_mrgs_itself_stands_for_its_own_number_of_neighbours(make_options):
-    assert neighbour_methods(make_options(neighbours=(1, 3, 5))) == {
+def test_mrgs_itself_stands_for_its_own_number_of_neighbours():
+    assert neighbour_methods(tiny_options(neighbours=(1, 3, 5))) == {
         1: "mrgs-n1",
         3: "mrgs",
         5: "mrgs-n5",
     }
 
 
-def test_variants_come_between_the_methods_and_the_neighbours(small_scene, tmp_path, make_options):
+def test_variants_come_between_the_methods_and_the_neighbours(small_scene, tmp_path):
     variant = Variant("half", "mrgs", "densification: {max_gaussians: 30}", "half.yaml")
     jobs = plan(
         [small_scene],
         tmp_path,
-        make_options(methods=("mrgs",), variants=(variant,), neighbours=(1,)),
+        tiny_options(methods=("mrgs",), variants=(variant,), neighbours=(1,)),
     )
     assert [job.method for job in jobs] == ["mrgs", "half", "mrgs-n1"]
     assert [job.config.densification.max_gaussians for job in jobs] == [60, 30, 60]
 
 
-def test_the_neighbours_alone_need_no_method(small_scene, tmp_path, make_options):
-    jobs = plan([small_scene], tmp_path, make_options(methods=(), neighbours=(1, 3)))
+def test_the_neighbours_alone_need_no_method(small_scene, tmp_path):
+    jobs = plan([small_scene], tmp_path, tiny_options(methods=(), neighbours=(1, 3)))
     assert [job.method for job in jobs] == ["mrgs-n1", "mrgs"]
 
 
@@ -60,55 +62,53 @@ def test_the_neighbours_alone_need_no_method(small_scene, tmp_path, make_options
         ({"neighbours": (0,)}, "neighbours_n must be 1 or more"),
     ],
 )
-def test_options_that_are_not_allowed(changes, message, small_scene, tmp_path, make_options):
+def test_options_that_are_not_allowed(changes, message, small_scene, tmp_path):
     with pytest.raises(ConfigError, match=message):
-        plan([small_scene], tmp_path / "out", make_options(**changes))
+        plan([small_scene], tmp_path / "out", tiny_options(**changes))
     assert not (tmp_path / "out").exists()
 
 
-def test_at_least_one_scene(tmp_path, make_options):
+def test_at_least_one_scene(tmp_path):
     with pytest.raises(ConfigError, match="nothing to compare: name at least one scene"):
-        plan([], tmp_path, make_options())
+        plan([], tmp_path, tiny_options())
 
 
-def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path, make_options):
+def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path):
     twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
     with pytest.raises(
         ConfigError, match=rf"balls and .*{twin.parent.name}/balls have the same name: rename one"
     ):
-        plan([small_scene, twin], tmp_path / "out", make_options())
-    assert len(plan([small_scene, small_scene], tmp_path / "out", make_options())) == 2
+        plan([small_scene, twin], tmp_path / "out", tiny_options())
+    assert len(plan([small_scene, small_scene], tmp_path / "out", tiny_options())) == 2
 
 
-def test_a_name_stands_for_one_folder_over_time(small_scene, tmp_path, make_options):
+def test_a_name_stands_for_one_folder_over_time(small_scene, tmp_path):
     twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
-    plan([small_scene], tmp_path / "out", make_options())
+    plan([small_scene], tmp_path / "out", tiny_options())
     with pytest.raises(
         ConfigError,
         match=r"out holds runs of .*balls under the name balls: choose another --output",
     ):
-        plan([twin], tmp_path / "out", make_options())
+        plan([twin], tmp_path / "out", tiny_options())
     (tmp_path / "out" / "scenes.json").write_text("[1]")
     with pytest.raises(
         ConfigError,
         match=r"scenes\.json cannot be read: choose another --output, or remove the file",
     ):
-        plan([small_scene], tmp_path / "out", make_options())
+        plan([small_scene], tmp_path / "out", tiny_options())
 
 
-def test_a_scene_without_held_out_views(make_scene, tmp_path, make_options):
-    scene = make_scene()
+def test_a_scene_without_held_out_views(tmp_path):
+    scene = write_scene(tmp_path / "scene")
     content = json.loads((scene / "transforms.json").read_text())
     content["train_filenames"] = [frame["file_path"] for frame in content["frames"]]
     (scene / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(SceneError, match="no views are held out, so there is nothing to score"):
-        plan([scene], tmp_path, make_options())
+        plan([scene], tmp_path, tiny_options())
 
 
-def test_a_folder_with_another_run_is_found_before_anything_runs(
-    small_scene, tmp_path, make_options
-):
-    options = make_options(methods=("3dgs-rgbt",))
+def test_a_folder_with_another_run_is_found_before_anything_runs(small_scene, tmp_path):
+    options = tiny_options(methods=("3dgs-rgbt",))
     (job,) = plan([small_scene], tmp_path, options)
     train(small_scene, job.folder, job.config)
     plan([small_scene], tmp_path, options)
@@ -116,4 +116,4 @@ def test_a_folder_with_another_run_is_found_before_anything_runs(
         ConfigError,
         match=r"seed_0 holds a run with another configuration \(max_steps is 3 there and",
     ):
-        plan([small_scene], tmp_path, make_options(methods=("3dgs-rgbt",), max_steps=4))
+        plan([small_scene], tmp_path, tiny_options(methods=("3dgs-rgbt",), max_steps=4))

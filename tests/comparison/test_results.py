@@ -6,12 +6,13 @@ import pytest
 
 from mrgs.comparison.results import KINDS, failed, outcome, over_scenes, over_seeds
 from mrgs.evaluation.figures import Missing
+from tests.helpers.comparison import metrics_document
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
 
 
-def test_figures_of_a_document(make_document):
-    figures = outcome("board", "mrgs", 0, make_document(31.5, truth=TRUTH)).figures
+def test_figures_of_a_document():
+    figures = outcome("board", "mrgs", 0, metrics_document(31.5, truth=TRUTH)).figures
     assert tuple(figures) == tuple(KINDS)
     assert figures["thermal.psnr"] == 31.5
     assert (figures["thermal.psnr_matched"], figures["rgb.psnr_matched"]) == (32.5, 24.5)
@@ -21,18 +22,18 @@ def test_figures_of_a_document(make_document):
     assert figures["truth.depth_percent"] == pytest.approx(1.5)
 
 
-def test_a_missing_figure_keeps_the_reason_of_the_document(make_document):
-    figures = outcome("board", "mrgs", 0, make_document()).figures
+def test_a_missing_figure_keeps_the_reason_of_the_document():
+    figures = outcome("board", "mrgs", 0, metrics_document()).figures
     assert figures["rgb.lpips"] == Missing("no weights")
     assert figures["truth.ratio"] == Missing("the scene has no exact truth")
 
 
-def test_a_ratio_needs_both_of_its_figures(make_document):
-    document = make_document(
+def test_a_ratio_needs_both_of_its_figures():
+    document = metrics_document(
         truth=TRUTH | {"mae_c": None}, reasons={"truth.mae_c": "no thermal image"}
     )
     assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing("no thermal image")
-    document = make_document(truth=TRUTH | {"camera_mae_c": 0.0})
+    document = metrics_document(truth=TRUTH | {"camera_mae_c": 0.0})
     assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing(
         "the camera makes no error"
     )

@@ -11,10 +11,11 @@ from mrgs.comparison.single import is_scored, require_same_config, run_one
 from mrgs.errors import ConfigError
 from mrgs.training import make_config, train
 from mrgs.training.run_folder import RunFolder
+from tests.helpers.comparison import tiny_options
 
 
-def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path, make_options):
-    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
     assert not is_scored(tmp_path / "run", config, with_lpips=False)
     scored = []
     assert run_one(
@@ -31,8 +32,8 @@ def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path, make
     assert steps == []
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path, make_options):
-    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
     assert not run_one(
         small_scene, tmp_path / "cut", config, on_step=lambda statistics: statistics.step == 2
     )
@@ -53,8 +54,8 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path, 
     assert means[0] == means[1]
 
 
-def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path, make_options):
-    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
     run_one(small_scene, tmp_path, config)
     path = tmp_path / "eval" / "metrics.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"steps": 2}))
@@ -64,10 +65,8 @@ def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path, make_opti
 
 
 @pytest.mark.parametrize("group", ["thermal", "rgb"])
-def test_scores_that_lack_a_figure_are_renewed_without_training(
-    group, small_scene, tmp_path, make_options
-):
-    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+def test_scores_that_lack_a_figure_are_renewed_without_training(group, small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
     run_one(small_scene, tmp_path, config)
     path = tmp_path / "eval" / "metrics.json"
     whole = path.read_text()
@@ -81,10 +80,8 @@ def test_scores_that_lack_a_figure_are_renewed_without_training(
     assert is_scored(tmp_path, config, with_lpips=False)
 
 
-def test_scores_that_lack_a_figure_count_where_the_checkpoint_is_gone(
-    small_scene, tmp_path, make_options
-):
-    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), make_options(), 0)
+def test_scores_that_lack_a_figure_count_where_the_checkpoint_is_gone(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
     run_one(small_scene, tmp_path, config)
     (tmp_path / "eval" / "metrics.json").write_text(
         json.dumps({"steps": 3, "mean": {"thermal": {"psnr": 30.0}}})

@@ -7,6 +7,7 @@ import pytest
 from mrgs.comparison.results import Outcome, failed
 from mrgs.comparison.table import Table
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
+from tests.helpers.comparison import outcome_of
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
 NO_CELSIUS = {
@@ -31,8 +32,8 @@ def labels(table: Table) -> list[tuple[str, ...]]:
     return [row.labels for row in table.rows]
 
 
-def test_thermal_and_rgb_tables_have_a_mean_over_scenes(make_outcome):
-    runs = [make_outcome(scene, "mrgs", psnr=psnr) for scene, psnr in (("a", 30.0), ("b", 34.0))]
+def test_thermal_and_rgb_tables_have_a_mean_over_scenes():
+    runs = [outcome_of(scene, "mrgs", psnr=psnr) for scene, psnr in (("a", 30.0), ("b", 34.0))]
     tables = tables_of(gathered(*runs))
     assert set(tables) == {"thermal", "rgb"}
     thermal = tables["thermal"]
@@ -43,21 +44,21 @@ def test_thermal_and_rgb_tables_have_a_mean_over_scenes(make_outcome):
     assert tables["rgb"].rows[0].cells[0].mean == pytest.approx(22.0)
 
 
-def test_one_scene_has_no_mean(make_outcome):
+def test_one_scene_has_no_mean():
     assert [
-        group.heading for group in tables_of(gathered(make_outcome("a", "mrgs")))["thermal"].groups
+        group.heading for group in tables_of(gathered(outcome_of("a", "mrgs")))["thermal"].groups
     ] == ["a"]
 
 
-def test_a_mean_leaves_out_scenes_where_no_method_has_the_figure(make_outcome):
-    runs = [make_outcome("a", "mrgs"), make_outcome("b", "mrgs", mean=NO_CELSIUS)]
+def test_a_mean_leaves_out_scenes_where_no_method_has_the_figure():
+    runs = [outcome_of("a", "mrgs"), outcome_of("b", "mrgs", mean=NO_CELSIUS)]
     thermal = tables_of(gathered(*runs))["thermal"]
     assert thermal.rows[0].cells[-2].mean == 0.5
     assert "The mean MAE leaves out b, which has none." in thermal.remarks
 
 
-def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae(make_outcome):
-    runs = [make_outcome("a", "mrgs"), make_outcome("b", "mrgs", mean=NO_CELSIUS)]
+def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae():
+    runs = [outcome_of("a", "mrgs"), outcome_of("b", "mrgs", mean=NO_CELSIUS)]
     thermal = tables_of(gathered(*runs))["thermal"]
     paper = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
     without = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
@@ -68,24 +69,24 @@ def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae(make_o
     assert any(
         remark.startswith("PSNR matched, for scenes without °C: ") for remark in thermal.remarks
     )
-    alone = [make_outcome(scene, "mrgs", mean=NO_CELSIUS) for scene in "bc"]
+    alone = [outcome_of(scene, "mrgs", mean=NO_CELSIUS) for scene in "bc"]
     assert [group.figures for group in tables_of(gathered(*alone))["thermal"].groups] == [
         without
     ] * 3
 
 
-def test_scenes_with_celsius_and_scenes_without_figures_have_the_papers_columns(make_outcome):
-    runs = [make_outcome("a", "mrgs"), failed("b", "mrgs", 0, "crash")]
+def test_scenes_with_celsius_and_scenes_without_figures_have_the_papers_columns():
+    runs = [outcome_of("a", "mrgs"), failed("b", "mrgs", 0, "crash")]
     thermal = tables_of(gathered(*runs))["thermal"]
     assert [group.figures[2] for group in thermal.groups] == ["thermal.mae_c"] * 3
     assert not any(remark.startswith("PSNR matched") for remark in thermal.remarks)
 
 
-def test_a_method_whose_run_failed_has_no_mean(make_outcome):
+def test_a_method_whose_run_failed_has_no_mean():
     runs = [
-        make_outcome("a", "mrgs"),
-        make_outcome("a", "x"),
-        make_outcome("b", "mrgs"),
+        outcome_of("a", "mrgs"),
+        outcome_of("a", "x"),
+        outcome_of("b", "mrgs"),
         failed("b", "x", 0, "crash"),
     ]
     mrgs, x = tables_of(gathered(*runs))["thermal"].rows
@@ -94,9 +95,9 @@ def test_a_method_whose_run_failed_has_no_mean(make_outcome):
     assert x.cells[8].note == "no mean, because the figure is missing for b"
 
 
-def test_the_ablation_checks_what_each_method_has(make_outcome):
+def test_the_ablation_checks_what_each_method_has():
     names = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
-    table = tables_of(gathered(*(make_outcome("a", name) for name in names)))["ablation"]
+    table = tables_of(gathered(*(outcome_of("a", name) for name in names)))["ablation"]
     assert labels(table) == [
         ("a", "✓", "", "", ""),
         ("a", "", "✓", "", ""),
@@ -106,25 +107,25 @@ def test_the_ablation_checks_what_each_method_has(make_outcome):
     ]
 
 
-def test_the_neighbours_have_minutes_and_stay_out_of_the_other_tables(make_outcome):
-    runs = [make_outcome("a", method) for method in ("mrgs", "mrgs-n1", "mrgs-n5")]
+def test_the_neighbours_have_minutes_and_stay_out_of_the_other_tables():
+    runs = [outcome_of("a", method) for method in ("mrgs", "mrgs-n1", "mrgs-n5")]
     tables = tables_of(gathered(*runs, neighbours={5: "mrgs-n5", 1: "mrgs-n1", 3: "mrgs"}))
     assert labels(tables["neighbours"]) == [("a", "n = 1"), ("a", "n = 3"), ("a", "n = 5")]
     assert tables["neighbours"].rows[0].cells[-1].mean == pytest.approx(1.5)
     assert labels(tables["thermal"]) == [("mrgs",)]
 
 
-def test_the_table_of_exact_truth_shows_only_scenes_that_have_it(make_outcome):
-    runs = [make_outcome("real", "mrgs"), make_outcome("generated", "mrgs", truth=TRUTH)]
+def test_the_table_of_exact_truth_shows_only_scenes_that_have_it():
+    runs = [outcome_of("real", "mrgs"), outcome_of("generated", "mrgs", truth=TRUTH)]
     table = tables_of(gathered(*runs))["truth"]
     assert [group.heading for group in table.groups] == ["generated"]
     assert [cell.mean for cell in table.rows[0].cells] == pytest.approx([0.2, 0.4, 0.5, 1.5])
 
 
-def test_a_scene_with_exact_depths_alone_is_in_the_table_of_exact_truth(make_outcome):
+def test_a_scene_with_exact_depths_alone_is_in_the_table_of_exact_truth():
     depth_alone = {"mae_c": None, "camera_mae_c": None, "depth_median_relative_error": 0.025}
-    runs = [make_outcome("real", "mrgs"), make_outcome("generated", "mrgs", truth=TRUTH)]
-    runs.append(make_outcome("lidar", "mrgs", truth=depth_alone, reasons={"truth.mae_c": "no °C"}))
+    runs = [outcome_of("real", "mrgs"), outcome_of("generated", "mrgs", truth=TRUTH)]
+    runs.append(outcome_of("lidar", "mrgs", truth=depth_alone, reasons={"truth.mae_c": "no °C"}))
     table = tables_of(gathered(*runs))["truth"]
     assert [group.heading for group in table.groups] == ["generated", "lidar", "mean"]
     cells = table.rows[0].cells
@@ -136,15 +137,15 @@ def test_a_scene_with_exact_depths_alone_is_in_the_table_of_exact_truth(make_out
     )
 
 
-def test_the_names_of_all_tables_are_known(make_outcome):
-    runs = [make_outcome("a", method, truth=TRUTH) for method in ("3dgs-rgbt", "mrgs", "mrgs-n1")]
+def test_the_names_of_all_tables_are_known():
+    runs = [outcome_of("a", method, truth=TRUTH) for method in ("3dgs-rgbt", "mrgs", "mrgs-n1")]
     assert set(tables_of(gathered(*runs, neighbours={1: "mrgs-n1"}))) == set(NAMES)
 
 
-def test_the_papers_figures_stand_beside_ours_on_its_scenes(make_outcome):
+def test_the_papers_figures_stand_beside_ours_on_its_scenes():
     methods = ("3dgs-rgbt", "mrgs", "mrgs-n1")
     runs = [
-        make_outcome(scene, method)
+        outcome_of(scene, method)
         for scene in ("buildingA_winter", "heater_water_cup")
         for method in methods
     ]
@@ -173,14 +174,14 @@ def test_the_papers_figures_stand_beside_ours_on_its_scenes(make_outcome):
     ]
 
 
-def test_other_scenes_have_no_rows_of_the_paper(make_outcome):
+def test_other_scenes_have_no_rows_of_the_paper():
     assert not any(
         row.published
-        for table in all_tables(gathered(make_outcome("a", "mrgs")))
+        for table in all_tables(gathered(outcome_of("a", "mrgs")))
         for row in table.rows
     )
 
 
-def test_a_method_without_outcomes_was_not_run(make_outcome):
-    outcomes = replace(gathered(make_outcome("a", "mrgs")), methods=("mrgs", "mrgs-plus"))
+def test_a_method_without_outcomes_was_not_run():
+    outcomes = replace(gathered(outcome_of("a", "mrgs")), methods=("mrgs", "mrgs-plus"))
     assert tables_of(outcomes)["thermal"].rows[1].cells[0].note == "not run"

@@ -14,9 +14,9 @@ from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
 from mrgs.render import Rendering
 from mrgs.scene import Reach, TemperatureRange, View, spread
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error
 
 FACTS = RunFacts("mrgs", "board", 1200, 41_000, 63.5, None, "cpu")
-MakeView = Callable[..., View]
 Render = Callable[[View], Rendering]
 
 
@@ -36,31 +36,27 @@ def draw(views: list[View], render: Render, temperature: TemperatureRange | None
     return np.asarray(contact_sheet(rows, FACTS, metrics, temperature))
 
 
-def test_a_column_per_image_and_a_row_per_view(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    one = draw([make_view("a")], render_with_error, celsius)
-    two = draw([make_view("a"), make_view("b")], render_with_error, celsius)
+def test_a_column_per_image_and_a_row_per_view() -> None:
+    one = draw([ramp_view("a")], render_with_error, CELSIUS)
+    two = draw([ramp_view("a"), ramp_view("b")], render_with_error, CELSIUS)
     assert two.shape[1] == one.shape[1] > 6 * CELL_PX
     assert two.shape[0] - one.shape[0] > CELL_PX * 3 // 4
-    thermal_only = draw([make_view("a", rgb=False)], render_with_error, celsius)
+    thermal_only = draw([ramp_view("a", rgb=False)], render_with_error, CELSIUS)
     assert 4 * CELL_PX < thermal_only.shape[1] < 5 * CELL_PX
 
 
-def test_a_model_without_depth_has_no_depth_column(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    full = draw([make_view()], render_with_error, celsius)
+def test_a_model_without_depth_has_no_depth_column() -> None:
+    full = draw([ramp_view()], render_with_error, CELSIUS)
     shallow = draw(
-        [make_view()],
+        [ramp_view()],
         lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None),
-        celsius,
+        CELSIUS,
     )
     assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
 
 
-def test_the_background_is_infinitely_far(make_view: MakeView, render_with_error: Render) -> None:
-    view = make_view()
+def test_the_background_is_infinitely_far() -> None:
+    view = ramp_view()
     rendering = render_with_error(view)
     rendering.depth_rgb[:5] = 900.0
     ball = Reach(view.rgb.camera.position, 10.0)
@@ -101,53 +97,45 @@ def test_each_modality_has_its_worst_view() -> None:
     assert shown_of(thermal, rgb) == sorted({*spread(13), 4, 7})
 
 
-def test_the_error_changes_the_picture(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    rows, metrics = rows_of([make_view()], render_with_error, celsius)
+def test_the_error_changes_the_picture() -> None:
+    rows, metrics = rows_of([ramp_view()], render_with_error, CELSIUS)
     rows[0].thermal[2, 2] -= 1.5
-    sheets = [np.asarray(contact_sheet(rows, FACTS, metrics, celsius)) for _ in range(2)]
+    sheets = [np.asarray(contact_sheet(rows, FACTS, metrics, CELSIUS)) for _ in range(2)]
     np.testing.assert_array_equal(*sheets)
     spoiled = replace(rows[0], thermal=rows[0].thermal + np.linspace(-1, 0, 24, dtype=np.float32))
-    assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, celsius))).any(
+    assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, CELSIUS))).any(
         axis=2
     ).sum() > 1000
 
 
-def test_rows_hold_celsius_and_mark_invalid_pixels(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
+def test_rows_hold_celsius_and_mark_invalid_pixels() -> None:
     valid = torch.ones(18, 24, dtype=torch.bool)
     valid[0, 0] = False
-    rows, _ = rows_of([make_view(valid=valid)], render_with_error, celsius)
+    rows, _ = rows_of([ramp_view(valid=valid)], render_with_error, CELSIUS)
     assert np.isnan(rows[0].measured[0, 0])
     assert rows[0].measured[8, 10] == pytest.approx(26.0, abs=1e-4)
     assert np.nanmax(np.abs(rows[0].error - 1.0)) < 1e-4
 
 
-def test_without_celsius_the_sheet_says_so(make_view: MakeView, render_with_error: Render) -> None:
-    rows, metrics = rows_of([make_view()], render_with_error, None)
+def test_without_celsius_the_sheet_says_so() -> None:
+    rows, metrics = rows_of([ramp_view()], render_with_error, None)
     sheet = np.asarray(contact_sheet(rows, FACTS, metrics, None))
     with_scale = np.asarray(contact_sheet(rows, FACTS, metrics, TemperatureRange(0.0, 1.0)))
     assert sheet.shape == with_scale.shape
     assert not np.array_equal(sheet[-60:], with_scale[-60:])
 
 
-def test_all_views_of_one_temperature_can_be_drawn(
-    make_view: MakeView, celsius: TemperatureRange
-) -> None:
+def test_all_views_of_one_temperature_can_be_drawn() -> None:
     def perfect(view: View) -> Rendering:
         return Rendering(view.rgb.load().values, None, torch.full((18, 24, 1), 0.5), None)
 
-    assert draw([make_view(name="x" * 80)], perfect, celsius).shape[0] > CELL_PX // 2
+    assert draw([ramp_view(name="x" * 80)], perfect, CELSIUS).shape[0] > CELL_PX // 2
 
 
-def test_no_rows_is_a_mistake_of_the_program(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    _, metrics = rows_of([make_view()], render_with_error, celsius)
+def test_no_rows_is_a_mistake_of_the_program() -> None:
+    _, metrics = rows_of([ramp_view()], render_with_error, CELSIUS)
     with pytest.raises(ValueError, match="at least one row"):
-        contact_sheet([], FACTS, metrics, celsius)
+        contact_sheet([], FACTS, metrics, CELSIUS)
 
 
 def test_views_are_spread_evenly() -> None:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,10 +14,8 @@ from mrgs.evaluation.metrics import otsu_threshold
 from mrgs.evaluation.truth import Truth
 from mrgs.pictures.files import write_float_tiff
 from mrgs.render import Rendering
-from mrgs.scene import Camera, TemperatureRange, View
-
-MakeView = Callable[..., View]
-Render = Callable[[View], Rendering]
+from mrgs.scene import Camera, View
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error
 
 
 class ConstantLpips(Lpips):
@@ -37,10 +34,8 @@ def perfect(view: View) -> Rendering:
     return Rendering(rgb, None, thermal, None)
 
 
-def test_known_errors(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    metrics = evaluate([make_view("a"), make_view("b")], render_with_error, celsius)
+def test_known_errors() -> None:
+    metrics = evaluate([ramp_view("a"), ramp_view("b")], render_with_error, CELSIUS)
     assert metrics.rgb["psnr"] == pytest.approx(20.0, abs=1e-3)
     assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
     assert metrics.thermal["mae_c"] == pytest.approx(1.0, abs=1e-5)
@@ -51,8 +46,8 @@ def test_known_errors(
     assert tuple(metrics.rgb) == RGB_FIGURES
 
 
-def test_the_foreground_is_the_warm_square(make_view: MakeView, celsius: TemperatureRange) -> None:
-    view = make_view()
+def test_the_foreground_is_the_warm_square() -> None:
+    view = ramp_view()
     threshold = foreground_threshold([view])
     warm = view.thermal.load().values[..., 0] > threshold
     assert warm.sum() == 7 * 8
@@ -61,15 +56,15 @@ def test_the_foreground_is_the_warm_square(make_view: MakeView, celsius: Tempera
         thermal = view.thermal.load().values + 0.1 * warm[..., None]
         return Rendering(None, None, thermal, None)
 
-    metrics = evaluate([view], warmer_there, celsius)
+    metrics = evaluate([view], warmer_there, CELSIUS)
     assert metrics.thermal["mae_foreground_c"] == pytest.approx(2.0, abs=1e-5)
     assert metrics.thermal["mae_c"] == pytest.approx(2.0 * 56 / (18 * 24), abs=1e-5)
 
 
-def test_the_threshold_is_averaged_over_the_photos(make_view: MakeView) -> None:
+def test_the_threshold_is_averaged_over_the_photos() -> None:
     valid = torch.ones(18, 24, dtype=torch.bool)
     valid[:5] = False
-    views = [make_view("a"), make_view("b", valid=valid), make_view("c", thermal=False)]
+    views = [ramp_view("a"), ramp_view("b", valid=valid), ramp_view("c", thermal=False)]
     each = []
     for view in views[:2]:
         pixels = view.thermal.load()
@@ -78,7 +73,7 @@ def test_the_threshold_is_averaged_over_the_photos(make_view: MakeView) -> None:
     assert foreground_threshold(views) == pytest.approx(sum(each) / 2)
 
 
-def test_masked_pixels_do_not_count(make_view: MakeView, celsius: TemperatureRange) -> None:
+def test_masked_pixels_do_not_count() -> None:
     valid = torch.ones(18, 24, dtype=torch.bool)
     valid[:, :10] = False  # cuts the warm square
 
@@ -87,64 +82,58 @@ def test_masked_pixels_do_not_count(make_view: MakeView, celsius: TemperatureRan
         thermal[~valid] = 9.0
         return Rendering(None, None, thermal, None)
 
-    metrics = evaluate([make_view(valid=valid)], wrong_outside, celsius, ConstantLpips())
+    metrics = evaluate([ramp_view(valid=valid)], wrong_outside, CELSIUS, ConstantLpips())
     assert metrics.thermal["mae_c"] == pytest.approx(1.0, abs=1e-5)
     assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
     assert metrics.thermal["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
     assert metrics.thermal["lpips"] == pytest.approx(0.05 * 14 / 24, abs=1e-6)
 
 
-def test_a_view_without_valid_pixels_has_no_figures(
-    make_view: MakeView, celsius: TemperatureRange
-) -> None:
+def test_a_view_without_valid_pixels_has_no_figures() -> None:
     valid = torch.zeros(18, 24, dtype=torch.bool)
-    metrics = evaluate([make_view(valid=valid)], perfect, celsius)
+    metrics = evaluate([ramp_view(valid=valid)], perfect, CELSIUS)
     assert set(metrics.thermal.values()) == {Missing("no pixel of the photo is valid")}
 
 
-def test_missing_figures_say_why(make_view: MakeView, render_with_error: Render) -> None:
-    metrics = evaluate([make_view()], render_with_error, temperature=None)
+def test_missing_figures_say_why() -> None:
+    metrics = evaluate([ramp_view()], render_with_error, temperature=None)
     assert metrics.thermal["mae_c"] == metrics.thermal["mae_foreground_c"] == Missing(NO_CELSIUS)
     assert metrics.thermal["lpips"] == metrics.rgb["lpips"] == Missing(NO_LPIPS)
 
 
-def test_lpips_of_both_images(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    metrics = evaluate([make_view()], render_with_error, celsius, ConstantLpips())
+def test_lpips_of_both_images() -> None:
+    metrics = evaluate([ramp_view()], render_with_error, CELSIUS, ConstantLpips())
     assert metrics.thermal["lpips"] == pytest.approx(0.05, abs=1e-6)
     assert metrics.rgb["lpips"] == pytest.approx(0.1, abs=1e-2)
 
 
-def test_images_too_small_for_lpips(make_view: MakeView, celsius: TemperatureRange) -> None:
-    view = make_view(rgb=False)
+def test_images_too_small_for_lpips() -> None:
+    view = ramp_view(rgb=False)
     small = View("small", None, type(view.thermal)(view.thermal.camera, lambda: cut))
     pixels = view.thermal.load()
     cut = type(pixels)(pixels.values[:15], None)
-    metrics = evaluate([small], perfect, celsius, ConstantLpips())
+    metrics = evaluate([small], perfect, CELSIUS, ConstantLpips())
     assert metrics.thermal["lpips"] == Missing("the images are smaller than 16 pixels")
 
 
-def test_a_missing_modality(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange
-) -> None:
-    views = [make_view("both"), make_view("only_thermal", rgb=False)]
-    metrics = evaluate(views, render_with_error, celsius)
+def test_a_missing_modality() -> None:
+    views = [ramp_view("both"), ramp_view("only_thermal", rgb=False)]
+    metrics = evaluate(views, render_with_error, CELSIUS)
     assert isinstance(metrics.views[1].rgb["psnr"], Missing)
     assert metrics.rgb["psnr"] == metrics.views[0].rgb["psnr"]
-    alone = evaluate(views[1:], render_with_error, celsius)
+    alone = evaluate(views[1:], render_with_error, CELSIUS)
     assert all(isinstance(figure, Missing) for figure in alone.rgb.values())
 
 
-def test_a_perfect_model_is_infinite(make_view: MakeView, celsius: TemperatureRange) -> None:
-    metrics = evaluate([make_view()], perfect, celsius)
+def test_a_perfect_model_is_infinite() -> None:
+    metrics = evaluate([ramp_view()], perfect, CELSIUS)
     assert metrics.rgb["psnr"] == math.inf
     assert metrics.thermal["mae_c"] == 0.0
 
 
-def test_the_visitor_sees_each_view_once(make_view: MakeView, render_with_error: Render) -> None:
+def test_the_visitor_sees_each_view_once() -> None:
     seen = []
-    views = [make_view("a"), make_view("b")]
+    views = [ramp_view("a"), ramp_view("b")]
     evaluate(
         views,
         render_with_error,
@@ -159,23 +148,21 @@ def test_no_views_is_an_error() -> None:
         evaluate([], perfect, None)
 
 
-def test_a_rendering_of_another_size_is_a_mistake_of_the_program(make_view: MakeView) -> None:
+def test_a_rendering_of_another_size_is_a_mistake_of_the_program() -> None:
     with pytest.raises(ValueError, match="differ in size"):
         evaluate(
-            [make_view()], lambda view: Rendering(torch.zeros(4, 4, 3), None, None, None), None
+            [ramp_view()], lambda view: Rendering(torch.zeros(4, 4, 3), None, None, None), None
         )
 
 
-def test_against_the_truth(
-    make_view: MakeView, render_with_error: Render, celsius: TemperatureRange, tmp_path: Path
-) -> None:
-    view = make_view("a")
-    exact_c = celsius.to_celsius(view.thermal.load().values[..., 0]).numpy() - 0.5
+def test_against_the_truth(tmp_path: Path) -> None:
+    view = ramp_view("a")
+    exact_c = CELSIUS.to_celsius(view.thermal.load().values[..., 0]).numpy() - 0.5
     write_float_tiff(
         tmp_path / "truth" / "temperature" / "a.tiff", exact_c, "temperature, degrees Celsius"
     )
     write_float_tiff(tmp_path / "truth" / "depth" / "a.tiff", exact_c * 0 + 1.6, "depth, metres")
-    metrics = evaluate([view], render_with_error, celsius, truth=Truth.find(tmp_path))
+    metrics = evaluate([view], render_with_error, CELSIUS, truth=Truth.find(tmp_path))
     assert metrics.truth == {
         "mae_c": pytest.approx(1.5, abs=1e-5),
         "camera_mae_c": pytest.approx(0.5, abs=1e-5),
@@ -183,20 +170,18 @@ def test_against_the_truth(
     }
 
 
-def test_photos_are_compared_with_what_the_cameras_would_write(
-    make_view: MakeView, celsius: TemperatureRange
-) -> None:
+def test_photos_are_compared_with_what_the_cameras_would_write() -> None:
     def colder(rendering: Rendering, camera: Camera) -> Rendering:
         assert camera is view.cameras[0]
         return rendering._replace(thermal=rendering.thermal - 0.05)
 
-    view, seen = make_view(), []
+    view, seen = ramp_view(), []
     metrics = evaluate(
         [view],
         perfect,
-        celsius,
+        CELSIUS,
         photograph=colder,
         visit=lambda _, rendering, metrics: seen.append(rendering),
     )
-    assert metrics.thermal["mae_c"] == pytest.approx(0.05 * celsius.span_c, abs=1e-5)
+    assert metrics.thermal["mae_c"] == pytest.approx(0.05 * CELSIUS.span_c, abs=1e-5)
     assert torch.equal(seen[0].thermal, colder(perfect(view), view.cameras[0]).thermal)

@@ -19,6 +19,7 @@ from mrgs.evaluation.renders import evaluate_renders
 from mrgs.pictures.files import write_float_tiff
 from mrgs.runs.open import load_run
 from mrgs.training import make_config, train
+from tests.helpers.scenes import write_scene
 
 NAMES = ("frame_eval_00002", "frame_eval_00006")
 SPAN_C = 20.0
@@ -106,8 +107,8 @@ def test_what_mrgs_renders_scores_as_its_run(small_scene, tmp_path):
     assert metrics.rgb["psnr"] == pytest.approx(ours.rgb["psnr"], abs=0.05)  # 8 bits
 
 
-def test_depth_is_scored_where_the_truth_is_known(make_scene, renders):
-    scene = make_scene()
+def test_depth_is_scored_where_the_truth_is_known(renders, tmp_path):
+    scene = write_scene(tmp_path / "scene")
     for name in NAMES:
         depth = np.full((30, 40), 2.0, np.float32)
         write_float_tiff(scene / "truth" / "depth" / f"{name}.tiff", depth, "depth")
@@ -116,8 +117,8 @@ def test_depth_is_scored_where_the_truth_is_known(make_scene, renders):
     assert metrics.truth["depth_median_relative_error"] == pytest.approx(0.5)
 
 
-def test_a_sky_without_depth_is_no_reason_to_refuse_the_images(make_scene, renders):
-    scene = make_scene()
+def test_a_sky_without_depth_is_no_reason_to_refuse_the_images(renders, tmp_path):
+    scene = write_scene(tmp_path / "scene")
     for name in NAMES:
         depth = np.full((30, 40), 2.0, np.float32)
         write_float_tiff(
@@ -132,8 +133,8 @@ def test_a_sky_without_depth_is_no_reason_to_refuse_the_images(make_scene, rende
     assert metrics.thermal["psnr"] == np.inf
 
 
-def test_a_sky_far_away_is_drawn_as_one_without_depth(make_scene, renders):
-    scene, sheets = make_scene(), []
+def test_a_sky_far_away_is_drawn_as_one_without_depth(renders, tmp_path):
+    scene, sheets = write_scene(tmp_path / "scene"), []
     for far in (np.inf, 1e4):
         for name in NAMES:
             depth = np.tile(np.linspace(2, 3, 40, dtype=np.float32), (30, 1))
@@ -242,8 +243,8 @@ def test_what_cannot_be_scored_is_one_line(
     assert not (renders / "eval").exists()
 
 
-def test_celsius_for_a_scene_without_a_range(make_scene, renders):
-    scene = make_scene()
+def test_celsius_for_a_scene_without_a_range(renders, tmp_path):
+    scene = write_scene(tmp_path / "scene")
     (scene / "temperature_bounds.json").unlink()
     for name in NAMES:
         write_float_tiff(

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +14,18 @@ from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_mark
 from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
 from mrgs.pictures.files import write_float_tiff
 from mrgs.render import Rendering
-from mrgs.scene import TemperatureRange, View
+from mrgs.scene import View
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error
 
 FACTS = RunFacts("mrgs", "a|b", 1200, 41_000, 63.5, None, "cpu")
 
 
 @pytest.fixture
-def metrics(make_view: Callable[..., View], celsius: TemperatureRange, tmp_path: Path) -> Metrics:
+def metrics(tmp_path: Path) -> Metrics:
     """Three views: identical images (infinite PSNR), a rendering with NaN, and one without an RGB
     image."""
-    views = [make_view("perfect"), make_view("broken"), make_view("no_rgb", rgb=False)]
-    exact = celsius.to_celsius(views[0].thermal.load().values[..., 0]).numpy()
+    views = [ramp_view("perfect"), ramp_view("broken"), ramp_view("no_rgb", rgb=False)]
+    exact = CELSIUS.to_celsius(views[0].thermal.load().values[..., 0]).numpy()
     write_float_tiff(
         tmp_path / "truth" / "temperature" / "perfect.tiff", exact, "temperature, degrees Celsius"
     )
@@ -37,7 +37,7 @@ def metrics(make_view: Callable[..., View], celsius: TemperatureRange, tmp_path:
             thermal[0, 0] = torch.nan
         return Rendering(rgb, None, thermal, None)
 
-    return evaluate(views, render, celsius, truth=Truth.find(tmp_path))
+    return evaluate(views, render, CELSIUS, truth=Truth.find(tmp_path))
 
 
 def strict(text: str) -> Any:
@@ -93,10 +93,8 @@ def test_what_json_cannot_hold(metrics: Metrics) -> None:
     assert document["mean"]["rgb"]["ssim"] == pytest.approx(1.0)
 
 
-def test_truth_is_absent_where_the_scene_has_none(
-    make_view: Callable[..., View], render_with_error: Any
-) -> None:
-    document = to_document(FACTS, evaluate([make_view()], render_with_error, None))
+def test_truth_is_absent_where_the_scene_has_none() -> None:
+    document = to_document(FACTS, evaluate([ramp_view()], render_with_error, None))
     assert "truth" not in document
     assert "truth" not in document["views"][0]
 

@@ -10,11 +10,12 @@ import torch
 from mrgs.data import load_scene
 from mrgs.export.cameras import write_cameras
 from mrgs.scene import Pixels, PosedImage
+from tests.helpers.scenes import write_scene
 
 
 @pytest.fixture(params=[False, True], ids=["one camera", "two cameras"])
-def original(request, make_scene):
-    return load_scene(make_scene(two_cameras=request.param))
+def original(request, tmp_path):
+    return load_scene(write_scene(tmp_path / "scene", two_cameras=request.param))
 
 
 def same_cameras(found, expected):

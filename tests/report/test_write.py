@@ -15,6 +15,7 @@ from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
 from mrgs.runs.open import Run, load_run
 from mrgs.training import make_config, train
+from tests.helpers.scenes import write_scene
 
 METRICS = {
     "steps": 60,
@@ -191,9 +192,11 @@ def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):
     )
 
 
-def test_a_scene_without_thermal_photos_has_no_spots(make_scene, tmp_path):
+def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
     folder = train(
-        make_scene(thermal=False), tmp_path / "run", make_config(max_steps=2, max_gaussians=60)
+        write_scene(tmp_path / "scene", thermal=False),
+        tmp_path / "run",
+        make_config(max_steps=2, max_gaussians=60),
     )
     run = load_run(folder.path)
     assert (

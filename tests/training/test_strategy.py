@@ -10,7 +10,6 @@ from typing import ClassVar
 
 import pytest
 import torch
-from mrgs.runs.registry import find_method, registered_methods
 from safetensors.torch import load_file
 from torch import nn
 
@@ -21,6 +20,7 @@ from mrgs.evaluation import evaluate_run
 from mrgs.method.config import METHODS
 from mrgs.method.density import DensityUpdate
 from mrgs.runs import registry
+from mrgs.runs.registry import find_method, registered_methods
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from mrgs.training import make_config, train
 from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.settings import Settings
+from tests.helpers.scenes import write_scene
 
 
 @pytest.fixture
@@ -219,9 +220,11 @@ def test_without_celsius_values_are_called_normalised(make_subject, small_run, b
         ),
     ],
 )
-def test_other_captures(make_scene, make_subject, tmp_path, camera, options, modes):
+def test_other_captures(make_subject, tmp_path, camera, options, modes):
     folder = train(
-        make_scene(**options), tmp_path / "run", make_config(max_steps=3, max_gaussians=100)
+        write_scene(tmp_path / "scene", **options),
+        tmp_path / "run",
+        make_config(max_steps=3, max_gaussians=100),
     )
     run = load_run(folder.path)
     subject = make_subject(run, run.load_scene())

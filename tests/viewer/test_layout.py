@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from mrgs.viewer.layout import panes_of, place_at
+from tests.helpers.scenes import write_scene
 
 
 @pytest.mark.parametrize("mode", ["rgb", "temperature", "depth", "blend", "split"])
@@ -45,10 +46,10 @@ def test_panes_do_not_overlap(camera, balls):
         assert covered.max() == 1
 
 
-def test_each_thermal_pane_has_the_thermal_camera(camera, make_scene):
+def test_each_thermal_pane_has_the_thermal_camera(camera, tmp_path):
     from mrgs.data import load_scene
 
-    view = load_scene(make_scene(two_cameras=True)).train[0]
+    view = load_scene(write_scene(tmp_path / "scene", two_cameras=True)).train[0]
     panes = {pane.content: pane for pane in panes_of("photos", camera, view)}
     torch.testing.assert_close(panes["temperature"].camera.viewmat, view.thermal.camera.viewmat)
     torch.testing.assert_close(panes["rgb"].camera.viewmat, view.rgb.camera.viewmat)
@@ -66,9 +67,9 @@ def test_places_are_found_in_their_panes(camera):
     assert place_at(panes, 10, -1) is None
 
 
-def test_a_view_without_thermal_has_no_difference(camera, make_scene):
+def test_a_view_without_thermal_has_no_difference(camera, tmp_path):
     from mrgs.data import load_scene
 
-    view = load_scene(make_scene(thermal=False)).train[0]
+    view = load_scene(write_scene(tmp_path / "scene", thermal=False)).train[0]
     assert panes_of("difference", camera, view) == ()
     assert [pane.content for pane in panes_of("photos", camera, view)] == ["rgb_photo", "rgb"]

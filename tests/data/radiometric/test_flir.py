@@ -12,6 +12,7 @@ from PIL import Image
 
 from mrgs.data.radiometric import GpsPosition, Overrides, read_thermal_photo
 from mrgs.errors import SceneError
+from tests.helpers.flir import FlirPhoto
 
 
 def expected_celsius(counts: np.ndarray, planck: dict, parameters: dict) -> np.ndarray:
@@ -48,8 +49,8 @@ def expected_celsius(counts: np.ndarray, planck: dict, parameters: dict) -> np.n
 
 @pytest.mark.parametrize("storage", ["bare", "png", "swapped png"])
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_every_storage_gives_the_same_temperatures(flir, save, storage, order):
-    written = flir(storage=storage, order=order)
+def test_every_storage_gives_the_same_temperatures(save, storage, order):
+    written = FlirPhoto(storage=storage, order=order)
     photo = read_thermal_photo(save("a.jpg", written.jpeg()))
     expected = expected_celsius(written.raw.astype(float), written.planck, written.parameters)
     assert photo.temperature_c.dtype == np.float32
@@ -69,8 +70,8 @@ def test_every_storage_gives_the_same_temperatures(flir, save, storage, order):
         {"window_c": 60.0, "window_transmission": 0.7},
     ],
 )
-def test_parameters_from_the_file_and_given_by_hand_are_equal(flir, save, changed):
-    plain, stored = flir(), flir()
+def test_parameters_from_the_file_and_given_by_hand_are_equal(save, changed):
+    plain, stored = FlirPhoto(), FlirPhoto()
     stored.parameters.update(changed)
     expected = expected_celsius(plain.raw.astype(float), plain.planck, stored.parameters)
     from_file = read_thermal_photo(save("a.jpg", stored.jpeg()))
@@ -82,13 +83,13 @@ def test_parameters_from_the_file_and_given_by_hand_are_equal(flir, save, change
     assert by_hand.facts.parameters == from_file.facts.parameters
 
 
-def test_humidity_in_per_cent(flir, save):
-    written = flir()
+def test_humidity_in_per_cent(save):
+    written = FlirPhoto()
     written.parameters["humidity"] = 40.0
     assert read_thermal_photo(save("a.jpg", written.jpeg())).facts.parameters.humidity == 0.4
 
 
-def test_facts(flir, save):
+def test_facts(save):
     exif = Image.Exif()
     exif[0x010F], exif[0x0110] = "FLIR Systems AB", "Ex"
     exif.get_ifd(0x8769)[0x9003] = "2024:02:03 04:05:06"
@@ -96,7 +97,7 @@ def test_facts(flir, save):
     exif.get_ifd(0x8825).update(
         {1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 0.0, 0.0), 5: b"\1", 6: 12.5}
     )
-    facts = read_thermal_photo(save("a.jpg", flir(exif=exif).jpeg())).facts
+    facts = read_thermal_photo(save("a.jpg", FlirPhoto(exif=exif).jpeg())).facts
     assert (facts.camera, facts.serial) == ("Test Camera", "4711")
     assert facts.taken == datetime(2024, 2, 3, 4, 5, 6, 500_000)
     assert facts.gps == GpsPosition(-33.51, 151.0, -12.5)
@@ -105,24 +106,24 @@ def test_facts(flir, save):
     assert facts.visible is None
 
 
-def test_the_scale_of_the_picture_follows_the_formula(flir, save):
-    written = flir()
+def test_the_scale_of_the_picture_follows_the_formula(save):
+    written = FlirPhoto()
     low, high = read_thermal_photo(save("a.jpg", written.jpeg())).facts.scale_c
     ends = expected_celsius(np.array([15000.0, 17000.0]), written.planck, written.parameters)
     np.testing.assert_allclose([low, high], ends, atol=0.01)
 
 
-def test_a_bare_record_and_its_time(flir, save):
-    photo = read_thermal_photo(save("a.fff", flir().record()))
+def test_a_bare_record_and_its_time(save):
+    photo = read_thermal_photo(save("a.fff", FlirPhoto().record()))
     assert photo.facts.taken == datetime(2013, 3, 12, 16, 31, 23, 250_000)
     assert photo.facts.source == "FLIR thermal record"
     assert photo.valid.all()
 
 
-def test_many_parts(flir, save):
-    written = flir(part_bytes=9)  # more parts than one byte counts
+def test_many_parts(save):
+    written = FlirPhoto(part_bytes=9)  # more parts than one byte counts
     photo = read_thermal_photo(save("a.jpg", written.jpeg()))
-    reference = read_thermal_photo(save("b.jpg", flir().jpeg()))
+    reference = read_thermal_photo(save("b.jpg", FlirPhoto().jpeg()))
     np.testing.assert_array_equal(photo.temperature_c, reference.temperature_c)
 
 
@@ -133,10 +134,12 @@ def colours() -> np.ndarray:
     return pixels
 
 
-def test_visible_photo_as_jpeg(flir, save):
+def test_visible_photo_as_jpeg(save):
     file = io.BytesIO()
     Image.fromarray(colours()).save(file, "JPEG", quality=95)
-    visible = read_thermal_photo(save("a.jpg", flir(visible=file.getvalue()).jpeg())).facts.visible
+    visible = read_thermal_photo(
+        save("a.jpg", FlirPhoto(visible=file.getvalue()).jpeg())
+    ).facts.visible
     assert visible.data == file.getvalue()
     assert np.abs(visible.pixels().astype(int) - colours())[:, [2, 20]].max() < 12
     assert (
@@ -147,34 +150,36 @@ def test_visible_photo_as_jpeg(flir, save):
     assert visible.alignment.picture_in_picture_px == (10, 20, 30, 40)
 
 
-def test_visible_photo_as_png_holds_luma_and_chroma(flir, save):
+def test_visible_photo_as_png_holds_luma_and_chroma(save):
     file = io.BytesIO()
     luma_chroma = np.array(Image.fromarray(colours()).convert("YCbCr"))
     Image.fromarray(luma_chroma).save(file, "PNG")
-    visible = read_thermal_photo(save("a.jpg", flir(visible=file.getvalue()).jpeg())).facts.visible
+    visible = read_thermal_photo(
+        save("a.jpg", FlirPhoto(visible=file.getvalue()).jpeg())
+    ).facts.visible
     assert np.abs(visible.pixels().astype(int) - colours()).max() <= 4
 
 
-def test_a_visible_photo_of_another_kind_is_left_out_and_said(flir, save):
-    facts = read_thermal_photo(save("a.jpg", flir(visible=b"GIF89a").jpeg())).facts
+def test_a_visible_photo_of_another_kind_is_left_out_and_said(save):
+    facts = read_thermal_photo(save("a.jpg", FlirPhoto(visible=b"GIF89a").jpeg())).facts
     assert facts.visible is None
     assert any("unknown kind" in warning for warning in facts.warnings)
 
 
-def test_a_damaged_visible_photo_leaves_the_temperatures(flir, save):
-    photo = read_thermal_photo(save("a.jpg", flir(visible=b"\xff\xd8\xff nothing").jpeg()))
+def test_a_damaged_visible_photo_leaves_the_temperatures(save):
+    photo = read_thermal_photo(save("a.jpg", FlirPhoto(visible=b"\xff\xd8\xff nothing").jpeg()))
     assert photo.valid.all()
     with pytest.raises(SceneError, match="cannot be decoded as an image"):
         photo.facts.visible.pixels()
 
 
-def test_an_alignment_that_cannot_be_is_none(flir, save):
-    written = flir(visible=b"\xff\xd8\xff", alignment=(0.0, 1, 2, 3, 4, 5, 6))
+def test_an_alignment_that_cannot_be_is_none(save):
+    written = FlirPhoto(visible=b"\xff\xd8\xff", alignment=(0.0, 1, 2, 3, 4, 5, 6))
     assert read_thermal_photo(save("a.jpg", written.jpeg())).facts.visible.alignment is None
 
 
-def test_pixels_without_a_temperature_are_masked(flir, save):
-    written = flir()
+def test_pixels_without_a_temperature_are_masked(save):
+    written = FlirPhoto()
     written.raw[0, :3] = (0, 65535, 1)  # no data, saturated, colder than its surroundings allow
     photo = read_thermal_photo(save("a.jpg", written.jpeg()))
     assert not photo.valid[0, :3].any()
@@ -183,14 +188,14 @@ def test_pixels_without_a_temperature_are_masked(flir, save):
     assert any("are masked" in warning for warning in photo.facts.warnings)
 
 
-def test_temperatures_outside_of_the_calibration_are_said(flir, save):
-    written = flir(info_fields={0x90: struct.pack("<2f", 250 + 273.15, 100 + 273.15)})
+def test_temperatures_outside_of_the_calibration_are_said(save):
+    written = FlirPhoto(info_fields={0x90: struct.pack("<2f", 250 + 273.15, 100 + 273.15)})
     warnings = read_thermal_photo(save("a.jpg", written.jpeg())).facts.warnings
     assert any("100 to 250 °C that the camera is calibrated for" in warning for warning in warnings)
 
 
-def test_overrides_without_effect_are_said(flir, save):
-    photo = read_thermal_photo(save("a.jpg", flir().jpeg()), Overrides(unit="kelvin"))
+def test_overrides_without_effect_are_said(save):
+    photo = read_thermal_photo(save("a.jpg", FlirPhoto().jpeg()), Overrides(unit="kelvin"))
     assert (
         "unit had no effect: the temperatures follow from the camera's signal."
         in photo.facts.warnings
@@ -198,27 +203,27 @@ def test_overrides_without_effect_are_said(flir, save):
 
 
 @pytest.mark.parametrize("record", [0x01, 0x20])
-def test_a_missing_record(flir, save, record, monkeypatch):
-    whole = flir().contents()
+def test_a_missing_record(save, record, monkeypatch):
+    whole = FlirPhoto().contents()
     monkeypatch.setattr(
-        flir, "contents", lambda self: {kind: whole[kind] for kind in whole if kind != record}
+        FlirPhoto, "contents", lambda self: {kind: whole[kind] for kind in whole if kind != record}
     )
     with pytest.raises(
         SceneError, match=r"its thermal record holds no (raw image|camera info with the Planck)"
     ):
-        read_thermal_photo(save("a.jpg", flir().jpeg()))
+        read_thermal_photo(save("a.jpg", FlirPhoto().jpeg()))
 
 
 @pytest.mark.parametrize("kept", [30, 100, 500, 1400, 2000])
-def test_a_record_that_is_cut_off(flir, save, kept):
+def test_a_record_that_is_cut_off(save, kept):
     with pytest.raises(
         SceneError, match=r"its thermal record (is cut off|does not start as FLIR's do)"
     ):
-        read_thermal_photo(save("a.jpg", flir().jpeg(flir().record()[:kept])))
+        read_thermal_photo(save("a.jpg", FlirPhoto().jpeg(FlirPhoto().record()[:kept])))
 
 
-def test_a_file_that_is_cut_off(flir, save):
-    whole = flir(part_bytes=1000).jpeg()
+def test_a_file_that_is_cut_off(save):
+    whole = FlirPhoto(part_bytes=1000).jpeg()
     for kept in (500, 1500, len(whole) - 900):
         with pytest.raises(
             SceneError,
@@ -258,13 +263,13 @@ def test_a_file_that_is_cut_off(flir, save):
         ({0x00: b"\7\7"}, "its camera info is damaged"),
     ],
 )
-def test_camera_info_that_cannot_be(flir, save, fields, message):
+def test_camera_info_that_cannot_be(save, fields, message):
     with pytest.raises(SceneError, match=message):
-        read_thermal_photo(save("a.jpg", flir(info_fields=fields).jpeg()))
+        read_thermal_photo(save("a.jpg", FlirPhoto(info_fields=fields).jpeg()))
 
 
-def test_an_absurd_parameter_is_mended_by_hand(flir, save):
-    path = save("a.jpg", flir(info_fields={0x20: struct.pack("<f", 0.0)}).jpeg())
+def test_an_absurd_parameter_is_mended_by_hand(save):
+    path = save("a.jpg", FlirPhoto(info_fields={0x20: struct.pack("<f", 0.0)}).jpeg())
     assert read_thermal_photo(path, Overrides(emissivity=0.9)).valid.all()
 
 
@@ -290,22 +295,22 @@ def with_raw_data(flir, monkeypatch, content: bytes) -> bytes:
         (struct.pack("<3H26x", 2, 8, 8) + b"\x89PNG\r\n\x1a\n", "its raw image cannot be decoded"),
     ],
 )
-def test_raw_images_that_cannot_be(flir, save, monkeypatch, content, message):
+def test_raw_images_that_cannot_be(save, monkeypatch, content, message):
     with pytest.raises(SceneError, match=message):
-        read_thermal_photo(save("a.jpg", with_raw_data(flir, monkeypatch, content)))
+        read_thermal_photo(save("a.jpg", with_raw_data(FlirPhoto, monkeypatch, content)))
 
 
-def test_a_raw_png_of_another_size(flir, save, monkeypatch):
-    written = flir(storage="png").raw_data()
+def test_a_raw_png_of_another_size(save, monkeypatch):
+    written = FlirPhoto(storage="png").raw_data()
     content = struct.pack("<3H26x", 2, 8, 8) + written[32:]
     with pytest.raises(
         SceneError, match=r"32 x 24 pixels of type .* where 8 x 8 of 16 bits are announced"
     ):
-        read_thermal_photo(save("a.jpg", with_raw_data(flir, monkeypatch, content)))
+        read_thermal_photo(save("a.jpg", with_raw_data(FlirPhoto, monkeypatch, content)))
 
 
-def test_a_directory_without_end(flir, save):
-    record = bytearray(flir().record())
+def test_a_directory_without_end(save):
+    record = bytearray(FlirPhoto().record())
     record[0x1C:0x20] = b"\x7f\xff\xff\xff"
     with pytest.raises(SceneError, match="lists 2147483647 parts; it is damaged"):
-        read_thermal_photo(save("a.jpg", flir().jpeg(bytes(record))))
+        read_thermal_photo(save("a.jpg", FlirPhoto().jpeg(bytes(record))))

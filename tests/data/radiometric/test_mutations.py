@@ -21,6 +21,7 @@ from PIL import Image
 
 from mrgs.data.radiometric import read_thermal_photo
 from mrgs.errors import SceneError
+from tests.helpers.flir import FlirPhoto
 
 MUTATIONS = int(os.environ.get("MRGS_MUTATIONS", "400"))
 SEED = int(os.environ.get("MRGS_MUTATION_SEED", "0"))
@@ -103,13 +104,13 @@ def image_bytes(pixels: np.ndarray, form: str) -> bytes:
 
 
 @pytest.fixture
-def originals(flir) -> list[tuple[str, bytes]]:
+def originals() -> list[tuple[str, bytes]]:
     """Whole files of every kind, by extension: FLIR's as a photo and as a bare record."""
     visible = image_bytes(np.full((24, 32, 3), 90, dtype=np.uint8), "PNG")
     written = [
-        flir(),
-        flir(storage="swapped png", visible=visible),
-        flir(order=">", part_bytes=2000),
+        FlirPhoto(),
+        FlirPhoto(storage="swapped png", visible=visible),
+        FlirPhoto(order=">", part_bytes=2000),
     ]
     files = [(".jpg", photo.jpeg()) for photo in written] + [
         (".fff", photo.record()) for photo in written
@@ -123,7 +124,7 @@ def originals(flir) -> list[tuple[str, bytes]]:
     return files
 
 
-def test_damaged_files(originals, flir, tmp_path):
+def test_damaged_files(originals, tmp_path):
     real = sorted(PHOTOS.glob("*.jpg")) if PHOTOS.is_dir() else []
     files = originals + [(".jpg", path.read_bytes()) for path in real]
     rng = random.Random(SEED)
@@ -132,7 +133,7 @@ def test_damaged_files(originals, flir, tmp_path):
         suffix, data = rng.choice(files)
         damaged = mutate(data, rng)
         if suffix == ".fff" and rng.random() < 0.5:  # damage inside a whole envelope goes deeper
-            suffix, damaged = ".jpg", flir().jpeg(damaged) if damaged else b""
+            suffix, damaged = ".jpg", FlirPhoto().jpeg(damaged) if damaged else b""
         path = tmp_path / f"damaged{suffix}"
         path.write_bytes(damaged)
         read += is_read_or_refused(path)

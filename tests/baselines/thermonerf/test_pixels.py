@@ -8,6 +8,7 @@ from mrgs.baselines.thermonerf.frame import frame_of
 from mrgs.baselines.thermonerf.pixels import PixelPool
 from mrgs.data import load_scene
 from mrgs.scene import Pixels, PosedImage
+from tests.helpers.scenes import write_scene
 
 
 def drawn(scene, count=64, seed=0):
@@ -39,14 +40,14 @@ def test_values_are_those_of_the_pixels_that_the_rays_pass_through(small_scene):
         assert torch.equal(batch.thermal.values[ray], view.thermal.load().values[row, column])
 
 
-def test_two_cameras_share_the_batch(make_scene):
-    batch = drawn(load_scene(make_scene(two_cameras=True)), count=10)
+def test_two_cameras_share_the_batch(tmp_path):
+    batch = drawn(load_scene(write_scene(tmp_path / "scene", two_cameras=True)), count=10)
     assert (batch.rgb.rows, batch.thermal.rows) == (slice(0, 5), slice(5, 10))
     assert len(batch.rays.directions) == 10
 
 
-def test_a_scene_may_have_one_modality(make_scene):
-    batch = drawn(load_scene(make_scene(rgb=False)), count=10)
+def test_a_scene_may_have_one_modality(tmp_path):
+    batch = drawn(load_scene(write_scene(tmp_path / "scene", rgb=False)), count=10)
     assert batch.rgb is None
     assert batch.thermal.rows == slice(0, 10)
 

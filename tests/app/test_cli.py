@@ -23,6 +23,7 @@ from safetensors.torch import save_file
 from mrgs.app import commands, terminal
 from mrgs.app.cli import main
 from mrgs.training import StepStatistics
+from tests.helpers.scenes import write_scene
 
 TINY = ("--max-steps", "3", "--max-gaussians", "100")
 TRAINED = "frame_train_00003.png"
@@ -169,15 +170,15 @@ BAD_SCENES: dict[str, tuple[Damage, str]] = {
     "default"
 )  # as at the terminal, where another library's warning would be a second line
 @pytest.mark.parametrize(("damage", "message"), BAD_SCENES.values(), ids=BAD_SCENES)
-def test_a_bad_scene_is_one_line_and_leaves_nothing(damage, message, make_scene, tmp_path, capsys):
-    scene = make_scene()
+def test_a_bad_scene_is_one_line_and_leaves_nothing(damage, message, tmp_path, capsys):
+    scene = write_scene(tmp_path / "scene")
     damage(scene)
     refused(capsys, message, "train", scene, "--output", tmp_path / "run", *TINY)
     assert not (tmp_path / "run").exists()
 
 
-def test_what_stood_in_the_output_folder_stays(make_scene, tmp_path, capsys):
-    scene, output = make_scene(), tmp_path / "run"
+def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
+    scene, output = write_scene(tmp_path / "scene"), tmp_path / "run"
     cut_off(f"images/{TRAINED}")(scene)
     output.mkdir()
     (output / "notes.txt").write_text("mine")
@@ -215,8 +216,8 @@ def test_a_malformed_option_is_refused_by_name(small_scene, capsys):
     assert "--max-steps" in capsys.readouterr().err
 
 
-def test_swapped_bounds_are_mended_and_said_once(make_scene, tmp_path, capsys):
-    scene = make_scene()
+def test_swapped_bounds_are_mended_and_said_once(tmp_path, capsys):
+    scene = write_scene(tmp_path / "scene")
     bounds = {"absolute_min_temperature": 30.0, "absolute_max_temperature": 10.0}
     (scene / "temperature_bounds.json").write_text(json.dumps(bounds))
     assert run("train", scene, "--output", tmp_path / "run", *TINY) == 0
@@ -227,8 +228,8 @@ def test_swapped_bounds_are_mended_and_said_once(make_scene, tmp_path, capsys):
     assert " °C | " in printed.out
 
 
-def test_without_bounds_it_trains_without_celsius_and_says_so(make_scene, tmp_path, capsys):
-    scene, output = make_scene(), tmp_path / "run"
+def test_without_bounds_it_trains_without_celsius_and_says_so(tmp_path, capsys):
+    scene, output = write_scene(tmp_path / "scene"), tmp_path / "run"
     (scene / "temperature_bounds.json").unlink()
     assert run("train", scene, "--output", output, *TINY) == 0
     printed = capsys.readouterr()
@@ -324,8 +325,8 @@ def test_a_bad_run_is_one_line_for_every_command(damage, message, own_run, small
     assert capsys.readouterr().out == ""
 
 
-def test_a_scene_that_has_moved_is_named(make_scene, tmp_path, capsys):
-    scene, output = make_scene(), tmp_path / "run"
+def test_a_scene_that_has_moved_is_named(tmp_path, capsys):
+    scene, output = write_scene(tmp_path / "scene"), tmp_path / "run"
     run("train", scene, "--output", output, *TINY)
     scene.rename(tmp_path / "elsewhere")
     for command in ("eval", "render", "export", "report"):
@@ -348,8 +349,8 @@ def test_a_scene_that_has_moved_is_named(make_scene, tmp_path, capsys):
     assert run("train", tmp_path / "elsewhere", "--resume", "--output", output) == 0
 
 
-def test_without_eval_views_there_is_nothing_to_score(make_scene, tmp_path, capsys):
-    scene, output = make_scene(), tmp_path / "run"
+def test_without_eval_views_there_is_nothing_to_score(tmp_path, capsys):
+    scene, output = write_scene(tmp_path / "scene"), tmp_path / "run"
     edit_json(scene / "transforms.json", lambda content: content.update(val_filenames=[]))
     run("train", scene, "--output", output, *TINY)
     refused(
@@ -533,8 +534,8 @@ SCENES = {
 
 
 @pytest.mark.parametrize("kind", [*SCENES, "masks"])
-def test_train_eval_and_render(kind, make_scene, tmp_path, capsys):
-    scene, output = make_scene(**SCENES.get(kind, {})), tmp_path / "run"
+def test_train_eval_and_render(kind, tmp_path, capsys):
+    scene, output = write_scene(tmp_path / "scene", **SCENES.get(kind, {})), tmp_path / "run"
     if kind == "masks":
         mask = np.full((30, 40), 255, np.uint8)
         mask[:, :10] = 0
@@ -719,8 +720,8 @@ def test_a_training_can_be_watched(small_scene, tmp_path, capsys):
     assert re.search(r"open http://127\.0\.0\.1:\d+", capsys.readouterr().out)
 
 
-def test_a_transforms_file_names_the_scene_too(make_scene, tmp_path, monkeypatch, capsys):
-    scene = make_scene()
+def test_a_transforms_file_names_the_scene_too(tmp_path, monkeypatch, capsys):
+    scene = write_scene(tmp_path / "scene")
     monkeypatch.chdir(tmp_path)
     assert run("train", scene / "transforms.json", *TINY) == 0
     assert run("eval", "runs/scene-mrgs-plus") == 0

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
-
-import pytest
 
 from mrgs.comparison.methods import Options
 from mrgs.comparison.results import Outcome, outcome
@@ -30,27 +27,12 @@ def metrics_document(psnr: float = 30.0, **changes: Any) -> dict[str, Any]:
 
 
 def tiny_options(**changes: Any) -> Options:
+    """Three steps of ``3dgs-rgbt`` and ``mrgs``, changed as given."""
     return Options(**(TINY | {"methods": ("3dgs-rgbt", "mrgs")} | changes))
 
 
-@pytest.fixture
-def make_options() -> Callable[..., Options]:
-    """Three steps of ``3dgs-rgbt`` and ``mrgs`` unless told otherwise."""
-    return tiny_options
-
-
-@pytest.fixture
-def make_document() -> Callable[..., dict[str, Any]]:
-    return metrics_document
-
-
-@pytest.fixture
-def make_outcome() -> Callable[..., Outcome]:
-    """``make_outcome(scene, method, seed, psnr, **changes of metrics.json)``."""
-
-    def make(
-        scene: str, method: str, seed: int | None = 0, psnr: float = 30.0, **changes: Any
-    ) -> Outcome:
-        return outcome(scene, method, seed, metrics_document(psnr, **changes))
-
-    return make
+def outcome_of(
+    scene: str, method: str, seed: int | None = 0, psnr: float = 30.0, **changes: Any
+) -> Outcome:
+    """The outcome of a run; ``changes`` are those of its ``metrics.json``."""
+    return outcome(scene, method, seed, metrics_document(psnr, **changes))

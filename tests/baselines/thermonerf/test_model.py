@@ -6,11 +6,12 @@ from mrgs.baselines.thermonerf import model as model_module
 from mrgs.baselines.thermonerf.frame import frame_of
 from mrgs.baselines.thermonerf.step import new_model
 from mrgs.data import load_scene
+from tests.helpers.thermonerf import small_config
 
 
-def test_a_view_is_rendered_from_each_of_its_cameras(small_scene, make_small_config):
+def test_a_view_is_rendered_from_each_of_its_cameras(small_scene):
     scene = load_scene(small_scene)
-    model = new_model(make_small_config(), frame_of(scene))
+    model = new_model(small_config(), frame_of(scene))
     camera = scene.eval[0].rgb.camera
     both = model.render(camera, camera)
     assert (both.rgb.shape, both.thermal.shape) == ((30, 40, 3), (30, 40, 1))
@@ -24,9 +25,9 @@ def test_a_view_is_rendered_from_each_of_its_cameras(small_scene, make_small_con
     torch.testing.assert_close(alone.thermal, both.thermal)
 
 
-def test_the_size_of_the_chunks_does_not_show(small_scene, make_small_config, monkeypatch):
+def test_the_size_of_the_chunks_does_not_show(small_scene, monkeypatch):
     scene = load_scene(small_scene)
-    model = new_model(make_small_config(), frame_of(scene))
+    model = new_model(small_config(), frame_of(scene))
     camera = scene.eval[0].rgb.camera
     whole = model.render(camera, camera)
     monkeypatch.setattr(model_module, "CHUNK_RAYS", 17)
@@ -34,11 +35,11 @@ def test_the_size_of_the_chunks_does_not_show(small_scene, make_small_config, mo
         torch.testing.assert_close(image, again)
 
 
-def test_depth_is_that_of_the_surface(small_scene, make_small_config):
+def test_depth_is_that_of_the_surface(small_scene):
     """An opaque ball about the scene's centre, as large as the frame's radius."""
     scene = load_scene(small_scene)
     frame = frame_of(scene)
-    model = new_model(make_small_config(), frame)
+    model = new_model(small_config(), frame)
 
     def density(positions):
         return torch.where(positions.norm(dim=1) < 1, 1e4, 0.0)

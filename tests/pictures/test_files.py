@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +21,8 @@ from mrgs.pictures.files import (
 )
 from mrgs.pictures.palette import palette_table
 from mrgs.render import Rendering
-from mrgs.scene import Reach, TemperatureRange, View
-
-MakeView = Callable[..., View]
+from mrgs.scene import Reach
+from tests.helpers.views import CELSIUS, ramp_view
 
 
 def rendering() -> Rendering:
@@ -54,11 +52,9 @@ def test_rgb_is_clamped_and_rounded(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.asarray(image), to_rgb8(colors))
 
 
-def test_all_images_of_a_view_in_celsius(
-    make_view: MakeView, tmp_path: Path, celsius: TemperatureRange
-) -> None:
+def test_all_images_of_a_view_in_celsius(tmp_path: Path) -> None:
     shown = rendering()
-    paths = write_rendering(tmp_path, make_view("v1"), shown, celsius)
+    paths = write_rendering(tmp_path, ramp_view("v1"), shown, CELSIUS)
     names = {str(path.relative_to(tmp_path)) for path in paths}
     assert names == {
         "rgb/v1.png",
@@ -70,14 +66,14 @@ def test_all_images_of_a_view_in_celsius(
         "depth_thermal/v1.png",
     }
     assert all(path.is_file() for path in paths)
-    expected = celsius.to_celsius(shown.thermal[..., 0]).numpy()
+    expected = CELSIUS.to_celsius(shown.thermal[..., 0]).numpy()
     np.testing.assert_array_equal(read_float_tiff(tmp_path / "temperature_c/v1.tiff"), expected)
-    assert expected.max() > celsius.max_c  # not clamped
+    assert expected.max() > CELSIUS.max_c  # not clamped
 
 
-def test_without_celsius_the_file_says_so(make_view: MakeView, tmp_path: Path) -> None:
+def test_without_celsius_the_file_says_so(tmp_path: Path) -> None:
     shown = rendering()
-    write_rendering(tmp_path, make_view("v1"), shown, None)
+    write_rendering(tmp_path, ramp_view("v1"), shown, None)
     assert not (tmp_path / "temperature_c").exists()
     path = tmp_path / "thermal_normalised" / "v1.tiff"
     np.testing.assert_array_equal(read_float_tiff(path), shown.thermal[..., 0].numpy())
@@ -85,14 +81,12 @@ def test_without_celsius_the_file_says_so(make_view: MakeView, tmp_path: Path) -
         assert "normalised" in image.tag_v2[270]
 
 
-def test_what_the_model_lacks_is_left_out(
-    make_view: MakeView, tmp_path: Path, celsius: TemperatureRange
-) -> None:
+def test_what_the_model_lacks_is_left_out(tmp_path: Path) -> None:
     paths = write_rendering(
         tmp_path,
-        make_view("v1"),
+        ramp_view("v1"),
         rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None),
-        celsius,
+        CELSIUS,
     )
     assert {path.parent.name for path in paths} == {"temperature_c", "thermal"}
 
@@ -114,10 +108,8 @@ def test_near_is_light_in_a_depth_picture(tmp_path: Path) -> None:
     assert pixels[0, 0] > pixels[-1, -1] + 300
 
 
-def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(
-    make_view: MakeView, tmp_path: Path
-) -> None:
-    shown, view = rendering(), make_view("v1")
+def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(tmp_path: Path) -> None:
+    shown, view = rendering(), ramp_view("v1")
     shown.depth_rgb[:6] = 900.0
     shown.depth_rgb[6:9] = 2.5
     assert view.rgb is not None
@@ -130,7 +122,7 @@ def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(
     np.testing.assert_array_equal(pixels[[0, 7, 11], 5], palette_table("depth")[[0, 0, -1]])
 
 
-def test_a_place_that_cannot_be_written_is_a_run_error(make_view: MakeView, tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_a_run_error(tmp_path: Path) -> None:
     (tmp_path / "rgb").write_text("")
     with pytest.raises(RunError, match=r"v1\.png cannot be written"):
-        write_rendering(tmp_path, make_view("v1"), rendering(), None)
+        write_rendering(tmp_path, ramp_view("v1"), rendering(), None)

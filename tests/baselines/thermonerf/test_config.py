@@ -4,16 +4,11 @@ import pytest
 
 from mrgs.baselines.thermonerf import ThermoNerfConfig, from_yaml, make_config
 from mrgs.errors import ConfigError
-from mrgs.system.strict_yaml import write_yaml
+from tests.helpers.thermonerf import small_config
 
 
-def test_what_is_written_is_read_back(make_small_config):
-    config = make_small_config(resolution=64, learning_rate=0.02)
-    assert from_yaml(write_yaml(config), "config.yaml") == config
-
-
-def test_a_part_stands_over_another_configuration(make_small_config):
-    base = make_small_config()
+def test_a_part_stands_over_another_configuration():
+    base = small_config()
     changed = from_yaml("field: {hidden_width: 32}", "part.yaml", base)
     assert changed.field.hidden_width == 32
     assert changed.field.grid == base.field.grid

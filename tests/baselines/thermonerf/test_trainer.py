@@ -16,6 +16,8 @@ from mrgs.runs.open import load_run, open_run
 from mrgs.training import make_config, train
 from mrgs.training.checkpoint import load_facts, write
 from mrgs.training.run_folder import RunFolder
+from tests.helpers.scenes import write_scene
+from tests.helpers.thermonerf import small_config
 
 
 def spoil(monkeypatch, steps):
@@ -29,20 +31,18 @@ def spoil(monkeypatch, steps):
     )
 
 
-def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path, make_small_config):
+def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path):
     seen = []
     train_thermonerf(
-        small_scene, tmp_path / "run", make_small_config(80), on_step=lambda s: seen.append(s.terms)
+        small_scene, tmp_path / "run", small_config(80), on_step=lambda s: seen.append(s.terms)
     )
     for name, factor in (("rgb", 0.5), ("thermal", 0.5)):
         first, last = (sum(terms[name] for terms in part) / 10 for part in (seen[:10], seen[-10:]))
         assert last < factor * first
 
 
-def test_the_folder_holds_what_every_run_has(small_scene, tmp_path, make_small_config):
-    folder = train_thermonerf(
-        small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=5)
-    )
+def test_the_folder_holds_what_every_run_has(small_scene, tmp_path):
+    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(20, checkpoint_every=5))
     assert "method: thermonerf" in folder.config_file.read_text()
     assert [path.name for path in folder.checkpoints()] == [
         "step_000015.safetensors",
@@ -56,8 +56,8 @@ def test_the_folder_holds_what_every_run_has(small_scene, tmp_path, make_small_c
     assert facts.train_seconds > 0
 
 
-def test_a_resumed_run_has_the_same_bits(small_scene, tmp_path, make_small_config):
-    config = make_small_config(12)
+def test_a_resumed_run_has_the_same_bits(small_scene, tmp_path):
+    config = small_config(12)
     whole = train_thermonerf(small_scene, tmp_path / "whole", config)
     parted = train_thermonerf(small_scene, tmp_path / "parted", config, stop_at=5)
     assert load_facts(parted.newest_checkpoint()).step == 5
@@ -68,7 +68,7 @@ def test_a_resumed_run_has_the_same_bits(small_scene, tmp_path, make_small_confi
     assert parted.log_file.read_text().count("\n") == whole.log_file.read_text().count("\n")
 
 
-def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path, make_small_config):
+def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("the machine has one core")
     results = []
@@ -76,7 +76,7 @@ def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path, m
         torch.set_num_threads(threads)
         numba.set_num_threads(threads)
         folder = train_thermonerf(
-            small_scene, tmp_path / f"{threads}", make_small_config(6, rays_per_batch=1024)
+            small_scene, tmp_path / f"{threads}", small_config(6, rays_per_batch=1024)
         )
         results.append(load_file(folder.newest_checkpoint()))
     torch.set_num_threads(1)
@@ -85,16 +85,18 @@ def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path, m
 
 
 @pytest.mark.parametrize("options", [{"two_cameras": True}, {"rgb": False}, {"thermal": False}])
-def test_other_kinds_of_scenes_train_too(make_scene, tmp_path, make_small_config, options):
-    folder = train_thermonerf(make_scene(**options), tmp_path / "run", make_small_config(3))
+def test_other_kinds_of_scenes_train_too(tmp_path, options):
+    folder = train_thermonerf(
+        write_scene(tmp_path / "scene", **options), tmp_path / "run", small_config(3)
+    )
     run = open_run(folder.path)
     rendering = run.render_view(run.load_scene().eval[0])
     assert (rendering.rgb is None) == (options.get("rgb") is False)
     assert (rendering.thermal is None) == (options.get("thermal") is False)
 
 
-def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path, make_small_config):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(3))
+def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path):
+    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(3))
     run = open_run(folder.path)
     assert isinstance(run, ThermoNerfRun)
     evaluate_run(run)
@@ -106,8 +108,8 @@ def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path, make_small_c
     assert len(list((rendered / "temperature_c").iterdir())) == 2
 
 
-def test_what_needs_gaussians_refuses(small_scene, tmp_path, make_small_config):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
+def test_what_needs_gaussians_refuses(small_scene, tmp_path):
+    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
     with pytest.raises(RunError) as caught:
         load_run(folder.path)
     assert str(caught.value) == (
@@ -116,43 +118,37 @@ def test_what_needs_gaussians_refuses(small_scene, tmp_path, make_small_config):
     )
 
 
-def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(
-    small_scene, tmp_path, make_small_config
-):
+def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene, tmp_path):
     folder = train(small_scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
     assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
     with pytest.raises(
         RunError,
         match="run is a run of mrgs, not of thermonerf",
     ):
-        train_thermonerf(small_scene, folder.path, make_small_config(), resume=True)
+        train_thermonerf(small_scene, folder.path, small_config(), resume=True)
 
 
-def test_a_run_is_never_overwritten(small_scene, tmp_path, make_small_config):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
+def test_a_run_is_never_overwritten(small_scene, tmp_path):
+    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
     with pytest.raises(RunError, match="already holds a run: continue it with --resume"):
-        train_thermonerf(small_scene, folder.path, make_small_config(1))
+        train_thermonerf(small_scene, folder.path, small_config(1))
 
 
-def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(
-    small_scene, tmp_path, make_small_config
-):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1))
+def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(small_scene, tmp_path):
+    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
     folder.newest_checkpoint().unlink()
-    again = train_thermonerf(small_scene, folder.path, make_small_config(2))
+    again = train_thermonerf(small_scene, folder.path, small_config(2))
     assert load_facts(again.newest_checkpoint()).step == 2
 
 
-def test_somebody_elses_configuration_is_kept(small_scene, tmp_path, make_small_config):
+def test_somebody_elses_configuration_is_kept(small_scene, tmp_path):
     (tmp_path / "config.yaml").write_text("theme: dark\n")
     with pytest.raises(RunError, match=r"holds a config\.yaml that is not a run's"):
-        train_thermonerf(small_scene, tmp_path, make_small_config(1))
+        train_thermonerf(small_scene, tmp_path, small_config(1))
 
 
-def test_a_damaged_checkpoint_or_another_configuration_is_named(
-    small_scene, tmp_path, make_small_config
-):
-    folder = train_thermonerf(small_scene, tmp_path / "run", make_small_config(2))
+def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp_path):
+    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(2))
     text = folder.config_file.read_text()
     folder.config_file.write_text(text.replace("hidden_width: 16", "hidden_width: 32"))
     with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
@@ -167,8 +163,8 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(
         open_run(folder.path)
 
 
-def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path, make_small_config):
-    path = train_thermonerf(small_scene, tmp_path / "run", make_small_config(1)).newest_checkpoint()
+def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path):
+    path = train_thermonerf(small_scene, tmp_path / "run", small_config(1)).newest_checkpoint()
     write(
         path,
         {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)},
@@ -179,12 +175,10 @@ def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path, make_s
         open_run(path.parents[1])
 
 
-def test_three_skipped_steps_in_a_row_end_the_run(
-    small_scene, tmp_path, make_small_config, monkeypatch
-):
+def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {2, 4, 5, 6})
     with pytest.raises(TrainingError) as caught:
-        train_thermonerf(small_scene, tmp_path / "run", make_small_config(20, checkpoint_every=3))
+        train_thermonerf(small_scene, tmp_path / "run", small_config(20, checkpoint_every=3))
     kept = tmp_path / "run/checkpoints/step_000003.safetensors"
     assert str(caught.value) == (
         "3 steps in a row gave values that are not finite, at step 6; "
@@ -195,33 +189,31 @@ def test_three_skipped_steps_in_a_row_end_the_run(
     assert load_facts(kept).skipped_steps == 1
 
 
-def test_stopping_leaves_a_checkpoint(small_scene, tmp_path, make_small_config):
+def test_stopping_leaves_a_checkpoint(small_scene, tmp_path):
     folder = train_thermonerf(
-        small_scene, tmp_path / "run", make_small_config(20), on_step=lambda s: s.step == 4
+        small_scene, tmp_path / "run", small_config(20), on_step=lambda s: s.step == 4
     )
     assert load_facts(folder.newest_checkpoint()).step == 4
 
 
-def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path, make_small_config):
+def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path):
     with pytest.raises(SceneError, match="nowhere"):
-        train_thermonerf(tmp_path / "nowhere", tmp_path / "run", make_small_config())
+        train_thermonerf(tmp_path / "nowhere", tmp_path / "run", small_config())
     assert list(tmp_path.iterdir()) == []
 
 
-def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path, make_small_config):
+def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path):
     torch.manual_seed(3)
     expected = torch.rand(4)
     torch.manual_seed(3)
-    train_thermonerf(small_scene, tmp_path / "run", make_small_config(2))
+    train_thermonerf(small_scene, tmp_path / "run", small_config(2))
     assert torch.equal(torch.rand(4), expected)
 
 
-def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(
-    small_scene, tmp_path, make_small_config
-):
+def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(small_scene, tmp_path):
     def interrupt(*_):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_thermonerf(small_scene, tmp_path / "run", make_small_config(), on_step=interrupt)
+        train_thermonerf(small_scene, tmp_path / "run", small_config(), on_step=interrupt)
     assert not RunFolder(tmp_path / "run").path.exists()

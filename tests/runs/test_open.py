@@ -11,6 +11,7 @@ from mrgs.errors import DeviceError, RunError, SceneError
 from mrgs.runs import open as run_module
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.training import make_config, train
+from tests.helpers.scenes import write_scene
 
 MIN_C, MAX_C = 10.0, 30.0
 """What tests/conftest.py writes as the scene's temperature bounds."""
@@ -86,8 +87,8 @@ def test_the_package_offers_the_api():
         _ = mrgs.load_ruin
 
 
-def test_another_temperature_range_or_other_cameras_are_refused(run, make_scene, tmp_path):
-    scene = make_scene()
+def test_another_temperature_range_or_other_cameras_are_refused(run, tmp_path):
+    scene = write_scene(tmp_path / "scene")
     folder = train(scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
     (scene / "temperature_bounds.json").write_text(
         '{"absolute_min_temperature": 0, "absolute_max_temperature": 99}', encoding="utf-8"

@@ -1,0 +1,1 @@
+"""What the tests share, as plain functions and classes."""
