@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,8 @@ from mrgs.export.page import write_page
 from mrgs.pictures.palette import colorize
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera
+from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
-CHROMIUM = shutil.which("chromium")
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-    "--disable-sync",
-    "--disable-component-update", "--enable-unsafe-swiftshader", "--use-gl=angle",
-    "--use-angle=swiftshader",
-]  # fmt: skip
 SETTLED = "#view[data-settled=true]"
 PIXELS = [
     (0.5, 0.5),
@@ -37,16 +30,14 @@ PIXELS = [
     (0.62, 0.6),
 ]
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
+pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = [needs_chromium, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
@@ -65,9 +56,8 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
         write_page(
             shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities
         )
-        context = browser.new_context(offline=True, **options)
-        contexts.append(context)
-        page = context.new_page()
+        page = new_page(browser, offline=True, **options)
+        contexts.append(page.context)
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on(
             "console",
@@ -78,7 +68,7 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
             lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None,
         )
         page.goto(path.as_uri())
-        page.wait_for_selector(SETTLED, timeout=60_000)
+        page.wait_for_selector(SETTLED)
         return page
 
     yield open_it
@@ -175,7 +165,7 @@ def test_orbit_zoom_and_the_way_back(open_page):
     turned = picture(page)
     assert psnr(turned, start) < 30
     page.mouse.wheel(0, 400)
-    page.wait_for_timeout(50)
+    wait_until(lambda: not np.array_equal(picture(page), turned), "the wheel is felt", page)
     page.wait_for_selector(SETTLED)
     assert (picture(page).sum(axis=2) > 30).mean() < 0.8 * (turned.sum(axis=2) > 30).mean()
     page.click("#back")

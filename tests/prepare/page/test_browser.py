@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from mrgs.prepare.page import write_page
+from tests.helpers.browsers import chromium, needs_chromium, new_page
 
-CHROMIUM = shutil.which("chromium")
-FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-sync",
-]
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
+pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = [needs_chromium, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +20,8 @@ def page(prepared) -> Iterator[Any]:
     p = prepared
     path = write_page(p.scene, p.stages, p.development, p.reconstruction, p.rig, p.georeference)
     errors: list[str] = []
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_context(offline=True, viewport={"width": 390, "height": 800}).new_page()
+    with chromium() as browser:
+        page = new_page(browser, offline=True, viewport={"width": 390, "height": 800})
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on(
             "console",
@@ -43,7 +33,6 @@ def page(prepared) -> Iterator[Any]:
         )
         page.goto(path.as_uri())
         yield page
-        browser.close()
     assert errors == []
 
 
