@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -17,6 +18,9 @@ import pytest
 import torch
 from hypothesis import settings
 from jaxtyping import install_import_hook
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C
 
 if not torch.cuda.is_available():
     os.environ.setdefault(
@@ -111,9 +115,10 @@ def counting_image() -> type:
 @pytest.fixture(scope="session")
 def small_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Both modalities through one camera; only to be read."""
+    from tests.helpers.runs import made_once
     from tests.helpers.scenes import write_scene
 
-    return write_scene(tmp_path_factory.mktemp("scenes") / "balls")
+    return made_once(tmp_path_factory, "balls", write_scene)
 
 
 @pytest.fixture

@@ -406,6 +406,7 @@ def test_a_path_needs_frames(own_run, capsys):
     assert not (own_run / "renders").exists()
 
 
+@pytest.mark.slow
 def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
     pytest.importorskip("mitsuba")
     refused(
@@ -498,6 +499,7 @@ def test_a_second_ctrl_c_stops_at_once_and_leaves_nothing(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_path):
     command = [
         sys.executable,
@@ -629,6 +631,7 @@ def test_renders_of_another_program_are_scored(small_scene, tmp_path, capsys):
     refused(capsys, "--resolution needs --renders", "eval", own_run, "--resolution", "30")
 
 
+@pytest.mark.slow
 def test_methods_are_compared(small_scene, tmp_path, capsys):
     tiny = ("--max-steps", "2", "--max-gaussians", "60", "--output", tmp_path / "compare")
     assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0

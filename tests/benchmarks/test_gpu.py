@@ -303,6 +303,7 @@ def test_gsplat_needs_a_gpu(monkeypatch, tmp_path):
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+@pytest.mark.slow
 def test_without_a_gpu_nothing_is_measured_and_the_remedy_is_told(tmp_path):
     assert gpu.main(["--output", str(tmp_path), "--seconds", "60"]) == 1
     assert list(json.loads((tmp_path / "gpu.json").read_text())["parts"]) == ["device"]
@@ -326,6 +327,7 @@ def test_the_children_never_interpret_the_kernels(monkeypatch):
     assert "TRITON_INTERPRET" not in gpu.environment(None)
 
 
+@pytest.mark.slow
 def test_parts_run_without_what_a_bare_machine_lacks(tmp_path):
     """One part for real, from another folder, where the command line's and the viewer's packages
     are missing."""

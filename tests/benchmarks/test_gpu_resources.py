@@ -37,6 +37,7 @@ def found(version: str = "3.9.0", unlisted: tuple[str, ...] = (), **changes: int
 TABLE_OF_GOOD = {"3.9.0": found()["kernels"]}
 
 
+@pytest.mark.slow
 def test_no_kernel_takes_more_than_the_table_says():
     pytest.importorskip("triton")
     assert worsened(compile_in_children(), read_table()) == []

@@ -74,6 +74,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return methods
 
 
+@pytest.mark.slow
 def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twin, tmp_path):
     options = tiny_options(seeds=2, methods=("mrgs-fourier", "mrgs"))
     said: list[str] = []
@@ -294,6 +295,7 @@ def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_in_a_process_of_its_own(small_scene, tmp_path):
     said: list[str] = []
     result = compare(

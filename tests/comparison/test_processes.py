@@ -204,6 +204,7 @@ def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs, tmp_path):
         os.kill(heard[1]["step"], 0)
 
 
+@pytest.mark.slow
 def test_a_real_child_stops_with_a_checkpoint(small_scene, tmp_path):
     config = make_config("3dgs-rgbt", "fast", max_steps=2_000, max_gaussians=60)
     job = Job(small_scene, "balls", "3dgs-rgbt", 0, config, tmp_path / "seed_0")

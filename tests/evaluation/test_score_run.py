@@ -13,14 +13,14 @@ from mrgs.pictures.files import to_rgb8
 from mrgs.render import render_view
 from mrgs.runs.open import Run, load_run
 from mrgs.scene.camera_paths import orbit
-from mrgs.training import make_config, train
+from mrgs.training import make_config
+from tests.helpers.runs import trained_run
 
 
 @pytest.fixture
-def run(small_scene: Path, tmp_path: Path) -> Run:
-    return load_run(
-        train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path
-    )
+def run(small_scene: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    config = make_config(max_steps=3, max_gaussians=100)
+    return load_run(trained_run(tmp_path_factory, small_scene, config, tmp_path / "run"))
 
 
 def pixels(path: Path) -> np.ndarray:

@@ -11,6 +11,7 @@ from mrgs.errors import DeviceError, RunError, SceneError
 from mrgs.runs import open as run_module
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.training import make_config, train
+from tests.helpers.runs import trained_run
 from tests.helpers.scenes import write_scene
 
 MIN_C, MAX_C = 10.0, 30.0
@@ -19,12 +20,9 @@ MIN_C, MAX_C = 10.0, 30.0
 
 @pytest.fixture(scope="module")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    folder = train(
-        small_scene,
-        tmp_path_factory.mktemp("runs") / "run",
-        make_config(max_steps=3, max_gaussians=100),
-    )
-    return load_run(folder.path)
+    config = make_config(max_steps=3, max_gaussians=100)
+    output = tmp_path_factory.mktemp("runs") / "run"
+    return load_run(trained_run(tmp_path_factory, small_scene, config, output))
 
 
 def test_a_run_knows_what_it_was_trained_on(run, small_scene):

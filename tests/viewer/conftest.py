@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +8,19 @@ import pytest
 
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, Scene
-from mrgs.training import make_config, train
+from mrgs.training import make_config
 from mrgs.viewer.cameras import pinhole
 from mrgs.viewer.settings import Subject
-from mrgs.viewer.source import TrainedSource
+from tests.helpers.runs import trained_run
+from tests.helpers.subjects import subject_of
 
 
 @pytest.fixture(scope="session")
 def small_run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Both modalities, °C, one camera; trained for a moment, so that there is something to see."""
     config = make_config(max_steps=60, max_gaussians=300)
-    return load_run(train(small_scene, tmp_path_factory.mktemp("runs") / "balls", config).path)
+    output = tmp_path_factory.mktemp("runs") / "balls"
+    return load_run(trained_run(tmp_path_factory, small_scene, config, output))
 
 
 @pytest.fixture(scope="session")
@@ -28,18 +29,8 @@ def balls(small_run: Run) -> Scene:
 
 
 @pytest.fixture
-def make_subject(tmp_path: Path) -> Callable[..., Subject]:
-    """A subject from a run; what it writes goes into the test's folder."""
-
-    def make(run: Run, scene: Scene | None) -> Subject:
-        return Subject("balls", TrainedSource(run.model), run.temperature, scene, tmp_path)
-
-    return make
-
-
-@pytest.fixture
-def subject(make_subject: Callable[..., Subject], small_run: Run, balls: Scene) -> Subject:
-    return make_subject(small_run, balls)
+def subject(small_run: Run, balls: Scene, tmp_path: Path) -> Subject:
+    return subject_of(small_run, balls, tmp_path)
 
 
 @pytest.fixture

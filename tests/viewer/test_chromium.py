@@ -40,31 +40,34 @@ def viewer(small_run: Run, balls: Scene) -> Iterator[Viewer]:
 
 
 @pytest.fixture(scope="module")
-def page(viewer: Viewer) -> Iterator[Any]:
+def browser() -> Iterator[Any]:
     with chromium() as browser:
-        for left in reversed(range(CONNECTIONS)):
-            page = new_page(
-                browser, viewport={"width": 900, "height": 600}, reduced_motion="reduce"
-            )
-            page.foreign = []
-            page.on("request", lambda request, page=page: page.foreign.append(request.url))
-            try:
-                connect(page, viewer)
-                break
-            except (BrowserError, AssertionError):
-                if not left:
-                    raise
-                page.context.close()
-        yield page
+        yield browser
 
 
-def connect(page: Any, viewer: Viewer) -> None:
-    """Until the page is the server's only client, and its controls are there."""
-    page.goto(viewer.url)
-    page.locator(".mrgs-hint").wait_for()
-    # It is told that this is software rendering.
-    page.locator(".mantine-Notification-closeButton").first.click()
-    wait_until(lambda: len(viewer.browsers) == 1, "one browser is connected", page)
+@pytest.fixture(scope="module")
+def page(browser: Any, viewer: Viewer) -> Any:
+    return open_connected(browser, viewer)
+
+
+def open_connected(browser: Any, viewer: Viewer) -> Any:
+    """A page that is one of the server's clients, with its controls."""
+    others = len(viewer.browsers)
+    for left in reversed(range(CONNECTIONS)):
+        page = new_page(browser, viewport={"width": 900, "height": 600}, reduced_motion="reduce")
+        page.foreign = []
+        page.on("request", lambda request, page=page: page.foreign.append(request.url))
+        try:
+            page.goto(viewer.url)
+            page.locator(".mrgs-hint").wait_for()
+            # It is told that this is software rendering.
+            page.locator(".mantine-Notification-closeButton").first.click()
+            wait_until(lambda: len(viewer.browsers) == others + 1, "it is connected", page)
+            return page
+        except (BrowserError, AssertionError):
+            page.context.close()
+            if not left:
+                raise
 
 
 def choose(page: Any, label: str, option: str) -> None:
@@ -179,6 +182,7 @@ def test_nothing_is_fetched_from_elsewhere(page, viewer):
     assert all(url.startswith((viewer.url, "data:", "blob:")) for url in page.foreign)
 
 
-def test_a_closed_browser_is_forgotten(page, viewer):
-    page.close()
-    wait_until(lambda: viewer.browsers == [], "the server forgets the browser")
+def test_a_closed_browser_is_forgotten(browser, viewer, page):
+    (kept,) = viewer.browsers
+    open_connected(browser, viewer).close()
+    wait_until(lambda: viewer.browsers == [kept], "the server forgets the browser", page)

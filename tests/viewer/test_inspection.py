@@ -17,6 +17,7 @@ from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.settings import Settings
 from tests.helpers.scenes import write_scene
+from tests.helpers.subjects import subject_of
 
 
 @pytest.fixture
@@ -189,9 +190,9 @@ def test_a_video_needs_a_free_camera_and_two_keyframes(inspection, camera):
         inspection.render_video(1.0, lambda *_: None)
 
 
-def test_without_celsius_values_are_called_normalised(make_subject, small_run, balls, camera):
+def test_without_celsius_values_are_called_normalised(small_run, balls, camera, tmp_path):
     unknown = replace(small_run, facts=small_run.facts._replace(temperature=None))
-    inspection = Inspection(make_subject(unknown, balls))
+    inspection = Inspection(subject_of(unknown, balls, tmp_path))
     inspection.picture(camera, coarse=False)
     inspection.click(0.5, 0.5)
     assert "(normalised)" in texts.point(inspection)
@@ -220,14 +221,14 @@ def test_without_celsius_values_are_called_normalised(make_subject, small_run, b
         ),
     ],
 )
-def test_other_captures(make_subject, tmp_path, camera, options, modes):
+def test_other_captures(tmp_path, camera, options, modes):
     folder = train(
         write_scene(tmp_path / "scene", **options),
         tmp_path / "run",
         make_config(max_steps=3, max_gaussians=100),
     )
     run = load_run(folder.path)
-    subject = make_subject(run, run.load_scene())
+    subject = subject_of(run, run.load_scene(), tmp_path)
     assert subject.modes == modes
     inspection = Inspection(subject)
     for mode in modes:
@@ -237,8 +238,8 @@ def test_other_captures(make_subject, tmp_path, camera, options, modes):
         assert texts.point(inspection)
 
 
-def test_without_the_scene_there_are_no_photos(make_subject, small_run, camera):
-    inspection = Inspection(make_subject(small_run, None))
+def test_without_the_scene_there_are_no_photos(small_run, camera, tmp_path):
+    inspection = Inspection(subject_of(small_run, None, tmp_path))
     assert "photos" not in inspection.subject.modes
     assert inspection.picture(camera, coarse=False).shape == (120, 160, 3)
     assert inspection.view is None
