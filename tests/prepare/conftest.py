@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import struct
-import sys
 from collections.abc import Callable
 from datetime import datetime
 from functools import cache
@@ -15,17 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-FLIR_PHOTOS = Path(__file__).parents[1] / "data" / "radiometric" / "conftest.py"
+from tests.helpers.flir import FlirPhoto
 
 
 @pytest.fixture(scope="session")
 def flir() -> type:
     """Writes FLIR photos: ``flir(visible=...).jpeg()``."""
-    spec = importlib.util.spec_from_file_location("flir_photos", FLIR_PHOTOS)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module.FlirPhoto
+    return FlirPhoto
 
 
 def exif(
