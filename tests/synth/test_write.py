@@ -10,7 +10,7 @@ from PIL import Image
 from mrgs.errors import ConfigError
 from mrgs.scene import TemperatureRange
 from mrgs_synth.stage import Stage
-from mrgs_synth.write import SceneFolder, opengl_camera_to_world, write_float_tiff
+from mrgs_synth.write import SceneFolder, write_float_tiff
 
 
 def test_transforms_follow_nerfstudio(tmp_path: Path, two_boxes: Stage) -> None:
@@ -32,13 +32,6 @@ def test_transforms_follow_nerfstudio(tmp_path: Path, two_boxes: Stage) -> None:
     np.testing.assert_allclose(pose[:3, 3], cameras[0].position.numpy())
     np.testing.assert_allclose(-pose[:3, 2], cameras[0].forward.numpy())  # OpenGL looks along −z
     assert pose[2, 1] > 0  # and its y points up
-
-
-def test_opengl_pose_is_a_rotation(two_boxes: Stage) -> None:
-    camera = two_boxes.cameras.train(1, 32, 24, np.random.default_rng(0))[0]
-    rotation = opengl_camera_to_world(camera)[:3, :3]
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 
 def test_truth_survives_to_within_half_a_step(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from PIL import Image, TiffImagePlugin
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera, TemperatureRange
+from mrgs.scene.rotations import opengl_camera_to_world
 from mrgs_synth.ply import write_points
 
 JPEG_QUALITY = 92
@@ -91,7 +92,7 @@ class SceneFolder:
             {
                 "file_path": f"images/{name}.jpg",
                 "thermal_file_path": f"thermal/{name}.png",
-                "transform_matrix": opengl_camera_to_world(camera).tolist(),
+                "transform_matrix": opengl_camera_to_world(camera.viewmat).tolist(),
             }
             for name, camera in cameras.items()
         ]
@@ -101,14 +102,6 @@ class SceneFolder:
 
     def _json(self, name: str, content: Mapping[str, Any]) -> None:
         (self.path / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
-def opengl_camera_to_world(camera: Camera) -> Float[np.ndarray, "4 4"]:
-    """nerfstudio's pose: x right, y up, z backwards."""
-    pose: Float[np.ndarray, "4 4"] = np.linalg.inv(camera.viewmat.numpy()) @ np.diag(
-        [1.0, -1.0, -1.0, 1.0]
-    )
-    return pose
 
 
 def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], step: float) -> None:

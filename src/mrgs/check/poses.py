@@ -13,6 +13,7 @@ from torch import Tensor
 from mrgs.check.problems import Problem
 from mrgs.prepare.page.previews import views_text
 from mrgs.scene import Camera, Scene, View
+from mrgs.scene.rotations import OPENGL_FROM_OPENCV
 from mrgs.scene.view import spread
 
 NO_POINTS = "There are no start points"
@@ -35,7 +36,7 @@ _FIELD_OF_VIEW_DEG = (6.0, 130.0)
 _CENTRE = (0.25, 0.75)
 _ASPECT = 2.0
 
-_FLIP = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+_FLIP = torch.from_numpy(OPENGL_FROM_OPENCV)
 Matrix = Float64[Tensor, "4 4"]
 
 _CONVENTIONS: dict[str, tuple[Callable[[Tensor], Tensor], str]] = {

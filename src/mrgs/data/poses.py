@@ -6,18 +6,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
 from mrgs.data.files import MAX_MAGNITUDE, scene_error, shown
+from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
 
 ORTHONORMAL_TOLERANCE = 1e-3
 """Largest entry of |RᵀR − I| that counts as rounding; it is then removed."""
-
-OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
-"""Turns camera axes x right, y up, z backward into x right, y down, z forward (and back)."""
 
 
 def matrix_from_json(
@@ -86,8 +83,8 @@ def viewmat_from_opengl(
         camera_to_world[3], [0, 0, 0, 1], atol=1e-6
     ):
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
-    rotation = OPENGL_TO_OPENCV @ nearest_rotation(camera_to_world[:3, :3], what, file).T
-    return rigid(rotation, -rotation @ camera_to_world[:3, 3])
+    rotation = OPENGL_FROM_OPENCV[:3, :3] @ nearest_rotation(camera_to_world[:3, :3], what, file).T
+    return rigid_transform(rotation, -rotation @ camera_to_world[:3, 3])
 
 
 def viewmat_from_colmap(
@@ -107,22 +104,4 @@ def viewmat_from_colmap(
         raise scene_error(
             file, f"the quaternion of {what} has length {norm:.4g}, not 1; run COLMAP again"
         )
-    w, x, y, z = qvec / norm
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return rigid(rotation, tvec)
-
-
-def rigid(
-    rotation: NDArray[np.float64], translation: NDArray[np.float64]
-) -> Float64[Tensor, "4 4"]:
-    """The homogeneous matrix of a rigid motion."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    matrix[:3, 3] = translation
-    return torch.from_numpy(matrix)
+    return rigid_transform(matrix_from_quaternion(qvec), tvec)

@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 from PIL import Image
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from mrgs.data.poses import OPENGL_TO_OPENCV
 from mrgs.export.ply import table, write_ply
 from mrgs.export.splats import to_bytes
 from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
 from mrgs.scene import Camera, PosedImage, Scene, TemperatureRange, View
+from mrgs.scene.rotations import opengl_camera_to_world, quaternion_from_matrix
 from mrgs.system.atomic import replacing
 
 RGB_FOLDER, THERMAL_FOLDER = "images", "thermal"
@@ -96,9 +95,6 @@ def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
 
 def _pose_and_lens(camera: Camera) -> dict[str, Any]:
     width, height, fx, fy, cx, cy = _intrinsics(camera)
-    pose = np.eye(4)
-    pose[:3, :3] = camera.viewmat[:3, :3].numpy().T @ OPENGL_TO_OPENCV
-    pose[:3, 3] = camera.position.numpy()
     return {
         "fl_x": fx,
         "fl_y": fy,
@@ -106,7 +102,7 @@ def _pose_and_lens(camera: Camera) -> dict[str, Any]:
         "cy": cy,
         "w": width,
         "h": height,
-        "transform_matrix": pose.tolist(),
+        "transform_matrix": opengl_camera_to_world(camera.viewmat).tolist(),
     }
 
 
@@ -126,8 +122,8 @@ def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
     cameras = [f"{number} PINHOLE {_row(intrinsics)}" for intrinsics, number in lenses.items()]
     images = []
     for number, (name, camera) in enumerate(registered, start=1):
-        x, y, z, w = Rotation.from_matrix(camera.viewmat[:3, :3].numpy()).as_quat().tolist()
-        pose = _row([w, x, y, z, *camera.viewmat[:3, 3].tolist()])
+        quaternion = quaternion_from_matrix(camera.viewmat[:3, :3].numpy()).tolist()
+        pose = _row([*quaternion, *camera.viewmat[:3, 3].tolist()])
         images.append(
             f"{number} {pose} {lenses[_intrinsics(camera)]} {name}\n"
         )  # and an empty line: no observations

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float64
-from torch import Tensor
 
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
@@ -20,11 +18,10 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import DevelopedView, Development, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
 from mrgs.scene import PointCloud
+from mrgs.scene.rotations import opengl_camera_to_world
 from mrgs.system.atomic import remove, replacing
 
 TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
-
-_OPENGL_FROM_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 
 def write_scene(
@@ -101,11 +98,10 @@ def _frame(
     if reconstruction.images == "rgb":
         frame["file_path"] = view.rgb
     frame["thermal_file_path"] = view.thermal
-    frame["transform_matrix"] = _camera_to_world(viewmat)
+    frame["transform_matrix"] = opengl_camera_to_world(viewmat).tolist()
     if rig is not None:
-        frame["thermal_transform_matrix"] = _camera_to_world(
-            rig.viewmat(_pair_index(rig, view.name), viewmat)
-        )
+        thermal_viewmat = rig.viewmat(_pair_index(rig, view.name), viewmat)
+        frame["thermal_transform_matrix"] = opengl_camera_to_world(thermal_viewmat).tolist()
     return frame
 
 
@@ -122,14 +118,6 @@ def _pair_index(rig: RigCalibration, name: str) -> int:
         f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate it "
         f"too"
     )
-
-
-def _camera_to_world(viewmat: Float64[Tensor, "4 4"]) -> list[list[float]]:
-    """Camera to world with OpenGL axes (nerfstudio), from world to camera with OpenCV axes."""
-    rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3], pose[:3, 3] = rotation.T, -rotation.T @ translation
-    return (pose @ _OPENGL_FROM_OPENCV).tolist()
 
 
 def _one_lens(reconstruction: Reconstruction) -> bool:

@@ -16,12 +16,13 @@ from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.posed import decode_rgb, posed_image
-from mrgs.data.poses import matrix_from_json, nearest_rotation, rigid
+from mrgs.data.poses import matrix_from_json, nearest_rotation
 from mrgs.errors import ConfigError
 from mrgs.prepare.contract import DevelopedView, Development, Georeference, Progress, Reconstruction
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
 from mrgs.scene import Pixels
+from mrgs.scene.rotations import rigid_transform
 
 SHAPE_TOLERANCE = 0.01
 """Width over height may differ by this share between two images of one camera: sizes are whole
@@ -71,7 +72,8 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
             )
     if motion is not None:
         given = matrix_from_json(motion, (3, 4), "thermal_from_rgb_m", path)
-        matrix = rigid(nearest_rotation(given[:3, :3], "thermal_from_rgb_m", path), given[:3, 3])
+        rotation = nearest_rotation(given[:3, :3], "thermal_from_rgb_m", path)
+        matrix = rigid_transform(rotation, given[:3, 3])
     return ThermalCamera(lens, matrix)
 
 

@@ -17,6 +17,12 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera, View
 from mrgs.scene.camera_paths import focus_point
+from mrgs.scene.rotations import (
+    matrix_from_quaternion,
+    opengl_camera_to_world,
+    quaternion_from_matrix,
+    rigid_transform,
+)
 from mrgs.system.atomic import replacing
 
 
@@ -56,16 +62,13 @@ def pinhole(
     K = torch.tensor(
         [[focal, 0, 0.5 * width], [0, focal, 0.5 * height], [0, 0, 1]], dtype=torch.float64
     )
-    rotation = Rotation.from_quat(np.roll(np.asarray(wxyz, dtype=np.float64), -1)).as_matrix().T
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3] = torch.from_numpy(rotation.copy())
-    viewmat[:3, 3] = torch.from_numpy(-rotation @ np.asarray(position, dtype=np.float64))
-    return Camera(K, viewmat, width, height)
+    rotation = matrix_from_quaternion(wxyz).T
+    return Camera(K, rigid_transform(rotation, -rotation @ np.asarray(position)), width, height)
 
 
 def rotation_wxyz(camera: Camera) -> Float[np.ndarray, "4"]:
     """Rotation from the camera's axes to the world, as a quaternion."""
-    return np.roll(Rotation.from_matrix(camera.viewmat[:3, :3].numpy().T).as_quat(), 1)
+    return quaternion_from_matrix(camera.viewmat[:3, :3].numpy().T)
 
 
 def vertical_fov(camera: Camera) -> float:
@@ -148,15 +151,13 @@ def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
     positions = CubicSpline(
         times, np.stack([camera.position.numpy() for camera in keyframes]), bc_type="natural"
     )
-    turns = Rotation.from_quat(
-        np.stack([np.roll(rotation_wxyz(camera), -1) for camera in keyframes])
-    )
-    rotations = RotationSpline(times, turns)(wanted).as_quat()
+    turns = Rotation.from_matrix([camera.viewmat[:3, :3].numpy().T for camera in keyframes])
+    quaternions = RotationSpline(times, turns)(wanted).as_quat(scalar_first=True)
     fovs = np.interp(wanted, times, [vertical_fov(camera) for camera in keyframes])
     width, height = keyframes[0].width, keyframes[0].height
     return [
-        pinhole(np.roll(quat, 1), position, float(fov), width, height)
-        for quat, position, fov in zip(rotations, positions(wanted), fovs, strict=True)
+        pinhole(wxyz, position, float(fov), width, height)
+        for wxyz, position, fov in zip(quaternions, positions(wanted), fovs, strict=True)
     ]
 
 
@@ -172,11 +173,10 @@ def save_path(path: Path, keyframes: Sequence[Camera], seconds: float, fps: int)
         raise ConfigError("there are no keyframes to save: add some first")
     entries = []
     for camera in keyframes:
-        world = np.linalg.inv(camera.viewmat.numpy()) * [1, -1, -1, 1]
         degrees = math.degrees(vertical_fov(camera))
         entries.append(
             {
-                "camera_to_world": world.flatten().tolist(),
+                "camera_to_world": opengl_camera_to_world(camera.viewmat).flatten().tolist(),
                 "fov": degrees,
                 "aspect": camera.width / camera.height,
             }

@@ -10,6 +10,13 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
+from mrgs.scene.rotations import (
+    cross_matrix,
+    left_jacobian,
+    matrix_from_rotvec,
+    rigid_transform,
+    rotvec_from_matrix,
+)
 
 RIG = 12
 """log fx, log(fy / fx), cx, cy (thermal pixels), k1, k2, rotation vector (radians), translation
@@ -59,26 +66,13 @@ def lens_parameters(lens: Lens) -> Float64[Tensor, "6"]:
 
 
 def motion_parameters(matrix: Float64[Tensor, "4 4"]) -> Float64[Tensor, "6"]:
-    """Rotation vector and translation of a rigid motion of less than half a turn."""
-    rotation = matrix[:3, :3]
-    axis = torch.stack(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    sine, cosine = axis.norm() / 2, (rotation.trace() - 1) / 2
-    angle = torch.atan2(sine, cosine)
-    return torch.cat([axis / 2 * (angle / sine if sine > 1e-9 else 1.0), matrix[:3, 3]])
+    """Rotation vector and translation of a rigid motion."""
+    return torch.cat([torch.from_numpy(rotvec_from_matrix(matrix[:3, :3])), matrix[:3, 3]])
 
 
 def rigid_motion(parameters: Float64[Tensor, "6"]) -> Float64[Tensor, "4 4"]:
     """The matrix of a rotation vector and a translation."""
-    matrix = torch.eye(4, dtype=torch.float64)
-    matrix[:3, :3] = torch.linalg.matrix_exp(_cross(parameters[:3]))
-    matrix[:3, 3] = parameters[3:]
-    return matrix
+    return rigid_transform(matrix_from_rotvec(parameters[:3]), parameters[3:])
 
 
 def project(
@@ -94,22 +88,22 @@ def project_jacobian(
 ) -> Float64[Tensor, "n 2 18"]:
     """Derivatives of ``project`` by the rig and by the motion."""
     _, inside, turned, shifted = _project(rig, motions, points)
-    own_rotation, own_slope = _rotations(motions[:, :3])
-    _, slope = _rotations(rig[None, 6:9])
+    own_rotation = _rotations(motions[:, :3])
     by_lens, by_inside = _lens_jacobian(rig, inside)
     by_motion = [
-        -_cross(shifted) @ own_slope,
+        -cross_matrix(shifted) @ left_jacobian(motions[:, :3]),
         torch.eye(3, dtype=points.dtype).expand(len(points), 3, 3),
     ]
-    by_pose = [own_rotation @ -_cross(turned) @ slope, own_rotation]
+    by_rotvec = own_rotation @ -cross_matrix(turned) @ left_jacobian(rig[None, 6:9])
+    by_pose = [by_rotvec, own_rotation]
     return torch.cat([by_lens, by_inside @ torch.cat(by_pose + by_motion, dim=2)], dim=2)
 
 
 def _project(rig: Tensor, motions: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Pixels; the points in thermal axes; turned by the rig's rotation alone; and turned by both,
     before the last translation."""
-    turned = points @ _rotations(rig[None, 6:9])[0][0].T
-    shifted = torch.einsum("nij,nj->ni", _rotations(motions[:, :3])[0], turned + rig[9:12])
+    turned = points @ _rotations(rig[None, 6:9])[0].T
+    shifted = torch.einsum("nij,nj->ni", _rotations(motions[:, :3]), turned + rig[9:12])
     inside = shifted + motions[:, 3:]
     slopes = inside[:, :2] / inside[:, 2:]
     r2 = slopes.square().sum(dim=1, keepdim=True)
@@ -142,24 +136,5 @@ def _lens_jacobian(rig: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     return by_lens, focal[:, None] * (by_slopes @ by_point)
 
 
-def _rotations(
-    vectors: Float64[Tensor, "n 3"],
-) -> tuple[Float64[Tensor, "n 3 3"], Float64[Tensor, "n 3 3"]]:
-    """Rotation matrices R, and the left Jacobians J: R(v + d) = exp([J d]×) R(v) for a small d.
-
-    Rodrigues' formula, by the series of sin θ / θ, (1 - cos θ) / θ² and (θ - sin θ) / θ³: smooth at
-    0, and exact to 1e-9 for θ < 1.
-    """
-    t = vectors.square().sum(dim=1)[:, None, None]
-    sine = 1 - t / 6 * (1 - t / 20 * (1 - t / 42 * (1 - t / 72 * (1 - t / 110))))
-    cosine = 0.5 - t / 24 * (1 - t / 30 * (1 - t / 56 * (1 - t / 90 * (1 - t / 132))))
-    rest = 1 / 6 - t / 120 * (1 - t / 42 * (1 - t / 72 * (1 - t / 110 * (1 - t / 156))))
-    cross, one = _cross(vectors), torch.eye(3, dtype=vectors.dtype)
-    return one + sine * cross + cosine * cross @ cross, one + cosine * cross + rest * cross @ cross
-
-
-def _cross(v: Float64[Tensor, "*n 3"]) -> Float64[Tensor, "*n 3 3"]:
-    """The matrix [v]× of the cross product with v."""
-    x, y, z = v.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*v.shape, 3)
+def _rotations(rotvec: Float64[Tensor, "n 3"]) -> Float64[Tensor, "n 3 3"]:
+    return torch.from_numpy(matrix_from_rotvec(rotvec))

@@ -14,12 +14,12 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.target.detect import Corners
 from mrgs.prepare.rig.target.plane import plane_pose
 from mrgs.prepare.rig.target.sightings import Sighting
+from mrgs.scene.rotations import matrix_from_rotvec
 from mrgs.scene.view import spread
 
 _FEWEST = 3
@@ -228,7 +228,7 @@ def _fitted(
     seen = np.stack([pose.sighting.rays for pose in poses])
 
     def moved(step: Float[np.ndarray, "7"]) -> _Board:
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        turn = matrix_from_rotvec(step[:3])
         return _Board(
             turn @ board.rotation,
             board.origin + board.square * step[3:6],

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+
+from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform, rotvec_from_matrix
 
 
 def homography(
@@ -62,14 +63,12 @@ def plane_pose(
     u, _, v = np.linalg.svd(
         np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])])
     )
-    start = np.concatenate([Rotation.from_matrix(u @ v).as_rotvec(), columns[:, 2]])
+    start = np.concatenate([rotvec_from_matrix(u @ v), columns[:, 2]])
     flat = np.column_stack([plane, np.zeros(len(plane))])
 
     def misses(pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, " k"]:
-        points = Rotation.from_rotvec(pose[:3]).apply(flat) + pose[3:]
+        points = flat @ matrix_from_rotvec(pose[:3]).T + pose[3:]
         return (points[:, :2] / points[:, 2:] - rays).ravel()
 
     pose = least_squares(misses, start, x_scale="jac").x
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = Rotation.from_rotvec(pose[:3]).as_matrix(), pose[3:]
-    return motion
+    return rigid_transform(matrix_from_rotvec(pose[:3]), pose[3:]).numpy()
