@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from mrgs.data.ply import read_ply as read_points
+from mrgs.data.ply import table, write_ply
 from mrgs.errors import RunError
-from mrgs.export.ply import logit, table, write_ply, write_rgb_thermal_ply, write_splat_ply
+from mrgs.export.ply import logit, write_rgb_thermal_ply, write_splat_ply
 from mrgs.export.splats import rgb_splats, thermal_scale, thermal_splats
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from mrgs.data.ply import table, write_ply
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
-from mrgs_synth.ply import write_mesh
+from mrgs_synth.shapes import Mesh
 from mrgs_synth.stage import Lamp, Material, Stage
 
 MAX_BOUNCES = 4
@@ -41,7 +42,7 @@ class PathTracer:
             description[f"lamp_{number}"] = self._lamp(lamp)
         for number, solid in enumerate(stage.solids):
             path = folder / f"{number}.ply"
-            write_mesh(path, solid.world_mesh())
+            _write_mesh(path, solid.world_mesh())
             description[f"solid_{number}"] = {
                 "type": "ply",
                 "filename": str(path),
@@ -159,3 +160,11 @@ def to_srgb(linear: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
         value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1 / 2.4) - 0.055
     )
     return np.round(255.0 * curve).astype(np.uint8)
+
+
+def _write_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a triangle mesh with normals and texture coordinates as a PLY file."""
+    values = np.concatenate([mesh.vertices, mesh.normals, mesh.uv], axis=1).astype(np.float32)
+    names = ("x", "y", "z", "nx", "ny", "nz", "u", "v")
+    columns = {name: values[:, i] for i, name in enumerate(names)}
+    write_ply(path, {"vertex": table(columns), "face": mesh.faces})

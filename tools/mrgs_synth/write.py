@@ -12,10 +12,18 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, TiffImagePlugin
 
+from mrgs.data.ply import write_points
+from mrgs.data.transforms import (
+    BOUNDS,
+    POINTS,
+    TRANSFORMS,
+    frame_json,
+    pinhole_lens,
+    write_bounds,
+    write_transforms,
+)
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera, TemperatureRange
-from mrgs.scene.rotations import opengl_camera_to_world
-from mrgs_synth.ply import write_points
 
 JPEG_QUALITY = 92
 # Truth is rounded to these steps, far below what matters, so that it compresses: 1/512 °C and
@@ -37,7 +45,7 @@ class SceneFolder:
         Raises:
             ConfigError: ``path`` is a file, holds a scene already, or cannot be written.
         """
-        if (path / "transforms.json").exists() or any((path / "images").glob("*")):
+        if (path / TRANSFORMS).exists() or any((path / "images").glob("*")):
             raise ConfigError(f"{path} holds a scene already: delete it, or choose another folder")
         try:
             for name in ("images", "thermal", "truth/temperature", "truth/depth"):
@@ -68,40 +76,25 @@ class SceneFolder:
 
     def temperature_bounds(self, temperature: TemperatureRange) -> None:
         """Write ``temperature_bounds.json``."""
-        bounds = {
-            "absolute_max_temperature": temperature.max_c,
-            "absolute_min_temperature": temperature.min_c,
-        }
-        self._json("temperature_bounds.json", bounds)
+        write_bounds(self.path / BOUNDS, temperature.min_c, temperature.max_c)
 
     def points(self, positions: Float[np.ndarray, "n 3"], colors: UInt8[np.ndarray, "n 3"]) -> None:
         """Write ``sparse_pc.ply``."""
-        write_points(self.path / "sparse_pc.ply", positions, colors)
+        write_points(self.path / POINTS, positions, colors)
 
     def parameters(self, parameters: Mapping[str, Any]) -> None:
         """Write ``truth/synth.json``: how the scene was generated."""
-        self._json("truth/synth.json", parameters)
+        text = json.dumps(parameters, indent=1) + "\n"
+        (self.path / "truth/synth.json").write_text(text, encoding="utf-8")
 
     def transforms(self, cameras: Mapping[str, Camera]) -> None:
         """Write ``transforms.json`` for named cameras that share their intrinsics."""
-        camera = next(iter(cameras.values()))
-        (fl_x, _, cx), (_, fl_y, cy) = camera.K[:2].tolist()
-        lens = {"camera_model": "OPENCV", "fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy}
-        size = {"w": camera.width, "h": camera.height, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0}
         frames = [
-            {
-                "file_path": f"images/{name}.jpg",
-                "thermal_file_path": f"thermal/{name}.png",
-                "transform_matrix": opengl_camera_to_world(camera.viewmat).tolist(),
-            }
+            frame_json(camera.viewmat, f"images/{name}.jpg", f"thermal/{name}.png")
             for name, camera in cameras.items()
         ]
-        self._json(
-            "transforms.json", {**lens, **size, "ply_file_path": "sparse_pc.ply", "frames": frames}
-        )
-
-    def _json(self, name: str, content: Mapping[str, Any]) -> None:
-        (self.path / name).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        lens = pinhole_lens(next(iter(cameras.values())))
+        write_transforms(self.path / TRANSFORMS, frames, lens=lens, points=POINTS)
 
 
 def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], step: float) -> None:

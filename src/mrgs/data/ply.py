@@ -1,16 +1,19 @@
-"""Points from a PLY file: ASCII, or binary of either byte order."""
+"""PLY files: points are read from ASCII or binary of either byte order; any rows are written."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from mrgs.data.files import read_bytes, scene_error, shown
 from mrgs.errors import SceneError
+from mrgs.system.atomic import replacing
 
 MAX_HEADER_BYTES = 64 * 1024
 
@@ -24,6 +27,7 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
+_PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOR_NAMES = (
     ("red", "green", "blue"),
@@ -42,6 +46,56 @@ class _Element:
     @property
     def dtype(self) -> np.dtype:
         return np.dtype(list(self.properties.items()))
+
+
+def write_ply(path: Path, elements: Mapping[str, np.ndarray], comments: Sequence[str] = ()) -> Path:
+    """Write a binary PLY file; returns the path.
+
+    Args:
+        path: of the file.
+        elements: rows by the element's name. A structured array gives scalar properties; a plain
+            [N, K] array of int32 is written as lists of K ``vertex_indices``.
+        comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {_ascii(line)}" for line in comments),
+    ]
+    for name, rows in elements.items():
+        header += [f"element {name} {len(rows)}", *_properties(rows)]
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
+        for rows in elements.values():
+            file.write(
+                np.ascontiguousarray(rows if rows.dtype.names else _lists(rows)).view(np.uint8).data
+            )
+    return path
+
+
+def table(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Columns of equal length as one structured array, little-endian."""
+    kinds = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
+    rows = np.empty(len(next(iter(columns.values()))), dtype=kinds)
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
+
+
+def write_points(
+    path: Path, positions: Float[np.ndarray, "n 3"], colors: UInt8[np.ndarray, "n 3"]
+) -> Path:
+    """Write coloured points as a binary PLY file, positions as float32; returns the path.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    columns = {axis: positions[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
+    columns |= {name: colors[:, i] for i, name in enumerate(_COLOR_NAMES[0])}
+    return write_ply(path, {"vertex": table(columns)})
 
 
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
@@ -164,3 +218,21 @@ def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:
     if vertices.dtype[names[0]].kind != "f":
         colors /= 65535 if vertices.dtype[names[0]].itemsize == 2 else 255
     return np.clip(np.nan_to_num(colors, nan=0.5), 0.0, 1.0)
+
+
+def _properties(rows: np.ndarray) -> list[str]:
+    if rows.dtype.names is None:
+        return ["property list uchar int vertex_indices"]
+    return [f"property {_PLY_TYPES[rows.dtype[name].str[1:]]} {name}" for name in rows.dtype.names]
+
+
+def _lists(rows: np.ndarray) -> np.ndarray:
+    lists = np.empty(len(rows), dtype=[("count", "u1"), ("indices", "<i4", rows.shape[1:])])
+    lists["count"] = rows.shape[1]
+    lists["indices"] = rows
+    return lists
+
+
+def _ascii(line: str) -> str:
+    text = " ".join(line.split()).replace("°C", "degrees Celsius")
+    return text.encode("ascii", "replace").decode("ascii")

@@ -6,7 +6,6 @@ was trained on; so those images are written beside them.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,20 @@ from jaxtyping import Bool, Float64
 from PIL import Image
 from torch import Tensor
 
-from mrgs.export.ply import table, write_ply
+from mrgs.data.ply import write_points
+from mrgs.data.transforms import (
+    BOUNDS,
+    POINTS,
+    TRANSFORMS,
+    frame_json,
+    pinhole_lens,
+    write_bounds,
+    write_transforms,
+)
 from mrgs.export.splats import to_bytes
 from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
 from mrgs.scene import Camera, PosedImage, Scene, TemperatureRange, View
-from mrgs.scene.rotations import opengl_camera_to_world, quaternion_from_matrix
+from mrgs.scene.rotations import quaternion_from_matrix
 from mrgs.system.atomic import replacing
 
 RGB_FOLDER, THERMAL_FOLDER = "images", "thermal"
@@ -47,63 +55,46 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
         for path in _write_images(folder, view, scene.temperature)
     ]
     if scene.temperature is not None and scene.has_thermal:
-        bounds = {
-            "absolute_max_temperature": scene.temperature.max_c,
-            "absolute_min_temperature": scene.temperature.min_c,
-        }
-        paths.append(_write_text(folder / "temperature_bounds.json", json.dumps(bounds)))
-    columns: dict[str, np.ndarray] = {
-        axis: scene.points.positions[:, i].numpy() for i, axis in enumerate("xyz")
-    }
+        bounds = scene.temperature.min_c, scene.temperature.max_c
+        paths.append(write_bounds(folder / BOUNDS, *bounds))
     colors = to_bytes(scene.points.colors.numpy())
-    columns |= {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
-    paths.append(write_ply(folder / "sparse_pc.ply", {"vertex": table(columns)}))
-    paths.append(_write_text(folder / "transforms.json", json.dumps(transforms(scene), indent=1)))
+    paths.append(write_points(folder / POINTS, scene.points.positions.numpy(), colors))
+    paths.append(_write_transforms(folder / TRANSFORMS, scene))
     return [*paths, *_write_colmap(folder / COLMAP_FOLDER, scene)]
 
 
-def transforms(scene: Scene) -> dict[str, Any]:
-    """What ``transforms.json`` holds: intrinsics in each frame, the split as lists of file
-    names."""
+def _write_transforms(path: Path, scene: Scene) -> Path:
+    """Intrinsics in each frame, the split as lists of file names."""
     frames = [_frame(view, scene.temperature is not None) for view in (*scene.train, *scene.eval)]
     names = [frame["file_path"] for frame in frames]
-    return {
-        "camera_model": "PINHOLE",
-        "ply_file_path": "sparse_pc.ply",
-        "applied_transform": np.eye(4)[:3].tolist(),
-        "train_filenames": names[: len(scene.train)],
-        "val_filenames": names[len(scene.train) :],
-        "test_filenames": names[len(scene.train) :],
-        "frames": frames,
-    }
+    count = len(scene.train)
+    facts = {"applied_transform": np.eye(4)[:3].tolist()}
+    return write_transforms(
+        path, frames, points=POINTS, split=(names[:count], names[count:]), facts=facts
+    )
 
 
 def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
     thermal_path = f"{THERMAL_FOLDER}/{view.name}.{_thermal_suffix(has_celsius)}"
     if view.rgb is None:
         assert view.thermal is not None
-        return {"file_path": thermal_path, **_pose_and_lens(view.thermal.camera)}
-    frame = {"file_path": f"{RGB_FOLDER}/{view.name}.png", **_pose_and_lens(view.rgb.camera)}
-    if view.thermal is not None:
-        frame["thermal_file_path"] = thermal_path
-        if not view.shares_camera:
-            thermal = _pose_and_lens(view.thermal.camera)
-            frame["thermal_transform_matrix"] = thermal.pop("transform_matrix")
-            frame["thermal_camera"] = {"camera_model": "PINHOLE", **thermal}
-    return frame
-
-
-def _pose_and_lens(camera: Camera) -> dict[str, Any]:
-    width, height, fx, fy, cx, cy = _intrinsics(camera)
-    return {
-        "fl_x": fx,
-        "fl_y": fy,
-        "cx": cx,
-        "cy": cy,
-        "w": width,
-        "h": height,
-        "transform_matrix": opengl_camera_to_world(camera.viewmat).tolist(),
-    }
+        camera = view.thermal.camera
+        return frame_json(camera.viewmat, thermal_path, lens=pinhole_lens(camera))
+    rgb_path, lens = f"{RGB_FOLDER}/{view.name}.png", pinhole_lens(view.rgb.camera)
+    viewmat = view.rgb.camera.viewmat
+    if view.thermal is None:
+        return frame_json(viewmat, rgb_path, lens=lens)
+    if view.shares_camera:
+        return frame_json(viewmat, rgb_path, thermal_path, lens=lens)
+    camera = view.thermal.camera
+    return frame_json(
+        viewmat,
+        rgb_path,
+        thermal_path,
+        lens=lens,
+        thermal_viewmat=camera.viewmat,
+        thermal_lens=pinhole_lens(camera),
+    )
 
 
 def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.sparse.csgraph
 from jaxtyping import Float, Float32, Int32, UInt8
 
+from mrgs.data.ply import table, write_ply
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
-from mrgs.export.ply import table, write_ply
 from mrgs.export.rendered import carry_over, depth_maps
 from mrgs.export.splats import temperature_name, to_bytes
 from mrgs.export.surface_nets import surface_nets

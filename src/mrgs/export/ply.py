@@ -1,61 +1,22 @@
-"""PLY files: the splats as the 3DGS family stores them, and rows of any other kind."""
+"""Splats as PLY files in the layout of the 3DGS family."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32
 
+from mrgs.data.ply import table, write_ply
 from mrgs.export.splats import Splats, rgb_splats, shown_temperatures, temperature_name, to_float32
 from mrgs.runs.baked import BakedModel
-from mrgs.system.atomic import replacing
 
 SMALLEST_SCALE = 1e-12
 """Scales are floored here, so that their logarithm is finite."""
 
 OPACITY_MARGIN = 1e-7
 """Opacities are kept this far from 0 and 1, so that their logit is finite."""
-
-_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
-
-
-def write_ply(path: Path, elements: Mapping[str, np.ndarray], comments: Sequence[str] = ()) -> Path:
-    """Write a binary PLY file; returns the path.
-
-    Args:
-        path: of the file.
-        elements: rows by the element's name. A structured array gives scalar properties; a plain
-            [N, K] array of int32 is written as lists of K ``vertex_indices``.
-        comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *(f"comment {_ascii(line)}" for line in comments),
-    ]
-    for name, rows in elements.items():
-        header += [f"element {name} {len(rows)}", *_properties(rows)]
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
-        for rows in elements.values():
-            file.write(
-                np.ascontiguousarray(rows if rows.dtype.names else _lists(rows)).view(np.uint8).data
-            )
-    return path
-
-
-def table(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Columns of equal length as one structured array, little-endian."""
-    kinds = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
-    rows = np.empty(len(next(iter(columns.values()))), dtype=kinds)
-    for name, column in columns.items():
-        rows[name] = column
-    return rows
 
 
 def write_splat_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) -> Path:
@@ -111,21 +72,3 @@ def logit(opacities: Float[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
 def log_of(scales: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
     """Natural logarithm of the standard deviations, finite."""
     return np.log(scales.clip(SMALLEST_SCALE))
-
-
-def _properties(rows: np.ndarray) -> list[str]:
-    if rows.dtype.names is None:
-        return ["property list uchar int vertex_indices"]
-    return [f"property {_TYPES[rows.dtype[name].str[1:]]} {name}" for name in rows.dtype.names]
-
-
-def _lists(rows: np.ndarray) -> np.ndarray:
-    lists = np.empty(len(rows), dtype=[("count", "u1"), ("indices", "<i4", rows.shape[1:])])
-    lists["count"] = rows.shape[1]
-    lists["indices"] = rows
-    return lists
-
-
-def _ascii(line: str) -> str:
-    text = " ".join(line.split()).replace("°C", "degrees Celsius")
-    return text.encode("ascii", "replace").decode("ascii")

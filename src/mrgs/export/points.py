@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 
+from mrgs.data.ply import table, write_ply
 from mrgs.errors import RunError
-from mrgs.export.ply import table, write_ply
 from mrgs.export.rendered import carry_over, depth_maps
 from mrgs.export.splats import temperature_name, to_bytes, to_float32
 from mrgs.runs.baked import BakedModel

@@ -3,25 +3,29 @@ bounds."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
+from mrgs.data.ply import write_points
+from mrgs.data.transforms import (
+    BOUNDS,
+    POINTS,
+    TRANSFORMS,
+    frame_json,
+    write_bounds,
+    write_transforms,
+)
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import DevelopedView, Development, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
 from mrgs.scene import PointCloud
-from mrgs.scene.rotations import opengl_camera_to_world
-from mrgs.system.atomic import remove, replacing
-
-TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
+from mrgs.system.atomic import remove
 
 
 def write_scene(
@@ -75,34 +79,31 @@ def write_scene(
     )
     _write_points(scene / POINTS, reconstruction.points)
     _write_bounds(scene / BOUNDS, views, bounds)
-    content = {
-        **_georeference(georeference),
-        **_shared_camera(views, reconstruction),
-        **_thermal_camera(scene, views, reconstruction, rig),
-        **_thermal_offset(rig, georeference),
-        **({"ply_file_path": POINTS} if len(reconstruction.points.positions) else {}),
-        **_split(views, held_out, reconstruction),
-        "frames": [_frame(view, reconstruction, rig) for view in views],
-    }
-    _write_json(scene / TRANSFORMS, content)
+    write_transforms(
+        scene / TRANSFORMS,
+        [_frame(view, reconstruction, rig) for view in views],
+        lens=reconstruction.lenses[views[0].name] if _one_lens(reconstruction) else None,
+        thermal_lens=_thermal_lens(scene, views, reconstruction, rig),
+        points=POINTS if len(reconstruction.points.positions) else None,
+        split=_split(views, held_out, reconstruction),
+        facts={**_georeference(georeference), **_thermal_offset(rig, georeference)},
+    )
 
 
 def _frame(
     view: DevelopedView, reconstruction: Reconstruction, rig: RigCalibration | None
 ) -> dict[str, Any]:
     """One view as nerfstudio describes it, with a thermal image."""
-    viewmat = reconstruction.viewmats[view.name]
-    frame: dict[str, Any] = {}
-    if not _one_lens(reconstruction):
-        frame.update(_intrinsics(reconstruction.lenses[view.name]))
-    if reconstruction.images == "rgb":
-        frame["file_path"] = view.rgb
-    frame["thermal_file_path"] = view.thermal
-    frame["transform_matrix"] = opengl_camera_to_world(viewmat).tolist()
+    viewmat, thermal_viewmat = reconstruction.viewmats[view.name], None
     if rig is not None:
         thermal_viewmat = rig.viewmat(_pair_index(rig, view.name), viewmat)
-        frame["thermal_transform_matrix"] = opengl_camera_to_world(thermal_viewmat).tolist()
-    return frame
+    return frame_json(
+        viewmat,
+        view.rgb if reconstruction.images == "rgb" else None,
+        view.thermal,
+        lens=None if _one_lens(reconstruction) else reconstruction.lenses[view.name],
+        thermal_viewmat=thermal_viewmat,
+    )
 
 
 def _pair_index(rig: RigCalibration, name: str) -> int:
@@ -124,29 +125,22 @@ def _one_lens(reconstruction: Reconstruction) -> bool:
     return len({reconstruction.lenses[name] for name in reconstruction.viewmats}) == 1
 
 
-def _shared_camera(
-    views: Sequence[DevelopedView], reconstruction: Reconstruction
-) -> dict[str, Any]:
-    """The intrinsics at the top of the file, where all views share them."""
-    return _intrinsics(reconstruction.lenses[views[0].name]) if _one_lens(reconstruction) else {}
-
-
-def _thermal_camera(
+def _thermal_lens(
     scene: Path,
     views: Sequence[DevelopedView],
     reconstruction: Reconstruction,
     rig: RigCalibration | None,
-) -> dict[str, Any]:
-    """The thermal camera's own intrinsics, where they are not those of the posed images."""
+) -> Lens | None:
+    """The thermal camera's intrinsics, if they differ from those of the posed images."""
     if rig is not None:
-        return {"thermal_camera": _intrinsics(rig.lens)}
+        return rig.lens
     if reconstruction.images == "thermal":
-        return {}
+        return None
     info = probe(scene / views[0].thermal)
     lens = reconstruction.lenses[views[0].name]
     if (info.width, info.height) == (lens.width, lens.height):
-        return {}
-    return {"thermal_camera": _intrinsics(_resized(lens, info.width, info.height))}
+        return None
+    return _resized(lens, info.width, info.height)
 
 
 def _thermal_offset(
@@ -175,39 +169,16 @@ def _resized(lens: Lens, width: int, height: int) -> Lens:
     )
 
 
-def _intrinsics(lens: Lens) -> dict[str, Any]:
-    """Nerfstudio's names of a lens's numbers."""
-    numbers: dict[str, Any] = {
-        "camera_model": "OPENCV_FISHEYE" if lens.fisheye else "OPENCV",
-        **{
-            "w": lens.width,
-            "h": lens.height,
-            "fl_x": lens.fx,
-            "fl_y": lens.fy,
-            "cx": lens.cx,
-            "cy": lens.cy,
-        },
-        **{f"k{number}": value for number, value in enumerate(lens.radial, 1)},
-    }
-    return (
-        numbers if lens.fisheye else numbers | {"p1": lens.tangential[0], "p2": lens.tangential[1]}
-    )
-
-
 def _split(
     views: Sequence[DevelopedView], held_out: set[str], reconstruction: Reconstruction
-) -> dict[str, Any]:
-    """Nerfstudio's lists of files; what is held out serves to validate and to test."""
-    paths = {
-        view.name: view.rgb if reconstruction.images == "rgb" else view.thermal for view in views
-    }
-    eval_paths = [path for name, path in paths.items() if name in held_out]
-    train_paths = [path for name, path in paths.items() if name not in held_out]
-    return {
-        "train_filenames": train_paths,
-        "val_filenames": eval_paths,
-        "test_filenames": eval_paths,
-    }
+) -> tuple[list[str], list[str]]:
+    """Paths of the training and of the evaluation images."""
+    paths: dict[bool, list[str]] = {False: [], True: []}
+    for view in views:
+        path = view.rgb if reconstruction.images == "rgb" else view.thermal
+        assert path is not None  # it has a pose, and the poses are those of these images
+        paths[view.name in held_out].append(path)
+    return paths[False], paths[True]
 
 
 def _georeference(georeference: Georeference | None) -> dict[str, Any]:
@@ -242,7 +213,7 @@ def _write_bounds(
     if given is None:
         remove(path)  # what an earlier call wrote would be wrong now
         return
-    _write_json(path, {"absolute_min_temperature": given[0], "absolute_max_temperature": given[1]})
+    write_bounds(path, *given)
 
 
 def _write_points(path: Path, points: PointCloud) -> None:
@@ -250,24 +221,5 @@ def _write_points(path: Path, points: PointCloud) -> None:
     if not len(points.positions):
         remove(path)  # what an earlier call wrote would be wrong now
         return
-    rows = np.empty(len(points.positions), dtype=[("position", "<f4", 3), ("color", "u1", 3)])
-    rows["position"] = points.positions.numpy()
-    rows["color"] = (points.colors.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
-    properties = [f"property float {axis}" for axis in "xyz"]
-    properties += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(rows)}",
-        *properties,
-        "end_header",
-    ]
-    with replacing(path) as temporary:
-        temporary.write_bytes(("\n".join(header) + "\n").encode("ascii") + rows.tobytes())
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(
-            json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+    colors = (points.colors.clamp(0, 1) * 255).round().to(torch.uint8)
+    write_points(path, points.positions.numpy(), colors.numpy())

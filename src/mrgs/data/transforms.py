@@ -1,0 +1,130 @@
+"""Writer of a scene's ``transforms.json`` (nerfstudio) and ``temperature_bounds.json``
+(ThermoScenes); :mod:`mrgs.data.nerfstudio` reads them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.data.lens import Lens
+from mrgs.scene import Camera
+from mrgs.scene.rotations import opengl_camera_to_world
+from mrgs.system.atomic import replacing
+
+TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
+
+
+def frame_json(
+    viewmat: Float64[Tensor, "4 4"],
+    file_path: str | None,
+    thermal_file_path: str | None = None,
+    *,
+    lens: Lens | None = None,
+    thermal_viewmat: Float64[Tensor, "4 4"] | None = None,
+    thermal_lens: Lens | None = None,
+) -> dict[str, Any]:
+    """One entry of ``frames``.
+
+    Args:
+        viewmat: world to camera with OpenCV axes.
+        file_path: image of this pose; None if only the thermal image exists.
+        thermal_file_path: thermal image; None if there is none.
+        lens: intrinsics of this frame alone; None if all frames share them.
+        thermal_viewmat: pose of the thermal image; None if it is ``viewmat``.
+        thermal_lens: intrinsics of this thermal image alone.
+    """
+    frame: dict[str, Any] = {} if lens is None else lens_json(lens)
+    if file_path is not None:
+        frame["file_path"] = file_path
+    if thermal_file_path is not None:
+        frame["thermal_file_path"] = thermal_file_path
+    frame["transform_matrix"] = opengl_camera_to_world(viewmat).tolist()
+    if thermal_viewmat is not None:
+        frame["thermal_transform_matrix"] = opengl_camera_to_world(thermal_viewmat).tolist()
+    if thermal_lens is not None:
+        frame["thermal_camera"] = lens_json(thermal_lens)
+    return frame
+
+
+def write_transforms(
+    path: Path,
+    frames: Sequence[Mapping[str, Any]],
+    *,
+    lens: Lens | None = None,
+    thermal_lens: Lens | None = None,
+    points: str | None = None,
+    split: tuple[Sequence[str], Sequence[str]] | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write ``transforms.json``; returns the path.
+
+    Args:
+        path: of the file.
+        frames: see :func:`frame_json`.
+        lens: intrinsics that all frames share.
+        thermal_lens: intrinsics that all thermal images share, if they differ from ``lens``.
+        points: path of the start points, relative to the file.
+        split: paths of the training and of the evaluation images; None leaves it to the reader.
+        facts: further entries.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    content: dict[str, Any] = {**(facts or {}), **({} if lens is None else lens_json(lens))}
+    if thermal_lens is not None:
+        content["thermal_camera"] = lens_json(thermal_lens)
+    if points is not None:
+        content["ply_file_path"] = points
+    if split is not None:
+        train, evaluation = split
+        content |= {
+            "train_filenames": list(train),
+            "val_filenames": list(evaluation),
+            "test_filenames": list(evaluation),
+        }
+    return _write_json(path, {**content, "frames": list(frames)})
+
+
+def write_bounds(path: Path, min_c: float, max_c: float) -> Path:
+    """Write ``temperature_bounds.json``: the °C of black and white; returns the path.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    bounds = {"absolute_min_temperature": min_c, "absolute_max_temperature": max_c}
+    return _write_json(path, bounds)
+
+
+def lens_json(lens: Lens) -> dict[str, Any]:
+    """A lens in nerfstudio's keys."""
+    numbers: dict[str, Any] = {
+        "camera_model": "OPENCV_FISHEYE" if lens.fisheye else "OPENCV",
+        "w": lens.width,
+        "h": lens.height,
+        "fl_x": lens.fx,
+        "fl_y": lens.fy,
+        "cx": lens.cx,
+        "cy": lens.cy,
+        **{f"k{number}": value for number, value in enumerate(lens.radial, 1)},
+    }
+    if not lens.fisheye:
+        numbers |= {"p1": lens.tangential[0], "p2": lens.tangential[1]}
+    return numbers
+
+
+def pinhole_lens(camera: Camera) -> Lens:
+    """The intrinsics of a camera without distortion."""
+    fx, fy, cx, cy = (float(camera.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Lens(camera.width, camera.height, fx, fy, cx, cy)
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> Path:
+    with replacing(path) as temporary:
+        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+        temporary.write_text(text, encoding="utf-8")
+    return path
