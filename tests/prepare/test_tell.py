@@ -96,10 +96,10 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
     )
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
-        more = ("The target is in 5 pairs; 0.10 px residual.", *more)
+        more = ("The target is in 5 pairs; residual 0.10 px.", *more)
     told = tell_thermal_camera(rig, False, metric)
     assert told.lines == (
-        f"53.1° wide, {offset} from the RGB camera; 0.28 px residual, 0.36 px uncertain.",
+        f"53.1° wide, {offset} from the RGB camera; residual 0.28 px, uncertainty ±0.36 px.",
         *more,
     )
     contradicts = metric and per_unit == 2.0

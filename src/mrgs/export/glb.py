@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from mrgs.export.ply import SMALLEST_SCALE
 from mrgs.export.splats import Splats, to_bytes
@@ -135,11 +136,8 @@ def _accessor(index: int, semantic: str, array: np.ndarray) -> dict[str, Any]:
 
 def rotation_to_y(up: Float[np.ndarray, "3"]) -> list[float]:
     """The shortest rotation that turns a unit vector into +y, as a unit quaternion xyzw."""
-    x, y, z = (float(component) for component in up)
-    if y < -1 + 1e-9:  # opposite: half a turn about x
-        return [1.0, 0.0, 0.0, 0.0]
-    quat = np.array([-z, 0.0, x, 1.0 + y])  # up × y, and 1 + up · y
-    return (quat / np.linalg.norm(quat)).tolist()
+    rotation, _ = Rotation.align_vectors([[0.0, 1.0, 0.0]], [up])
+    return rotation.as_quat().tolist()
 
 
 def _linear(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

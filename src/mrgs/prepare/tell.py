@@ -79,13 +79,12 @@ def tell_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -
         else f"{baseline:.3g} scene units"
     )
     lines = [
-        f"{width_deg:.1f}° wide, {offset} from the RGB camera; {rig.residual_px[0]:.2f} px "
-        f"residual, "
-        f"{rig.uncertainty_px:.2f} px uncertain."
+        f"{width_deg:.1f}° wide, {offset} from the RGB camera; "
+        f"residual {rig.residual_px[0]:.2f} px, uncertainty ±{rig.uncertainty_px:.2f} px."
     ]
     if rig.target is not None:
         pairs, residual_px = _count(rig.target.pairs, "pair"), rig.target.residual_px[0]
-        lines.append(f"The target is in {pairs}; {residual_px:.2f} px residual.")
+        lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
     return Told(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))

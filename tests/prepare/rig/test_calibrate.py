@@ -53,7 +53,7 @@ def test_shutters_that_do_not_fire_together_are_corrected_and_told(make_room):
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.8
     assert len(found.warnings) == 1
-    assert found.warnings[0].startswith("The thermal camera moved against the RGB camera by ")
+    assert found.warnings[0].startswith("The thermal camera moved relative to the RGB camera by ")
 
 
 def test_a_given_lens_and_offset_stay_and_their_residual_is_told(room):

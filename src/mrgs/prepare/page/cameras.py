@@ -83,7 +83,7 @@ def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFact
         rows.append(
             (
                 "Chessboard",
-                f"seen by both cameras in {rig.target.pairs} pairs; {fit:.2f} px residual (median)",
+                f"seen by both cameras in {rig.target.pairs} pairs; median residual {fit:.2f} px",
             )
         )
     views = [

@@ -1,4 +1,4 @@
-"""The rig and the motions of its pairs that explain best what was found in both images."""
+"""Robust bundle adjustment of a rig and of the motions of its pairs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INLIER_WEIGHT = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Patches of all pairs, or corners of a target in them, N of them.
+    """N patches, or corners of a target, found in both images of the pairs.
 
     Attributes:
         views: index of the pair.
@@ -29,8 +29,9 @@ class Observations:
         pixels: where the thermal image shows it.
         information: inverse covariance of ``pixels``, but for a factor that those of one kind
             share.
-        independent: the share of those of its kind whose errors are their own.
-        kinds: 0, 1, ...
+        independent: share of each observation that is statistically independent: overlapping
+            patches share their errors.
+        kinds: 0, 1, ...; each kind has a noise scale of its own.
     """
 
     views: Int64[Tensor, " n"]
@@ -42,7 +43,7 @@ class Observations:
 
     @classmethod
     def joined(cls, parts: Sequence[Observations]) -> Observations:
-        """All of several."""
+        """The observations of several parts, in their order."""
         return cls(
             views=torch.cat([part.views for part in parts]),
             points=torch.cat([part.points for part in parts]),
@@ -55,8 +56,7 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known before the images are seen: a normal distribution of the rig and one of the
-    motions about zero.
+    """Normal distributions of the rig, and of the motions about zero, before any observation.
 
     Attributes:
         rig: most likely rig.
@@ -71,7 +71,7 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """A result.
+    """The adjusted cameras, their covariance and the residuals.
 
     Attributes:
         cameras: the rig and the motions.
@@ -88,7 +88,7 @@ class Adjusted:
 
 
 def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras:
-    """The cameras, each turned so that what it observes lies right on average."""
+    """Turn each camera so that its mean residual vanishes, to first order."""
     motions = cameras.motions.clone()
     pixels = project(cameras.rig, motions[observations.views], observations.points)
     for view in observations.views.unique():
@@ -98,8 +98,10 @@ def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras
 
 
 def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> Adjusted:
-    """Maximum a posteriori by Gauss-Newton, with Geman and McClure's robust weights; their scale
-    follows from the median of the residuals of each kind."""
+    """Maximum a posteriori estimate by Gauss-Newton with Geman and McClure's robust weights.
+
+    The scale of the weights follows from the median residual of each kind.
+    """
     rig, motions = start.rig, start.motions
     for _ in range(_STEPS):
         residual, weight = _weights(observations, rig, motions)
@@ -119,8 +121,8 @@ def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> A
 def pixel_sigma(
     adjusted: Adjusted, view: int, points: Float64[Tensor, "n 3"]
 ) -> Float64[Tensor, " n"]:
-    """One standard deviation of the thermal pixel positions (their distance) of points in a pair's
-    RGB camera axes."""
+    """Standard deviation, in pixels, of the thermal positions of points in a pair's RGB camera
+    axes."""
     motions = adjusted.cameras.motions[view].repeat(len(points), 1)
     jacobian = project_jacobian(adjusted.cameras.rig, motions, points)
     return (
@@ -133,7 +135,7 @@ def pixel_sigma(
 def _weights(
     observations: Observations, rig: Float64[Tensor, "12"], motions: Float64[Tensor, "v 6"]
 ) -> tuple[Tensor, Tensor]:
-    """Residuals [N, 2], and by what the observations' information is to be multiplied [N]."""
+    """Residuals [N, 2], and the factors of the observations' information [N]."""
     residual = observations.pixels - project(rig, motions[observations.views], observations.points)
     squared = torch.einsum("ni,nij,nj->n", residual, observations.information, residual)
     scale = torch.ones_like(squared)

@@ -1,4 +1,4 @@
-"""The thermal camera of a rig, found from the photos themselves."""
+"""Calibration of a rig's thermal camera from the photos themselves."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ that do not, never both."""
 
 
 _MOVING = 1.0
-"""Pairs that move by more than this many pixels (median) are told of."""
+"""A larger median motion of the pairs, in pixels, is a warning."""
 
 # What is taken for likely: one standard deviation each.
 _FOCAL_SIGMA = 0.1
@@ -118,7 +118,7 @@ def _reduced(
         raise SceneError(
             f"the thermal images are of several sizes ({first} has {a[0]}×{a[1]} px, {second} "
             f"{b[0]}×{b[1]}): "
-            "prepare the photos of each camera apart"
+            "prepare each camera separately"
         )
     if len(reduced) < FEWEST_PAIRS:
         raise too_few_points([pair.name for pair in reduced])
@@ -203,7 +203,7 @@ def _result(
     options: RigOptions,
     target: TargetFit | None,
 ) -> RigCalibration:
-    """What is told. Pairs whose photo sees too few points get the rig's motion alone.
+    """The calibration; pairs whose photo sees too few points get the rig's motion alone.
 
     Raises:
         SceneError: the result is less certain than the options ask for.
@@ -298,9 +298,8 @@ def _warnings(
         )
     if motion_px > _MOVING:
         found.append(
-            f"The thermal camera moved against the RGB camera by {motion_px:.1f} px (median) from "
-            f"pair to pair, as if "
-            "the two did not fire together; each pair got a correction of its own. Hold still "
-            "while photographing."
+            f"The thermal camera moved relative to the RGB camera by {motion_px:.1f} px (median) "
+            "from pair to pair, as if the two did not fire together; each pair got a correction of "
+            "its own. Hold still while photographing."
         )
     return found

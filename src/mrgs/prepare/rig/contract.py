@@ -1,4 +1,4 @@
-"""What the calibration of a thermal camera against an RGB camera takes and gives."""
+"""Inputs and results of the calibration of a thermal camera relative to an RGB camera."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RigPair:
         load_thermal: reads the thermal photo as the camera took it (distorted); one channel in any
             unit.
         visible: indices of the points that this photo was seen to see (the tracks of structure from
-            motion); None if that is not known: then hidden points are told by their depth.
+            motion); None if that is not known: then hidden points are found by their depth.
     """
 
     name: str
@@ -118,15 +118,15 @@ class RigView:
 
 @dataclass(frozen=True)
 class TargetFit:
-    """What the target told.
+    """How the result fits the target.
 
     Attributes:
         pairs: how many pairs show it in both images.
         still: how many photos show it at one place in the world; 0 if it was moved.
         residual_px: median and 90 % quantile of its corners' distances from where the result puts
             them, in thermal pixels.
-        metres_per_unit: of the scene, from a target that stands still and whose squares' width is
-            known; else None.
+        metres_per_unit: of the scene; None unless the target stands still and the width of its
+            squares is known.
     """
 
     pairs: int
@@ -150,7 +150,7 @@ class RigCalibration:
         motion_px: median over the views of how far the correction moves the image, in thermal
             pixels.
         warnings: sentences that the user should read.
-        target: what the target told; None if none was looked for.
+        target: fit of the target; None if none was looked for.
     """
 
     lens: Lens

@@ -29,7 +29,7 @@ class Corners:
     Attributes:
         grid: positions x, y in pixels, [rows, columns, 2]. From a corner to the next one of its
             row, and from there to the next one of its column, is a turn to the right: the board is
-            seen from its front. Which of the board's corners comes first is not told by the image:
+            seen from its front. The image does not show which of the board's corners comes first:
             see ``turned``.
     """
 

@@ -93,7 +93,7 @@ class SeenTarget:
         )
 
     def fit(self, adjusted: Adjusted, observations: Observations) -> TargetFit:
-        """What is told of the target in the end."""
+        """How the adjusted cameras fit the target."""
         residuals = adjusted.residual_px[observations.kinds == CORNERS]
         if not len(residuals):
             residuals = torch.full((1,), torch.nan)
@@ -123,7 +123,7 @@ def see_target(
         report: called with a stage's name, and how many of its steps are done and there are.
 
     Raises:
-        SceneError: no pair shows it in both images, or its distance cannot be told.
+        SceneError: no pair shows it in both images, or its distance is ambiguous.
     """
     sightings = find_sightings(pairs, target, report)
     square = None
