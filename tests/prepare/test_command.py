@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from mrgs.app import terminal
 from mrgs.app.cli import main
+from mrgs.app.commands import Prepare, flag_of
 from mrgs.check import Problem, SceneCheck
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import SceneError
-from mrgs.prepare import KnownDistance, LeftOut, Preparation, PrepareOptions, StageReport
+from mrgs.prepare import KnownDistance, Preparation, PrepareOptions, Skipped, StageReport
 
 
 @pytest.fixture
@@ -24,13 +26,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
         calls.append((photos, scene, options))
         progress("pairs: reading", 1, 4)
         stages = (
-            StageReport("pairs", ("4 pairs. By names.", "25 files left out."), (), 0.25),
+            StageReport("pairs", ("4 pairs. By names.", "25 files skipped."), (), 0.25),
             StageReport("thermal camera", ("57.0° wide.",), ("The camera moved.",), 0.0, True),
         )
         for stage in stages:
             report(stage)
-        left_out = tuple(LeftOut(f"{number}.txt", "is no photo") for number in range(25))
-        return Preparation(scene, scene / "prepare.html", stages, left_out)
+        skipped = tuple(Skipped(f"{number}.txt", "is no photo") for number in range(25))
+        return Preparation(scene, scene / "prepare.html", stages, skipped)
 
     monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
     return calls
@@ -45,11 +47,11 @@ def test_stages_are_said_and_what_to_do_next(asked, capsys):
     printed = capsys.readouterr()
     assert printed.out.splitlines() == [
         "pairs:           4 pairs. By names. (0.2 s)",
-        "                 25 files left out.",
+        "                 25 files skipped.",
         "thermal camera:  57.0° wide. (as before)",
-        "scene:     my scene",
-        "look here: my scene/prepare.html",
-        "train it:  mrgs train 'my scene'",
+        "scene: my scene",
+        "open:  my scene/prepare.html",
+        "next:  mrgs train 'my scene'",
     ]
     notes = printed.err.splitlines()
     assert notes[0] == "mrgs: note: thermal camera: The camera moved."
@@ -101,13 +103,8 @@ def test_every_option_arrives(asked):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("photos",), "name two folders, the photos' and the scene's: mrgs prepare PHOTOS SCENE"),
-        (
-            ("--check", "photos", "scene"),
-            "--check takes one folder, the scene's: mrgs prepare --check SCENE",
-        ),
         (("photos", "scene", "--emissivity", 2), r"emissivity = 2 is not between 0\.01 and 1"),
-        (("photos", "scene", "--target", "7", 0.05), "--target 7: write the inner corners"),
+        (("photos", "scene", "--target", "7", 0.05), "the target .7.: .* \\(--target\\)"),
         (
             ("photos", "scene", "--eval-every", 1),
             "cannot be held out; give 2 or more, or 0 for none",
@@ -119,6 +116,20 @@ def test_a_bad_option_is_one_line(arguments, message, asked, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert re.match(f"mrgs: error: .*{message}", error), error
+    assert asked == []
+
+
+@pytest.mark.parametrize("kind", [PrepareOptions, Overrides])
+def test_every_option_of_the_python_api_has_its_flag(kind):
+    flags = {f"--{field.name.replace('_', '-')}" for field in fields(Prepare)}
+    names = {field.name for field in fields(kind)} - {"overrides"}
+    assert {flag_of(name) for name in names} <= flags
+
+
+def test_both_folders_are_needed(asked):
+    with pytest.raises(SystemExit) as end:
+        run("photos")
+    assert end.value.code == 2
     assert asked == []
 
 
@@ -152,7 +163,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(monkeypatch, capsys):
     monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
     assert run("photos", "scene") == 130
     printed = capsys.readouterr()
-    assert printed.out == "what was found is kept; the same command goes on\n"
+    assert printed.out == "intermediate results are kept; re-run the same command to resume\n"
     assert printed.err == "mrgs: stopped\n"
 
 
@@ -171,7 +182,7 @@ def test_on_a_terminal_one_line_follows_the_step(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(("severity", "code"), [("warning", 0), ("error", 1)])
-def test_check_lists_what_is_wrong_and_tells_by_its_exit_code(severity, code, monkeypatch, capsys):
+def test_check_lists_problems_and_its_exit_code_is_1_on_errors(severity, code, monkeypatch, capsys):
     def check_scene(scene, progress) -> SceneCheck:
         progress("looking at images", 1, 8)
         problems = (
@@ -180,9 +191,9 @@ def test_check_lists_what_is_wrong_and_tells_by_its_exit_code(severity, code, mo
         return SceneCheck(problems, ("8 views.",), scene / "check.html")
 
     monkeypatch.setattr("mrgs.check.check_scene", check_scene)
-    assert run("--check", "scene") == code
+    assert main(["check", "scene"]) == code
     assert capsys.readouterr().out.splitlines() == [
         "8 views.",
         f"{severity}: Half of the points lie behind the cameras. Turn the poses.",
-        "look here: scene/check.html",
+        "open: scene/check.html",
     ]

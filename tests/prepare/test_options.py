@@ -19,23 +19,25 @@ from mrgs.prepare.rig import ChessboardTarget
         ({"thermal_fov_deg": float("nan")}, "field of view of nan°"),
         ({"eval_every": 1}, "one in 1 views cannot be held out; give 2 or more, or 0 for none"),
         ({"eval_every": -3}, "give 2 or more, or 0"),
-        (
-            {"one_camera": True, "target": ChessboardTarget((7, 6))},
-            "--one-camera and --target exclude each other",
-        ),
-        (
-            {"one_camera": True, "thermal_camera": Path("x")},
-            "--one-camera and --thermal-camera exclude each other",
-        ),
-        (
-            {"one_camera": True, "thermal_fov_deg": 50.0},
-            "--one-camera and --thermal-fov exclude each other",
-        ),
     ],
 )
 def test_what_cannot_be_is_told(options, message):
     with pytest.raises(ConfigError, match=message):
         PrepareOptions(**options)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"target": ChessboardTarget((7, 6))},
+        {"thermal_camera": Path("x")},
+        {"thermal_fov_deg": 50.0},
+    ],
+)
+def test_one_camera_excludes_what_is_known_of_a_second(other):
+    with pytest.raises(ConfigError, match="needs no second one; give one of the two") as error:
+        PrepareOptions(one_camera=True, **other)
+    assert error.value.options == ("one_camera", *other)
 
 
 def test_distances_are_written_as_the_page_shows_them():
@@ -49,10 +51,10 @@ def test_distances_are_written_as_the_page_shows_them():
         (
             "IR_0001",
             "IR_0001:1,2",
-            "--known-distance IR_0001: write NAME:X,Y, for instance IR_0001:120,85",
+            "the known distance 'IR_0001': write NAME:X,Y, for instance IR_0001:120,85",
         ),
-        ("IR_0001:1,2", "IR_0001:1;2", "--known-distance IR_0001:1;2: write NAME:X,Y"),
-        ("a:1,2", "b:1,2", "both pixels must be of one view, not of a and b"),
+        ("IR_0001:1,2", "IR_0001:1;2", "the known distance 'IR_0001:1;2': write NAME:X,Y"),
+        ("a:1,2", "b:1,2", "needs two pixels of one view, not of a and b"),
     ],
 )
 def test_distances_that_say_nothing_are_told(first, second, message):
@@ -66,6 +68,6 @@ def test_targets_are_counted_in_inner_corners():
     for text in ("7", "7-6", "ax6", "7x6x5"):
         with pytest.raises(
             ConfigError,
-            match=rf"--target {text}: write the inner corners along and across, for ins",
+            match=rf"the target '{text}': write the inner corners along and across, for ins",
         ):
             parse_target(text, 0.05)

@@ -18,16 +18,14 @@ from mrgs.data import load_scene
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare import PrepareOptions, pipeline, prepare, thermal_camera
-from mrgs.prepare import run as run_module
-from mrgs.prepare.contract import LeftOut, Reconstruction, TooFewPosesError
-from mrgs.prepare.develop import develop
+from mrgs.prepare import PrepareOptions, prepare, stages, thermal_camera
+from mrgs.prepare.cache import stamps
+from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
-from mrgs.prepare.pairs import find_pairs
 from mrgs.prepare.rig import ChessboardTarget, RigCalibration, RigView, TargetFit
-from mrgs.prepare.stages import stamps
+from mrgs.prepare.work import Work
 
-STAGES = ["pairs", "photos", "poses", "scale and north", "thermal camera", "scene", "page"]
+STAGES = ["pairs", "images", "poses", "scale and north", "thermal camera", "scene files", "page"]
 BOUNDS = Overrides(bounds_c=(10.0, 30.0))
 
 
@@ -49,7 +47,7 @@ class Fakes:
 
     poses: Path
     calls: list[str] = field(default_factory=list)
-    failed: tuple[LeftOut, ...] = ()
+    failed: tuple[Skipped, ...] = ()
     fails: str = ""
 
     def reconstruct(self, images, cameras, work, progress, *, stretch=False) -> Reconstruction:
@@ -97,9 +95,8 @@ def posed(photos: Path, small_scene: Path, tmp_path: Path) -> Path:
 def fakes(posed: Path, monkeypatch: pytest.MonkeyPatch) -> Fakes:
     """Poses as they are known, a thermal camera that is not looked for, and a short page."""
     found = Fakes(posed)
-    for module in (pipeline, run_module):
-        monkeypatch.setattr(module, "write_page", short_page)
-    monkeypatch.setattr(pipeline, "reconstruct", found.reconstruct)
+    monkeypatch.setattr(stages, "write_page", short_page)
+    monkeypatch.setattr(stages, "reconstruct", found.reconstruct)
     monkeypatch.setattr(thermal_camera, "calibrate_rig", found.calibrate)
     return found
 
@@ -112,7 +109,7 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
     assert made.stages == tuple(reports)
     assert made.page == tmp_path / "scene" / "prepare.html"
     assert "shot_03" in made.page.read_text(encoding="utf-8")
-    assert [item.name for item in made.left_out] == ["notes.txt"]
+    assert [item.name for item in made.skipped] == ["notes.txt"]
     assert stamps(photos) == before
     scene, truth = load_scene(tmp_path / "scene"), load_scene(posed)
     assert ([view.name for view in scene.eval], len(scene.train)) == (["shot_00", "shot_04"], 6)
@@ -152,31 +149,47 @@ CHANGES: dict[str, tuple[Callable[[Path, Path], object], PrepareOptions, list[st
     "nothing": (lambda photos, scene: None, PrepareOptions(), []),
     "other file": (lambda photos, scene: touch(photos / "notes.txt"), PrepareOptions(), ["pairs"]),
     "same photo, copied again": (
-        lambda photos, scene: touch(photos / "rgb" / "shot_02.png"), PrepareOptions(), ["pairs",
-        "photos", "scene"],
+        lambda photos, scene: touch(photos / "rgb" / "shot_02.png"),
+        PrepareOptions(),
+        ["pairs", "images", "scene files"],
     ),
-    "other photo": (lambda photos, scene: repaint(photos / "rgb" / "shot_02.png"), PrepareOptions(),
-                    ["pairs", "photos", "poses", "thermal camera", "scene", "page"]),
+    "other photo": (
+        lambda photos, scene: repaint(photos / "rgb" / "shot_02.png"),
+        PrepareOptions(),
+        ["pairs", "images", "poses", "thermal camera", "scene files", "page"],
+    ),
     "other temperatures": (
-        lambda photos, scene: None, PrepareOptions(overrides=BOUNDS), ["photos", "thermal camera",
-        "scene", "page"],
+        lambda photos, scene: None,
+        PrepareOptions(overrides=BOUNDS),
+        ["images", "thermal camera", "scene files", "page"],
     ),
-    "split": (lambda photos, scene: None, PrepareOptions(eval_every=3), ["scene", "page"]),
-    "field of view": (lambda photos, scene: None, PrepareOptions(thermal_fov_deg=50),
-    ["thermal camera"]),
+    "split": (lambda photos, scene: None, PrepareOptions(eval_every=3), ["scene files", "page"]),
+    "field of view": (
+        lambda photos, scene: None,
+        PrepareOptions(thermal_fov_deg=50),
+        ["thermal camera"],
+    ),
     "one camera": (
-        lambda photos, scene: None, PrepareOptions(one_camera=True), ["thermal camera", "scene",
-        "page"],
+        lambda photos, scene: None,
+        PrepareOptions(one_camera=True),
+        ["thermal camera", "scene files", "page"],
     ),
     "image removed": (
-        lambda photos, scene: (scene / "thermal" / "shot_01.png").unlink(), PrepareOptions(),
-        ["photos", "scene"],
+        lambda photos, scene: (scene / "thermal" / "shot_01.png").unlink(),
+        PrepareOptions(),
+        ["images", "scene files"],
     ),
-    "scene removed": (lambda photos, scene: (scene / "transforms.json").unlink(), PrepareOptions(),
-    ["scene"]),
-    "page removed": (lambda photos, scene: (scene / "prepare.html").unlink(), PrepareOptions(),
-    ["page"]),
-}  # fmt: skip
+    "scene removed": (
+        lambda photos, scene: (scene / "transforms.json").unlink(),
+        PrepareOptions(),
+        ["scene files"],
+    ),
+    "page removed": (
+        lambda photos, scene: (scene / "prepare.html").unlink(),
+        PrepareOptions(),
+        ["page"],
+    ),
+}
 
 
 @pytest.mark.parametrize(("change", "options", "expected"), CHANGES.values(), ids=CHANGES)
@@ -219,7 +232,7 @@ def test_thermal_photos_alone_are_posed_by_themselves(photos, fakes, tmp_path):
     scene = load_scene(tmp_path / "scene")
     assert not scene.has_rgb
     assert scene.has_thermal
-    assert made.stages[4].lines == ("There are thermal images alone.",)
+    assert made.stages[4].lines == ("There are only thermal images.",)
 
 
 def test_progress_names_the_stage_and_the_step(photos, fakes, tmp_path):
@@ -232,17 +245,17 @@ def test_progress_names_the_stage_and_the_step(photos, fakes, tmp_path):
 def test_what_was_left_out_is_told(photos, fakes, tmp_path):
     (photos / "rgb" / "shot_03.png").write_bytes(b"torn")
     made = prepare(photos, tmp_path / "scene")
-    assert {item.name for item in made.left_out} >= {"notes.txt", "rgb/shot_03.png"}
+    assert {item.name for item in made.skipped} >= {"notes.txt", "rgb/shot_03.png"}
     assert not any("shot_03" in path.name for path in (tmp_path / "scene" / "images").iterdir())
 
 
 BAD_FOLDERS: dict[str, tuple[Callable[[Path], tuple[Path, Path]], type[Exception], str]] = {
     "no photos": (lambda root: (root / "nowhere", root / "scene"), SceneError,
-                  "nowhere: is not a folder; give the folder that holds the photos"),
+                  "nowhere: is not a folder; give the folder of the photos"),
     "scene in photos": (lambda root: (root / "photos", root / "photos" / "scene"), RunError,
-                        "scene and the photos lie in one another: choose a folder beside the "
-                        "photos"),
-    "photos in scene": (lambda root: (root / "photos", root), RunError, "lie in one another"),
+                        "scene and the photos are inside one another: choose a separate "
+                        "scene folder"),
+    "photos in scene": (lambda root: (root / "photos", root), RunError, "are inside one another"),
     "something else": (lambda root: (root / "photos", root / "posed"), RunError,
                        "posed holds something that `mrgs prepare` did not make: choose a new "
                        "folder"),
@@ -270,7 +283,7 @@ def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(thermal_camera, "calibrate_rig", fails)
         with pytest.raises(
-            SceneError, match=r"placed: noise; .*prepare\.html shows what was understood"
+            SceneError, match=r"placed: noise; .*prepare\.html shows what was found so far"
         ):
             prepare(photos, tmp_path / "scene", PrepareOptions(thermal_fov_deg=50))
     shown = (tmp_path / "scene" / "prepare.html").read_text(encoding="utf-8")
@@ -278,7 +291,7 @@ def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path, monkeypatch):
     assert shown.endswith("the thermal camera cannot be placed: noise")
     assert not (tmp_path / "scene" / "transforms.json").exists()  # of other options
     made = prepare(photos, tmp_path / "scene")
-    assert [report.title for report in made.stages if not report.reused] == ["scene", "page"]
+    assert [report.title for report in made.stages if not report.reused] == ["scene files", "page"]
     assert "cannot be placed" not in made.page.read_text(encoding="utf-8")
 
 
@@ -320,19 +333,13 @@ def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, t
             f"thermal/{name}.png", f"thermal/{new}_T.png"
         )
     (posed / "transforms.json").write_text(text)
-    pairing = find_pairs(photos)
-    assert [pair.name for pair in pairing.pairs] == list(names.values())
-    development = develop(pairing, tmp_path / "scene", BOUNDS, lambda *step: None)
-    stage = pipeline.poses(
-        pairing,
-        development,
-        pipeline.contents(tmp_path / "scene", development),
-        tmp_path / "scene",
-        PrepareOptions(poses=posed),
-    )
-    found = stage.make(lambda *step: None)
-    assert list(found.viewmats) == list(found.lenses) == list(names.values())
-    assert found.failed == ()
+    work = Work(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS, poses=posed))
+    stages.pairs(work)
+    assert [pair.name for pair in work.pairing.pairs] == list(names.values())
+    stages.images(work)
+    stages.poses(work)
+    assert list(work.poses.viewmats) == list(work.poses.lenses) == list(names.values())
+    assert work.poses.failed == ()
 
 
 def test_a_folder_of_the_user_s_that_is_called_prepare_is_left_alone(photos, fakes, tmp_path):
@@ -352,20 +359,20 @@ def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, mon
 
     def fails(*arguments, **options):
         raise TooFewPosesError(
-            "only 2 of 8 photos could be placed", (LeftOut("view_3", "too little texture"),)
+            "only 2 of 8 photos could be placed", (Skipped("view_3", "too little texture"),)
         )
 
-    def page(scene, *arguments, left_out):
-        told.extend(left_out)
+    def page(scene, *arguments, skipped):
+        told.extend(skipped)
         return scene / "prepare.html"
 
-    monkeypatch.setattr(pipeline, "reconstruct", fails)
-    monkeypatch.setattr(run_module, "write_page", page)
+    monkeypatch.setattr(stages, "reconstruct", fails)
+    monkeypatch.setattr(stages, "write_page", page)
     with pytest.raises(
         SceneError, match=r"only 2 of 8 photos could be placed; .*prepare\.html shows"
     ):
         prepare(photos, tmp_path / "scene")
-    assert told == [LeftOut("notes.txt", told[0].reason), LeftOut("view_3", "too little texture")]
+    assert told == [Skipped("notes.txt", told[0].reason), Skipped("view_3", "too little texture")]
 
 
 def test_a_page_that_cannot_be_written_hides_no_error(photos, fakes, tmp_path, monkeypatch):
@@ -375,8 +382,8 @@ def test_a_page_that_cannot_be_written_hides_no_error(photos, fakes, tmp_path, m
     def full(*arguments, **options):
         raise RunError("the disk is full")
 
-    monkeypatch.setattr(pipeline, "reconstruct", fails)
-    monkeypatch.setattr(run_module, "write_page", full)
+    monkeypatch.setattr(stages, "reconstruct", fails)
+    monkeypatch.setattr(stages, "write_page", full)
     with pytest.raises(SceneError, match=r"^noise$"):
         prepare(photos, tmp_path / "scene")
 
@@ -398,8 +405,8 @@ def test_a_full_disk_is_told_and_the_rest_is_kept(photos, fakes, tmp_path, monke
         )
 
     with monkeypatch.context() as patch:
-        patch.setattr(pipeline, "write_scene", full)
+        patch.setattr(stages, "write_scene", full)
         with pytest.raises(RunError, match="No space left"):
             prepare(photos, tmp_path / "scene")
     made = prepare(photos, tmp_path / "scene")
-    assert [report.title for report in made.stages if not report.reused] == ["scene", "page"]
+    assert [report.title for report in made.stages if not report.reused] == ["scene files", "page"]

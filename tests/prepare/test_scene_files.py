@@ -14,12 +14,14 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import ExifFacts, GpsPosition
+from mrgs.data.radiometric import ExifFacts, GpsPosition, Overrides
 from mrgs.data.undistort import pinhole_of
-from mrgs.errors import ConfigError, RunError, SceneError
-from mrgs.prepare.contract import DevelopedView, Development, Georeference, Reconstruction
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare import PrepareOptions
+from mrgs.prepare.contract import ConvertedPhotos, ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
+from mrgs.prepare.work import Work
 from mrgs.scene import Camera, PointCloud
 
 RGB = Lens(32, 24, 30.0, 31.0, 15.0, 12.5, (-0.05, 0.01, 0.002, 0.0), (0.001, -0.002))
@@ -51,9 +53,9 @@ def viewmat(index: int) -> torch.Tensor:
     return matrix
 
 
-def develop(
+def convert(
     scene: Path, count: int, celsius: bool = True, thermal_size: tuple[int, int] = (16, 12)
-) -> Development:
+) -> ConvertedPhotos:
     """Images of a set whose temperatures are 10.4 + i to 20.2 + i °C."""
     views = []
     for folder in ("images", "thermal"):
@@ -72,9 +74,9 @@ def develop(
         )
         range_c = (10.4 + i, 20.2 + i) if celsius else None
         views.append(
-            DevelopedView(name, f"images/{name}.png", thermal, ExifFacts(), range_c=range_c)
+            ConvertedView(name, f"images/{name}.png", thermal, ExifFacts(), range_c=range_c)
         )
-    return Development(tuple(views), ())
+    return ConvertedPhotos(tuple(views), ())
 
 
 def reconstruct(names: list[str], lens: Lens = RGB) -> Reconstruction:
@@ -95,6 +97,15 @@ def rig_of(names: list[str]) -> RigCalibration:
     return RigCalibration(THERMAL, OFFSET, tuple(views), (0.5, 1.0), 0.3, 0.2, ())
 
 
+def write(
+    scene: Path, images, poses, rig, georeference, *, eval_every: int = 8, bounds=None
+) -> None:
+    options = PrepareOptions(overrides=Overrides(bounds_c=bounds), eval_every=eval_every)
+    work = Work(scene, scene, options, images=images, poses=poses, rig=rig)
+    work.georeference = georeference
+    write_scene(work)
+
+
 def assert_camera(camera: Camera, lens: Lens, expected_viewmat: torch.Tensor) -> None:
     pinhole = pinhole_of(lens)
     assert (camera.width, camera.height) == (lens.width, lens.height)
@@ -104,10 +115,10 @@ def assert_camera(camera: Camera, lens: Lens, expected_viewmat: torch.Tensor) ->
 
 
 def test_cameras_points_split_and_bounds_come_back(tmp_path):
-    development = develop(tmp_path, 10)
-    names = [view.name for view in development.views if view.name != "shot_3"]
+    photos = convert(tmp_path, 10)
+    names = [view.name for view in photos.views if view.name != "shot_3"]
     rig = rig_of(names)
-    write_scene(tmp_path, development, reconstruct(names), rig, METRIC, eval_every=4, bounds=None)
+    write(tmp_path, photos, reconstruct(names), rig, METRIC, eval_every=4, bounds=None)
     scene = load_scene(tmp_path)
     assert [view.name for view in scene.eval] == ["shot_0", "shot_5", "shot_9"]
     views = {view.name: view for view in (*scene.train, *scene.eval)}
@@ -129,11 +140,9 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
 
 @pytest.mark.parametrize("lens", [RGB, OTHER_RGB, FISHEYE])
 def test_one_camera_serves_both_images_whatever_the_size_of_the_thermal_ones(tmp_path, lens):
-    development = develop(tmp_path, 3)
-    names = [view.name for view in development.views]
-    write_scene(
-        tmp_path, development, reconstruct(names, lens), None, None, eval_every=0, bounds=None
-    )
+    photos = convert(tmp_path, 3)
+    names = [view.name for view in photos.views]
+    write(tmp_path, photos, reconstruct(names, lens), None, None, eval_every=0, bounds=None)
     scene = load_scene(tmp_path)
     assert scene.eval == ()
     view = scene.train[1]
@@ -148,23 +157,21 @@ def test_one_camera_serves_both_images_whatever_the_size_of_the_thermal_ones(tmp
 
 
 def test_each_view_may_have_a_lens_of_its_own(tmp_path):
-    development = develop(tmp_path, 4)
-    names = [view.name for view in development.views]
+    photos = convert(tmp_path, 4)
+    names = [view.name for view in photos.views]
     reconstruction = reconstruct(names)
     reconstruction = replace(reconstruction, lenses={**reconstruction.lenses, "shot_2": OTHER_RGB})
-    write_scene(
-        tmp_path, development, reconstruction, rig_of(names), None, eval_every=0, bounds=None
-    )
+    write(tmp_path, photos, reconstruction, rig_of(names), None, eval_every=0, bounds=None)
     lenses = [view.rgb.camera for view in load_scene(tmp_path).train]
     assert_camera(lenses[1], RGB, viewmat(1))
     assert_camera(lenses[2], OTHER_RGB, viewmat(2))
 
 
 def test_a_thermal_only_set_has_poses_of_the_thermal_images(tmp_path):
-    development = develop(tmp_path, 9)
-    names = [view.name for view in development.views]
+    photos = convert(tmp_path, 9)
+    names = [view.name for view in photos.views]
     reconstruction = replace(reconstruct(names, THERMAL), images="thermal")
-    write_scene(tmp_path, development, reconstruction, None, None, eval_every=8, bounds=None)
+    write(tmp_path, photos, reconstruction, None, None, eval_every=8, bounds=None)
     scene = load_scene(tmp_path)
     assert [view.name for view in scene.eval] == ["shot_0", "shot_8"]
     assert all(view.rgb is None for view in scene.train)
@@ -175,20 +182,18 @@ def test_a_thermal_only_set_has_poses_of_the_thermal_images(tmp_path):
     ("count", "held_out"), [(1, []), (2, ["shot_0"]), (7, ["shot_0"]), (9, ["shot_0", "shot_8"])]
 )
 def test_every_eighth_view_is_held_out(tmp_path, count, held_out):
-    development = develop(tmp_path, count)
-    names = [view.name for view in development.views]
-    write_scene(
-        tmp_path, development, reconstruct(names), rig_of(names), None, eval_every=8, bounds=None
-    )
+    photos = convert(tmp_path, count)
+    names = [view.name for view in photos.views]
+    write(tmp_path, photos, reconstruct(names), rig_of(names), None, eval_every=8, bounds=None)
     assert [view.name for view in load_scene(tmp_path).eval] == held_out
 
 
 def test_given_bounds_win(tmp_path):
-    development = develop(tmp_path, 3)
-    names = [view.name for view in development.views]
-    write_scene(
+    photos = convert(tmp_path, 3)
+    names = [view.name for view in photos.views]
+    write(
         tmp_path,
-        development,
+        photos,
         reconstruct(names),
         rig_of(names),
         None,
@@ -200,52 +205,34 @@ def test_given_bounds_win(tmp_path):
 
 
 def test_what_an_earlier_call_left_is_taken_away(tmp_path):
-    development = develop(tmp_path, 3, celsius=False)
-    names = [view.name for view in development.views]
+    photos = convert(tmp_path, 3, celsius=False)
+    names = [view.name for view in photos.views]
     reconstruction = reconstruct(names)
-    write_scene(
-        tmp_path, development, reconstruction, rig_of(names), None, eval_every=0, bounds=(0.0, 50.0)
-    )
+    write(tmp_path, photos, reconstruction, rig_of(names), None, eval_every=0, bounds=(0.0, 50.0))
     assert load_scene(tmp_path).temperature is not None
     empty = replace(reconstruction, points=PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)))
-    write_scene(tmp_path, development, empty, rig_of(names), None, eval_every=0, bounds=None)
+    write(tmp_path, photos, empty, rig_of(names), None, eval_every=0, bounds=None)
     scene = load_scene(tmp_path)
     assert scene.temperature is None
     assert any("no start points" in note for note in scene.notes)
 
 
-@pytest.mark.parametrize("eval_every", [1, -2])
-def test_holding_every_view_out_is_refused(tmp_path, eval_every):
-    with pytest.raises(
-        ConfigError, match="leaves no view to train on; give 0 for none, or 2 or more"
-    ):
-        write_scene(
-            tmp_path,
-            Development((), ()),
-            reconstruct([]),
-            None,
-            None,
-            eval_every=eval_every,
-            bounds=None,
-        )
-
-
 def test_a_set_without_poses_is_no_scene(tmp_path):
     with pytest.raises(SceneError, match="no view has a pose"):
-        write_scene(
-            tmp_path, develop(tmp_path, 2), reconstruct([]), None, None, eval_every=8, bounds=None
+        write(
+            tmp_path, convert(tmp_path, 2), reconstruct([]), None, None, eval_every=8, bounds=None
         )
 
 
 def test_a_view_without_thermal_camera_is_told(tmp_path):
-    development = develop(tmp_path, 3)
-    names = [view.name for view in development.views]
+    photos = convert(tmp_path, 3)
+    names = [view.name for view in photos.views]
     with pytest.raises(
         SceneError, match="shot_2 has a pose but is not in the thermal camera's calibration"
     ):
-        write_scene(
+        write(
             tmp_path,
-            development,
+            photos,
             reconstruct(names),
             rig_of(names[:2]),
             None,
@@ -255,13 +242,13 @@ def test_a_view_without_thermal_camera_is_told(tmp_path):
 
 
 def test_a_folder_that_cannot_be_written_leaves_no_transforms(tmp_path):
-    development = develop(tmp_path, 3)
-    names = [view.name for view in development.views]
+    photos = convert(tmp_path, 3)
+    names = [view.name for view in photos.views]
     (tmp_path / "temperature_bounds.json").mkdir()
     with pytest.raises(RunError, match=r"temperature_bounds\.json cannot be written"):
-        write_scene(
+        write(
             tmp_path,
-            development,
+            photos,
             reconstruct(names),
             rig_of(names),
             None,
@@ -272,13 +259,13 @@ def test_a_folder_that_cannot_be_written_leaves_no_transforms(tmp_path):
 
 
 def test_what_cannot_be_taken_away_is_told(tmp_path):
-    development = develop(tmp_path, 3, celsius=False)
-    names = [view.name for view in development.views]
+    photos = convert(tmp_path, 3, celsius=False)
+    names = [view.name for view in photos.views]
     (tmp_path / "temperature_bounds.json").mkdir()
     with pytest.raises(RunError, match=r"temperature_bounds\.json cannot be removed"):
-        write_scene(
+        write(
             tmp_path,
-            development,
+            photos,
             reconstruct(names),
             rig_of(names),
             None,

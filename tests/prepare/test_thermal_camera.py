@@ -14,8 +14,9 @@ from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare import PrepareOptions, thermal_camera
-from mrgs.prepare.contract import DevelopedView, Development, Reconstruction
+from mrgs.prepare.contract import ConvertedPhotos, ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
+from mrgs.prepare.work import Work
 from mrgs.scene import PointCloud
 
 LENS = {
@@ -29,6 +30,10 @@ LENS = {
     "k2": 0.1,
 }
 MOTION = [[0.0, -1.0, 0.0, 0.03], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+
+IDENTITY = Georeference(
+    1.0, torch.eye(3).double(), torch.zeros(3).double(), True, False, None, None, ""
+)
 
 
 @pytest.fixture
@@ -60,7 +65,7 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
                 tmp_path / folder / f"{name}.png"
             )
     views = tuple(
-        DevelopedView(name, f"images/{name}.png", f"thermal/{name}.png", ExifFacts())
+        ConvertedView(name, f"images/{name}.png", f"thermal/{name}.png", ExifFacts())
         for name in "ab"
     )
     found = Reconstruction(
@@ -74,15 +79,10 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
     )
 
     def called(metric: bool = True, images: str = "rgb", **options: object) -> object:
-        development, reconstruction = Development(views, ()), replace(found, images=images)
-        return calibrate_thermal_camera(
-            tmp_path,
-            development,
-            reconstruction,
-            metric,
-            PrepareOptions(**options),
-            lambda step, done, total: None,
-        )
+        work = Work(tmp_path, tmp_path, PrepareOptions(**options))
+        work.images, work.poses = ConvertedPhotos(views, ()), replace(found, images=images)
+        work.georeference = replace(IDENTITY, metric=metric)
+        return calibrate_thermal_camera(work)
 
     return called
 
@@ -120,9 +120,10 @@ def test_thermal_images_alone_have_no_second_camera(calibrate, asked, options):
     assert calibrate(images="thermal") is None
     with pytest.raises(
         ConfigError,
-        match=r"there are thermal images alone, so that --thermal-fov, .* leave them out",
-    ):
+        match="there are only thermal images, so options for a second camera have no effect; rem",
+    ) as error:
         calibrate(images="thermal", **options)
+    assert error.value.options == tuple(options)
     assert asked == []
 
 
@@ -139,7 +140,7 @@ def test_without_metres_the_lens_alone_is_taken(calibrate, asked, write):
     assert asked[0][2].thermal_from_rgb is None
     with pytest.raises(
         SceneError,
-        match="offset is in metres, and these photos have no scale; add --known-distance",
+        match="offset is in metres, and these photos have no scale; give a known distance",
     ):
         calibrate(False, thermal_camera=write(thermal_from_rgb_m=MOTION))
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from mrgs.app.commands import (
+    Check,
     Command,
     Compare,
     Demo,
@@ -25,6 +26,7 @@ from mrgs.app.commands import (
     Synth,
     Train,
     View,
+    flag_of,
 )
 from mrgs.app.terminal import (
     PrepareProgress,
@@ -72,6 +74,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     handlers: dict[type, Callable[[Any], int | None]] = {
         Prepare: _prepare,
+        Check: _check,
         Train: _train,
         Eval: _eval,
         Render: _render,
@@ -86,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
         try:
             return handlers[type(command)](command) or 0
         except MrgsError as error:
-            print(f"mrgs: error: {error}", file=sys.stderr)
+            print(f"mrgs: error: {error}{_flags(error)}", file=sys.stderr)
             return EXIT_USER_ERROR
         except BrokenPipeError:  # the reader of the pipe has exited
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -96,13 +99,13 @@ def main(argv: list[str] | None = None) -> int:
             return EXIT_INTERRUPTED
 
 
-def _prepare(command: Prepare) -> int | None:
-    if command.check:
-        return _check_scene(command)
-    if command.scene is None:
-        raise ConfigError(
-            "name two folders, the photos' and the scene's: mrgs prepare PHOTOS SCENE"
-        )
+def _flags(error: MrgsError) -> str:
+    """The command line's names of the parameters that an error is about."""
+    flags = [flag_of(option) for option in error.options]
+    return f" ({', '.join(flags)})" if flags else ""
+
+
+def _prepare(command: Prepare) -> None:
     _without_blas_threads()
     from mrgs.prepare import prepare
 
@@ -114,37 +117,32 @@ def _prepare(command: Prepare) -> int | None:
             )
             progress.end(made)
     except KeyboardInterrupt:
-        print("what was found is kept; the same command goes on")
+        print("intermediate results are kept; re-run the same command to resume")
         raise
     print(
-        f"scene:     {made.scene}\nlook here: {made.page}\ntrain it:  mrgs train "
-        f"{shlex.quote(str(made.scene))}"
+        f"scene: {made.scene}\nopen:  {made.page}\nnext:  mrgs train {shlex.quote(str(made.scene))}"
     )
-    return None
 
 
 def _without_blas_threads() -> None:
-    """Thousands of matrices of 2×2 are inverted one by one; on a busy machine threads wait for each
-    other all the time.
+    """Keep BLAS single-threaded: for thousands of small matrices threads only wait for each other.
 
-    Read once, when NumPy and SciPy are loaded.
+    Must run before NumPy and SciPy are loaded.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def _check_scene(command: Prepare) -> int:
-    if command.scene is not None:
-        raise ConfigError("--check takes one folder, the scene's: mrgs prepare --check SCENE")
+def _check(command: Check) -> int:
     _without_blas_threads()
     from mrgs.check import check_scene
 
     with PrepareProgress() as progress:
-        found = check_scene(command.photos, progress.step)
+        found = check_scene(command.scene, progress.step)
     for line in found.lines:
         print(line)
     for problem in found.problems:
         print(f"{problem.severity}: {problem.text} {problem.remedy}".rstrip())
-    print(f"look here: {found.page}")
+    print(f"open: {found.page}")
     return 0 if found.usable else EXIT_BAD_SCENE
 
 

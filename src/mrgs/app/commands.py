@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -211,67 +212,65 @@ class Prepare:
     """Make a scene from a folder of photos: pairs, temperatures, poses, the thermal camera, scale.
     Needs mrgs[sfm].
 
-    The photos are only read. SCENE/prepare.html shows what was understood: look at it before
-    training. The same command goes on where it was cut off. With --check, look at a scene that was
-    made elsewhere, and say what is wrong with it.
+    The photos are only read. Check SCENE/prepare.html before training: it shows what was found.
+    Re-run the same command to resume.
     """
 
     photos: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTOS")]
-    """The folder of the photos; with --check, the scene's."""
-    scene: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[SCENE]")] = None
-    """The folder to make."""
-    check: bool = False
-    """Check a scene instead of making one."""
+    """Folder of the photos."""
+    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
+    """Folder to make."""
     pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
-    """How the two photos of a moment are told: by names, two folders, time; or the thermal photos
-    alone."""
+    """How RGB and thermal photos are paired: by file names, two folders, or time; thermal uses the
+    thermal photos only."""
     pair_table: Path | None = None
-    """A CSV with two columns, the RGB and the thermal photo, where the names do not tell."""
+    """CSV file with two columns, the RGB and the thermal photo, if pairs cannot be inferred from
+    file names."""
     tolerance: float = 2.0
-    """Photos farther apart in time are no pair, s."""
+    """Maximum time difference within a pair, in seconds."""
     poses: Path | None = None
-    """A folder with COLMAP's or nerfstudio's poses of these photos, to be taken as they are."""
+    """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
     emissivity: float | None = None
-    """Of the surfaces; this and the next six replace what radiometric photos say.
-    docs/radiometric.md"""
+    """Surface emissivity. This and the next six options override the values stored in the photos;
+    see docs/radiometric.md."""
     reflected: float | None = None
     """Reflected apparent temperature, °C."""
     distance: float | None = None
-    """From the camera to the object, m."""
+    """Distance from the camera to the object, m."""
     atmospheric: float | None = None
-    """Temperature of the air, °C."""
+    """Air temperature, °C."""
     humidity: float | None = None
     """Relative humidity of the air, 0 to 1."""
     window: float | None = None
-    """Temperature of an infrared window before the camera, °C."""
+    """Temperature of an infrared window in front of the camera, °C."""
     window_transmission: float | None = None
     """Transmission of that window, 0 to 1."""
     unit: str | None = None
-    """What the numbers in TIFF, PNG and CSV files are, for instance celsius, kelvin*100."""
+    """Unit of the values in TIFF, PNG and CSV files, such as celsius or kelvin*100."""
     bounds: tuple[float, float] | None = None
-    """°C of black and white, where the thermal photos are grey pictures of one fixed span."""
+    """Temperatures (°C) of black and white, for greyscale thermal photos with a fixed span."""
     thermal_fov: float | None = None
-    """Horizontal field of view of the thermal camera from its data sheet, degrees; helps to find
-    it."""
+    """Horizontal field of view of the thermal camera in degrees, from its data sheet; helps to
+    locate the camera."""
     thermal_camera: Path | None = None
-    """JSON with the thermal camera, such as the transforms.json of another scene of the same
-    camera. docs/prepare.md"""
+    """JSON file with the thermal camera, such as the transforms.json of another scene taken with
+    it; see docs/prepare.md."""
     one_camera: bool = False
-    """The two images of a pair show the same, pixel for pixel."""
+    """The two images of a pair show the same scene, pixel for pixel."""
     target: tuple[str, float] | None = None
-    """A chessboard that both cameras see: its inner corners and the side of a square in m, for
-    instance 7x6 0.05."""
+    """Chessboard that both cameras see: inner corners and side of a square in m, such as
+    7x6 0.05."""
     known_distance: tuple[str, str, float] | None = None
-    """Two pixels of a view and the distance between what they show in m: NAME:X,Y NAME:X,Y
+    """Two pixels of one view and the distance between the points they show, in m: NAME:X,Y NAME:X,Y
     METRES."""
     eval_every: int = 8
-    """Every so-many-th view is held out for scoring; 0 holds none out."""
+    """Hold out every Nth view for evaluation; 0 holds out none."""
 
     def options(self) -> PrepareOptions:
-        """What ``prepare`` takes.
+        """The options of ``prepare``.
 
         Raises:
-            ConfigError: a value that cannot be, or two options that exclude each other.
+            ConfigError: an invalid value, or two options that exclude each other.
         """
         from mrgs.data.radiometric import Overrides
         from mrgs.prepare import PrepareOptions, parse_known_distance, parse_target
@@ -304,6 +303,19 @@ class Prepare:
 
 
 @dataclass(frozen=True)
+class Check:
+    """Check a scene that was made elsewhere: images, cameras, points, temperatures. Changes nothing
+    in it.
+
+    Lists the problems, the worst first, and draws the scene on SCENE/check.html. The exit code is 1
+    if the scene should not be trained as it is.
+    """
+
+    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
+    """Folder of the scene, in the layout of ThermoScenes, nerfstudio or COLMAP."""
+
+
+@dataclass(frozen=True)
 class Synth:
     """Generate a scene with exact temperatures and depths. Needs mrgs[synth]."""
 
@@ -328,6 +340,7 @@ class Synth:
 Command = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Prepare, tyro.conf.subcommand("prepare")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]
@@ -337,3 +350,9 @@ Command = (
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Synth, tyro.conf.subcommand("synth")]
 )
+
+
+def flag_of(parameter: str) -> str:
+    """The flag of a parameter of the Python API, whose name may end with a unit:
+    ``thermal_fov_deg`` is --thermal-fov."""
+    return "--" + re.sub("_(c|m|s|deg)$", "", parameter).replace("_", "-")

@@ -316,9 +316,9 @@ class PrepareProgress:
 
     def end(self, preparation: Preparation) -> None:
         """List the skipped files."""
-        for item in preparation.left_out[:LEFT_OUT_SHOWN]:
+        for item in preparation.skipped[:LEFT_OUT_SHOWN]:
             self._warnings.append(f"left out: {item.name}: {item.reason}")
-        if (more := len(preparation.left_out) - LEFT_OUT_SHOWN) > 0:
+        if (more := len(preparation.skipped) - LEFT_OUT_SHOWN) > 0:
             self._warnings.append(f"left out: {more} more; see {preparation.page}")
 
 

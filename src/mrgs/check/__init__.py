@@ -1,4 +1,4 @@
-"""Whether a scene that was made elsewhere can be trained on, and what is wrong with it."""
+"""Whether a scene that was made elsewhere can be trained, and its problems."""
 
 from mrgs.check.check import check_scene
 from mrgs.check.page import PAGE

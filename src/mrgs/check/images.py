@@ -1,16 +1,18 @@
-"""What can be wrong with the images of a scene."""
+"""Problems of a scene's images."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
-from mrgs.check.looks import Look
 from mrgs.check.problems import Problem, Severity
+from mrgs.check.statistics import ViewStatistics
 from mrgs.prepare.consistency import agreements, luma
-from mrgs.prepare.page.previews import views_text
-from mrgs.scene import Scene
+from mrgs.prepare.page.previews import Preview, views_text
+from mrgs.scene import Camera, Scene
 
 _SATURATED = 0.02
 """Of a set's thermal pixels; a view counts as saturated at five times that."""
@@ -24,20 +26,20 @@ _BLURRED = 0.4
 _FEWEST_TO_COMPARE = 5
 
 
-def image_problems(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    """Everything that the pixels tell."""
-    rules: list[Callable[[Scene, Sequence[Look]], list[Problem]]] = [
+def image_problems(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    """All problems that the pixels show."""
+    rules: list[Callable[[Scene, Sequence[ViewStatistics]], list[Problem]]] = [
         _unreadable, _missing, _without_temperatures, _sizes, _flat, _saturated, _gain, _exposure,
         _blurred,
     ]  # fmt: skip
-    return [problem for rule in rules for problem in rule(scene, looks)]
+    return [problem for rule in rules for problem in rule(scene, statistics)]
 
 
-def _unreadable(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    return [Problem("error", message) for look in looks for message in look.failures]
+def _unreadable(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    return [Problem("error", message) for one in statistics for message in one.failures]
 
 
-def _missing(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
+def _missing(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
     """Views that lack one of the two images."""
     views = [*scene.train, *scene.eval]
     found = []
@@ -56,15 +58,11 @@ def _missing(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
     return found
 
 
-def _without_temperatures(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    if scene.temperature is not None or not any(
-        view.thermal for view in (*scene.train, *scene.eval)
-    ):
+def _without_temperatures(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    thermal = any(view.thermal for view in (*scene.train, *scene.eval))
+    if scene.temperature is not None or not thermal:
         return []
-    text = (
-        "There is no temperature_bounds.json: the thermal values are relative, and °C are not "
-        "known."
-    )
+    text = "There is no temperature_bounds.json: thermal values are relative, without °C."
     remedy = (
         "Add it with the temperatures of black and white, absolute_min_temperature and "
         "absolute_max_temperature."
@@ -72,62 +70,47 @@ def _without_temperatures(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
     return [Problem("warning", text, remedy)]
 
 
-def _sizes(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    """Images of one kind that are not of one size: another camera, or some were resized."""
+def _sizes(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    """Images of one kind in several sizes: another camera, or some were resized."""
     views = [*scene.train, *scene.eval]
     found = []
     for kind, images in (("RGB", [v.rgb for v in views]), ("thermal", [v.thermal for v in views])):
-        sizes: dict[str, int] = {}
-        for image in images:
-            if image is not None:
-                size = f"{image.camera.width}×{image.camera.height}"
-                sizes[size] = sizes.get(size, 0) + 1
+        sizes = Counter(
+            f"{image.camera.width}×{image.camera.height}" for image in images if image is not None
+        )
         if len(sizes) > 1:
             counts = ", ".join(f"{count} of {size} px" for size, count in sizes.items())
             text = f"The {kind} images are not of one size: {counts}."
-            found.append(
-                Problem(
-                    "note",
-                    text,
-                    "That is right for several cameras, and wrong if some were resized.",
-                )
-            )
+            remedy = "That is right for several cameras, and wrong if some were resized."
+            found.append(Problem("note", text, remedy))
     return found
 
 
-def _flat(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    flat = [look.preview.name for look in looks if look.spread is not None and look.spread < _FLAT]
+def _flat(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    flat = [one.preview.name for one in statistics if one.spread is not None and one.spread < _FLAT]
     if not flat:
         return []
-    text = (
-        f"The thermal image of {views_text(flat)} shows next to nothing: all its pixels are "
-        f"nearly equal."
-    )
-    return [
-        Problem(
-            "error" if len(flat) == len(looks) else "warning",
-            text,
-            "Replace or leave out these images.",
-        )
-    ]
+    severity: Severity = "error" if len(flat) == len(statistics) else "warning"
+    text = f"The thermal image of {views_text(flat)} is flat: all its pixels are nearly equal."
+    return [Problem(severity, text, "Replace these images, or leave them out.")]
 
 
-def _saturated(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
+def _saturated(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
     found = []
     for end, shares in (
         (
             "lower",
-            {look.preview.name: look.cold_end for look in looks if look.cold_end is not None},
+            {one.preview.name: one.cold_end for one in statistics if one.cold_end is not None},
         ),
-        ("upper", {look.preview.name: look.hot_end for look in looks if look.hot_end is not None}),
+        ("upper", {one.preview.name: one.hot_end for one in statistics if one.hot_end is not None}),
     ):
         mean = float(np.mean(list(shares.values()))) if shares else 0.0
         if mean > _SATURATED:
             views = [name for name, share in shares.items() if share > 5 * _SATURATED]
             most = f", most in {views_text(views)}" if views else ""
             text = (
-                f"{mean:.0%} of the thermal pixels lie at the {end} end of the scale{most}: "
-                f"what they were is lost."
+                f"{mean:.0%} of the thermal pixels lie at the {end} end of the scale{most}: their "
+                f"temperatures are lost."
             )
             remedy = (
                 "Export the thermal images again with a wider fixed span, or correct "
@@ -137,63 +120,57 @@ def _saturated(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
     return found
 
 
-def _gain(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    shots = [look.preview for look in looks]
-    found = agreements(
-        [shot.thermal for shot in shots], [shot.thermal_camera for shot in shots], scene.points
+def _gain(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    previews = [one.preview for one in statistics]
+    names = _jumping(
+        previews,
+        [preview.thermal for preview in previews],
+        [preview.thermal_camera for preview in previews],
+        scene,
     )
-    names = [
-        shot.name for shot, own in zip(shots, found, strict=True) if own is not None and own.jumps
-    ]
-    if not names:
-        return []
     text = (
         f"In {views_text(names)} the same places are warmer or colder than in the others: an "
         f"automatic gain."
     )
-    return [
-        Problem(
-            "warning",
-            text,
-            "Export all thermal images with one fixed span, or from radiometric files.",
-        )
-    ]
+    remedy = "Export all thermal images with one fixed span, or from radiometric files."
+    return [Problem("warning", text, remedy)] if names else []
 
 
-def _exposure(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    shots = [look.preview for look in looks]
-    images = [None if shot.rgb is None else luma(shot.rgb) for shot in shots]
-    found = agreements(images, [shot.rgb_camera for shot in shots], scene.points)
-    names = [
-        shot.name for shot, own in zip(shots, found, strict=True) if own is not None and own.jumps
-    ]
-    if not names:
-        return []
+def _exposure(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    previews = [one.preview for one in statistics]
+    brightness = [None if preview.rgb is None else luma(preview.rgb) for preview in previews]
+    names = _jumping(previews, brightness, [preview.rgb_camera for preview in previews], scene)
     text = (
         f"In {views_text(names)} the same places are brighter or darker than in the others: an "
         f"automatic exposure."
     )
+    remedy = "The colours will be a mixture; fix exposure and white balance next time."
+    return [Problem("warning", text, remedy)] if names else []
+
+
+def _jumping(
+    previews: Sequence[Preview],
+    images: Sequence[Float[np.ndarray, "..."] | None],
+    cameras: Sequence[Camera | None],
+    scene: Scene,
+) -> list[str]:
+    """Names of the views whose image has another gain or offset than most."""
+    found = agreements(images, cameras, scene.points)
+    pairs = zip(previews, found, strict=True)
     return [
-        Problem(
-            "warning",
-            text,
-            "The colours will be a mixture; fix the exposure and the white balance next time.",
-        )
+        preview.name for preview, agreement in pairs if agreement is not None and agreement.jumps
     ]
 
 
-def _blurred(scene: Scene, looks: Sequence[Look]) -> list[Problem]:
-    known = {look.preview.name: look.sharpness for look in looks if look.sharpness is not None}
+def _blurred(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    known = {one.preview.name: one.sharpness for one in statistics if one.sharpness is not None}
     if len(known) < _FEWEST_TO_COMPARE:
         return []
     limit = _BLURRED * float(np.median(list(known.values())))
     blurred = [name for name, value in known.items() if value < limit]
-    if not blurred:
-        return []
     text = (
-        f"The RGB image of {views_text(blurred)} is much less sharp than the others: moved, or "
-        f"out of focus."
+        f"The RGB image of {views_text(blurred)} is much less sharp than the others: motion blur, "
+        f"or out of focus."
     )
-    return [
-        Problem("warning", text, "Leave these views out, unless nothing else shows what they show.")
-    ]
+    remedy = "Leave these views out, unless nothing else shows what they show."
+    return [Problem("warning", text, remedy)] if blurred else []

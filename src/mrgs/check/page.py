@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mrgs.check.looks import Look
 from mrgs.check.problems import Problem
+from mrgs.check.statistics import ViewStatistics
 from mrgs.data.lens import Lens
 from mrgs.prepare.page.cameras import lens_rows
 from mrgs.prepare.page.overlay import thermal_on_rgb
@@ -26,7 +26,7 @@ def write_check_page(
     problems: Sequence[Problem],
     lines: Sequence[str] = (),
     scene: Scene | None = None,
-    looks: Sequence[Look] = (),
+    statistics: Sequence[ViewStatistics] = (),
 ) -> Path:
     """Write ``check.html`` into the scene's folder; returns its path.
 
@@ -35,7 +35,7 @@ def write_check_page(
         problems: worst first.
         lines: facts about the scene, one sentence each.
         scene: None if it cannot be read.
-        looks: its views.
+        statistics: its views.
 
     Raises:
         RunError: the page cannot be written.
@@ -48,7 +48,7 @@ def write_check_page(
         problems=problems,
         errors=sum(problem.severity == "error" for problem in problems),
         lines=lines,
-        shown=None if scene is None else _shown(scene, looks),
+        shown=None if scene is None else _shown(scene, statistics),
     )
 
 
@@ -59,15 +59,15 @@ def _world(scene: Scene) -> World:
     return world_of(cameras, held_out, scene.points, metric=False, north=False)
 
 
-def _shown(scene: Scene, looks: Sequence[Look]) -> dict[str, Any]:
+def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]:
     """Views, temperatures and lenses."""
-    previews = [looks[index].preview for index in spread(len(looks), MOST_SHOWN)]
+    previews = [statistics[index].preview for index in spread(len(statistics), MOST_SHOWN)]
     warped = {view.name: thermal_on_rgb(view, scene.points) for view in previews}
     overlays = {name: image for name, image in warped.items() if image is not None}
     unit = "" if scene.temperature is None else "°C"
     return {
-        "pairs": pairs(previews, overlays, unit, len(looks)),
-        "temperatures": temperatures([look.preview for look in looks], unit, [], {}),
+        "pairs": pairs(previews, overlays, unit, len(statistics)),
+        "temperatures": temperatures([one.preview for one in statistics], unit, [], {}),
         "lenses": _lenses(scene),
     }
 

@@ -1,4 +1,4 @@
-"""What can be wrong with the cameras and the points of a scene."""
+"""Problems of a scene's cameras and points."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ be right, from the one that was read, and what to do."""
 
 
 def pose_problems(scene: Scene) -> list[Problem]:
-    """Everything about views, cameras and points that can be told without the pixels."""
+    """All problems of views, cameras and points that need no pixels."""
     views = [*scene.train, *scene.eval]
     cameras = {view.name: view.cameras[0] for view in views}
     found = [*_number_of_views(scene), *_scale(scene, list(cameras.values()))]
@@ -97,18 +97,18 @@ def _number_of_views(scene: Scene) -> list[Problem]:
     found = []
     if count < FEWEST_VIEWS:
         text = (
-            f"There are {count} views to train on; at least {FEWEST_VIEWS} are needed to tell "
+            f"There are {count} training views; at least {FEWEST_VIEWS} are needed to determine "
             f"depth."
         )
         found.append(Problem("error", text, "Add views, or hold fewer out."))
     elif count < FEW_VIEWS:
         text = (
-            f"There are only {count} views to train on: depth will be a guess where few of "
-            f"them overlap."
+            f"There are only {count} training views: depth will be unreliable where few of them "
+            f"overlap."
         )
         found.append(Problem("warning", text, "Take more photos all around; 30 or more are usual."))
     if not scene.eval:
-        text = "No view is held out, so that nothing will tell how good the model is."
+        text = "No view is held out, so the quality of the model cannot be measured."
         remedy = "Name some views in val_filenames, or give no split: then every 8th is taken."
         found.append(Problem("warning", text, remedy))
     return found
@@ -167,7 +167,9 @@ def _seen(cameras: dict[str, Camera], points: Float64[Tensor, "n 3"]) -> list[Pr
     ]:
         text = f"The camera of {views_text(lost)} looks away from the points that the others see."
         found.append(
-            Problem("warning", text, "Their poses may be wrong: leave them out, or find them anew.")
+            Problem(
+                "warning", text, "Their poses may be wrong: leave them out, or find them again."
+            )
         )
     unseen = (seen.sum(dim=0) == 0).double().mean().item()
     if unseen > _UNSEEN:
@@ -227,10 +229,10 @@ def _same_place(scene: Scene, cameras: dict[str, Camera], depth: float | None) -
     text = f"{pairs_text} nearly the same pose ({shown})."
     if leaking:
         text += (
-            f" Of {leaking} of them one is held out and the other trained on: the scores will "
-            f"flatter."
+            f" In {leaking} of them one is held out and the other trained on: the scores will be "
+            f"too good."
         )
-    return [Problem("warning", text, "Leave one of each out: they tell nothing new.")]
+    return [Problem("warning", text, "Leave out one of each pair: it adds nothing.")]
 
 
 def _rig(views: Sequence[View], depth: float | None) -> list[Problem]:
@@ -271,7 +273,7 @@ def _intrinsics(views: dict[str, list[View]]) -> list[Problem]:
         }
         if odd:
             first = next(iter(odd.values()))
-            text = f"The {kind} intrinsics of {views_text(list(odd))} are hard to believe: {first}."
+            text = f"The {kind} intrinsics of {views_text(list(odd))} are implausible: {first}."
             found.append(
                 Problem(
                     "warning",

@@ -1,4 +1,4 @@
-"""What a check finds."""
+"""The result of a check."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Literal, get_args
 
 Severity = Literal["error", "warning", "note"]
-"""It will not train or not give what is wanted; the model will be worse for it; it may be meant."""
+"""It will not train, or the model will be wrong; the model will be worse; it may be intended."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Something that is wrong with a scene.
+    """A problem of a scene.
 
     Attributes:
         severity: how wrong.

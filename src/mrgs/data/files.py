@@ -17,9 +17,9 @@ MAX_MAGNITUDE = 1e7
 their places apart."""
 
 
-def scene_error(file: Path | str, problem: str) -> SceneError:
-    """An error of one line that names the file first."""
-    return SceneError(f"{file}: {problem}".replace("\n", " "))
+def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
+    """An error of one line that names the file first; ``options`` are those of the error."""
+    return SceneError(f"{file}: {problem}".replace("\n", " "), options=options)
 
 
 def shown(value: object) -> str:

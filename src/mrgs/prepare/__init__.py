@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from mrgs.system.lazy import lazy_imports
 
 if TYPE_CHECKING:
-    from mrgs.prepare.contract import LeftOut as LeftOut
     from mrgs.prepare.contract import Preparation as Preparation
     from mrgs.prepare.contract import Progress as Progress
+    from mrgs.prepare.contract import Skipped as Skipped
     from mrgs.prepare.contract import StageReport as StageReport
     from mrgs.prepare.georeference import KnownDistance as KnownDistance
     from mrgs.prepare.options import PrepareOptions as PrepareOptions

@@ -1,4 +1,4 @@
-"""What the stages of preparing a scene hand to each other."""
+"""What the stages of ``prepare`` find: one dataclass for each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import ExifFacts, GpsPosition
+from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
 from mrgs.scene import PointCloud
 
@@ -20,30 +20,38 @@ Progress = Callable[[str, int, int], None]
 not known)."""
 
 MIN_VIEWS = 3
-"""A scene needs poses of so many views."""
+"""Fewest views with a pose that make a scene."""
 
 
 @dataclass(frozen=True)
 class PhotoPair:
-    """The photos of one moment.
+    """The RGB photo and the thermal photo of one moment.
 
     Attributes:
-        name: of the view to be; unique, a valid file stem on every system.
-        rgb: the photo in visible light; None if it lies in the thermal photo's file, or if there is
-            none.
+        name: of the future view; unique, a valid file stem on every system.
+        rgb: the RGB photo; None if it is embedded in the thermal photo's file, or missing.
         thermal: the thermal photo.
-        embedded: whether the visible photo inside the thermal photo's file is used.
+        embedded: whether the RGB photo embedded in the thermal photo's file is used.
+        rgb_exif: EXIF of the RGB photo's own file.
+        thermal_exif: EXIF of the thermal photo's file.
     """
 
     name: str
     rgb: Path | None
     thermal: Path
     embedded: bool = False
+    rgb_exif: ExifFacts = field(default_factory=ExifFacts)
+    thermal_exif: ExifFacts = field(default_factory=ExifFacts)
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """A file or a view that is not used, and why (half a sentence)."""
+class Skipped:
+    """A file or a view that is not used.
+
+    Attributes:
+        name: of the file, or of the view.
+        reason: half a sentence.
+    """
 
     name: str
     reason: str
@@ -56,7 +64,7 @@ class TooFewPosesError(SceneError):
         failed: the images without a pose, and why.
     """
 
-    def __init__(self, message: str, failed: tuple[LeftOut, ...]) -> None:
+    def __init__(self, message: str, failed: tuple[Skipped, ...]) -> None:
         super().__init__(message)
         self.failed = failed
 
@@ -67,62 +75,72 @@ class Pairing:
 
     Attributes:
         pairs: in natural order of their names.
-        left_out: files without a partner, or that are no photos.
+        skipped: files without a partner, and files that are not photos.
         rule: how the pairs were found, one sentence.
         warnings: sentences that the user should read.
     """
 
     pairs: tuple[PhotoPair, ...]
-    left_out: tuple[LeftOut, ...]
+    skipped: tuple[Skipped, ...]
     rule: str
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class DevelopedView:
+class ConvertedView:
     """A pair whose images lie in the scene's folder.
 
     Attributes:
         name: of the pair.
-        rgb: the RGB image, ``images/NAME.*`` in the scene's folder, relative to it; None in a
+        rgb: the RGB image, ``images/NAME.*``, relative to the scene's folder; None in a
             thermal-only set.
         thermal: the thermal image, ``thermal/NAME.*``: float32 TIFF in °C, NaN where there is no
-            temperature; or a grey 8-bit PNG where the photos hold no temperatures.
-        exif: of the RGB photo, completed by that of the thermal photo.
-        camera: of the thermal photo; None if the file does not say.
-        range_c: the coldest and the hottest temperature, °C; None where the photo holds none.
-        notes: how the thermal file was understood.
-        warnings: what the user should know before trusting its numbers.
+            temperature; an 8-bit grey PNG if the photos hold no temperatures.
+        exif: of the RGB photo, completed from the thermal photo.
+        facts: what the thermal camera recorded in its file: emissivity, reflected temperature,
+            serial number, time and so on; without the embedded photo.
+        range_c: lowest and highest temperature, °C; None if the photo holds none.
+        rgb_size: width and height in pixels; None without an RGB image.
+        thermal_size: width and height in pixels.
+        rgb_sha256: of the RGB image's file; empty without one.
+        thermal_sha256: of the thermal image's file.
     """
 
     name: str
     rgb: str | None
     thermal: str
     exif: ExifFacts
-    camera: str | None = None
+    facts: PhotoFacts = field(default_factory=lambda: PhotoFacts("image"))
     range_c: tuple[float, float] | None = None
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    rgb_size: tuple[int, int] | None = None
+    thermal_size: tuple[int, int] | None = None
+    rgb_sha256: str = ""
+    thermal_sha256: str = ""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The images, relative to the scene's folder."""
+        return tuple(path for path in (self.rgb, self.thermal) if path is not None)
 
 
 @dataclass(frozen=True)
-class Development:
+class ConvertedPhotos:
     """All photos, read and written into the scene's folder.
 
     Attributes:
         views: those that could be read.
-        left_out: pairs with a photo that could not be read, with the reader's message.
+        skipped: pairs with a photo that could not be read, with the reader's message.
         warnings: sentences about the whole set.
     """
 
-    views: tuple[DevelopedView, ...]
-    left_out: tuple[LeftOut, ...]
+    views: tuple[ConvertedView, ...]
+    skipped: tuple[Skipped, ...]
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Poses of the images, from structure from motion or from files that the user has.
+    """Poses of the images, from structure from motion or given by the user.
 
     Attributes:
         viewmats: world to camera, OpenCV axes, [4, 4], by the view's name; registered views only.
@@ -134,7 +152,7 @@ class Reconstruction:
         failed: views without a pose, and why.
         reprojection_px: mean distance of the points from where they were seen; None if that is not
             known.
-        source: how the poses were found, one sentence.
+        source: where the poses are from, one sentence.
         images: which images the poses belong to.
         warnings: sentences that the user should read.
     """
@@ -143,7 +161,7 @@ class Reconstruction:
     lenses: Mapping[str, Lens]
     points: PointCloud
     visible: Mapping[str, Int64[Tensor, " k"]] | None
-    failed: tuple[LeftOut, ...]
+    failed: tuple[Skipped, ...]
     reprojection_px: float | None
     source: str
     images: Literal["rgb", "thermal"] = "rgb"
@@ -179,15 +197,28 @@ class Georeference:
 
 
 @dataclass(frozen=True)
+class Summary:
+    """What a stage found, for the user.
+
+    Attributes:
+        lines: one sentence each, the most important first.
+        warnings: sentences that the user should read.
+    """
+
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class StageReport:
-    """What a stage did, for the terminal and for the page.
+    """A stage that is done, for the terminal and for the page.
 
     Attributes:
         title: of the stage, such as "poses".
-        lines: what it did and found, one sentence each.
+        lines: what it found, one sentence each.
         warnings: sentences that the user should read.
-        seconds: how long it took; 0 if an earlier call did it.
-        reused: whether an earlier call did it.
+        seconds: how long it took; 0 if its result was reused.
+        reused: whether the result of an earlier call was reused.
     """
 
     title: str
@@ -199,16 +230,16 @@ class StageReport:
 
 @dataclass(frozen=True)
 class Preparation:
-    """What ``prepare`` returns: the scene, and what was understood on the way.
+    """What ``prepare`` returns.
 
     Attributes:
         scene: the scene's folder.
-        page: the page that shows it all.
-        stages: in order.
-        left_out: files and views that are not in the scene.
+        page: the HTML page that shows what was found.
+        stages: reports, in order.
+        skipped: files and views that are not in the scene.
     """
 
     scene: Path
     page: Path
     stages: tuple[StageReport, ...]
-    left_out: tuple[LeftOut, ...] = field(default=())
+    skipped: tuple[Skipped, ...] = ()

@@ -1,4 +1,4 @@
-"""Poses that the user has, from COLMAP or in nerfstudio's format."""
+"""Poses given by the user, from COLMAP or in nerfstudio's format."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import point_cloud
 from mrgs.errors import SceneError
-from mrgs.prepare.contract import MIN_VIEWS, LeftOut, Reconstruction
+from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import PointCloud
 
 _ASPECT_TOLERANCE = 0.01
@@ -38,6 +38,31 @@ class _Pose:
     stem: str
     lens: Lens
     viewmat: Float64[Tensor, "4 4"]
+
+
+def poses_of_photos(
+    folder: Path, pairs: Sequence[PhotoPair], images: Mapping[str, Path]
+) -> Reconstruction:
+    """The poses in a folder that knows the photos by their original names.
+
+    Args:
+        folder: with the poses, or a transforms file.
+        pairs: the original photos.
+        images: the scene's images by the names of their pairs.
+
+    Raises:
+        SceneError: as from :func:`existing_poses`.
+    """
+    names = {(pair.rgb or pair.thermal).stem: pair.name for pair in pairs if pair.name in images}
+    if len(names) < len(images):  # photos of several folders share a name
+        names = {name: name for name in images}
+    found = existing_poses(folder, {photo: images[name] for photo, name in names.items()})
+    return replace(
+        found,
+        viewmats={names[photo]: viewmat for photo, viewmat in found.viewmats.items()},
+        lenses={names[photo]: lens for photo, lens in found.lenses.items()},
+        failed=tuple(Skipped(names[item.name], item.reason) for item in found.failed),
+    )
 
 
 def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
@@ -59,7 +84,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     for name, path in images.items():
         pose = by_stem.get(name)
         if pose is None:
-            failed.append(LeftOut(name, f"{what} has no pose of this name"))
+            failed.append(Skipped(name, f"{what} has no pose of this name"))
             continue
         viewmats[name], lenses[name] = pose.viewmat, _scaled(pose.lens, path)
     if len(viewmats) < MIN_VIEWS:

@@ -1,4 +1,4 @@
-"""What the user may say about a set of photos."""
+"""What the user knows about a set of photos."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from mrgs.prepare.rig import ChessboardTarget
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """Options of ``prepare``; every default means that it is found from the photos.
+    """Options of ``prepare``; by default everything is found from the photos.
 
     Attributes:
-        overrides: what is known better than the thermal photos say.
-        pairs: how the photos of one moment are told; ``thermal`` leaves the RGB photos out.
-        pair_table: a CSV with the pairs; None for none.
-        tolerance_s: photos farther apart in time are no pair, seconds.
+        overrides: values that replace those stored in the thermal photos.
+        pairs: how RGB and thermal photos are paired; ``thermal`` uses the thermal photos only.
+        pair_table: a CSV file with the pairs; None for none.
+        tolerance_s: maximum time difference within a pair, seconds.
         poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None to find
             their poses.
-        one_camera: the two images of a pair show the same pixel for pixel: no thermal camera is
-            looked for.
+        one_camera: both images of a pair show the same scene, pixel for pixel; there is no thermal
+            camera to calibrate.
         thermal_fov_deg: horizontal field of view of the thermal camera, from its data sheet.
         thermal_camera: a file with its lens, its offset, or both (``read_thermal_camera``).
         target: a chessboard that both cameras see.
-        known_distance: between two things in a photo.
-        eval_every: every so manieth view is held out for scoring; 0 holds none out.
+        known_distance: between two points in a photo.
+        eval_every: hold out every Nth view for evaluation; 0 holds out none.
 
     Raises:
-        ConfigError: a value that cannot be, or two options that exclude each other.
+        ConfigError: an invalid value, or two options that exclude each other.
     """
 
     overrides: Overrides = field(default_factory=Overrides)
@@ -52,22 +52,20 @@ class PrepareOptions:
         if self.thermal_fov_deg is not None and not 1 <= self.thermal_fov_deg <= 150:
             raise ConfigError(
                 f"a horizontal field of view of {self.thermal_fov_deg:g}° is not between 1° and "
-                f"150°; "
-                "take it from the thermal camera's data sheet"
+                f"150°; take it from the thermal camera's data sheet",
+                options=("thermal_fov_deg",),
             )
         if self.eval_every != 0 and self.eval_every < 2:
             raise ConfigError(
-                f"one in {self.eval_every} views cannot be held out; give 2 or more, or 0 for none"
+                f"one in {self.eval_every} views cannot be held out; give 2 or more, or 0 for none",
+                options=("eval_every",),
             )
-        others = {
-            "--thermal-fov": self.thermal_fov_deg,
-            "--thermal-camera": self.thermal_camera,
-            "--target": self.target,
-        }
-        given = [name for name, value in others.items() if value is not None]
+        others = ("thermal_fov_deg", "thermal_camera", "target")
+        given = [name for name in others if getattr(self, name) is not None]
         if self.one_camera and given:
             raise ConfigError(
-                f"--one-camera and {given[0]} exclude each other; give one of the two"
+                "one camera for both images needs no second one; give one of the two options",
+                options=("one_camera", given[0]),
             )
 
 
@@ -79,7 +77,8 @@ def parse_target(corners: str, square_m: float) -> ChessboardTarget:
     """
     if not (counts := re.fullmatch(r"(\d{1,3})[x×](\d{1,3})", corners)):
         raise ConfigError(
-            f"--target {corners}: write the inner corners along and across, for instance 7x6"
+            f"the target '{corners}': write the inner corners along and across, for instance 7x6",
+            options=("target",),
         )
     return ChessboardTarget((int(counts[1]), int(counts[2])), square_m)
 
@@ -90,17 +89,20 @@ def parse_known_distance(first: str, second: str, metres: float) -> KnownDistanc
     Raises:
         ConfigError: no view with a pixel, two views, or no distance.
     """
-    ends = [
-        re.fullmatch(r"(.+):(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)", text) for text in (first, second)
-    ]
-    for text, end in zip((first, second), ends, strict=True):
-        if end is None:
-            raise ConfigError(
-                f"--known-distance {text}: write NAME:X,Y, for instance IR_0001:120,85"
-            )
-    (view, *a), (other, *b) = (end.groups() for end in ends if end is not None)
+    (view, a), (other, b) = _view_and_pixel(first), _view_and_pixel(second)
     if view != other:
         raise ConfigError(
-            f"--known-distance: both pixels must be of one view, not of {view} and {other}"
+            f"the known distance needs two pixels of one view, not of {view} and {other}",
+            options=("known_distance",),
         )
-    return KnownDistance(view, (float(a[0]), float(a[1])), (float(b[0]), float(b[1])), metres)
+    return KnownDistance(view, a, b, metres)
+
+
+def _view_and_pixel(text: str) -> tuple[str, tuple[float, float]]:
+    found = re.fullmatch(r"(.+):(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)", text)
+    if found is None:
+        raise ConfigError(
+            f"the known distance '{text}': write NAME:X,Y, for instance IR_0001:120,85",
+            options=("known_distance",),
+        )
+    return found[1], (float(found[2]), float(found[3]))

@@ -1,13 +1,11 @@
-"""An RGB photo as it goes into the scene: as the camera wrote it where that can be used, else
-turned or converted."""
+"""An RGB photo as the scene's image file: with the camera's bytes if they can be used, else turned
+or converted."""
 
 from __future__ import annotations
 
 import io
 import math
 import warnings
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +14,10 @@ from PIL.TiffImagePlugin import IFDRational
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.images import probe
-from mrgs.data.radiometric import ExifFacts, VisibleImage, read_exif
+from mrgs.data.radiometric import VisibleImage, read_exif
 from mrgs.data.radiometric.exif import clean_text
 
-_MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
+_MAKE, _MODEL = 0x010F, 0x0110
 _EXIF_IFD, _DATE_TIME_ORIGINAL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x9003, 0x920A, 0xA405
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -30,7 +28,7 @@ _TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""What shows an image upright, by its EXIF orientation; 1 is upright."""
+"""What turns an image upright, by its EXIF orientation; 1 is upright."""
 
 _SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
 
@@ -43,42 +41,22 @@ class RgbPhoto:
         content: of the file.
         suffix: ``.jpg`` or ``.png``.
         size: width and height in pixels.
-        exif: facts about the photo.
     """
 
     content: bytes
     suffix: str
     size: tuple[int, int]
-    exif: ExifFacts
 
 
-def orientation(path: Path) -> int:
-    """The EXIF orientation of an image file, 1 to 8; 1 if it does not say."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path, formats=("JPEG", "PNG", "TIFF")) as image:
-                found = image.getexif().get(_ORIENTATION)
-    except Exception:  # Pillow raises almost anything; who reads the photo will tell
-        return 1
-    return found if found in _TURNS else 1
-
-
-def common_orientation(paths: Iterable[Path]) -> int:
-    """The orientation of most photos; the smallest of equally frequent ones."""
-    counts = Counter(orientation(path) for path in paths)
-    return min(counts, key=lambda found: (-counts[found], found), default=1)
-
-
-def turned(image: Image.Image, orientation: int) -> Image.Image:
-    """An image whose orientation is ``orientation``, upright."""
+def upright(image: Image.Image, orientation: int) -> Image.Image:
+    """An image with the EXIF orientation ``orientation``, turned upright."""
     return image.transpose(_TURNS[orientation]) if orientation in _TURNS else image
 
 
-def read_rgb(path: Path, turn: int) -> RgbPhoto:
-    """A photo, turned as one with the EXIF orientation ``turn``, whatever its own says.
+def read_rgb(path: Path, orientation: int) -> RgbPhoto:
+    """A photo, turned as one with this EXIF orientation, whatever its own says.
 
-    A photo that needs no turning keeps its bytes; another keeps its format and quality, and of its
+    A photo that needs no turning keeps its bytes. Another keeps its format and quality, and of its
     EXIF the camera, the focal length and the time.
 
     Raises:
@@ -86,28 +64,28 @@ def read_rgb(path: Path, turn: int) -> RgbPhoto:
     """
     probe(path)
     data = read_bytes(path)
-    image, own = _decoded(data, path), orientation(path)
-    exif = read_exif(data)
+    image = _decoded(data, path)
     suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
-    if suffix is not None and turn == own == 1:
-        return RgbPhoto(data, suffix, image.size, exif)
-    upright = turned(image, turn)
-    return RgbPhoto(
-        _encoded(upright, image, suffix or ".png"), suffix or ".png", upright.size, exif
-    )
+    if suffix is not None and orientation == read_exif(data).orientation == 1:
+        return RgbPhoto(data, suffix, image.size)
+    return _turned(image, orientation, suffix or ".png")
 
 
-def read_embedded(visible: VisibleImage, turn: int) -> RgbPhoto:
-    """The photo inside a thermal photo's file.
+def read_embedded(visible: VisibleImage, orientation: int) -> RgbPhoto:
+    """The RGB photo embedded in a thermal photo's file.
 
     Raises:
         SceneError: it is damaged.
     """
     image = Image.fromarray(visible.pixels())
-    if turn == 1 and visible.data.startswith(b"\xff\xd8\xff"):
-        return RgbPhoto(visible.data, ".jpg", image.size, ExifFacts())
-    upright = turned(image, turn)
-    return RgbPhoto(_encoded(upright, image, ".png"), ".png", upright.size, ExifFacts())
+    if orientation == 1 and visible.data.startswith(b"\xff\xd8\xff"):
+        return RgbPhoto(visible.data, ".jpg", image.size)
+    return _turned(image, orientation, ".png")
+
+
+def _turned(image: Image.Image, orientation: int, suffix: str) -> RgbPhoto:
+    turned = upright(image, orientation)
+    return RgbPhoto(_encoded(turned, image, suffix), suffix, turned.size)
 
 
 def _decoded(data: bytes, path: Path) -> Image.Image:
@@ -145,7 +123,7 @@ def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
 def _kept_exif(original: Image.Image) -> bytes:
     """The camera, the focal length and the time, as EXIF; empty if the original's is too damaged.
 
-    Written anew, because Pillow reads tags of wrong types and then cannot write them.
+    Built from scratch, because Pillow reads tags of wrong types and then cannot write them.
     """
     kept = Image.Exif()
     try:
@@ -164,9 +142,7 @@ def _kept_exif(original: Image.Image) -> bytes:
                 {tag: value for tag, value in details.items() if value is not None}
             )
             return kept.tobytes()
-    except (
-        Exception
-    ):  # Pillow raises almost anything where tags are damaged; the photo itself is fine
+    except Exception:  # Pillow raises almost anything where tags are damaged; the pixels are fine
         return b""
 
 

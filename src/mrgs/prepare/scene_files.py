@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,54 +22,33 @@ from mrgs.data.transforms import (
     write_bounds,
     write_transforms,
 )
-from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare.contract import DevelopedView, Development, Georeference, Reconstruction
+from mrgs.errors import SceneError
+from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.work import Work
 from mrgs.scene import PointCloud
 from mrgs.system.atomic import remove
 
 
-def write_scene(
-    scene: Path,
-    development: Development,
-    reconstruction: Reconstruction,
-    rig: RigCalibration | None,
-    georeference: Georeference | None,
-    *,
-    eval_every: int,
-    bounds: tuple[float, float] | None,
-) -> None:
+def write_scene(work: Work) -> None:
     """Write ``transforms.json``, ``sparse_pc.ply`` and ``temperature_bounds.json``, so that
     ``load_scene`` reads them.
 
-    Only registered views are in the scene, in the order of the developed views. ``transforms.json``
-    is written last, so that a folder whose making was cut off is not taken for a scene. Where an
-    earlier call left points or bounds that this one has not, they are removed.
+    Only views with a pose are in the scene, in the order of the converted views. The transforms are
+    written last, so that an unfinished folder is not taken for a scene. Points and bounds of an
+    earlier call are removed if there are none now.
 
-    Args:
-        scene: the folder that holds the developed images.
-        development: the images.
-        reconstruction: poses and points in the scene's world, that is, after ``georeference`` has
-            been applied.
-        rig: the thermal camera, calibrated in that same world; None where one camera serves both
-            images (if their sizes differ, both are taken to show the same field of view).
-        georeference: noted in the file; None if nothing is known of scale and north.
-        eval_every: every so-many-th view is held out, beginning with the first, as Mip-NeRF 360 and
-            3DGS do; 0 holds none out.
-        bounds: coldest and hottest temperature of the scale, °C (of black and white in grey
-            images); None for the range of the registered views' images, rounded outwards to whole
-            degrees, if they hold temperatures.
+    Every ``eval_every``-th view is held out, beginning with the first, as in Mip-NeRF 360 and 3DGS.
+    Bounds that are not given are the range of the views' temperatures, rounded outwards to whole
+    degrees. Without a rig one camera serves both images; if their sizes differ, both are taken to
+    show the same field of view.
 
     Raises:
-        ConfigError: ``eval_every`` would hold out every view.
-        SceneError: no view is registered, or an image cannot be read.
+        SceneError: no view has a pose, or an image cannot be read.
         RunError: a file cannot be written.
     """
-    if eval_every < 0 or eval_every == 1:
-        raise ConfigError(
-            f"eval_every = {eval_every} leaves no view to train on; give 0 for none, or 2 or more"
-        )
-    views = [view for view in development.views if view.name in reconstruction.viewmats]
+    scene, posed, rig, eval_every = work.scene, work.posed, work.rig, work.options.eval_every
+    views = [view for view in work.images.views if view.name in posed.viewmats]
     if not views:
         raise SceneError(
             f"{scene}: no view has a pose, so there is no scene to write; see which views failed "
@@ -77,21 +57,26 @@ def write_scene(
     held_out = (
         {view.name for view in views[::eval_every]} if eval_every and len(views) > 1 else set()
     )
-    _write_points(scene / POINTS, reconstruction.points)
-    _write_bounds(scene / BOUNDS, views, bounds)
+    _write_points(scene / POINTS, posed.points)
+    _write_bounds(scene / BOUNDS, views, work.options.overrides.bounds_c)
     write_transforms(
         scene / TRANSFORMS,
-        [_frame(view, reconstruction, rig) for view in views],
-        lens=reconstruction.lenses[views[0].name] if _one_lens(reconstruction) else None,
-        thermal_lens=_thermal_lens(scene, views, reconstruction, rig),
-        points=POINTS if len(reconstruction.points.positions) else None,
-        split=_split(views, held_out, reconstruction),
-        facts={**_georeference(georeference), **_thermal_offset(rig, georeference)},
+        [_frame(view, posed, rig) for view in views],
+        lens=posed.lenses[views[0].name] if _one_lens(posed) else None,
+        thermal_lens=_thermal_lens(scene, views, posed, rig),
+        points=POINTS if len(posed.points.positions) else None,
+        split=_split(views, held_out, posed),
+        facts={
+            **_georeference(work.georeference),
+            **(
+                {"thermal_from_rgb_m": rig.thermal_from_rgb.tolist()} if rig and work.metric else {}
+            ),
+        },
     )
 
 
 def _frame(
-    view: DevelopedView, reconstruction: Reconstruction, rig: RigCalibration | None
+    view: ConvertedView, reconstruction: Reconstruction, rig: RigCalibration | None
 ) -> dict[str, Any]:
     """One view as nerfstudio describes it, with a thermal image."""
     viewmat, thermal_viewmat = reconstruction.viewmats[view.name], None
@@ -127,7 +112,7 @@ def _one_lens(reconstruction: Reconstruction) -> bool:
 
 def _thermal_lens(
     scene: Path,
-    views: Sequence[DevelopedView],
+    views: Sequence[ConvertedView],
     reconstruction: Reconstruction,
     rig: RigCalibration | None,
 ) -> Lens | None:
@@ -143,34 +128,22 @@ def _thermal_lens(
     return _resized(lens, info.width, info.height)
 
 
-def _thermal_offset(
-    rig: RigCalibration | None, georeference: Georeference | None
-) -> dict[str, Any]:
-    """The rig's motion in metres, where these are known, to be given for other photos of the same
-    two cameras."""
-    if rig is None or georeference is None or not georeference.metric:
-        return {}
-    return {"thermal_from_rgb_m": rig.thermal_from_rgb.tolist()}
-
-
 def _resized(lens: Lens, width: int, height: int) -> Lens:
     """The same rays on another pixel grid."""
     x, y = width / lens.width, height / lens.height
-    return Lens(
-        width,
-        height,
-        lens.fx * x,
-        lens.fy * y,
-        lens.cx * x,
-        lens.cy * y,
-        lens.radial,
-        lens.tangential,
-        lens.fisheye,
+    return replace(
+        lens,
+        width=width,
+        height=height,
+        fx=lens.fx * x,
+        fy=lens.fy * y,
+        cx=lens.cx * x,
+        cy=lens.cy * y,
     )
 
 
 def _split(
-    views: Sequence[DevelopedView], held_out: set[str], reconstruction: Reconstruction
+    views: Sequence[ConvertedView], held_out: set[str], reconstruction: Reconstruction
 ) -> tuple[list[str], list[str]]:
     """Paths of the training and of the evaluation images."""
     paths: dict[bool, list[str]] = {False: [], True: []}
@@ -200,7 +173,7 @@ def _georeference(georeference: Georeference | None) -> dict[str, Any]:
 
 
 def _write_bounds(
-    path: Path, views: Sequence[DevelopedView], given: tuple[float, float] | None
+    path: Path, views: Sequence[ConvertedView], given: tuple[float, float] | None
 ) -> None:
     """ThermoScenes' file; none where no temperature is known."""
     ranges = [view.range_c for view in views if view.range_c is not None]

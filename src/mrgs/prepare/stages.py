@@ -1,184 +1,220 @@
-"""Stages that are done once: each result is kept with the fingerprint of everything that it follows
-from."""
+"""The stages of ``prepare``, in the order of the data.
+
+Each takes from the cache what an earlier call found, unless something that it follows from has
+changed.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import os
-import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
 
-from filelock import FileLock, Timeout
+from mrgs.data import load_scene
+from mrgs.data.transforms import TRANSFORMS
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare.cache import CACHE_FOLDER, digest, stamps
+from mrgs.prepare.contract import (
+    Georeference,
+    Pairing,
+    Reconstruction,
+    Skipped,
+    StageReport,
+    Summary,
+    TooFewPosesError,
+)
+from mrgs.prepare.convert import convert_photos
+from mrgs.prepare.existing import poses_of_photos
+from mrgs.prepare.georeference import georeference
+from mrgs.prepare.page import write_page
+from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.scene_files import write_scene
+from mrgs.prepare.sfm import reconstruct
+from mrgs.prepare.summary import (
+    summarize_pairs,
+    summarize_photos,
+    summarize_poses,
+    summarize_thermal_camera,
+)
+from mrgs.prepare.thermal_camera import calibrate_thermal_camera, in_metres_of_target
+from mrgs.prepare.work import Work, stage
 
-from mrgs.data.files import scene_error
-from mrgs.errors import RunError
-from mrgs.prepare.contract import Progress, StageReport
-from mrgs.prepare.store import fingerprint, load, save
 
-Result = TypeVar("Result")
+@stage("pairs")
+def pairs(work: Work) -> Summary:
+    """Which photos belong together; follows from the names and times of all files."""
+    rule, table, tolerance_s = (
+        work.options.pairs,
+        work.options.pair_table,
+        work.options.tolerance_s,
+    )
+    table_content = None if table is None else (table.resolve(), digest(table))
+    work.pairing = work.cache.get(
+        "pairs",
+        Pairing,
+        (work.photos, stamps(work.photos), rule, table_content, tolerance_s),
+        lambda: find_pairs(work.photos, rule=rule, table=table, tolerance_s=tolerance_s),
+    )
+    return summarize_pairs(work.pairing)
 
-WORK = "prepare"
-"""The folder in the scene's folder that holds what the stages found."""
 
-FORMAT = 1
-"""Raised when a stage's results change their meaning: those of before are then found anew."""
+@stage("images")
+def images(work: Work) -> Summary:
+    """The photos of all pairs as colours and temperatures; each pair is cached on its own."""
+    work.images = convert_photos(
+        work.pairing,
+        work.scene,
+        work.options.overrides,
+        work.cache,
+        work.progress,
+        turn=work.options.poses is None,  # given poses are those of the images as stored
+    )
+    return summarize_photos(work.images)
 
-_BLOCK_BYTES = 2**20
+
+@stage("poses")
+def poses(work: Work) -> Summary:
+    """Where the cameras were; follows from the content of the posed images, so that other
+    temperatures do not matter."""
+    thermal_only = all(view.rgb is None for view in work.images.views)
+    if thermal_only:
+        posed = {view.name: (view.thermal, view.thermal_sha256) for view in work.images.views}
+    else:
+        posed = {view.name: (view.rgb, view.rgb_sha256) for view in work.images.views if view.rgb}
+    files = {name: work.scene / file for name, (file, _) in posed.items()}
+    given = work.options.poses
+
+    def find() -> Reconstruction:
+        if given is None:
+            cameras = dict.fromkeys(files, "one")  # sets of several cameras have been refused
+            folder = work.scene / CACHE_FOLDER
+            return reconstruct(files, cameras, folder, work.progress, stretch=thermal_only)
+        found = poses_of_photos(given, work.pairing.pairs, files)
+        return replace(found, images="thermal" if thermal_only else "rgb")
+
+    content = None
+    if given is not None:
+        state = stamps(given) if given.is_dir() else digest(given)
+        content = (work.pairing.pairs, given.resolve(), state)
+    work.poses = work.cache.get("poses", Reconstruction, (posed, content), find)
+    return summarize_poses(work.poses)
+
+
+@stage("scale and north")
+def scale_and_north(work: Work) -> Summary:
+    """From the world of the poses to the scene's world: metres, and axes east, north, up."""
+    found, distance = work.posed, work.options.known_distance
+    as_given = work.options.poses is not None
+    gps = {view.name: view.exif.gps for view in work.images.views if view.exif.gps is not None}
+    work.georeference = work.cache.get(
+        "scale and north",
+        Georeference,
+        (found, gps, distance, as_given),
+        lambda: georeference(found, gps, distance, as_given=as_given),
+    )
+    return Summary((work.georeference.text,), work.georeference.warnings)
+
+
+@stage("thermal camera")
+def thermal_camera(work: Work) -> Summary:
+    """Lens and offset of the thermal camera. A target may also give the scale, which then changes
+    the scene's world."""
+    options, posed, metric = work.options, work.posed, work.metric
+    file = options.thermal_camera
+    content = None if file is None else digest(file)
+    known = (options.one_camera, options.thermal_fov_deg, options.target, content)
+    digests = [(view.name, view.rgb_sha256, view.thermal_sha256) for view in work.images.views]
+    found = work.cache.get(
+        "thermal camera",
+        RigCalibration | None,
+        (posed, metric, digests, known),
+        lambda: calibrate_thermal_camera(work),
+    )
+    if work.georeference is not None:
+        work.georeference, work.rig = in_metres_of_target(work.georeference, found)
+    return summarize_thermal_camera(found, posed.images == "thermal", metric)
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a result says to the user.
+class WrittenScene:
+    """What training will read: numbers of views, lowest and highest temperature in °C."""
 
-    Attributes:
-        lines: one sentence each, the first one the most important.
-        warnings: sentences that the user should read.
-    """
-
-    lines: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    train: int
+    eval: int
+    range_c: tuple[float, float] | None
 
 
-@dataclass(frozen=True)
-class Stage(Generic[Result]):
-    """A step of the way from photos to a scene.
+@stage("scene files")
+def scene_files(work: Work) -> Summary:
+    """``transforms.json``, points and bounds; they are read once, to be sure that they can be."""
 
-    Attributes:
-        title: shown to the user, and the name of its file.
-        kind: the type of its result, or that type or None; ``store`` can write it.
-        depends: values that the result follows from.
-        make: finds the result.
-        tell: what it says.
-        files: what else the result consists of; it is made again if one is missing.
-    """
+    def write() -> WrittenScene:
+        write_scene(work)
+        read = load_scene(work.scene)
+        bounds = read.temperature
+        range_c = None if bounds is None else (bounds.min_c, bounds.max_c)
+        return WrittenScene(len(read.train), len(read.eval), range_c)
 
-    title: str
-    kind: Any
-    depends: tuple[Any, ...]
-    make: Callable[[Progress], Result]
-    tell: Callable[[Result], Told]
-    files: Callable[[Result], Iterable[Path]] = field(default=lambda result: ())
+    options = work.options
+    split_and_bounds = (options.eval_every, options.overrides.bounds_c)
+    written = work.cache.get(
+        "scene files",
+        WrittenScene,
+        (work.images, work.posed, work.rig, work.georeference, *split_and_bounds),
+        write,
+        lambda _: [work.scene / TRANSFORMS],
+    )
+    bounds = "no °C"
+    if written.range_c is not None:
+        bounds = "{:g} °C to {:g} °C".format(*written.range_c)
+    return Summary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
 
 
-class Stages:
-    """Runs stages, or takes what an earlier call found.
-
-    Args:
-        folder: keeps the results.
-        progress: called with "stage: step", and how many of the step's parts are done and there
-            are.
-        report: called with each stage's report when it is done.
-    """
-
-    def __init__(
-        self, folder: Path, progress: Progress | None, report: Callable[[StageReport], None] | None
-    ) -> None:
-        self._folder = folder
-        self._progress = progress or (lambda step, done, total: None)
-        self._report = report or (lambda done: None)
-        self.reports: list[StageReport] = []
-
-    def run(self, stage: Stage[Result]) -> Result:
-        """The stage's result: the stored one if nothing that it follows from has changed, else a
-        new one."""
-        file = self._file(stage.title)
-        made_from = fingerprint(FORMAT, stage.title, *stage.depends)
-        stored = load(file, stage.kind, made_from)
-        if stored is not None and all(path.is_file() for path in stage.files(stored.value)):
-            self._tell(stage, stored.value, 0.0, reused=True)
-            return stored.value
-        self._progress(stage.title, 0, 0)
-        started = time.perf_counter()
-        result = stage.make(
-            lambda step, done, total: self._progress(f"{stage.title}: {step}", done, total)
-        )
-        save(file, result, made_from)
-        self._tell(stage, result, time.perf_counter() - started, reused=False)
-        return result
-
-    def forget(self, title: str) -> None:
-        """Have a stage done again, whatever it depends on."""
-        self._file(title).unlink(missing_ok=True)
-
-    def _file(self, title: str) -> Path:
-        return self._folder / f"{title.replace(' ', '_')}.safetensors"
-
-    def _tell(self, stage: Stage[Result], result: Result, seconds: float, reused: bool) -> None:
-        told = stage.tell(result)
-        report = StageReport(stage.title, told.lines, told.warnings, seconds, reused)
-        self.reports.append(report)
-        self._report(report)
+@stage("page")
+def page(work: Work) -> Summary:
+    """The HTML page that shows what was found."""
+    said = [(report.title, report.lines, report.warnings) for report in work.reports]
+    name = work.cache.get(
+        "page",
+        str,
+        (said, work.skipped, work.images, work.posed, work.rig, work.georeference),
+        lambda: _write_page(work).name,
+        lambda name: [work.scene / name],
+    )
+    return Summary((f"{work.scene / name}",))
 
 
 @contextmanager
-def only_one(folder: Path) -> Iterator[None]:
-    """Keep a second call out of the folder, which is made if need be.
+def page_on_error(work: Work) -> Iterator[None]:
+    """On an error of the photos, write a page of what was found so far: it often shows the cause.
 
     Raises:
-        RunError: the folder cannot be made, or another call is at work in it.
+        SceneError: that of the block; it names the page if there is one.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise RunError(
-            f"{folder.parent} is being prepared by another run: wait for it, or choose another "
-            f"folder"
-        ) from None
-    except OSError as error:
-        raise RunError(
-            f"{folder} cannot be written ({error.strerror}): free the place or choose another "
-            f"folder"
-        ) from None
-    with lock:
         yield
+    except SceneError as error:
+        work.cache.forget("page")
+        work.reports.append(StageReport("stopped", (str(error),), (str(error),)))
+        with suppress(OSError):  # of an earlier call, with other photos or options
+            (work.scene / TRANSFORMS).unlink(missing_ok=True)
+        try:
+            shown = _write_page(work, error.failed if isinstance(error, TooFewPosesError) else ())
+        except RunError:  # the disk is full
+            raise error from None
+        message = f"{error}; {shown} shows what was found so far"
+        raise SceneError(message, options=error.options) from error
 
 
-def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
-    """Path, bytes and times (ns) of the last change of content and of rights, of every file below a
-    folder, sorted.
-
-    Links are followed. Hidden files and folders are left out, as they are when photos are looked
-    for.
-
-    Raises:
-        SceneError: the folder cannot be listed.
-    """
-    try:
-        found = []
-        for parent, folders, names in os.walk(folder, onerror=_raise):
-            folders[:] = [name for name in folders if not name.startswith(".")]
-            for name in names:
-                path = Path(parent, name)
-                if not name.startswith("."):
-                    status = path.stat() if path.exists() else path.lstat()
-                    times = status.st_mtime_ns, status.st_ctime_ns
-                    found.append((path.relative_to(folder).as_posix(), status.st_size, *times))
-        return tuple(sorted(found))
-    except OSError as error:
-        raise scene_error(
-            error.filename or folder,
-            f"cannot be read ({error.strerror}); give a folder of photos that is readable",
-        ) from None
-
-
-def digest(path: Path) -> str:
-    """A digest of a file's content; empty if it cannot be read, which whoever reads it next will
-    tell."""
-    try:
-        found = hashlib.sha256()
-        with open(path, "rb") as file:
-            while block := file.read(_BLOCK_BYTES):
-                found.update(block)
-        return found.hexdigest()
-    except OSError:
-        return ""
-
-
-def _raise(error: OSError) -> None:
-    raise error
+def _write_page(work: Work, without_pose: tuple[Skipped, ...] = ()) -> Path:
+    return write_page(
+        work.scene,
+        work.reports,
+        work.images,
+        None if work.poses is None else work.posed,
+        work.rig,
+        work.georeference,
+        skipped=(*work.skipped, *without_pose),
+    )

@@ -1,5 +1,4 @@
-"""The thermal camera of a set of photos: what a file says of it, and its calibration from the
-photos."""
+"""The thermal camera of a set of photos: given by a file, or calibrated from the photos."""
 
 from __future__ import annotations
 
@@ -18,9 +17,10 @@ from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation
 from mrgs.errors import ConfigError
-from mrgs.prepare.contract import DevelopedView, Development, Georeference, Progress, Reconstruction
+from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
+from mrgs.prepare.work import Work
 from mrgs.scene import Pixels
 from mrgs.scene.rotations import rigid_transform
 
@@ -31,7 +31,7 @@ numbers."""
 
 @dataclass(frozen=True, eq=False)
 class ThermalCamera:
-    """What is known of a thermal camera.
+    """A thermal camera as a file describes it.
 
     Attributes:
         lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find
@@ -77,60 +77,48 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
     return ThermalCamera(lens, matrix)
 
 
-def calibrate_thermal_camera(
-    scene: Path,
-    development: Development,
-    reconstruction: Reconstruction,
-    metric: bool,
-    options: PrepareOptions,
-    progress: Progress,
-) -> RigCalibration | None:
-    """The thermal camera of the set, from the photos and what the user knows of it.
-
-    Args:
-        scene: holds the images.
-        development: the images.
-        reconstruction: poses of the RGB images in the scene's world.
-        metric: whether the scene's unit is the metre.
-        options: of these, those on the thermal camera.
-        progress: called with a step's name, and how many of its parts are done and there are.
+def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
+    """Calibrate the thermal camera from the posed photos and what the user knows about it.
 
     Returns:
-        None where one camera serves both images of a pair, or where there are thermal images only.
+        The calibration in the scene's world; None if one camera serves both images of a pair, or if
+        there are only thermal images.
 
     Raises:
-        SceneError: the photos do not tell where the thermal camera is, or a given one does not fit
+        SceneError: the photos do not determine the thermal camera, or a given one does not fit
             them.
-        ConfigError: an option on it, for a set of thermal images alone.
+        ConfigError: an option on the thermal camera, for a set of thermal images only.
     """
-    views = [view for view in development.views if view.name in reconstruction.viewmats]
-    if reconstruction.images == "thermal":
-        _check_alone(options)
+    options, posed = work.options, work.posed
+    if posed.images == "thermal":
+        _check_unused(options)
         return None
+    views = [view for view in work.images.views if view.name in posed.viewmats]
     if options.one_camera:
-        _check_same_shape(scene, views[0])
+        _check_same_shape(work.scene, views[0])
         return None
-    pairs = [_rig_pair(view, scene, reconstruction) for view in views]
-    known = _known(options, scene / views[0].thermal, metric)
-    return calibrate_rig(pairs, reconstruction.points, known, progress)
+    pairs = [_rig_pair(view, work.scene, posed) for view in views]
+    known = _known(options, work.scene / views[0].thermal, work.metric)
+    return calibrate_rig(pairs, posed.points, known, work.progress)
 
 
-def _check_alone(options: PrepareOptions) -> None:
+def _check_unused(options: PrepareOptions) -> None:
     """Thermal images alone need no second camera.
 
     Raises:
-        ConfigError: an option on the thermal camera, which could not act.
+        ConfigError: an option on the thermal camera, which would have no effect.
     """
-    given = (options.thermal_fov_deg, options.thermal_camera, options.target)
-    if options.one_camera or any(value is not None for value in given):
+    names = ("thermal_fov_deg", "thermal_camera", "target", "one_camera")
+    given = tuple(name for name in names if getattr(options, name) not in (None, False))
+    if given:
         raise ConfigError(
-            "there are thermal images alone, so that --thermal-fov, --thermal-camera, --target "
-            "and --one-camera cannot "
-            "act; leave them out"
+            "there are only thermal images, so options for a second camera have no effect; remove "
+            "them",
+            options=given,
         )
 
 
-def _check_same_shape(scene: Path, view: DevelopedView) -> None:
+def _check_same_shape(scene: Path, view: ConvertedView) -> None:
     """Two images of one camera may differ in size, not in shape.
 
     Raises:
@@ -143,11 +131,12 @@ def _check_same_shape(scene: Path, view: DevelopedView) -> None:
             view.name,
             f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image "
             f"{thermal.width}×{thermal.height}: "
-            "they cannot show the same pixel for pixel; leave --one-camera out",
+            "they cannot show the same pixel for pixel, as from one camera",
+            options=("one_camera",),
         )
 
 
-def _rig_pair(view: DevelopedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
+def _rig_pair(view: ConvertedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
     assert view.rgb is not None  # it has a pose, and the poses are those of RGB images
     source = ImageSource(
         scene / view.rgb, reconstruction.lenses[view.name], reconstruction.viewmats[view.name]
@@ -180,8 +169,9 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
         if lens is None and motion is None:
             raise scene_error(
                 file,
-                "its offset is in metres, and these photos have no scale; add --known-distance, "
-                "or its lens",
+                "its offset is in metres, and these photos have no scale; give a known distance, "
+                "or the camera's lens",
+                options=("known_distance",),
             )
         info = probe(image)
         if lens is not None and (lens.width, lens.height) != (info.width, info.height):
@@ -200,27 +190,28 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
     )
 
 
-def with_scale_of_target(
-    place: Georeference, rig: RigCalibration | None
+def in_metres_of_target(
+    georeference: Georeference, rig: RigCalibration | None
 ) -> tuple[Georeference, RigCalibration | None]:
-    """The same in metres, where a target told their length and nothing else did."""
+    """Both rescaled to metres, if the target gives the scale and nothing else did."""
     metres = None if rig is None or rig.target is None else rig.target.metres_per_unit
-    if rig is None or metres is None or place.metric:
-        return place, rig
-    place = replace(
-        place,
-        scale=metres * place.scale,
-        translation=metres * place.translation,
+    if rig is None or metres is None or georeference.metric:
+        return georeference, rig
+    georeference = replace(
+        georeference,
+        scale=metres * georeference.scale,
+        translation=metres * georeference.translation,
         metric=True,
         text=f"The scale is that of the target's squares. "
-        f"{place.text.removeprefix('The scale is arbitrary. ')}",
+        f"{georeference.text.removeprefix('The scale is arbitrary. ')}",
     )
-    views = tuple(replace(view, correction=_longer(view.correction, metres)) for view in rig.views)
-    return place, replace(rig, thermal_from_rgb=_longer(rig.thermal_from_rgb, metres), views=views)
+    views = tuple(replace(view, correction=_scaled(view.correction, metres)) for view in rig.views)
+    thermal_from_rgb = _scaled(rig.thermal_from_rgb, metres)
+    return georeference, replace(rig, thermal_from_rgb=thermal_from_rgb, views=views)
 
 
-def _longer(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:
-    """A rigid motion in a world that is so many times larger."""
+def _scaled(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:
+    """A rigid motion with its translation scaled."""
     motion = motion.clone()
     motion[:3, 3] *= factor
     return motion

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import struct
 from datetime import datetime
 
@@ -249,17 +250,20 @@ def test_a_file_that_is_cut_off(save):
         ),
         (
             {0x20: struct.pack("<f", 0.0)},
-            "its emissivity of 0 is not between 0.01 and 1; .* --emissivity",
+            "its emissivity of 0 is not between 0.01 and 1; give the true one",
         ),
         (
             {0x24: struct.pack("<f", float("inf"))},
-            "its distance_m of inf is not between .* --distance",
+            "its distance_m of inf is not between .*; give the true one",
         ),
         (
             {0x2C: struct.pack("<f", 0.0)},
-            "its atmospheric_c of -273.15 is not between .* --atmospheric",
+            "its atmospheric_c of -273.15 is not between .*",
         ),
-        ({0x70: struct.pack("<5f", 9, 9, 9, 9, 9)}, "of the radiation pass; give --distance 0"),
+        (
+            {0x70: struct.pack("<5f", 9, 9, 9, 9, 9)},
+            "of the radiation pass; give a distance of 0 m",
+        ),
         ({0x00: b"\7\7"}, "its camera info is damaged"),
     ],
 )
@@ -268,7 +272,18 @@ def test_camera_info_that_cannot_be(save, fields, message):
         read_thermal_photo(save("a.jpg", FlirPhoto(info_fields=fields).jpeg()))
 
 
-def test_an_absurd_parameter_is_mended_by_hand(save):
+@pytest.mark.parametrize(
+    ("offset", "value", "option"),
+    [(0x20, 0.0, "emissivity"), (0x24, math.inf, "distance_m"), (0x2C, 0.0, "atmospheric_c")],
+)
+def test_an_absurd_parameter_names_the_option_that_replaces_it(save, offset, value, option):
+    photo = FlirPhoto(info_fields={offset: struct.pack("<f", value)})
+    with pytest.raises(SceneError) as error:
+        read_thermal_photo(save("a.jpg", photo.jpeg()))
+    assert error.value.options == (option,)
+
+
+def test_an_absurd_parameter_is_replaced_by_hand(save):
     path = save("a.jpg", FlirPhoto(info_fields={0x20: struct.pack("<f", 0.0)}).jpeg())
     assert read_thermal_photo(path, Overrides(emissivity=0.9)).valid.all()
 

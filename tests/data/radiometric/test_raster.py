@@ -58,9 +58,7 @@ def test_two_units_that_both_fit_are_not_guessed(save):
 
 
 def test_no_unit_that_fits(save):
-    with pytest.raises(
-        SceneError, match=r"fit no usual unit; give the unit, such as --unit celsius\*100"
-    ):
+    with pytest.raises(SceneError, match=r"fit no usual unit; give the unit, such as celsius\*100"):
         read_thermal_photo(save("a.png", np.full((4, 5), 60000, dtype=np.uint16)))
 
 
@@ -107,7 +105,7 @@ def test_grey_without_bounds_is_relative(save):
     photo = read_thermal_photo(save("a.png", np.array([[0, 51], [102, 255]], dtype=np.uint8)))
     np.testing.assert_allclose(photo.relative, [[0, 0.2], [0.4, 1]], atol=1e-6)
     assert photo.temperature_c is None
-    assert "°C cannot be had from it without --bounds." in photo.facts.warnings[0]
+    assert "absolute temperatures need bounds." in photo.facts.warnings[0]
 
 
 def grey_in_colour() -> np.ndarray:
@@ -133,12 +131,16 @@ def test_a_colour_palette_has_no_temperatures_but_is_used(save):
     assert photo.facts.warnings[1].startswith(
         "emissivity had no effect: the file holds finished numbers"
     )
-    with pytest.raises(SceneError, match="shows a colour palette, from which °C cannot be had"):
+    with pytest.raises(
+        SceneError, match="shows a colour palette, which gives no absolute temperatures"
+    ):
         read_thermal_photo(path, Overrides(bounds_c=(0, 1)))
 
 
 def test_grey_with_a_unit(save):
-    with pytest.raises(SceneError, match="shades of grey, not temperatures; give --bounds"):
+    with pytest.raises(
+        SceneError, match="shades of grey, not temperatures; give the °C of black and white"
+    ):
         read_thermal_photo(save("a.png", np.eye(3, dtype=np.uint8)), Overrides(unit="kelvin"))
 
 
@@ -200,9 +202,7 @@ def test_bounds_without_effect_are_said(save):
 
 
 def test_bounds_for_other_integers(save):
-    with pytest.raises(
-        SceneError, match="no 16-bit shades of grey; give --unit instead of --bounds"
-    ):
+    with pytest.raises(SceneError, match="no 16-bit shades of grey; give a unit instead of bounds"):
         read_thermal_photo(
             save("a.tif", np.full((3, 4), -5, dtype=np.int16)), Overrides(bounds_c=(0, 50))
         )

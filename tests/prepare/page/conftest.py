@@ -10,17 +10,18 @@ import pytest
 import torch
 
 from mrgs.data.nerfstudio import read_transforms
-from mrgs.data.radiometric import ExifFacts
+from mrgs.data.radiometric import ExifFacts, PhotoFacts
 from mrgs.prepare.contract import (
-    DevelopedView,
-    Development,
+    ConvertedPhotos,
+    ConvertedView,
     Georeference,
-    LeftOut,
     Reconstruction,
+    Skipped,
     StageReport,
 )
 from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
 from mrgs.prepare.scene_files import write_scene
+from mrgs.prepare.work import Work
 from mrgs.scene import PointCloud
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
@@ -34,7 +35,7 @@ class Prepared:
 
     scene: Path
     stages: list[StageReport]
-    development: Development
+    photos: ConvertedPhotos
     reconstruction: Reconstruction
     rig: RigCalibration
     georeference: Georeference
@@ -57,13 +58,21 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
             shutil.copy(source.path, scene / files[-1])
         notes = ("Emissivity 0.95, as the file says.",)
         name = HOSTILE if index == len(shots) - 1 else stem
-        views.append(DevelopedView(name, *files, ExifFacts(), "FLIR E60", (-0.5, 82.5), notes))
+        views.append(
+            ConvertedView(
+                name,
+                *files,
+                ExifFacts(),
+                PhotoFacts("", camera="FLIR E60", notes=notes),
+                (-0.5, 82.5),
+            )
+        )
     names = [view.name for view in views[:-1]]
     points = PointCloud(capture.points.positions[::4], capture.points.colors[::4])
     reconstruction = Reconstruction(
         {name: shot.rgb.viewmat for name, shot in zip(names, shots, strict=False)},
         dict.fromkeys(names, shots[0].rgb.lens),
-        points, None, (LeftOut(HOSTILE, "too few features "
+        points, None, (Skipped(HOSTILE, "too few features "
                                         "<b>match</b>"),), 0.61, "Structure from motion.",
     )  # fmt: skip
     offset = torch.eye(4, dtype=torch.float64)
@@ -76,11 +85,13 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
     georeference = Georeference(
         1.0, still[:3, :3], torch.zeros(3).double(), True, True, None, 0.4, "By GPS."
     )
-    development = Development(tuple(views), (LeftOut("IMG_7.jpg", "is cut off"),))
+    photos = ConvertedPhotos(tuple(views), (Skipped("IMG_7.jpg", "is cut off"),))
     stages = [
         StageReport("pairs", ("6 pairs.",), ("One photo was taken a day later.",), 0.2),
         StageReport("poses", ("5 of 6 images have a pose.",), (), 312.0),
         StageReport("thermal camera", ("55.0° wide.",), (), 4.0, True),
     ]
-    write_scene(scene, development, reconstruction, rig, georeference, eval_every=8, bounds=None)
-    return Prepared(scene, stages, development, reconstruction, rig, georeference)
+    work = Work(scene, scene, images=photos, poses=reconstruction, rig=rig)
+    work.georeference = georeference
+    write_scene(work)
+    return Prepared(scene, stages, photos, reconstruction, rig, georeference)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.prepare.contract import LeftOut
+from mrgs.prepare.contract import Skipped
 from mrgs.prepare.page import write_page
 
-LEFT_OUT = [LeftOut("notes <script>alert(1)</script>.txt", "is no photo")]
+LEFT_OUT = [Skipped("notes <script>alert(1)</script>.txt", "is no photo")]
 
 
 class Page(HTMLParser):
@@ -45,7 +45,7 @@ class Page(HTMLParser):
 def page(prepared) -> Page:
     p = prepared
     path = write_page(
-        p.scene, p.stages, p.development, p.reconstruction, p.rig, p.georeference, left_out=LEFT_OUT
+        p.scene, p.stages, p.photos, p.reconstruction, p.rig, p.georeference, skipped=LEFT_OUT
     )
     assert path == p.scene / "prepare.html"
     return Page(path)
@@ -63,7 +63,8 @@ def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
                                                            "photos)",
         "RGB lens, 5 views", "320 × 240 px, 55.0° × "
                              "42.7°", "3.1 cm: the thermal camera is 3.1 right",
-        "0.60 px (median), 1.40 px", "in 4 pairs; 0.31 px", "By GPS.", "0.40 m (median)",
+        "0.60 px (median), 1.40 px", "in 4 pairs; median residual 0.31 px", "By GPS.",
+        "0.40 m (median)",
         "Set the scale by a known distance", "The scene is in metres already.",
         "IMG_7.jpg", "is cut off", "is no photo",
     ):  # fmt: skip
@@ -94,8 +95,8 @@ def test_each_view_is_shown_with_its_thermal_image_on_its_photo(page):
 def test_a_set_without_poses_is_shown_too(prepared, tmp_path):
     for folder in ("images", "thermal"):
         (tmp_path / folder).symlink_to(prepared.scene / folder)
-    (stage, *_), development = prepared.stages, prepared.development
-    page = Page(write_page(tmp_path, [stage], development, None, None, None))
+    (stage, *_), photos = prepared.stages, prepared.photos
+    page = Page(write_page(tmp_path, [stage], photos, None, None, None))
     assert "There is no scene yet; the stages below say why." in page.text
     assert "mrgs train" not in page.text
     assert page.source.count('class="card failed"') == 6
@@ -106,7 +107,7 @@ def test_poses_without_a_thermal_camera_are_shown_and_can_be_measured(prepared, 
     for folder in ("images", "thermal"):
         (tmp_path / folder).symlink_to(prepared.scene / folder)
     found, place = prepared.reconstruction, prepared.georeference
-    page = Page(write_page(tmp_path, prepared.stages[:2], prepared.development, found, None, place))
+    page = Page(write_page(tmp_path, prepared.stages[:2], prepared.photos, found, None, place))
     assert "There is no scene yet; the stages below say why." in page.text
     assert f"{len(found.points.positions):,}" in page.text
     assert "By GPS." in page.text
@@ -117,12 +118,12 @@ def test_poses_without_a_thermal_camera_are_shown_and_can_be_measured(prepared, 
 
 def test_an_image_that_has_gone_is_told_beside_its_view(prepared, tmp_path):
     (tmp_path / "images").symlink_to(prepared.scene / "images")
-    development = replace(prepared.development, views=prepared.development.views[:1])
-    assert "cannot be decoded" in Page(write_page(tmp_path, [], development, None, None, None)).text
+    photos = replace(prepared.photos, views=prepared.photos.views[:1])
+    assert "cannot be decoded" in Page(write_page(tmp_path, [], photos, None, None, None)).text
 
 
 def test_a_page_that_cannot_be_written_is_told(prepared, tmp_path):
     (tmp_path / "prepare.html").mkdir()
-    development = replace(prepared.development, views=())
+    photos = replace(prepared.photos, views=())
     with pytest.raises(RunError, match=r"prepare\.html cannot be written"):
-        write_page(tmp_path, [], development, None, None, None)
+        write_page(tmp_path, [], photos, None, None, None)

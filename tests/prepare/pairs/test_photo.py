@@ -32,7 +32,7 @@ def test_a_plain_photo(seen, photo):
         False,
     )
     assert (found.exif.taken, found.exif.model, found.focal_mm) == (NOON, "X100", 23.0)
-    assert found.shot == PurePosixPath("folder/a")
+    assert found.origin == PurePosixPath("folder/a")
 
 
 def test_a_flir_photo(seen, photo):

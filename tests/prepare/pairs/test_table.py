@@ -54,7 +54,7 @@ def test_photos_that_the_table_does_not_name(photos, tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text("eye/1.jpg,heat/a.jpg")
     found = find_pairs(photos(FILES), table=table)
-    assert [(item.name, item.reason) for item in found.left_out] == [
+    assert [(item.name, item.reason) for item in found.skipped] == [
         ("eye/2.jpg", "is not in pairs.csv"),
         ("heat/b.jpg", "is not in pairs.csv"),
         ("notes.md", "is no photo"),
@@ -130,7 +130,7 @@ def test_a_table_that_is_missing(photos, tmp_path):
 def test_a_table_and_a_rule(photos, tmp_path):
     with pytest.raises(
         ConfigError,
-        match="a table of pairs and another way to pair are both given; give one of the",
+        match="a table of pairs and a pairing rule are both given; give one of the",
     ):
         find_pairs(photos(FILES), table=tmp_path / "pairs.csv", rule="time")
 
@@ -140,6 +140,6 @@ def test_visible_photos_inside_and_outside_are_two_cameras(photos, tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text(",a.jpg\nb_rgb.jpg,b.jpg")
     with pytest.raises(
-        SceneError, match=r"that of a\.jpg lies inside, b_rgb\.jpg is a file of its own; use one of"
+        SceneError, match=r"that of a\.jpg is embedded, b_rgb\.jpg is a file of its own; use one of"
     ):
         find_pairs(root, table=table)

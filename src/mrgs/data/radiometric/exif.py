@@ -1,4 +1,4 @@
-"""The few things that are wanted from EXIF: the camera, the time and the place."""
+"""What EXIF says of the camera, the time, the place and the orientation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from PIL import Image
 
-_MAKE, _MODEL, _DATE_TIME = 0x010F, 0x0110, 0x0132
+_MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
 _EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS = 0x8769, 0x9003, 0x9291
 _GPS_IFD = 0x8825
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
@@ -37,12 +37,14 @@ class ExifFacts:
         model: its model.
         taken: time by the camera's own clock, without a time zone.
         gps: position.
+        orientation: how the camera was held, 1 to 8; 1 is upright, or not known.
     """
 
     make: str | None = None
     model: str | None = None
     taken: datetime | None = None
     gps: GpsPosition | None = None
+    orientation: int = 1
 
 
 def read_exif(data: bytes) -> ExifFacts:
@@ -60,8 +62,13 @@ def read_exif(data: bytes) -> ExifFacts:
 
 def _facts(main: Mapping[int, Any], photo: Mapping[int, Any], gps: Mapping[int, Any]) -> ExifFacts:
     taken = _time(photo.get(_DATE_TIME_ORIGINAL) or main.get(_DATE_TIME), photo.get(_SUBSECONDS))
+    orientation: Any = main.get(_ORIENTATION)
     return ExifFacts(
-        clean_text(main.get(_MAKE)), clean_text(main.get(_MODEL)), taken, _position(gps)
+        clean_text(main.get(_MAKE)),
+        clean_text(main.get(_MODEL)),
+        taken,
+        _position(gps),
+        int(orientation) if orientation in range(1, 9) else 1,
     )
 
 

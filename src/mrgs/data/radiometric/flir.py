@@ -37,15 +37,6 @@ from mrgs.data.radiometric.visible import Alignment, VisibleImage
 _IMAGE_OFFSET = 32
 """Raw data and embedded images follow a header of this many bytes."""
 
-_OPTIONS = {
-    "emissivity": "--emissivity",
-    "distance_m": "--distance",
-    "reflected_c": "--reflected",
-    "atmospheric_c": "--atmospheric",
-    "humidity": "--humidity",
-    "window_c": "--window",
-    "window_transmission": "--window-transmission",
-}
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature lies outside of these was not computed with its camera's
 constants."""
@@ -70,9 +61,7 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     parameters = overrides.applied_to(_parameters(info, path))
     if problem := parameters.problem():
         name, sentence = problem
-        raise scene_error(
-            path, f"its {name} of {sentence}; give the true one with {_OPTIONS[name]}"
-        )
+        raise scene_error(path, f"its {name} of {sentence}; give the true one", options=(name,))
     measurement = Measurement(planck, parameters, _transmission(info, parameters, path))
     celsius, valid = object_temperature(raw, measurement)
     if (
@@ -205,7 +194,8 @@ def _transmission(info: Fields, parameters: ObjectParameters, path: Path) -> flo
         raise scene_error(
             path,
             f"the air between camera and object would let {tau:.3g} of the radiation pass; give "
-            f"--distance 0",
+            f"a distance of 0 m",
+            options=("distance_m",),
         )
     return tau
 

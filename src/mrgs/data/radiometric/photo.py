@@ -77,7 +77,7 @@ class Overrides:
         return replace(parameters, **self.of_parameters())
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PhotoFacts:
     """What a file says besides the temperatures.
 
@@ -92,6 +92,8 @@ class PhotoFacts:
         calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does
             not say.
         scale_c: ends of the colour scale beside the picture, °C; None if the file does not say.
+        unit: of the file's numbers, given or guessed, such as ``kelvin*100``; None where the file
+            defines it.
         visible: a photo in visible light inside the file; None if there is none.
         notes: how the file was understood, one sentence each.
         warnings: what the user should know before trusting the numbers, one sentence each.
@@ -105,6 +107,7 @@ class PhotoFacts:
     parameters: ObjectParameters | None = None
     calibrated_c: tuple[float, float] | None = None
     scale_c: tuple[float, float] | None = None
+    unit: str | None = None
     visible: VisibleImage | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

@@ -24,7 +24,7 @@ _GREY_TOLERANCE = 8
 """Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
 in colour."""
 
-_NO_CELSIUS = "relative values from 0 to 1 are used, and °C cannot be had from it."
+_RELATIVE = "relative values from 0 to 1 are used"
 
 
 def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
@@ -48,7 +48,8 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         if values.min() < 0 or values.max() > 65535:
             raise scene_error(
                 path,
-                "holds integers that are no 16-bit shades of grey; give --unit instead of --bounds",
+                "holds integers that are no 16-bit shades of grey; give a unit instead of bounds",
+                options=("unit", "bounds_c"),
             )
         return _from_grey(values / 65535, path, facts, overrides)
     return finished(values, INTEGER_UNITS, path, facts, overrides)
@@ -76,7 +77,9 @@ def finished(
         celsius, valid = masked(Unit.parse(text).celsius(values.astype(np.float64)))
     if not valid.any():
         raise scene_error(
-            path, f"none of its numbers is a temperature in {text}; give the right --unit"
+            path,
+            f"none of its numbers is a temperature in {text}; give the right unit",
+            options=("unit",),
         )
     notes = () if overrides.unit else (f"The numbers are taken for {text}.",)
     unused = (
@@ -84,7 +87,7 @@ def finished(
         if overrides.bounds_c is None
         else ("bounds_c had no effect: the numbers are temperatures.",)
     )
-    return ThermalPhoto(celsius, None, valid, facts.adding(notes=notes, warnings=unused))
+    return ThermalPhoto(celsius, None, valid, facts.adding(notes=notes, warnings=unused, unit=text))
 
 
 def _plain_mode(image: Image.Image) -> str:
@@ -101,12 +104,14 @@ def _from_grey(
     if overrides.unit is not None:
         raise scene_error(
             path,
-            "holds shades of grey, not temperatures; give --bounds with the °C of black and white",
+            "holds shades of grey, not temperatures; give the °C of black and white as bounds",
+            options=("bounds_c",),
         )
     everywhere = np.ones(values.shape, dtype=bool)
     if overrides.bounds_c is None:
         doubt = (
-            f"The file holds shades of grey without a scale: {_NO_CELSIUS[:-1]} without --bounds."
+            f"The file holds shades of grey without a scale: {_RELATIVE}; absolute temperatures "
+            f"need bounds."
         )
         return ThermalPhoto(None, values, everywhere, facts.adding(warnings=(doubt,)))
     low, high = overrides.bounds_c
@@ -122,12 +127,12 @@ def _from_colours(
     if overrides.bounds_c is not None or overrides.unit is not None:
         raise scene_error(
             path,
-            "shows a colour palette, from which °C cannot be had; export it in white-hot grey, or "
-            "as 16-bit TIFF",
+            "shows a colour palette, which gives no absolute temperatures; export it in white-hot "
+            "grey, or as 16-bit TIFF",
         )
     doubt = (
-        f"The file shows colours and holds no temperatures: {_NO_CELSIUS} Brighter need not "
-        f"be warmer."
+        f"The file shows colours and holds no temperatures: {_RELATIVE}. Brighter need not be "
+        f"warmer."
     )
     return ThermalPhoto(
         None, grey, np.ones(grey.shape, dtype=bool), facts.adding(warnings=(doubt,))

@@ -67,8 +67,8 @@ def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], pa
         example = (fitting or candidates)[0]
         raise scene_error(
             path,
-            f"its numbers ({low:.5g} to {high:.5g}) {may_be}; give the unit, such as --unit "
-            f"{example}",
+            f"its numbers ({low:.5g} to {high:.5g}) {may_be}; give the unit, such as {example}",
+            options=("unit",),
         )
     return fitting[0]
 

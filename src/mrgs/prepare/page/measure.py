@@ -13,7 +13,7 @@ from mrgs.data.posed import decode_rgb
 from mrgs.data.undistort import resize
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import InlineImage, inline_image
-from mrgs.prepare.contract import DevelopedView
+from mrgs.prepare.contract import ConvertedView
 from mrgs.scene.view import spread
 
 MOST_PHOTOS = 6
@@ -36,7 +36,7 @@ class MeasuredPhoto(NamedTuple):
     picture: InlineImage
 
 
-def measured_photos(scene: Path, views: Sequence[DevelopedView]) -> list[MeasuredPhoto]:
+def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[MeasuredPhoto]:
     """Some of the photos, evenly spread, with the lens distortion of the file.
 
     Args:
@@ -49,7 +49,7 @@ def measured_photos(scene: Path, views: Sequence[DevelopedView]) -> list[Measure
     return [_photo(scene, views[index]) for index in spread(len(views), MOST_PHOTOS)]
 
 
-def _photo(scene: Path, view: DevelopedView) -> MeasuredPhoto:
+def _photo(scene: Path, view: ConvertedView) -> MeasuredPhoto:
     assert view.rgb is not None
     values, _ = decode_rgb(scene / view.rgb)
     height, width = values.shape[:2]

@@ -17,7 +17,7 @@ from mrgs.data.thermal import LUMINANCE
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.pictures.files import to_rgb8
-from mrgs.prepare.contract import DevelopedView
+from mrgs.prepare.contract import ConvertedView
 from mrgs.scene import Camera, Pixels, TemperatureRange, View
 
 
@@ -83,7 +83,7 @@ def preview_of_pixels(
 
 
 def preview_of_files(
-    scene: Path, view: DevelopedView, status: str, temperature: TemperatureRange | None, width: int
+    scene: Path, view: ConvertedView, status: str, temperature: TemperatureRange | None, width: int
 ) -> Preview:
     """Preview of a view without a pose, from its files; unreadable images are left out."""
     rgb = thermal = None

@@ -15,7 +15,13 @@ from jaxtyping import Float32
 from mrgs.data import load_scene
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.prepare.consistency import Agreement, agreements
-from mrgs.prepare.contract import Development, Georeference, LeftOut, Reconstruction, StageReport
+from mrgs.prepare.contract import (
+    ConvertedPhotos,
+    Georeference,
+    Reconstruction,
+    Skipped,
+    StageReport,
+)
 from mrgs.prepare.page.cameras import lens_rows, rig_facts
 from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
 from mrgs.prepare.page.overlay import thermal_on_rgb
@@ -34,12 +40,12 @@ SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
 def write_page(
     scene: Path,
     stages: Sequence[StageReport],
-    development: Development,
+    photos: ConvertedPhotos,
     reconstruction: Reconstruction | None,
     rig: RigCalibration | None,
     georeference: Georeference | None,
     *,
-    left_out: Sequence[LeftOut] = (),
+    skipped: Sequence[Skipped] = (),
 ) -> Path:
     """Write ``prepare.html`` into the scene's folder; returns its path.
 
@@ -50,20 +56,20 @@ def write_page(
     Args:
         scene: the folder of the scene, written by ``write_scene`` if there are poses.
         stages: what was done, in order.
-        development: the images.
+        photos: the images.
         reconstruction: poses in the scene's world; None if there are none. The scene itself may be
             missing still.
         rig: the thermal camera; None if it is not a camera of its own.
         georeference: scale and north; None if nothing is known of them.
-        left_out: files that are in no view, to be listed with the views that have no pose.
+        skipped: files that are in no view, to be listed with the views that have no pose.
 
     Raises:
         SceneError: the scene or an image in it cannot be read.
         RunError: the page cannot be written.
     """
-    content = _content(scene, development, reconstruction)
+    content = _content(scene, photos, reconstruction)
     metric = georeference is not None and georeference.metric
-    world = _world(content, development, georeference)
+    world = _world(content, photos, georeference)
     return write_scene_page(
         scene / PAGE,
         "prepare/page/prepare.html",
@@ -78,15 +84,15 @@ def write_page(
         pairs=pairs(
             content.previews, _overlays(content, reconstruction), content.unit, content.total
         ),
-        temperatures=_temperatures(content, development),
+        temperatures=_temperatures(content, photos),
         lenses=_lenses(reconstruction, georeference),
         rig=None if rig is None else rig_facts(rig, georeference),
         one_camera=content.scene is not None
         and reconstruction is not None
         and reconstruction.images == "rgb",
-        photos=_measured(scene, development, reconstruction),
+        photos=_measured(scene, photos, reconstruction),
         metric=metric,
-        left_out=_left_out(development, reconstruction, left_out),
+        skipped=_skipped(photos, reconstruction, skipped),
     )
 
 
@@ -146,9 +152,9 @@ class _Content:
 
 
 def _content(
-    scene: Path, development: Development, reconstruction: Reconstruction | None
+    scene: Path, photos: ConvertedPhotos, reconstruction: Reconstruction | None
 ) -> _Content:
-    shown = [development.views[index] for index in spread(len(development.views), MOST_SHOWN)]
+    shown = [photos.views[index] for index in spread(len(photos.views), MOST_SHOWN)]
     width = thumbnail_width(len(shown))
     written = reconstruction is not None and (scene / "transforms.json").is_file()
     loaded = load_scene(scene, resolution=width) if written else None
@@ -176,8 +182,8 @@ def _content(
         found = agreements(
             images, [view.thermal_camera for view in previews], reconstruction.points
         )
-    known = temperature is not None or any(view.range_c is not None for view in development.views)
-    return _Content(len(development.views), loaded, previews, found, "°C" if known else "")
+    known = temperature is not None or any(view.range_c is not None for view in photos.views)
+    return _Content(len(photos.views), loaded, previews, found, "°C" if known else "")
 
 
 def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
@@ -187,16 +193,14 @@ def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
 
 
 def _world(
-    content: _Content, development: Development, georeference: Georeference | None
+    content: _Content, photos: ConvertedPhotos, georeference: Georeference | None
 ) -> World | None:
     """Cameras in the order of the views, and points."""
     if content.scene is None:
         return None
     views = _with_status(content.scene)
     cameras = {
-        view.name: views[view.name][0].cameras[0]
-        for view in development.views
-        if view.name in views
+        view.name: views[view.name][0].cameras[0] for view in photos.views if view.name in views
     }
     held_out = frozenset(view.name for view in content.scene.eval)
     metric = georeference is not None and georeference.metric
@@ -239,18 +243,18 @@ def _time(stage: StageReport) -> str:
     return f"{minutes} min {seconds:02d} s" if minutes else f"{stage.seconds:.1f} s"
 
 
-def _temperatures(content: _Content, development: Development) -> Temperatures | None:
-    ranges = sum(view.range_c is not None for view in development.views)
-    without = len(development.views) - ranges
+def _temperatures(content: _Content, photos: ConvertedPhotos) -> Temperatures | None:
+    ranges = sum(view.range_c is not None for view in photos.views)
+    without = len(photos.views) - ranges
     facts = [("Photos", f"{ranges} with °C" + (f", {without} without" if without else ""))]
-    cameras = counted([view.camera for view in development.views if view.camera is not None])
+    cameras = counted([view.facts.camera for view in photos.views if view.facts.camera])
     if cameras:
         names = ", ".join(f"{name} ({count} photos)" for name, count in cameras.items())
         facts.append(("Thermal camera", names))
     if content.scene is not None and content.scene.temperature is not None:
         temperature = content.scene.temperature
         facts.append(("Range of the scene", f"{temperature.min_c:g} to {temperature.max_c:g} °C"))
-    notes = counted([note for view in development.views for note in view.notes])
+    notes = counted([note for view in photos.views for note in view.facts.notes])
     return temperatures(content.previews, content.unit, facts, notes)
 
 
@@ -275,20 +279,20 @@ def _lenses(
 
 
 def _measured(
-    scene: Path, development: Development, reconstruction: Reconstruction | None
+    scene: Path, photos: ConvertedPhotos, reconstruction: Reconstruction | None
 ) -> list[MeasuredPhoto]:
     """RGB photos with a pose, to measure a known distance in."""
     if reconstruction is None or reconstruction.images != "rgb":
         return []
     posed = reconstruction.viewmats
-    views = [view for view in development.views if view.name in posed and view.rgb is not None]
+    views = [view for view in photos.views if view.name in posed and view.rgb is not None]
     return measured_photos(scene, views)
 
 
-def _left_out(
-    development: Development, reconstruction: Reconstruction | None, more: Sequence[LeftOut]
+def _skipped(
+    photos: ConvertedPhotos, reconstruction: Reconstruction | None, more: Sequence[Skipped]
 ) -> list[tuple[str, str]]:
     """Every file and view that is not in the scene, once, with the reason."""
     failed = reconstruction.failed if reconstruction is not None else ()
-    items = (*more, *development.left_out, *failed)
+    items = (*more, *photos.skipped, *failed)
     return list(dict.fromkeys((item.name, item.reason) for item in items))

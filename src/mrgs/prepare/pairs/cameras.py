@@ -8,38 +8,37 @@ from collections.abc import Callable, Hashable, Sequence
 from mrgs.data.files import scene_error
 from mrgs.prepare.pairs.inventory import Inventory
 from mrgs.prepare.pairs.photo import Photo
-from mrgs.prepare.pairs.rules import Couple
+from mrgs.prepare.pairs.rules import Pair
 
 _ZOOM = 1.02
 """Focal lengths whose ratio is larger are those of a zoom, not of rounding."""
 
 
-def check_cameras(couples: Sequence[Couple], stock: Inventory) -> tuple[str, ...]:
+def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...]:
     """Warnings about the cameras of the pairs.
 
     Raises:
         SceneError: the RGB photos, or the thermal photos, are of two cameras or of two sizes.
     """
-    rgb = [couple.rgb for couple in couples if couple.rgb is not None]
-    thermal = [couple.thermal for couple in couples]
+    rgb = [pair.rgb for pair in pairs if pair.rgb is not None]
+    thermal = [pair.thermal for pair in pairs]
     if (
         rgb
-        and (inside := next((couple.thermal for couple in couples if couple.rgb is None), None))
-        is not None
+        and (inside := next((pair.thermal for pair in pairs if pair.rgb is None), None)) is not None
     ):
         raise scene_error(
-            stock.root,
-            f"the RGB photos are of different cameras: that of {stock.name(inside)} lies inside, "
-            f"{stock.name(rgb[0])} is a file of its own; use one of the two kinds",
+            inventory.root,
+            f"the RGB photos are of different cameras: that of {inventory.name(inside)} is "
+            f"embedded, {inventory.name(rgb[0])} is a file of its own; use one of the two kinds",
         )
     for what, photos in (("RGB", rgb), ("thermal", thermal)):
         for attribute in (lambda photo: photo.exif.model, lambda photo: photo.size):
-            _check_alike(what, photos, attribute, stock)
+            _check_alike(what, photos, attribute, inventory)
     return _zoomed(rgb)
 
 
 def _check_alike(
-    what: str, photos: Sequence[Photo], attribute: Callable[[Photo], Hashable], stock: Inventory
+    what: str, photos: Sequence[Photo], attribute: Callable[[Photo], Hashable], inventory: Inventory
 ) -> None:
     groups: dict[Hashable, list[Photo]] = {}
     for photo in photos:
@@ -49,17 +48,17 @@ def _check_alike(
         return
     most, other = sorted(groups.values(), key=len, reverse=True)[:2]
     raise scene_error(
-        stock.root,
+        inventory.root,
         f"the {what} photos are of {len(groups)} cameras or sizes: {len(most)} of "
-        f"{_described(most[0], stock)}, and "
-        f"{len(other)} of {_described(other[0], stock)}; prepare them apart, each with its own "
-        f"folder of photos",
+        f"{_described(most[0], inventory)}, and "
+        f"{len(other)} of {_described(other[0], inventory)}; prepare each camera "
+        f"separately, from a folder of its own",
     )
 
 
-def _described(photo: Photo, stock: Inventory) -> str:
+def _described(photo: Photo, inventory: Inventory) -> str:
     size = "" if photo.size is None else f" with {photo.size[0]} x {photo.size[1]} pixels"
-    return f"{photo.exif.model or 'a camera'}{size} such as {stock.name(photo)}"
+    return f"{photo.exif.model or 'a camera'}{size} such as {inventory.name(photo)}"
 
 
 def _zoomed(photos: Sequence[Photo]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from mrgs.data.files import scene_error
-from mrgs.prepare.contract import LeftOut
+from mrgs.prepare.contract import Skipped
 from mrgs.prepare.pairs.names import composed, natural, printable
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
 
@@ -20,12 +20,12 @@ class Inventory:
     Attributes:
         root: the folder.
         photos: in natural order of their paths.
-        left_out: all other files; hidden ones are not counted.
+        skipped: all other files; hidden ones are not counted.
     """
 
     root: Path
     photos: tuple[Photo, ...]
-    left_out: tuple[LeftOut, ...]
+    skipped: tuple[Skipped, ...]
 
     def name(self, photo: Photo) -> str:
         """The path of a photo's file for messages: below the folder."""
@@ -37,7 +37,7 @@ def below(root: Path, path: Path) -> str:
     return printable(path.relative_to(root).as_posix())
 
 
-def take_stock(root: Path) -> Inventory:
+def take_inventory(root: Path) -> Inventory:
     """All files below a folder.
 
     Raises:
@@ -45,7 +45,7 @@ def take_stock(root: Path) -> Inventory:
     """
     if not root.is_dir():
         raise scene_error(root, "is not a folder; give the folder that holds the photos")
-    photos, left_out = [], []
+    photos, skipped = [], []
     for path in sorted(_files(root), key=lambda path: natural(path.relative_to(root).as_posix())):
         relative = PurePosixPath(path.relative_to(root))
         found = (
@@ -54,21 +54,21 @@ def take_stock(root: Path) -> Inventory:
             else inspect(path, relative)
         )
         if isinstance(found, str):
-            left_out.append(LeftOut(below(root, path), found))
+            skipped.append(Skipped(below(root, path), found))
         else:
             photos.append(found)
     if not photos:
         what = (
-            f"none of its {len(left_out)} files is a photo that can be read"
-            if left_out
+            f"none of its {len(skipped)} files is a photo that can be read"
+            if skipped
             else "holds no photos"
         )
-        first = f", such as {left_out[0].name}, which {left_out[0].reason}" if left_out else ""
+        first = f", such as {skipped[0].name}, which {skipped[0].reason}" if skipped else ""
         raise scene_error(
             root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files"
         )
     kept, replaced = _one_file_per_shot(root, photos)
-    return Inventory(root, tuple(kept), tuple(left_out + replaced))
+    return Inventory(root, tuple(kept), tuple(skipped + replaced))
 
 
 def _files(root: Path) -> Iterator[Path]:
@@ -88,7 +88,7 @@ def _raise(error: OSError) -> None:
     ) from None
 
 
-def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[LeftOut]]:
+def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
     """Of files that hold the same thermal photo, the best; the others are left out.
 
     Files of one stem in one folder are the same shot, and so are a DJI R-JPEG and the one file of
@@ -96,7 +96,7 @@ def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], li
     """
     by_stem: dict[str, list[Photo]] = {}
     for photo in photos:
-        by_stem.setdefault(composed(photo.shot.name.casefold()), []).append(photo)
+        by_stem.setdefault(composed(photo.origin.name.casefold()), []).append(photo)
     best: dict[Photo, Photo] = {}
     for group in by_stem.values():
         finished = [photo for photo in group if photo.kind in ("numbers", "table")]
@@ -110,16 +110,17 @@ def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], li
             if best[photo].kind == "dji" and len(finished) == 1:
                 best[photo] = finished[0]
     used = {photo: original for original, photo in best.items() if photo is not original}
-    kept, left_out = [], []
+    kept, skipped = [], []
     for photo in photos:
         if best[photo] is not photo:
             reason = f"the temperatures are taken from {below(root, best[photo].path)}"
-            left_out.append(LeftOut(below(root, photo.path), reason))
+            skipped.append(Skipped(below(root, photo.path), reason))
         elif photo in used and used[photo].kind == "dji":
-            kept.append(replace(photo, shot=used[photo].shot, exif=used[photo].exif))
+            exif = replace(used[photo].exif, orientation=photo.exif.orientation)
+            kept.append(replace(photo, origin=used[photo].origin, exif=exif))
         else:
             kept.append(photo)
-    return kept, left_out
+    return kept, skipped
 
 
 def _same(photo: Photo, other: Photo) -> bool:

@@ -1,4 +1,4 @@
-"""What the names of files and folders tell: which camera a photo is from, and which shot it is."""
+"""What the names of files and folders say: which camera took a photo, and at which moment."""
 
 from __future__ import annotations
 
@@ -15,31 +15,14 @@ from typing import Literal
 Role = Literal["rgb", "thermal"]
 
 _THERMAL = {
-    "thermal",
-    "therm",
-    "thrm",
-    "thermo",
-    "thermogram",
-    "thermograms",
-    "thermography",
-    "radiometric",
-}
-_THERMAL |= {"ir", "irx", "tir", "lwir", "infrared", "temperature", "temperatures", "celsius", "8b"}
+    "thermal", "therm", "thrm", "thermo", "thermogram", "thermograms", "thermography",
+    "radiometric", "ir", "irx", "tir", "lwir", "infrared", "temperature", "temperatures",
+    "celsius", "8b",
+}  # fmt: skip
 _RGB = {
-    "rgb",
-    "vis",
-    "visible",
-    "visual",
-    "color",
-    "colour",
-    "dc",
-    "eo",
-    "wide",
-    "zoom",
-    "scrn",
-    "max",
-    "optical",
-}
+    "rgb", "vis", "visible", "visual", "color", "colour", "dc", "eo", "wide", "zoom", "scrn",
+    "max", "optical",
+}  # fmt: skip
 _RGB_FOLDER = {"image", "images", "photo", "photos"}
 """Names of folders that are RGB's only if nothing in them says thermal."""
 
@@ -47,8 +30,8 @@ _LETTERS: dict[str, Role] = {"t": "thermal", "w": "rgb", "v": "rgb", "z": "rgb",
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
 
 RGB_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
-"""Of several RGB photos of one shot the one whose mark comes first is taken; a wide view covers the
-thermal one."""
+"""Camera suffixes by preference among RGB photos of one moment; a wide view covers the thermal
+one."""
 
 _LAST_LETTER = re.compile(
     r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
@@ -60,24 +43,18 @@ _LAST_R = re.compile(r"(?<=\d)[_\-]r$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
-_RESERVED = {
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
-}
+_RESERVED = {"con", "prn", "aux", "nul", *(f"{p}{n}" for p in ("com", "lpt") for n in range(10))}
 _LONGEST_NAME = 100
 
 
 @dataclass(frozen=True)
 class StemFacts:
-    """What the stem of a file's name tells.
+    """What the stem of a file's name says.
 
     Attributes:
-        key: the stem without the mark of the camera and without a time.
-        role: by the mark; None without one.
-        mark: in small letters; empty without one.
+        key: the stem without camera suffix and time.
+        role: by the camera suffix; None without one.
+        mark: the camera suffix in lower case; empty without one.
         moment: the time in the name; None without one.
     """
 
@@ -159,7 +136,7 @@ def _joined(*parts: str) -> str:
 
 
 def folder_role(folders: Sequence[str]) -> tuple[Role | None, tuple[str, ...]]:
-    """The camera that the innermost telling folder names, and the folders without it."""
+    """The camera that the innermost folder with such a name says, and the folders without it."""
     for index in reversed(range(len(folders))):
         words = {word.lower() for word in re.findall(r"[A-Za-z]+|[0-9]+", folders[index])}
         thermal, rgb = bool(words & _THERMAL), bool(words & _RGB)

@@ -1,5 +1,4 @@
-"""One file of a folder of photos, as far as its header tells: what it shows, which camera took it,
-and when."""
+"""The header of one file in a folder of photos: what it shows, which camera took it, and when."""
 
 from __future__ import annotations
 
@@ -30,25 +29,12 @@ _HEAD_BYTES = 2**20
 _RASTERS = (jpeg.SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TABLES = {".csv", ".txt", ".tsv"}
 _TABLE_COLUMNS = 8
-"""A text with a line of at least so many cells may be a table of temperatures; one with fewer is
-not."""
+"""A table of temperatures has a line of at least so many cells."""
 
-_UNREAD = {
-    ".heic",
-    ".heif",
-    ".avif",
-    ".webp",
-    ".bmp",
-    ".gif",
-    ".dng",
-    ".cr2",
-    ".cr3",
-    ".nef",
-    ".arw",
-    ".raf",
-    ".orf",
-    ".rw2",
-}
+_UNSUPPORTED = {
+    ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw",
+    ".raf", ".orf", ".rw2",
+}  # fmt: skip
 _EXIF_IFD, _FOCAL_LENGTH = 0x8769, 0x920A
 
 
@@ -58,8 +44,8 @@ class Photo:
 
     Attributes:
         path: the file.
-        shot: path of the photo as the camera took it, without the extension, relative to the folder
-            of photos; where a file was converted from another, that one's.
+        origin: path of the camera's original file without the extension, relative to the folder of
+            photos.
         kind: what it holds.
         size: width and height in pixels; None where the header does not tell.
         embedded: whether a photo in visible light lies inside.
@@ -68,7 +54,7 @@ class Photo:
     """
 
     path: Path
-    shot: PurePosixPath
+    origin: PurePosixPath
     kind: Kind
     size: tuple[int, int] | None = None
     embedded: bool = False
@@ -95,24 +81,24 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
 
 
 def _inspect(path: Path, relative: PurePosixPath) -> Photo | str:
-    suffix, shot = path.suffix.lower(), relative.with_suffix("")
+    suffix, origin = path.suffix.lower(), relative.with_suffix("")
     start = _start(path, _HEAD_BYTES)
     if not start:
         return "is empty; copy it again"
     if start.startswith(jpeg.SIGNATURE):
-        return _jpeg(path, shot, start)
+        return _jpeg(path, origin, start)
     if start.startswith(fff.SIGNATURES):
         records = fff.Records(read_bytes(path, MAX_BYTES), path)
-        return Photo(path, shot, "signal", embedded=records.get(fff.EMBEDDED_IMAGE) is not None)
+        return Photo(path, origin, "signal", embedded=records.get(fff.EMBEDDED_IMAGE) is not None)
     if start.startswith(_RASTERS):
-        return _raster(path, shot, read_bytes(path, MAX_BYTES))
+        return _raster(path, origin, read_bytes(path, MAX_BYTES))
     if suffix in _TABLES and _is_wide(start):
-        return Photo(path, shot, "table")
+        return Photo(path, origin, "table")
     if suffix == ".raw" and path.stat().st_size in {
         width * height * n for width, height in dji.SIZES for n in (2, 4)
     }:
-        return Photo(path, shot, "numbers")
-    if suffix in _UNREAD:
+        return Photo(path, origin, "numbers")
+    if suffix in _UNSUPPORTED:
         return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
     return "is no photo"
 
@@ -127,7 +113,7 @@ def _start(path: Path, count: int) -> bytes:
         ) from None
 
 
-def _jpeg(path: Path, shot: PurePosixPath, start: bytes) -> Photo | str:
+def _jpeg(path: Path, origin: PurePosixPath, start: bytes) -> Photo | str:
     """A JPEG: only a thermal record, or an unusually long header, makes it worth reading the whole
     file."""
     if jpeg.FLIR in start:
@@ -137,13 +123,13 @@ def _jpeg(path: Path, shot: PurePosixPath, start: bytes) -> Photo | str:
         # A whole record without a raw image belongs to a photo in visible light.
         if records is not None and records.get(fff.RAW_DATA) is not None:
             embedded = records.get(fff.EMBEDDED_IMAGE) is not None
-            return Photo(path, shot, "signal", None, embedded, read_exif(data))
-        return _raster(path, shot, data)
-    photo = _raster(path, shot, start)
-    return _raster(path, shot, read_bytes(path, MAX_BYTES)) if isinstance(photo, str) else photo
+            return Photo(path, origin, "signal", None, embedded, read_exif(data))
+        return _raster(path, origin, data)
+    photo = _raster(path, origin, start)
+    return _raster(path, origin, read_bytes(path, MAX_BYTES)) if isinstance(photo, str) else photo
 
 
-def _raster(path: Path, shot: PurePosixPath, data: bytes) -> Photo | str:
+def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter(
@@ -156,10 +142,10 @@ def _raster(path: Path, shot: PurePosixPath, data: bytes) -> Photo | str:
         return "cannot be decoded as an image; copy or export it again"
     exif = read_exif(data)
     if mode == "F" or mode.startswith("I"):
-        return Photo(path, shot, "numbers", size, exif=exif)
+        return Photo(path, origin, "numbers", size, exif=exif)
     if jpeg.holds_dji_signal(data, exif.make):
-        return Photo(path, shot, "dji", size, exif=exif)
-    return Photo(path, shot, "image", size, exif=exif, focal_mm=focal_mm)
+        return Photo(path, origin, "dji", size, exif=exif)
+    return Photo(path, origin, "image", size, exif=exif, focal_mm=focal_mm)
 
 
 def _focal_mm(value: object) -> float | None:

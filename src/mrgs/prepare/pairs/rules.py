@@ -1,4 +1,4 @@
-"""The ways to tell which photos are of one moment. Each gives what it finds; ``find`` chooses."""
+"""Rules that pair photos. Each returns a match; ``find`` chooses among them."""
 
 from __future__ import annotations
 
@@ -31,13 +31,12 @@ NEARLY = 0.9
 most."""
 
 
-class Couple(NamedTuple):
-    """A thermal photo, and the RGB photo of the same moment: a file, or inside the thermal photo's,
-    or none."""
+class Pair(NamedTuple):
+    """A thermal photo, and the RGB photo of the same moment: a file, embedded, or missing."""
 
     rgb: Photo | None
     thermal: Photo
-    inside: bool = False
+    embedded: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,22 +44,22 @@ class Match:
     """What a rule finds.
 
     Attributes:
-        couples: in natural order of the thermal photos.
+        pairs: in natural order of the thermal photos.
         rule: one sentence.
         without: what a photo without partner lacks; ends the reason "has no RGB photo ...".
         reasons: why a photo is not used, where that needs another sentence.
         warnings: sentences that the user should read.
     """
 
-    couples: tuple[Couple, ...]
+    pairs: tuple[Pair, ...]
     rule: str
     without: str = ""
     reasons: Mapping[Photo, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
-class Shot(NamedTuple):
-    """A photo as a rule by names sees it; photos of one moment have the same key."""
+class Candidate(NamedTuple):
+    """A photo with what its name says; photos of one moment have the same key."""
 
     photo: Photo
     role: Role | None
@@ -69,19 +68,21 @@ class Shot(NamedTuple):
     moment: datetime | None
 
 
-def shot_by_name(photo: Photo) -> Shot:
-    """The camera is told by the content and by the file's name; the folder is part of the key."""
-    facts = read_stem(photo.shot.name, photo.is_thermal)
-    key = composed("/".join([*photo.shot.parts[:-1], facts.key]).casefold())
-    return Shot(photo, "thermal" if photo.is_thermal else facts.role, key, facts.mark, facts.moment)
+def candidate_by_name(photo: Photo) -> Candidate:
+    """Camera by content and file name; the folder is part of the key."""
+    facts = read_stem(photo.origin.name, photo.is_thermal)
+    key = composed("/".join([*photo.origin.parts[:-1], facts.key]).casefold())
+    return Candidate(
+        photo, "thermal" if photo.is_thermal else facts.role, key, facts.mark, facts.moment
+    )
 
 
-def shot_by_folder(photo: Photo, root_name: str) -> Shot:
-    """The camera is told by the content and by the folder, which is then no part of the key."""
-    facts = read_stem(photo.shot.name, photo.is_thermal)
-    role, rest = folder_role([root_name, *photo.shot.parts[:-1]])
+def candidate_by_folder(photo: Photo, root_name: str) -> Candidate:
+    """Camera by content and folder; the folder that names the camera is not part of the key."""
+    facts = read_stem(photo.origin.name, photo.is_thermal)
+    role, rest = folder_role([root_name, *photo.origin.parts[:-1]])
     key = composed("/".join([*rest, facts.key]).casefold())
-    return Shot(photo, "thermal" if photo.is_thermal else role, key, facts.mark, facts.moment)
+    return Candidate(photo, "thermal" if photo.is_thermal else role, key, facts.mark, facts.moment)
 
 
 def roles(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
@@ -90,25 +91,25 @@ def roles(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Ph
     rgb: list[Photo] = []
     thermal: list[Photo] = []
     for photo in photos:
-        role = shot_by_folder(photo, root_name).role or shot_by_name(photo).role
+        role = candidate_by_folder(photo, root_name).role or candidate_by_name(photo).role
         (thermal if role == "thermal" else rgb).append(photo)
     return rgb, thermal
 
 
 def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     """``DJI_0001_T`` and ``DJI_0001_W``, ``a_thermal`` and ``a_rgb``, and so on, in one folder."""
-    couples, reasons = _by_keys([shot_by_name(photo) for photo in photos], tolerance_s)
-    if not couples:
+    pairs, reasons = _by_keys([candidate_by_name(photo) for photo in photos], tolerance_s)
+    if not pairs:
         return None
-    rgb, thermal, _ = couples[0]
+    rgb, thermal, _ = pairs[0]
     example = (
         ""
         if rgb is None
         else f", such as {printable(rgb.path.name)} and {printable(thermal.path.name)}"
     )
     return Match(
-        couples,
-        f"The names of a pair differ only in the camera's mark{example}.",
+        pairs,
+        f"The names of a pair differ only in the camera suffix{example}.",
         "of its name",
         reasons,
     )
@@ -117,63 +118,72 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
 def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
     else unique."""
-    shots = [shot_by_folder(photo, root_name) for photo in photos]
-    couples, reasons = _by_keys(shots, tolerance_s)
-    done = {*reasons, *(photo for couple in couples for photo in couple[:2])}
-    marks = {shot.mark for shot in shots if shot.photo in {couple.rgb for couple in couples}}
+    candidates = [candidate_by_folder(photo, root_name) for photo in photos]
+    pairs, reasons = _by_keys(candidates, tolerance_s)
+    done = {*reasons, *(photo for pair in pairs for photo in pair[:2])}
+    marks = {
+        candidate.mark
+        for candidate in candidates
+        if candidate.photo in {pair.rgb for pair in pairs}
+    }
     rest = [
-        shot._replace(key=PurePosixPath(shot.key).name)
-        for shot in shots
-        if shot.photo not in done and (shot.role == "thermal" or not marks or shot.mark in marks)
+        candidate._replace(key=PurePosixPath(candidate.key).name)
+        for candidate in candidates
+        if candidate.photo not in done
+        and (candidate.role == "thermal" or not marks or candidate.mark in marks)
     ]
     more, _ = _by_keys(_unique(rest), tolerance_s)
-    if not couples and not more:
+    if not pairs and not more:
         return None
-    couples = tuple(sorted([*couples, *more], key=lambda couple: natural(str(couple.thermal.shot))))
+    pairs = tuple(sorted([*pairs, *more], key=lambda pair: natural(str(pair.thermal.origin))))
     return Match(
-        couples,
+        pairs,
         "A pair has the same name in the folders of the two cameras.",
         "of its name",
         reasons,
     )
 
 
-def _unique(shots: Sequence[Shot]) -> list[Shot]:
+def _unique(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those whose key no other photo of the same camera has."""
-    counts = Counter((shot.role == "thermal", shot.key) for shot in shots)
-    return [shot for shot in shots if counts[shot.role == "thermal", shot.key] == 1]
+    counts = Counter((candidate.role == "thermal", candidate.key) for candidate in candidates)
+    return [
+        candidate
+        for candidate in candidates
+        if counts[candidate.role == "thermal", candidate.key] == 1
+    ]
 
 
 def _by_keys(
-    shots: Sequence[Shot], tolerance_s: float
-) -> tuple[tuple[Couple, ...], dict[Photo, str]]:
+    candidates: Sequence[Candidate], tolerance_s: float
+) -> tuple[tuple[Pair, ...], dict[Photo, str]]:
     """Photos of equal keys; where the names hold times, they are compared, too."""
-    thermal = _grouped(shot for shot in shots if shot.role == "thermal")
-    others = _grouped(shot for shot in shots if shot.role != "thermal")
+    thermal = _grouped(candidate for candidate in candidates if candidate.role == "thermal")
+    others = _grouped(candidate for candidate in candidates if candidate.role != "thermal")
     mark = _best_mark(others, thermal.keys())
-    couples: list[Couple] = []
+    pairs: list[Pair] = []
     reasons: dict[Photo, str] = {}
     for key in thermal.keys() & others.keys():
-        rgb = [shot for shot in others[key] if shot.mark == mark]
+        rgb = [candidate for candidate in others[key] if candidate.mark == mark]
         found = _within_key(rgb, thermal[key], tolerance_s)
-        couples += found
-        reasons |= _instead(thermal[key], [couple.thermal for couple in found])
-        reasons |= _instead(others[key], [couple.rgb for couple in found])
-    return tuple(sorted(couples, key=lambda couple: natural(str(couple.thermal.shot)))), reasons
+        pairs += found
+        reasons |= _instead(thermal[key], [pair.thermal for pair in found])
+        reasons |= _instead(others[key], [pair.rgb for pair in found])
+    return tuple(sorted(pairs, key=lambda pair: natural(str(pair.thermal.origin)))), reasons
 
 
-def _grouped(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
-    groups: dict[str, list[Shot]] = {}
-    for shot in shots:
-        groups.setdefault(shot.key, []).append(shot)
+def _grouped(candidates: Iterable[Candidate]) -> dict[str, list[Candidate]]:
+    groups: dict[str, list[Candidate]] = {}
+    for candidate in candidates:
+        groups.setdefault(candidate.key, []).append(candidate)
     return groups
 
 
-def _best_mark(rgb: Mapping[str, Sequence[Shot]], keys: Collection[str]) -> str:
+def _best_mark(rgb: Mapping[str, Sequence[Candidate]], keys: Collection[str]) -> str:
     """The mark of the RGB photos to be used, for one camera has one lens: the first of those that
     nearly all have."""
     counts = Counter(
-        mark for key in rgb if key in keys for mark in {shot.mark for shot in rgb[key]}
+        mark for key in rgb if key in keys for mark in {candidate.mark for candidate in rgb[key]}
     )
     order = {mark: index for index, mark in enumerate(RGB_MARKS)}
     enough = NEARLY * max(counts.values(), default=0)
@@ -181,60 +191,63 @@ def _best_mark(rgb: Mapping[str, Sequence[Shot]], keys: Collection[str]) -> str:
     return min(frequent, key=lambda mark: order.get(mark, len(order)), default="")
 
 
-def _within_key(rgb: Sequence[Shot], thermal: Sequence[Shot], tolerance_s: float) -> list[Couple]:
+def _within_key(
+    rgb: Sequence[Candidate], thermal: Sequence[Candidate], tolerance_s: float
+) -> list[Pair]:
     """Pairs among photos of one name: the best two, or those whose names hold near times."""
-    if any(shot.moment is None for shot in [*rgb, *thermal]):
-        return [Couple(rgb[0].photo, _best(thermal).photo)] if rgb else []
+    if any(candidate.moment is None for candidate in [*rgb, *thermal]):
+        return [Pair(rgb[0].photo, _best(thermal).photo)] if rgb else []
     first = [group[0] for group in _by_moment(rgb)]
     second = [_best(group) for group in _by_moment(thermal)]
     # The cameras of a drone may write their times a second apart.
-    pairs = _matched(first, second, lambda shot: shot.moment, 0.0, max(tolerance_s, 1.0))
-    return [Couple(one.photo, other.photo) for one, other in pairs]
+    pairs = _matched(first, second, lambda candidate: candidate.moment, 0.0, max(tolerance_s, 1.0))
+    return [Pair(one.photo, other.photo) for one, other in pairs]
 
 
-def _by_moment(shots: Sequence[Shot]) -> list[list[Shot]]:
+def _by_moment(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
     moments = {
-        shot.moment: [other for other in shots if other.moment == shot.moment] for shot in shots
+        candidate.moment: [other for other in candidates if other.moment == candidate.moment]
+        for candidate in candidates
     }
     return [*moments.values()]
 
 
-def _best(shots: Sequence[Shot]) -> Shot:
-    """Of several files of one shot the one with the most to read from; the first of equals."""
-    return min(shots, key=lambda shot: PREFERENCE.index(shot.photo.kind))
+def _best(candidates: Sequence[Candidate]) -> Candidate:
+    """Of several files of one candidate the one with the most to read from; the first of equals."""
+    return min(candidates, key=lambda candidate: PREFERENCE.index(candidate.photo.kind))
 
 
-def _instead(shots: Sequence[Shot], used: Sequence[Photo | None]) -> dict[Photo, str]:
-    """The reason for files of a shot that another file of it made superfluous."""
+def _instead(candidates: Sequence[Candidate], used: Sequence[Photo | None]) -> dict[Photo, str]:
+    """The reason for files of a candidate that another file of it made superfluous."""
     if len(used) != 1 or used[0] is None:
         return {}
     return {
-        shot.photo: f"{printable(used[0].path.name)} is used instead"
-        for shot in shots
-        if shot.photo is not used[0]
+        candidate.photo: f"{printable(used[0].path.name)} is used instead"
+        for candidate in candidates
+        if candidate.photo is not used[0]
     }
 
 
 def by_numbers(photos: Sequence[Photo]) -> Match | None:
     """FLIR's ``IR_0001`` and ``DC_0002``: the photo in visible light is the next file, or the one
     before."""
-    shots = [shot_by_name(photo) for photo in photos]
-    thermal = _grouped(shot for shot in shots if shot.role == "thermal")
-    rgb = _grouped(shot for shot in shots if shot.role != "thermal")
-    best: list[Couple] = []
+    candidates = [candidate_by_name(photo) for photo in photos]
+    thermal = _grouped(candidate for candidate in candidates if candidate.role == "thermal")
+    rgb = _grouped(candidate for candidate in candidates if candidate.role != "thermal")
+    best: list[Pair] = []
     word = "next"
     for step, name in ((1, "next"), (-1, "previous")):
-        couples = [
-            Couple(rgb[other][0].photo, _best(group).photo)
+        pairs = [
+            Pair(rgb[other][0].photo, _best(group).photo)
             for key, group in thermal.items()
             if (other := _neighbour(key, step)) in rgb
             and _near(rgb[other][0].photo, _best(group).photo)
         ]
-        if len(couples) > len(best):
-            best, word = couples, name
+        if len(pairs) > len(best):
+            best, word = pairs, name
     if not best:
         return None
-    best.sort(key=lambda couple: natural(str(couple.thermal.shot)))
+    best.sort(key=lambda pair: natural(str(pair.thermal.origin)))
     rule = f"The RGB photo of each thermal photo is the file with the {word} number."
     return Match(tuple(best), rule, f"with the {word} number")
 
@@ -255,14 +268,14 @@ def _near(first: Photo, second: Photo) -> bool:
 
 
 def by_embedded(photos: Sequence[Photo]) -> Match | None:
-    """The photo in visible light lies inside the thermal photo's file."""
-    couples = tuple(Couple(None, photo, inside=True) for photo in photos if photo.embedded)
-    if not couples:
+    """The RGB photo embedded in the thermal photo's file."""
+    pairs = tuple(Pair(None, photo, embedded=True) for photo in photos if photo.embedded)
+    if not pairs:
         return None
-    used = "the visible photos inside the thermal photos are used"
+    used = "the RGB photos embedded in the thermal photos are used"
     others = [photo for photo in photos if not photo.embedded]
-    reasons = {photo: "holds no visible photo" if photo.is_thermal else used for photo in others}
-    return Match(couples, "The visible photo inside each thermal photo is used.", reasons=reasons)
+    reasons = {photo: "holds no RGB photo" if photo.is_thermal else used for photo in others}
+    return Match(pairs, "The RGB photo embedded in each thermal photo is used.", reasons=reasons)
 
 
 def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
@@ -275,25 +288,23 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
         [(_taken(photo) - start).total_seconds() for photo in group] for group in (rgb, thermal)
     )
     offset = clock_offset(rgb_s, thermal_s, tolerance_s)
-    pairs = _matched(rgb, thermal, _taken, offset.seconds, tolerance_s)
-    if not pairs:
+    matched = _matched(rgb, thermal, _taken, offset.seconds, tolerance_s)
+    if not matched:
         return None
-    couples = tuple(
-        Couple(first, second)
-        for first, second in sorted(pairs, key=lambda pair: natural(str(pair[1].shot)))
-    )
+    matched.sort(key=lambda pair: natural(str(pair[1].origin)))
+    pairs = tuple(Pair(*pair) for pair in matched)
     unknown = {
         photo: "does not say when it was taken" for photo in photos if photo.exif.taken is None
     }
     rule = f"The photos of a pair were taken within {tolerance_s:g} s."
     if offset.seconds:
-        rule = f"{rule[:-1]}, after the clocks were compared: {_ahead(offset.seconds)}."
-    return Match(couples, rule, f"within {tolerance_s:g} s", unknown, _doubts(offset))
+        rule = f"{rule[:-1]}, after aligning the clocks: {_ahead(offset.seconds)}."
+    return Match(pairs, rule, f"within {tolerance_s:g} s", unknown, _doubts(offset))
 
 
 def _timed(photos: Sequence[Photo]) -> list[Photo]:
     known = [photo for photo in photos if photo.exif.taken is not None]
-    return sorted(known, key=lambda photo: (_taken(photo), natural(str(photo.shot))))
+    return sorted(known, key=lambda photo: (_taken(photo), natural(str(photo.origin))))
 
 
 def _taken(photo: Photo) -> datetime:
@@ -324,7 +335,6 @@ def _doubts(offset: ClockOffset) -> tuple[str, ...]:
     if offset.rival_s is None:
         return ()
     return (
-        f"The clocks of the cameras may also differ by {offset.rival_s:.1f} s instead of "
-        f"{offset.seconds:.1f} s: "
-        "check the first pairs, and give a table of pairs if they are wrong.",
+        f"The clock offset may also be {offset.rival_s:.1f} s instead of {offset.seconds:.1f} s: "
+        f"check the first pairs, and give a table of pairs if they are wrong.",
     )

@@ -11,7 +11,7 @@ from mrgs.errors import SceneError
 from mrgs.prepare.pairs.inventory import Inventory
 from mrgs.prepare.pairs.names import composed, natural, printable
 from mrgs.prepare.pairs.photo import Photo
-from mrgs.prepare.pairs.rules import Couple, Match
+from mrgs.prepare.pairs.rules import Match, Pair
 
 _MAX_BYTES = 16 * 2**20
 _HEADINGS = (
@@ -21,7 +21,7 @@ _HEADINGS = (
 _EXAMPLE = "write lines such as rgb/a.jpg,thermal/a.jpg"
 
 
-def by_table(table: Path, stock: Inventory) -> Match:
+def by_table(table: Path, inventory: Inventory) -> Match:
     """The pairs in a CSV file: the RGB photo and the thermal photo, relative to the folder of
     photos.
 
@@ -32,14 +32,14 @@ def by_table(table: Path, stock: Inventory) -> Match:
         SceneError: the table cannot be read, or a line names something other than two photos of the
             folder.
     """
-    photos = {photo.path.resolve(): photo for photo in stock.photos}
-    couples, used = [], dict[Photo, int]()
+    photos = {photo.path.resolve(): photo for photo in inventory.photos}
+    pairs, used = [], dict[Photo, int]()
     for number, rgb_text, thermal_text in _rows(table):
-        rgb = _photo(rgb_text, photos, stock, table, number) if rgb_text else None
-        thermal = _photo(thermal_text, photos, stock, table, number)
+        rgb = _photo(rgb_text, photos, inventory, table, number) if rgb_text else None
+        thermal = _photo(thermal_text, photos, inventory, table, number)
         for photo in (rgb, thermal):
             if photo is not None and (before := used.setdefault(photo, number)) != number:
-                name = stock.name(photo)
+                name = inventory.name(photo)
                 raise scene_error(
                     table, f"lines {before} and {number} both name {name}; delete one of them"
                 )
@@ -49,14 +49,12 @@ def by_table(table: Path, stock: Inventory) -> Match:
                 f"line {number} names one photo twice; leave out the RGB photo if it lies inside "
                 f"the thermal one",
             )
-        couples.append(Couple(rgb, thermal, inside=rgb is None and thermal.embedded))
-    if not couples:
+        pairs.append(Pair(rgb, thermal, embedded=rgb is None and thermal.embedded))
+    if not pairs:
         raise scene_error(table, f"holds no pairs; {_EXAMPLE}")
-    couples.sort(key=lambda couple: natural(str(couple.thermal.shot)))
-    reasons = dict.fromkeys(stock.photos, f"is not in {printable(table.name)}")
-    return Match(
-        tuple(couples), f"The pairs are those of {printable(table.name)}.", reasons=reasons
-    )
+    pairs.sort(key=lambda pair: natural(str(pair.thermal.origin)))
+    reasons = dict.fromkeys(inventory.photos, f"is not in {printable(table.name)}")
+    return Match(tuple(pairs), f"The pairs are those of {printable(table.name)}.", reasons=reasons)
 
 
 def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
@@ -102,37 +100,37 @@ def _headings(cells: Sequence[str]) -> tuple[int, int] | None:
 
 
 def _photo(
-    text: str, photos: dict[Path, Photo], stock: Inventory, table: Path, number: int
+    text: str, photos: dict[Path, Photo], inventory: Inventory, table: Path, number: int
 ) -> Photo:
     try:
-        path = contained(stock.root.resolve(), text, table)
+        path = contained(inventory.root.resolve(), text, table)
     except SceneError:
         raise scene_error(
             table,
-            f"line {number}: {shown(text)} lies outside {stock.root}; name photos relative to "
+            f"line {number}: {shown(text)} lies outside {inventory.root}; name photos relative to "
             f"that folder",
         ) from None
-    path = path if is_file(path) else _spelled(path, stock)
+    path = path if is_file(path) else _spelled(path, inventory)
     if not is_file(path):
         raise scene_error(
-            table, f"line {number}: there is no {shown(text)} in {stock.root}; correct the name"
+            table, f"line {number}: there is no {shown(text)} in {inventory.root}; correct the name"
         )
     if path.resolve() not in photos:
         raise scene_error(
-            table, f"line {number}: {shown(text)} {_why(path, stock)}; name another file"
+            table, f"line {number}: {shown(text)} {_why(path, inventory)}; name another file"
         )
     return photos[path.resolve()]
 
 
-def _spelled(path: Path, stock: Inventory) -> Path:
+def _spelled(path: Path, inventory: Inventory) -> Path:
     """The file whose name is the same text in another Unicode form; the path itself if there is
     none."""
-    root, wanted = stock.root.resolve(), composed(str(path))
-    names = [photo.path.relative_to(stock.root).as_posix() for photo in stock.photos]
-    names += [item.name for item in stock.left_out]
+    root, wanted = inventory.root.resolve(), composed(str(path))
+    names = [photo.path.relative_to(inventory.root).as_posix() for photo in inventory.photos]
+    names += [item.name for item in inventory.skipped]
     return next((root / name for name in names if composed(str(root / name)) == wanted), path)
 
 
-def _why(path: Path, stock: Inventory) -> str:
-    name = path.relative_to(stock.root.resolve()).as_posix()
-    return next((item.reason for item in stock.left_out if item.name == name), "is no photo")
+def _why(path: Path, inventory: Inventory) -> str:
+    name = path.relative_to(inventory.root.resolve()).as_posix()
+    return next((item.reason for item in inventory.skipped if item.name == name), "is no photo")

@@ -12,10 +12,10 @@ from PIL import Image
 
 from mrgs.data.images import probe
 from mrgs.errors import RunError, SceneError
+from mrgs.prepare.cache import digest
 from mrgs.prepare.colmap.job import IMAGE_FOLDER, JOB_FILE
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.stretch import span_of, stretched
-from mrgs.prepare.stages import digest
 from mrgs.system.atomic import replacing
 
 FORMAT = 1

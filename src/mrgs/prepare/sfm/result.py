@@ -12,7 +12,7 @@ import torch
 
 from mrgs.data.colmap_model import ColmapModel, read_images
 from mrgs.prepare.colmap.job import JOB_FILE, MODEL_FOLDER, POINTS_FILE, REPORT_FILE
-from mrgs.prepare.contract import MIN_VIEWS, LeftOut, Reconstruction, TooFewPosesError
+from mrgs.prepare.contract import MIN_VIEWS, Reconstruction, Skipped, TooFewPosesError
 from mrgs.scene import PointCloud
 
 FEW_FEATURES = 100
@@ -63,11 +63,11 @@ def _read(file: Path) -> dict[str, Any]:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def _failed(names: Mapping[str, str], report: dict[str, Any]) -> tuple[LeftOut, ...]:
+def _failed(names: Mapping[str, str], report: dict[str, Any]) -> tuple[Skipped, ...]:
     """The images outside of the largest model, in order."""
     pairs = zip(names.values(), report["images"], strict=True)
     return tuple(
-        LeftOut(name, _reason(image, report["groups"], names))
+        Skipped(name, _reason(image, report["groups"], names))
         for name, image in pairs
         if image["group"] != 0
     )
@@ -93,7 +93,7 @@ def _reason(image: dict[str, Any], groups: Sequence[int], names: Mapping[str, st
     )
 
 
-def _too_few(count: int, failed: Sequence[LeftOut]) -> str:
+def _too_few(count: int, failed: Sequence[Skipped]) -> str:
     """Which images failed and why, those with the same kind of reason together, in one line."""
     kinds: dict[str, list[str]] = {}
     for image in failed:

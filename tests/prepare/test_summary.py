@@ -6,53 +6,61 @@ import pytest
 import torch
 
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import ExifFacts
+from mrgs.data.radiometric import ExifFacts, PhotoFacts
 from mrgs.prepare.contract import (
-    DevelopedView,
-    Development,
-    LeftOut,
+    ConvertedPhotos,
+    ConvertedView,
     Pairing,
     PhotoPair,
     Reconstruction,
+    Skipped,
 )
 from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
-from mrgs.prepare.tell import tell_pairs, tell_photos, tell_poses, tell_thermal_camera
+from mrgs.prepare.summary import (
+    summarize_pairs,
+    summarize_photos,
+    summarize_poses,
+    summarize_thermal_camera,
+)
 from mrgs.scene import PointCloud
 
-VIEW = DevelopedView(
+VIEW = ConvertedView(
     "a",
     "images/a.jpg",
     "thermal/a.tiff",
     ExifFacts(),
-    "FLIR E60",
+    PhotoFacts("FLIR radiometric JPEG", camera="FLIR E60", warnings=("It is old.",)),
     (-3.04, 41.26),
-    (),
-    ("It is old.",),
 )
 
 
 def test_pairs_are_counted(tmp_path):
     pairs = (PhotoPair("a", None, tmp_path / "a.jpg"),)
-    told = tell_pairs(
-        Pairing(pairs, (LeftOut("b", "is cut off"),), "By their names.", ("The clocks differ.",))
+    summary = summarize_pairs(
+        Pairing(pairs, (Skipped("b", "is cut off"),), "By their names.", ("The clocks differ.",))
     )
-    assert told.lines == ("1 pair. By their names.", "1 file left out.")
-    assert told.warnings == ("The clocks differ.",)
+    assert summary.lines == ("1 pair. By their names.", "1 file skipped.")
+    assert summary.warnings == ("The clocks differ.",)
 
 
 def test_warnings_of_photos_are_said_once(tmp_path):
-    other = replace(VIEW, name="b", warnings=("It is old.", "It is blurred."))
-    told = tell_photos(
-        Development((VIEW, other), (LeftOut("c", "is cut off"),), ("The distances differ.",))
+    facts = replace(VIEW.facts, warnings=("It is old.", "It is blurred."))
+    other = replace(VIEW, name="b", facts=facts)
+    summary = summarize_photos(
+        ConvertedPhotos((VIEW, other), (Skipped("c", "is cut off"),), ("The distances differ.",))
     )
-    assert told.lines == ("2 views, FLIR E60, -3.0 °C to 41.3 °C.", "1 pair left out.")
-    assert told.warnings == ("The distances differ.", "2 photos: It is old.", "b: It is blurred.")
+    assert summary.lines == ("2 views, FLIR E60, -3.0 °C to 41.3 °C.", "1 pair skipped.")
+    assert summary.warnings == (
+        "The distances differ.",
+        "2 photos: It is old.",
+        "b: It is blurred.",
+    )
 
 
 def test_photos_without_temperatures_are_said():
-    grey = replace(VIEW, name="b", camera=None, range_c=None, warnings=())
-    assert tell_photos(Development((grey,), ())).lines == ("1 view, no temperatures.",)
-    assert tell_photos(Development((VIEW, grey), ())).lines == (
+    grey = replace(VIEW, name="b", facts=PhotoFacts("PNG image"), range_c=None)
+    assert summarize_photos(ConvertedPhotos((grey,), ())).lines == ("1 view, no temperatures.",)
+    assert summarize_photos(ConvertedPhotos((VIEW, grey), ())).lines == (
         "2 views, FLIR E60, -3.0 °C to 41.3 °C, 1 without temperatures.",
     )
 
@@ -61,11 +69,11 @@ def test_poses_say_how_well_they_fit():
     found = Reconstruction(
         {}, {}, PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), None, (), None, "Found."
     )
-    assert tell_poses(found).lines == ("Found.",)
+    assert summarize_poses(found).lines == ("Found.",)
     failed = replace(
-        found, reprojection_px=0.456, failed=(LeftOut("a", "blurred"), LeftOut("b", "blurred"))
+        found, reprojection_px=0.456, failed=(Skipped("a", "blurred"), Skipped("b", "blurred"))
     )
-    assert tell_poses(failed).lines == (
+    assert summarize_poses(failed).lines == (
         "Found. Reprojection error 0.46 px.",
         "2 images without a pose.",
     )
@@ -97,19 +105,19 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
         more = ("The target is in 5 pairs; residual 0.10 px.", *more)
-    told = tell_thermal_camera(rig, False, metric)
-    assert told.lines == (
+    summary = summarize_thermal_camera(rig, False, metric)
+    assert summary.lines == (
         f"53.1° wide, {offset} from the RGB camera; residual 0.28 px, uncertainty ±0.36 px.",
         *more,
     )
     contradicts = metric and per_unit == 2.0
-    assert told.warnings[0] == "Hold still."
-    assert len(told.warnings) == 1 + contradicts
-    assert not contradicts or told.warnings[1].startswith(
-        "The target's squares say that the scene is 2.00 times"
+    assert summary.warnings[0] == "Hold still."
+    assert len(summary.warnings) == 1 + contradicts
+    assert not contradicts or summary.warnings[1].startswith(
+        "The target's squares make the scene 2.00 times"
     )
 
 
 def test_without_a_second_camera_that_is_said():
-    assert tell_thermal_camera(None, False, True).lines == ("One camera serves both images.",)
-    assert tell_thermal_camera(None, True, True).lines == ("There are thermal images alone.",)
+    assert summarize_thermal_camera(None, False, True).lines == ("One camera serves both images.",)
+    assert summarize_thermal_camera(None, True, True).lines == ("There are only thermal images.",)

@@ -1,4 +1,4 @@
-"""A scene on disk, looked over."""
+"""A scene on disk, checked."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ def test_a_usable_scene_is_described_and_drawn(make_scene):
     steps: list[tuple[str, int, int]] = []
     check = check_scene(folder, lambda *step: steps.append(step))
     assert check.usable
-    assert "6 views to train on, 2 held out." in check.lines
+    assert "6 training views, 2 held out." in check.lines
     assert "8 thermal images, 40×30 px." in check.lines
     assert "Temperatures from 10 to 30 °C." in check.lines
-    assert "warning: There are only 6 views to train on" in texts(check)
+    assert "warning: There are only 6 training views" in texts(check)
     assert check.page == folder / "check.html"
     page = check.page.read_text(encoding="utf-8")
     for words in (
         "Scene check: scene",
-        "only 6 views",
+        "only 6 training views",
         "40×30 px",
         "frame_eval_00002",
         "From above",
@@ -54,7 +54,7 @@ def test_what_the_reader_refuses_is_an_error_on_a_page(make_scene):
     assert "1 error: the scene cannot be trained on" in check.page.read_text(encoding="utf-8")
 
 
-def test_what_the_reader_mends_is_a_warning(make_scene):
+def test_what_the_reader_corrects_is_a_warning(make_scene):
     folder = make_scene()
     bounds = {"absolute_min_temperature": 30.0, "absolute_max_temperature": 10.0}
     (folder / "temperature_bounds.json").write_text(json.dumps(bounds))
@@ -90,9 +90,7 @@ def test_file_names_are_no_markup(make_scene):
 @pytest.mark.parametrize("name", ["nowhere", "notes.txt"])
 def test_what_is_no_folder_is_told(tmp_path, name):
     (tmp_path / "notes.txt").write_text("no scene")
-    with pytest.raises(
-        SceneError, match=f"{name}: is not a folder; give the folder that holds the scene"
-    ):
+    with pytest.raises(SceneError, match=f"{name}: is not a folder; give the folder of the scene"):
         check_scene(tmp_path / name)
 
 

@@ -10,14 +10,14 @@ import torch
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from mrgs.check.images import image_problems
-from mrgs.check.looks import sharpness
+from mrgs.check.statistics import sharpness
 from mrgs.data.files import scene_error
 from mrgs.scene import Pixels, View
 
 
 def only_problem(looked, severity: str = "warning"):
     """The one problem of the images."""
-    (problem,) = image_problems(looked.scene, list(looked.looks.values()))
+    (problem,) = image_problems(looked.scene, list(looked.statistics.values()))
     assert problem.severity == severity
     assert problem.remedy
     return problem.text
@@ -32,7 +32,7 @@ def test_an_image_that_cannot_be_decoded_is_told(tabletop):
     broken = tabletop.changed(
         lambda view: replace(view, rgb=replace(view.rgb, load=fail)), every=100
     )
-    (problem,) = image_problems(broken.scene, list(broken.looks.values()))
+    (problem,) = image_problems(broken.scene, list(broken.statistics.values()))
     assert problem.severity == "error"
     assert "images/a.jpg: cannot be decoded" in problem.text
 
@@ -91,11 +91,10 @@ def test_flat_thermal_images_are_told(tabletop, repainted):
         lambda view: replace(view, thermal=repainted(view.thermal, flat)), every=100, first=2
     )
     texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))
+        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
     ]
     assert any(
-        f"The thermal image of 1 view ({tabletop.scene.train[2].name}) shows next to nothing" in t
-        for t in texts
+        f"The thermal image of 1 view ({tabletop.scene.train[2].name}) is flat" in t for t in texts
     )
 
 
@@ -105,7 +104,7 @@ def test_saturated_thermal_images_are_told(tabletop, repainted):
 
     changed = tabletop.changed(lambda view: replace(view, thermal=repainted(view.thermal, clipped)))
     texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))
+        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
     ]
     assert any("of the thermal pixels lie at the upper end of the scale" in text for text in texts)
     assert not any("lower end" in text for text in texts)
@@ -121,7 +120,7 @@ def test_automatic_gain_is_told(tabletop, repainted, gain, offset):
     )
     names = ", ".join(tabletop.scene.train[index].name for index in (0, 9, 18))
     texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.looks.values()))
+        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
     ]
     assert any(
         f"In 3 views ({names}) the same places are warmer or colder" in text for text in texts

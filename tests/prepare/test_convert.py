@@ -12,18 +12,25 @@ from PIL import Image
 
 from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare import develop as developing
-from mrgs.prepare import pipeline
-from mrgs.prepare.contract import Development, Pairing, PhotoPair
-from mrgs.prepare.develop import develop
-from mrgs.prepare.options import PrepareOptions
+from mrgs.prepare import PrepareOptions, convert, stages
+from mrgs.prepare.cache import Cache
+from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
+from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.work import Work
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
 
 
 def quiet(step: str, done: int, total: int) -> None:
     """No progress is shown."""
+
+
+def converted(
+    pairing: Pairing, scene: Path, overrides: Overrides | None = None, progress=quiet, **options
+) -> ConvertedPhotos:
+    cache = Cache(scene / "prepare")
+    return convert_photos(pairing, scene, overrides or Overrides(), cache, progress, **options)
 
 
 @pytest.fixture
@@ -33,10 +40,10 @@ def scene(tmp_path) -> Path:
 
 @pytest.fixture
 def made(photos, scene):
-    """Writes photos, pairs and develops them."""
+    """Writes photos, pairs and converts them."""
 
-    def make(files: dict[str, object], overrides: Overrides | None = None) -> Development:
-        return develop(find_pairs(photos(files)), scene, overrides or Overrides(), quiet)
+    def make(files: dict[str, object], overrides: Overrides | None = None) -> ConvertedPhotos:
+        return converted(find_pairs(photos(files)), scene, overrides)
 
     return make
 
@@ -68,8 +75,8 @@ def test_a_flir_photo_and_its_visible_photo(made, scene, photos):
     np.testing.assert_array_equal(written, truth.temperature_c)
     assert (scene / view.rgb).read_bytes() == truth.facts.visible.data
     assert view.range_c == (float(written.min()), float(written.max()))
-    assert (view.camera, view.exif.model, view.exif.taken) == ("Test Camera", "E60", NOON)
-    assert found.left_out == found.warnings == ()
+    assert (view.facts.camera, view.exif.model, view.exif.taken) == ("Test Camera", "E60", NOON)
+    assert found.skipped == found.warnings == ()
 
 
 def test_pixels_without_temperature_are_nan(made, scene, flir):
@@ -79,7 +86,7 @@ def test_pixels_without_temperature_are_nan(made, scene, flir):
     assert np.isnan(pixels(scene / view.thermal)).nonzero() == (np.array([3]), np.array([4]))
     assert view.range_c is not None
     assert np.isfinite(view.range_c).all()
-    assert "0.1 % of the pixels have no temperature; they are masked." in view.warnings
+    assert "0.1 % of the pixels have no temperature; they are masked." in view.facts.warnings
 
 
 def test_upright_photos_keep_their_bytes(made, scene, photos):
@@ -93,7 +100,7 @@ def test_upright_photos_keep_their_bytes(made, scene, photos):
     assert [view.rgb for view in found.views] == ["images/a.jpg", "images/b.jpg"]
     assert (scene / "images/a.jpg").read_bytes() == (root / "rgb/a.JPG").read_bytes()
     assert (found.views[0].exif.model, found.views[0].exif.taken) == ("X100", NOON)
-    assert found.views[0].notes == ("The numbers are taken for celsius.",)
+    assert found.views[0].facts.notes == ("The numbers are taken for celsius.",)
 
 
 def test_a_tiff_photo_becomes_a_png(made, scene, photos):
@@ -111,7 +118,7 @@ def test_a_rotated_photo_is_turned_in_its_pixels(made, scene, orientation):
     rgb = ("jpg", {"size": (32, 16), "orientation": orientation, "model": "X100", "focal_mm": 23.0})
     (view,) = made({"rgb/a.jpg": rgb, "thermal/a.tif": "celsius"}).views
     with Image.open(scene.parent / "card/rgb/a.jpg") as image:
-        upright = np.asarray(image.transpose(developing_turn(orientation)), dtype=int)
+        upright = np.asarray(image.transpose(turn_by_exif(orientation)), dtype=int)
     with Image.open(scene / view.rgb) as image:
         assert image.format == "JPEG"
         assert 0x0112 not in image.getexif()
@@ -122,7 +129,7 @@ def test_a_rotated_photo_is_turned_in_its_pixels(made, scene, orientation):
     assert np.abs(written - upright).mean() < 2
 
 
-def developing_turn(orientation: int) -> Image.Transpose:
+def turn_by_exif(orientation: int) -> Image.Transpose:
     """By what EXIF defines: where the first row and the first column of the pixels are shown."""
     return {
         2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -186,7 +193,7 @@ def test_exif_that_cannot_be_written_is_left_away(made, scene, photo, monkeypatc
 def test_images_with_given_poses_stay_as_they_are_stored(photos, scene, orientation):
     turn = {"size": (32, 16), "orientation": orientation}
     root = photos({"rgb/a.jpg": ("jpg", turn), "thermal/a.png": ("png", turn)})
-    (view,) = develop(find_pairs(root), scene, Overrides(), quiet, turns=False).views
+    (view,) = converted(find_pairs(root), scene, turn=False).views
     stored = pixels(root / "rgb/a.jpg").astype(int)
     written = pixels(scene / view.rgb).astype(int)
     assert written.shape == stored.shape
@@ -198,13 +205,11 @@ def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
     root = photos(
         {"rgb/a.jpg": ("jpg", {"size": (32, 16), "orientation": 6}), "thermal/a.tif": "celsius"}
     )
-    found, given = (
-        pipeline.photos(root, find_pairs(root), scene, PrepareOptions(poses=poses))
-        for poses in (None, scene)
-    )
-    assert found.depends != given.depends
-    for stage, shape in ((found, (32, 16, 3)), (given, (16, 32, 3))):
-        (view,) = stage.make(quiet).views
+    for poses, shape in ((None, (32, 16, 3)), (scene, (16, 32, 3))):
+        work = Work(root, scene, PrepareOptions(poses=poses), pairing=find_pairs(root))
+        stages.images(work)
+        assert not work.reports[0].reused
+        (view,) = work.images.views
         assert pixels(scene / view.rgb).shape == shape
 
 
@@ -234,11 +239,8 @@ def test_photos_without_temperatures_still_train(made, scene):
         pixels(scene / view.thermal), pixels(scene.parent / "card/thermal/a.png")
     )
     assert found.warnings == ()
-    (warning,) = view.warnings
-    assert (
-        "relative values from 0 to 1 are used, and °C cannot be had from it without --bounds"
-        in warning
-    )
+    (warning,) = view.facts.warnings
+    assert "relative values from 0 to 1 are used; absolute temperatures need bounds" in warning
 
 
 def test_bounds_make_temperatures_of_grey(made, scene):
@@ -260,13 +262,15 @@ def test_one_set_has_one_unit(made, photos, scene):
         Image.fromarray(values).save(root / f"{name}_t.png")
     found = made({"a_rgb.jpg": "jpg", "b_rgb.jpg": "jpg"})
     assert [view.range_c for view in found.views] == [(15.0, 18.0), (29.0, 32.0)]
-    assert [view.notes for view in found.views] == [("The numbers are taken for celsius*100.",)] * 2
+    assert [view.facts.notes for view in found.views] == [
+        ("The numbers are taken for celsius*100.",)
+    ] * 2
 
 
 def test_photos_with_and_without_temperatures_are_not_mixed(made, scene):
     found = made({"a_t.tif": "celsius", "a_rgb.jpg": "jpg", "b_t.png": "png", "b_rgb.jpg": "jpg"})
     assert [view.name for view in found.views] == ["a"]
-    assert [(item.name, item.reason) for item in found.left_out] == [
+    assert [(item.name, item.reason) for item in found.skipped] == [
         ("b", "its thermal photo holds no temperatures, while those of others do")
     ]
     assert sorted(contents(scene / "images")) == ["a.jpg"]
@@ -298,9 +302,9 @@ def test_a_bad_photo_is_left_out(made, photo, scene):
     files["2_t.tif"] = photo("celsius")[:300]
     found = made(files)
     assert [view.name for view in found.views] == ["0", "3"]
-    assert [item.name for item in found.left_out] == ["1", "2"]
-    assert "1_rgb.jpg: cannot be decoded as an image (" in found.left_out[0].reason
-    assert "2_t.tif: it cannot be decoded as an image (" in found.left_out[1].reason
+    assert [item.name for item in found.skipped] == ["1", "2"]
+    assert "1_rgb.jpg: cannot be decoded as an image (" in found.skipped[0].reason
+    assert "2_t.tif: it cannot be decoded as an image (" in found.skipped[1].reason
     assert sorted(contents(scene / "images")) == ["0.jpg", "3.jpg"]
 
 
@@ -320,7 +324,7 @@ def test_no_photo_that_can_be_used(made):
 
 def test_no_pairs(scene):
     with pytest.raises(SceneError, match="none of the 0 pairs can be used; find pairs first"):
-        develop(Pairing((), (), ""), scene, Overrides(), quiet)
+        converted(Pairing((), (), ""), scene)
 
 
 def test_thermal_photos_of_two_sizes(made, flir):
@@ -348,7 +352,7 @@ def test_photos_in_the_scene_s_own_folders(photos, tmp_path):
         SceneError,
         match=r"a\.jpg: lies where the images of .* are written; choose another folder for",
     ):
-        develop(find_pairs(root), root, Overrides(), quiet)
+        converted(find_pairs(root), root)
     assert contents(root) == before
 
 
@@ -362,9 +366,9 @@ SET = {
 def test_nothing_is_done_twice(made, monkeypatch, photo, photos):
     first = made(SET)
     read = []
-    original = developing.read_rgb
+    original = convert.read_rgb
     monkeypatch.setattr(
-        developing, "read_rgb", lambda path, turn: read.append(path.name) or original(path, turn)
+        convert, "read_rgb", lambda path, turn: read.append(path.name) or original(path, turn)
     )
     assert made({}) == first
     assert read == []
@@ -399,7 +403,7 @@ def test_the_photos_are_only_read(made, photos):
 
 
 def test_a_photo_that_changes_while_it_is_read(made, monkeypatch, scene):
-    original = developing.read_rgb
+    original = convert.read_rgb
 
     def changing(path: Path, turn: int):
         found = original(path, turn)
@@ -407,10 +411,10 @@ def test_a_photo_that_changes_while_it_is_read(made, monkeypatch, scene):
             path.write_bytes(path.read_bytes() + b" more")
         return found
 
-    monkeypatch.setattr(developing, "read_rgb", changing)
+    monkeypatch.setattr(convert, "read_rgb", changing)
     found = made(SET)
     assert [view.name for view in found.views] == ["0", "2"]
-    assert found.left_out[0].reason.endswith(
+    assert found.skipped[0].reason.endswith(
         "1_t.tif: this photo or its RGB photo changed while it was read; wait until it is copied"
     )
     assert sorted(contents(scene / "images")) == ["0.jpg", "2.jpg"]
@@ -420,8 +424,8 @@ def test_a_photo_that_vanishes(photos, scene):
     root = photos(SET)
     pairing = find_pairs(root)
     (root / "1_rgb.jpg").unlink()
-    found = develop(pairing, scene, Overrides(), quiet)
-    assert found.left_out[0].reason.endswith(
+    found = converted(pairing, scene)
+    assert found.skipped[0].reason.endswith(
         "1_rgb.jpg: cannot be read (No such file or directory); it was there before, put it back"
     )
 
@@ -455,12 +459,7 @@ def test_a_full_disk(made, monkeypatch, scene):
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(RunError, match=r"a\.jpg cannot be written"):
-        develop(
-            find_pairs(photos({"a_t.tif": "celsius", "a_rgb.jpg": "jpg"})),
-            tmp_path / "file",
-            Overrides(),
-            quiet,
-        )
+        converted(find_pairs(photos({"a_t.tif": "celsius", "a_rgb.jpg": "jpg"})), tmp_path / "file")
 
 
 def test_a_photo_that_says_it_holds_another(photos, scene):
@@ -469,15 +468,10 @@ def test_a_photo_that_says_it_holds_another(photos, scene):
         SceneError,
         match=r"a\.jpg: holds no visible photo, while others do; leave it out, or add its RGB",
     ):
-        develop(
-            Pairing((PhotoPair("a", None, root / "a.jpg", True),), (), ""),
-            scene,
-            Overrides(),
-            quiet,
-        )
+        converted(Pairing((PhotoPair("a", None, root / "a.jpg", True),), (), ""), scene)
 
 
 def test_progress_is_told(photos, scene):
     told = []
-    develop(find_pairs(photos(SET)), scene, Overrides(), lambda *step: told.append(step))
+    converted(find_pairs(photos(SET)), scene, progress=lambda *step: told.append(step))
     assert told == [("reading and writing", done, 3) for done in range(4)]

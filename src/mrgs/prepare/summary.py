@@ -1,32 +1,31 @@
-"""What each stage's result says to the user."""
+"""Summaries of what the stages found, for the terminal and the page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from mrgs.prepare.contract import Development, Georeference, Pairing, Reconstruction
+from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, Summary
 from mrgs.prepare.rig import RigCalibration
-from mrgs.prepare.stages import Told
 
 SCALE_TOLERANCE = 0.03
 """Two sources of the scene's scale may differ by this share."""
 
 
-def tell_pairs(pairing: Pairing) -> Told:
+def summarize_pairs(pairing: Pairing) -> Summary:
     """How many pairs there are, and how they were found."""
     lines = [f"{_count(len(pairing.pairs), 'pair')}. {pairing.rule}"]
-    if pairing.left_out:
-        lines.append(f"{_count(len(pairing.left_out), 'file')} left out.")
-    return Told(tuple(lines), pairing.warnings)
+    if pairing.skipped:
+        lines.append(f"{_count(len(pairing.skipped), 'file')} skipped.")
+    return Summary(tuple(lines), pairing.warnings)
 
 
-def tell_photos(development: Development) -> Told:
-    """What the photos hold; the warnings of single photos once each, with how many photos they are
-    about."""
-    views = development.views
+def summarize_photos(photos: ConvertedPhotos) -> Summary:
+    """What the photos hold. A warning that several photos share is given once, with their
+    number."""
+    views = photos.views
     ranges = [view.range_c for view in views if view.range_c is not None]
-    cameras = sorted({view.camera for view in views if view.camera is not None})
+    cameras = sorted({view.facts.camera for view in views if view.facts.camera is not None})
     facts = [_count(len(views), "view"), *cameras[:3]]
     if ranges:
         facts.append(
@@ -37,38 +36,33 @@ def tell_photos(development: Development) -> Told:
             "no temperatures" if not ranges else f"{len(views) - len(ranges)} without temperatures"
         )
     lines = [", ".join(facts) + "."]
-    if development.left_out:
-        lines.append(f"{_count(len(development.left_out), 'pair')} left out.")
+    if photos.skipped:
+        lines.append(f"{_count(len(photos.skipped), 'pair')} skipped.")
     by_text: dict[str, list[str]] = {}
     for view in views:
-        for text in view.warnings:
+        for text in view.facts.warnings:
             by_text.setdefault(text, []).append(view.name)
-    return Told(
+    return Summary(
         tuple(lines),
-        (*development.warnings, *(_about(text, names) for text, names in by_text.items())),
+        (*photos.warnings, *(_with_photos(text, names) for text, names in by_text.items())),
     )
 
 
-def tell_poses(reconstruction: Reconstruction) -> Told:
-    """Where the poses are from, and how well they fit."""
+def summarize_poses(reconstruction: Reconstruction) -> Summary:
+    """Source of the poses, and their reprojection error."""
     lines = [reconstruction.source]
     if reconstruction.reprojection_px is not None:
         lines[0] += f" Reprojection error {reconstruction.reprojection_px:.2f} px."
     if reconstruction.failed:
         lines.append(f"{_count(len(reconstruction.failed), 'image')} without a pose.")
-    return Told(tuple(lines), reconstruction.warnings)
+    return Summary(tuple(lines), reconstruction.warnings)
 
 
-def tell_place(georeference: Georeference) -> Told:
-    """Scale and north."""
-    return Told((georeference.text,), georeference.warnings)
-
-
-def tell_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -> Told:
+def summarize_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -> Summary:
     """The lens, the offset and how well they fit, where there are two cameras."""
     if rig is None:
-        return Told(
-            ("There are thermal images alone." if alone else "One camera serves both images.",)
+        return Summary(
+            ("There are only thermal images." if alone else "One camera serves both images.",)
         )
     width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
     baseline = float(rig.thermal_from_rgb[:3, 3].norm())
@@ -79,30 +73,29 @@ def tell_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -
         else f"{baseline:.3g} scene units"
     )
     lines = [
-        f"{width_deg:.1f}° wide, {offset} from the RGB camera; "
-        f"residual {rig.residual_px[0]:.2f} px, uncertainty ±{rig.uncertainty_px:.2f} px."
+        f"{width_deg:.1f}° wide, {offset} from the RGB camera; residual "
+        f"{rig.residual_px[0]:.2f} px, uncertainty ±{rig.uncertainty_px:.2f} px."
     ]
     if rig.target is not None:
         pairs, residual_px = _count(rig.target.pairs, "pair"), rig.target.residual_px[0]
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
-    return Told(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
+    return Summary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
 
 
 def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:
-    """Whether the target's squares contradict the metre that the scene has from elsewhere."""
-    told = None if rig.target is None else rig.target.metres_per_unit
-    if not metric or told is None or abs(told - 1) <= SCALE_TOLERANCE:
+    """A warning if the target contradicts the scale from GPS or the known distance."""
+    scale = None if rig.target is None else rig.target.metres_per_unit
+    if not metric or scale is None or abs(scale - 1) <= SCALE_TOLERANCE:
         return ()
     return (
-        f"The target's squares say that the scene is {told:.2f} times as large as GPS or the "
-        f"known distance says: "
-        "check the side of a square, and the distance.",
+        f"The target's squares make the scene {scale:.2f} times as large as GPS or the known "
+        f"distance: check the side of a square, and the distance.",
     )
 
 
-def _about(text: str, names: Sequence[str]) -> str:
+def _with_photos(text: str, names: Sequence[str]) -> str:
     return f"{names[0]}: {text}" if len(names) == 1 else f"{_count(len(names), 'photo')}: {text}"
 
 

@@ -130,7 +130,7 @@ def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
     )
     assert "held out" not in problem.text
     (problem,) = pose_problems(replace(scene, eval=(*scene.eval, again)))
-    assert "Of 1 of them one is held out" in problem.text
+    assert "In 1 of them one is held out" in problem.text
 
 
 def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
@@ -168,7 +168,7 @@ def test_intrinsics_that_no_camera_has_are_told(tabletop, change, words):
 def test_few_views_are_told(tabletop, count, severity):
     problem = pose_problems(replace(tabletop.scene, train=tabletop.scene.train[:count]))[0]
     assert problem.severity == severity
-    assert f"{count} views to train on" in problem.text
+    assert f"{count} training views" in problem.text
 
 
 def test_a_scene_without_held_out_views_is_told(tabletop):

@@ -1,4 +1,4 @@
-"""What a check needs to know of the pixels of each view, from one reading of its images."""
+"""Statistics of each view's pixels, from reading its images once."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ the scale."""
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """A view, looked at.
+class ViewStatistics:
+    """A view in small, and statistics of its pixels.
 
     Attributes:
         preview: the view at the size of the page.
@@ -40,13 +40,14 @@ class Look:
     failures: tuple[str, ...]
 
 
-def look_at(view: View, status: str, temperature: TemperatureRange | None, width: int) -> Look:
-    """Read the view's images; one that cannot be read is a failure, and otherwise as if it were not
-    there."""
+def measure_view(
+    view: View, status: str, temperature: TemperatureRange | None, width: int
+) -> ViewStatistics:
+    """Read the view's images; one that cannot be read is a failure, and else counts as missing."""
     failures: list[str] = []
     rgb, thermal = (_read(image, failures) for image in (view.rgb, view.thermal))
     ends = None if thermal is None else _ends(thermal)
-    return Look(
+    return ViewStatistics(
         preview=preview_of_pixels(view, status, temperature, width, rgb, thermal),
         sharpness=None if rgb is None else sharpness((rgb.values @ LUMINANCE).double().numpy()),
         cold_end=None if ends is None else ends[0],
@@ -60,9 +61,8 @@ def sharpness(image: Float[np.ndarray, "h w"]) -> float:
     """How much of an image's contrast is in its finest details: 0 for a smooth image, about 1 for a
     crisp one.
 
-    The mean squared difference between neighbours against that at half the resolution, in the
-    direction where it is
-    smaller: motion blurs along one direction alone. It hardly depends on what the image shows.
+    The mean squared difference between neighbours over that at half the resolution, in the
+    direction where it is smaller: motion blurs in one direction. It hardly depends on the content.
     """
     height, width = (size // 2 * 2 for size in image.shape)
     fine = image[:height, :width]

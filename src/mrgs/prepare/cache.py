@@ -1,0 +1,261 @@
+"""What stages and single photos were converted to, kept between calls.
+
+:class:`Cache` alone decides what is done again. A result lies in one safetensors file, with the
+fingerprint of everything that it follows from. Reading one runs no code, and a file that does not
+fit is ignored: its result is made again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+from filelock import FileLock, Timeout
+from jaxtyping import AbstractArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from mrgs.data.files import scene_error
+from mrgs.errors import MrgsError, RunError
+from mrgs.system.atomic import replacing
+
+Result = TypeVar("Result")
+
+CACHE_FOLDER = "prepare"
+"""The cache's folder, inside the scene's folder."""
+
+FORMAT = 2
+"""Raise it when results change their meaning: stored ones are then ignored."""
+
+_BLOCK_BYTES = 2**20
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A result that was found in a file; it may be None."""
+
+    value: Any
+
+
+class Cache:
+    """Results by name; each is made once, until something that it follows from changes.
+
+    Attributes:
+        folder: keeps the results.
+        made: how many results were made rather than found, so far.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.made = 0
+
+    def get(
+        self,
+        name: str,
+        kind: Any,
+        depends: Iterable[Any],
+        make: Callable[[], Result],
+        files: Callable[[Result], Iterable[Path]] = lambda result: (),
+    ) -> Result:
+        """The stored result, or a new one.
+
+        Args:
+            name: of the result, and of its file.
+            kind: type of the result, or that type or None.
+            depends: values that the result follows from.
+            make: makes the result.
+            files: other files that the result consists of; it is made again if one is missing.
+
+        Raises:
+            RunError: the result cannot be written (permissions, a full disk).
+        """
+        file = self._file(name)
+        made_from = fingerprint(FORMAT, name, *depends)
+        stored = load(file, kind, made_from)
+        if stored is not None and all(path.is_file() for path in files(stored.value)):
+            return stored.value
+        self.made += 1
+        result = make()
+        save(file, result, made_from)
+        return result
+
+    def forget(self, name: str) -> None:
+        """Remove a result, so that it is made again."""
+        self._file(name).unlink(missing_ok=True)
+
+    def _file(self, name: str) -> Path:
+        return self.folder / f"{name.replace(' ', '_')}.safetensors"
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder, which is made if it is missing.
+
+    Raises:
+        RunError: the folder cannot be made, or another process works in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / ".lock", timeout=0)
+        lock.acquire()
+    except Timeout:
+        raise RunError(
+            f"{folder.parent} is being prepared by another run: wait for it, or choose another "
+            f"folder"
+        ) from None
+    except OSError as error:
+        raise RunError(
+            f"{folder} cannot be written ({error.strerror}): free the place or choose another "
+            f"folder"
+        ) from None
+    with lock:
+        yield
+
+
+def fingerprint(*values: Any) -> str:
+    """A digest of values that can be stored: equal for equal values, on every machine."""
+    digest = hashlib.sha256()
+    tensors: list[Tensor] = []
+    digest.update(json.dumps([_encode(value, tensors) for value in values]).encode())
+    for tensor in tensors:
+        digest.update(f"{tuple(tensor.shape)} {tensor.dtype}".encode())
+        digest.update(tensor.contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def save(path: Path, value: Any, made_from: str) -> None:
+    """Write a result; ``made_from`` is the fingerprint of everything that it follows from.
+
+    Raises:
+        RunError: the file cannot be written (permissions, a full disk).
+    """
+    tensors: list[Tensor] = []
+    metadata = {"value": json.dumps(_encode(value, tensors)), "made_from": made_from}
+    named = {
+        str(index): tensor.detach().clone().contiguous() for index, tensor in enumerate(tensors)
+    }
+    with replacing(path) as temporary:
+        save_file(named, temporary, metadata)
+
+
+def load(path: Path, kind: Any, made_from: str) -> Stored | None:
+    """The result that ``save`` wrote, of a type or of a type or None; None if there is none that
+    follows from that."""
+    try:
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata()
+            if metadata["made_from"] != made_from:
+                return None
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        return Stored(_decode(kind, json.loads(metadata["value"]), tensors))
+    except (
+        OSError,
+        SafetensorError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+        MrgsError,
+    ):
+        return None
+
+
+def _encode(value: Any, tensors: list[Tensor]) -> Any:
+    """A value as JSON; tensors are put aside, and their place in the list stands for them."""
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, Tensor):
+        tensors.append(value)
+        return len(tensors) - 1
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, datetime):
+        return value.isoformat()
+    if dataclasses.is_dataclass(value):
+        return {
+            field.name: _encode(getattr(value, field.name), tensors)
+            for field in dataclasses.fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {str(key): _encode(item, tensors) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_encode(item, tensors) for item in value]
+    raise TypeError(f"{type(value).__name__} cannot be stored")
+
+
+def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
+    """The value of a type that ``_encode`` made JSON of."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        (hint,) = (option for option in arguments if option is not type(None))
+        return None if value is None else _decode(hint, value, tensors)
+    if origin is tuple:
+        hints = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else arguments
+        return tuple(_decode(own, item, tensors) for own, item in zip(hints, value, strict=True))
+    if origin is not None and origin is not Literal and issubclass(origin, Mapping):
+        return {key: _decode(arguments[1], item, tensors) for key, item in value.items()}
+    if dataclasses.is_dataclass(hint):
+        hints_of = typing.get_type_hints(hint)
+        return hint(
+            **{name: _decode(hints_of[name], item, tensors) for name, item in value.items()}
+        )  # type: ignore[operator]
+    if isinstance(hint, type) and issubclass(hint, AbstractArray):
+        return tensors[str(value)]
+    if hint is Path:
+        return Path(value)
+    if hint is datetime:
+        return datetime.fromisoformat(value)
+    return value
+
+
+def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
+    """Path, size in bytes, mtime and ctime (ns) of every file below a folder, sorted.
+
+    Links are followed. Hidden files and folders are skipped.
+
+    Raises:
+        SceneError: the folder cannot be listed.
+    """
+    try:
+        found = []
+        for parent, folders, names in os.walk(folder, onerror=_raise):
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            for name in names:
+                path = Path(parent, name)
+                if not name.startswith("."):
+                    status = path.stat() if path.exists() else path.lstat()
+                    times = status.st_mtime_ns, status.st_ctime_ns
+                    found.append((path.relative_to(folder).as_posix(), status.st_size, *times))
+        return tuple(sorted(found))
+    except OSError as error:
+        raise scene_error(
+            error.filename or folder,
+            f"cannot be read ({error.strerror}); give a folder of photos that is readable",
+        ) from None
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file's content; empty if it cannot be read: the next reader raises the error."""
+    try:
+        found = hashlib.sha256()
+        with open(path, "rb") as file:
+            while block := file.read(_BLOCK_BYTES):
+                found.update(block)
+        return found.hexdigest()
+    except OSError:
+        return ""
+
+
+def _raise(error: OSError) -> None:
+    raise error

@@ -1,0 +1,343 @@
+"""Photos in, the scene's images out: RGB as the camera wrote it; float32 °C where the thermal photo
+holds temperatures."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from PIL import Image
+
+from mrgs.data.files import scene_error
+from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
+from mrgs.data.radiometric.measurement import PARAMETER_LIMITS
+from mrgs.data.transforms import TRANSFORMS
+from mrgs.errors import SceneError
+from mrgs.prepare.cache import CACHE_FOLDER, Cache
+from mrgs.prepare.contract import (
+    ConvertedPhotos,
+    ConvertedView,
+    Pairing,
+    PhotoPair,
+    Progress,
+    Skipped,
+)
+from mrgs.prepare.rgb_photo import RgbPhoto, read_embedded, read_rgb, upright
+from mrgs.system.atomic import remove, replacing
+
+IMAGE_FOLDERS = ("images", "thermal")
+VIEWS = "photos"
+"""The folder in the cache that holds a result for each view."""
+
+_VERSION = 2
+"""Raise it when the same photos give other images."""
+
+
+Stamp = list[tuple[str, int, int]]
+"""Path, size in bytes and time of change (ns) of a pair's files."""
+
+
+class _Orientations(NamedTuple):
+    """The EXIF orientation of all RGB photos, and of all thermal photos."""
+
+    rgb: int
+    thermal: int
+
+
+class _Settings(NamedTuple):
+    """How a pair is converted: the scene's folder, the user's overrides, the unit of numbers that
+    was guessed for this format, and the orientations."""
+
+    scene: Path
+    overrides: Overrides
+    unit: str | None
+    orientations: _Orientations
+
+
+def convert_photos(
+    pairing: Pairing,
+    scene: Path,
+    overrides: Overrides,
+    cache: Cache,
+    progress: Progress,
+    *,
+    turn: bool = True,
+) -> ConvertedPhotos:
+    """Read all photos, and write them into ``images`` and ``thermal`` of the scene's folder.
+
+    Images of an earlier call are kept if the photos and the overrides are the same. A pair with a
+    photo that cannot be read is skipped. All photos share one orientation, that of most, and one
+    unit of numbers.
+
+    Args:
+        pairing: the photos; they are only read.
+        scene: the scene's folder, made if it is missing. Images with the names of views are
+            replaced.
+        overrides: values that replace those in the thermal photos.
+        cache: keeps what each pair was converted to.
+        progress: called for each pair.
+        turn: turn the images upright by their EXIF orientation; else they stay as stored, as given
+            poses and lenses take them.
+
+    Raises:
+        SceneError: no photo can be used, the photos lie where the scene's images are written, or
+            they are of different cameras.
+        RunError: the scene's folder cannot be written (permissions, a full disk); what is there is
+            whole, and the next call resumes.
+    """
+    _check_folders(pairing, scene)
+    orientations = _common_orientations(pairing.pairs) if turn else _Orientations(1, 1)
+    _remove_other_views(scene, cache, {pair.name for pair in pairing.pairs})
+    units: dict[str, str] = {}  # by suffix, guessed for the first photo
+    views: list[ConvertedView] = []
+    skipped: list[Skipped] = []
+    for index, pair in enumerate(pairing.pairs):
+        progress("reading and writing", index, len(pairing.pairs))
+        unit = units.get(pair.thermal.suffix.lower())
+        try:
+            view = _cached(pair, _Settings(scene, overrides, unit, orientations), cache)
+        except SceneError as error:
+            skipped.append(Skipped(pair.name, str(error)))
+            continue
+        views.append(view)
+        if view.facts.unit is not None and overrides.unit is None and overrides.bounds_c is None:
+            units.setdefault(pair.thermal.suffix.lower(), view.facts.unit)
+    progress("reading and writing", len(pairing.pairs), len(pairing.pairs))
+    if not views:
+        first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
+        raise SceneError(f"none of the {len(pairing.pairs)} pairs can be used{first}")
+    views, without_c = _of_one_kind(views)
+    skipped += without_c
+    for item in skipped:
+        _remove_images(scene, item.name)
+    _check_sizes(views, pairing)
+    return ConvertedPhotos(tuple(views), tuple(skipped), _differing_parameters(views))
+
+
+def _cached(pair: PhotoPair, settings: _Settings, cache: Cache) -> ConvertedView:
+    """The pair's view, converted unless its images are there."""
+    stamp = _stamp(pair)
+    return cache.get(
+        f"{VIEWS}/{pair.name}",
+        ConvertedView,
+        (_VERSION, pair, stamp, *settings[1:]),
+        lambda: _convert(pair, stamp, settings),
+        lambda view: [settings.scene / file for file in view.files],
+    )
+
+
+def _convert(pair: PhotoPair, stamp: Stamp, settings: _Settings) -> ConvertedView:
+    """Read a pair, turn it upright and write it.
+
+    Raises:
+        SceneError: a photo cannot be read, or changes meanwhile.
+        RunError: the scene's folder cannot be written.
+    """
+    scene, overrides, unit, orientations = settings
+    if unit is not None:
+        overrides = dataclasses.replace(overrides, unit=unit)
+    thermal = read_thermal_photo(pair.thermal, overrides)
+    rgb = _read_rgb(pair, thermal, orientations)
+    if _stamp(pair) != stamp:
+        raise scene_error(
+            pair.thermal,
+            "this photo or its RGB photo changed while it was read; wait until it is copied",
+        )
+    image = upright(Image.fromarray(_pixels(thermal)), orientations.thermal)
+    celsius = thermal.temperature_c
+    rgb_file = None if rgb is None else f"images/{pair.name}{rgb.suffix}"
+    thermal_file = f"thermal/{pair.name}{'.png' if celsius is None else '.tiff'}"
+    _remove_transforms(scene)
+    if rgb is not None and rgb_file is not None:
+        with replacing(scene / rgb_file) as temporary:
+            temporary.write_bytes(rgb.content)
+    with replacing(scene / thermal_file) as temporary:
+        image.save(temporary)
+        thermal_sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
+    _remove_images(scene, pair.name, keep=(rgb_file, thermal_file))
+    notes = () if unit is None else (f"The numbers are taken for {unit}.",)
+    facts = thermal.facts.adding(notes=notes, visible=None)
+    return ConvertedView(
+        pair.name,
+        rgb_file,
+        thermal_file,
+        _merged_exif(pair, facts),
+        facts,
+        None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius))),
+        None if rgb is None else rgb.size,
+        image.size,
+        "" if rgb is None else hashlib.sha256(rgb.content).hexdigest(),
+        thermal_sha256,
+    )
+
+
+def _read_rgb(
+    pair: PhotoPair, thermal: ThermalPhoto, orientations: _Orientations
+) -> RgbPhoto | None:
+    if pair.rgb is not None:
+        return read_rgb(pair.rgb, orientations.rgb)
+    if not pair.embedded:
+        return None
+    if thermal.facts.visible is None:
+        raise scene_error(
+            pair.thermal,
+            "holds no visible photo, while others do; leave it out, or add its RGB photo",
+        )
+    return read_embedded(thermal.facts.visible, orientations.thermal)
+
+
+def _pixels(thermal: ThermalPhoto) -> Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]:
+    """Float32 °C, NaN where there is no temperature; or 8-bit shades of grey."""
+    if thermal.temperature_c is not None:
+        return np.where(thermal.valid, thermal.temperature_c, np.float32(np.nan))
+    if thermal.relative is None:
+        raise ValueError("a thermal photo holds either temperatures or relative values")
+    return np.rint(255 * thermal.relative).astype(np.uint8)
+
+
+def _merged_exif(pair: PhotoPair, facts: PhotoFacts) -> ExifFacts:
+    """EXIF of the RGB photo, completed from the thermal photo; maker and model are of one
+    camera."""
+    rgb, thermal = pair.rgb_exif, pair.thermal_exif
+    camera = (rgb.make, rgb.model) if rgb.model else (thermal.make, thermal.model or facts.camera)
+    return ExifFacts(*camera, rgb.taken or facts.taken, rgb.gps or facts.gps)
+
+
+def _common_orientations(pairs: Sequence[PhotoPair]) -> _Orientations:
+    return _Orientations(
+        _most_frequent(pair.rgb_exif.orientation for pair in pairs if pair.rgb is not None),
+        _most_frequent(pair.thermal_exif.orientation for pair in pairs),
+    )
+
+
+def _most_frequent(orientations: Iterable[int]) -> int:
+    """The smallest of equally frequent ones."""
+    counts = Counter(orientations)
+    return min(counts, key=lambda found: (-counts[found], found), default=1)
+
+
+def _stamp(pair: PhotoPair) -> Stamp:
+    """The state of the pair's files.
+
+    Raises:
+        SceneError: one is gone.
+    """
+    found = []
+    for path in filter(None, (pair.rgb, pair.thermal)):
+        try:
+            status = path.stat()
+        except OSError as error:
+            raise scene_error(
+                path, f"cannot be read ({error.strerror}); it was there before, put it back"
+            ) from None
+        found.append((str(path), status.st_size, status.st_mtime_ns))
+    return found
+
+
+def _check_folders(pairing: Pairing, scene: Path) -> None:
+    """Photos must not lie where the scene's images are written.
+
+    Raises:
+        SceneError: one does.
+    """
+    own = [(scene / name).resolve() for name in (*IMAGE_FOLDERS, CACHE_FOLDER)]
+    for path in (path for pair in pairing.pairs for path in (pair.rgb, pair.thermal) if path):
+        if any(path.resolve().is_relative_to(folder) for folder in own):
+            raise scene_error(
+                path,
+                f"lies where the images of {scene} are written; choose another folder for the "
+                f"scene",
+            )
+
+
+def _remove_other_views(scene: Path, cache: Cache, names: set[str]) -> None:
+    """Remove the images of an earlier call's views that are no longer in the set."""
+    for file in sorted((cache.folder / VIEWS).glob("*.safetensors")):
+        if file.stem not in names:
+            _remove_images(scene, file.stem)
+            remove(file)
+
+
+def _remove_images(scene: Path, name: str, keep: Iterable[str | None] = ()) -> None:
+    """Remove a view's images, in any format, except those to keep."""
+    kept = {scene / path for path in keep if path is not None}
+    for folder in IMAGE_FOLDERS:
+        for suffix in (".jpg", ".png", ".tiff"):
+            path = scene / folder / f"{name}{suffix}"
+            if path not in kept and path.is_file():
+                _remove_transforms(scene)
+                remove(path)
+
+
+def _remove_transforms(scene: Path) -> None:
+    """A scene whose images change is incomplete until it is written again."""
+    if (scene / TRANSFORMS).is_file():
+        remove(scene / TRANSFORMS)
+
+
+def _of_one_kind(views: Sequence[ConvertedView]) -> tuple[list[ConvertedView], list[Skipped]]:
+    """The views with temperatures, if any has them: the others cannot be compared with them."""
+    with_c = [view for view in views if view.range_c is not None]
+    if not with_c or len(with_c) == len(views):
+        return list(views), []
+    reason = "its thermal photo holds no temperatures, while those of others do"
+    return with_c, [Skipped(view.name, reason) for view in views if view.range_c is None]
+
+
+def _check_sizes(views: Sequence[ConvertedView], pairing: Pairing) -> None:
+    """One camera for all RGB photos, and one for all thermal photos.
+
+    Raises:
+        SceneError: two photos of a kind have different sizes.
+    """
+    photos = {pair.name: pair for pair in pairing.pairs}
+    size_of: dict[str, Callable[[ConvertedView], tuple[int, int] | None]] = {
+        "RGB": lambda view: view.rgb_size,
+        "thermal": lambda view: view.thermal_size,
+    }
+    for kind, size in size_of.items():
+        groups: dict[tuple[int, int] | None, list[PhotoPair]] = {}
+        for view in views:
+            groups.setdefault(size(view), []).append(photos[view.name])
+        if len(groups) > 1:
+            (most_size, most), (size_b, other) = sorted(
+                groups.items(), key=lambda group: -len(group[1])
+            )[:2]
+            first, second = (
+                (pair.rgb or pair.thermal) if kind == "RGB" else pair.thermal
+                for pair in (most[0], other[0])
+            )
+            raise scene_error(
+                second,
+                f"its {kind} image has {_pixel_count(size_b)} pixels, while {len(most)} such as "
+                f"{first.name} have {_pixel_count(most_size)}; photos of two cameras cannot be one "
+                f"scene, remove those of one",
+            )
+
+
+def _pixel_count(size: tuple[int, int] | None) -> str:
+    return "no" if size is None else f"{size[0]} x {size[1]}"
+
+
+def _differing_parameters(views: Sequence[ConvertedView]) -> tuple[str, ...]:
+    """A warning for each parameter of the temperatures that is not the same in all photos."""
+    known = [view.facts.parameters for view in views if view.facts.parameters is not None]
+    found = []
+    for name in PARAMETER_LIMITS:
+        values = {
+            round(getattr(one, name), 4)
+            for one in known
+            if name != "window_c" or one.window_transmission != 1  # no effect without a window
+        }
+        if len(values) > 1:
+            found.append(
+                f"{name} differs between the photos ({min(values):g} to {max(values):g}): one "
+                f"surface then has several temperatures. Give one value for all."
+            )
+    return tuple(found)

@@ -1,0 +1,116 @@
+"""The object that travels through the stages of ``prepare``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import wraps
+from pathlib import Path
+
+from mrgs.prepare.cache import CACHE_FOLDER, Cache
+from mrgs.prepare.contract import (
+    ConvertedPhotos,
+    Georeference,
+    Pairing,
+    Progress,
+    Reconstruction,
+    Skipped,
+    StageReport,
+    Summary,
+)
+from mrgs.prepare.georeference import apply
+from mrgs.prepare.options import PrepareOptions
+from mrgs.prepare.rig import RigCalibration
+
+
+def _no_progress(step: str, done: int, total: int) -> None:
+    pass
+
+
+def _no_report(report: StageReport) -> None:
+    pass
+
+
+@dataclass(eq=False)
+class Work:
+    """A scene in preparation: what the user gave, and what the stages have found so far.
+
+    Attributes:
+        photos: folder of the photos.
+        scene: folder of the scene.
+        options: what the user knows about the photos.
+        on_progress: called with "stage: step", and how many of the step's parts are done and there
+            are (0 of 0 if that is not known).
+        on_report: called with each stage's report.
+        reports: of the stages that are done.
+        pairing: which photos belong together.
+        images: the photos as images in the scene's folder.
+        poses: of the images, in the world of the reconstruction; None until found.
+        georeference: from that world to the scene's; None until found.
+        rig: the thermal camera, calibrated in the scene's world; None until found, and where one
+            camera serves both images.
+    """
+
+    photos: Path
+    scene: Path
+    options: PrepareOptions = field(default_factory=PrepareOptions)
+    on_progress: Progress = _no_progress
+    on_report: Callable[[StageReport], None] = _no_report
+    reports: list[StageReport] = field(default_factory=list)
+    pairing: Pairing = field(default_factory=lambda: Pairing((), (), ""))
+    images: ConvertedPhotos = field(default_factory=lambda: ConvertedPhotos((), ()))
+    poses: Reconstruction | None = None
+    georeference: Georeference | None = None
+    rig: RigCalibration | None = None
+
+    def __post_init__(self) -> None:
+        self.cache = Cache(self.scene / CACHE_FOLDER)
+        self._title = ""
+
+    @property
+    def posed(self) -> Reconstruction:
+        """Poses and points in the scene's world."""
+        if self.poses is None:
+            raise ValueError("the poses are not found yet")
+        return self.poses if self.georeference is None else apply(self.georeference, self.poses)
+
+    @property
+    def metric(self) -> bool:
+        """Whether the unit of the scene's world is the metre."""
+        return self.georeference is not None and self.georeference.metric
+
+    @property
+    def skipped(self) -> tuple[Skipped, ...]:
+        """Files and views that are not in the scene."""
+        failed = () if self.poses is None else self.poses.failed
+        return (*self.pairing.skipped, *self.images.skipped, *failed)
+
+    def progress(self, step: str, done: int, total: int) -> None:
+        """Report progress within the stage that runs; a :data:`Progress`."""
+        self.on_progress(f"{self._title}: {step}", done, total)
+
+    def run(self, title: str, stage: Callable[[Work], Summary]) -> None:
+        """Run a stage, and report its summary."""
+        self._title, made, started = title, self.cache.made, time.perf_counter()
+        self.on_progress(title, 0, 0)
+        summary = stage(self)
+        reused = self.cache.made == made
+        seconds = 0.0 if reused else time.perf_counter() - started
+        report = StageReport(title, summary.lines, summary.warnings, seconds, reused)
+        self.reports.append(report)
+        self.on_report(report)
+
+
+def stage(title: str) -> Callable[[Callable[[Work], Summary]], Callable[[Work], None]]:
+    """Decorates a stage: a function that adds to the work what it finds, and returns a summary of
+    it. Progress, time and summary are reported under the title."""
+
+    def decorate(function: Callable[[Work], Summary]) -> Callable[[Work], None]:
+        @wraps(function)
+        def run(work: Work) -> None:
+            work.run(title, function)
+
+        return run
+
+    return decorate

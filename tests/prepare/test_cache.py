@@ -1,0 +1,277 @@
+from __future__ import annotations
+
+import math
+import os
+import string
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+import torch
+from filelock import FileLock
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrgs.data.lens import Lens
+from mrgs.data.radiometric import ExifFacts, GpsPosition, ObjectParameters, PhotoFacts
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare.cache import Cache, digest, fingerprint, load, locked, save, stamps
+from mrgs.prepare.contract import (
+    ConvertedPhotos,
+    ConvertedView,
+    Pairing,
+    PhotoPair,
+    Reconstruction,
+    Skipped,
+)
+from mrgs.prepare.rig import RigCalibration, RigView
+from mrgs.scene import PointCloud
+
+EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosition(48.1, -11.5))
+
+names = st.text(string.ascii_letters + "ä _", min_size=1, max_size=8)
+paths = names.map(Path)
+contents = st.tuples(
+    st.lists(st.tuples(names, st.none() | paths, paths, st.booleans())),
+    st.lists(st.tuples(names, names)),
+    names,
+)
+
+
+def pairing_of(content) -> Pairing:
+    pairs, skipped, rule = content
+    return Pairing(
+        tuple(PhotoPair(*pair) for pair in pairs),
+        tuple(Skipped(*item) for item in skipped),
+        rule,
+        (rule,),
+    )
+
+
+def stored_and_read(folder: Path, value, kind):
+    save(folder / "result.safetensors", value, "abc")
+    stored = load(folder / "result.safetensors", kind, "abc")
+    assert stored is not None
+    return stored.value
+
+
+@given(contents)
+def test_what_is_stored_comes_back(tmp_path_factory, content):
+    pairing = pairing_of(content)
+    assert stored_and_read(tmp_path_factory.mktemp("stored"), pairing, Pairing) == pairing
+
+
+def test_times_places_and_missing_values_come_back(tmp_path):
+    views = (
+        ConvertedView(
+            "a",
+            "images/a.jpg",
+            "thermal/a.tiff",
+            EXIF,
+            PhotoFacts(
+                "FLIR radiometric JPEG",
+                camera="E60",
+                parameters=ObjectParameters(0.95, 1.0, 20.0, 20.0, 0.5, 20.0, 1.0),
+                notes=("note",),
+                warnings=("warning",),
+            ),
+            (-3.5, 41.0),
+            thermal_size=(320, 240),
+        ),
+        ConvertedView("b", None, "thermal/b.png", ExifFacts()),
+    )
+    photos = ConvertedPhotos(views, (Skipped("c", "is cut off"),))
+    assert stored_and_read(tmp_path, photos, ConvertedPhotos) == photos
+
+
+def reconstruction() -> Reconstruction:
+    viewmat = torch.eye(4, dtype=torch.float64)
+    lens = Lens(320, 240, 300.0, 301.0, 160.0, 120.0, (0.1, 0.0, 0.0, 0.0))
+    return Reconstruction(
+        viewmats={"a": viewmat, "b": 2 * viewmat},
+        lenses={"a": lens, "b": lens},
+        points=PointCloud(torch.rand(5, 3), torch.rand(5, 3)),
+        visible={"a": torch.arange(3), "b": torch.arange(0)},
+        failed=(),
+        reprojection_px=None,
+        source="test",
+    )
+
+
+def test_tensors_come_back_bit_for_bit(tmp_path):
+    before = reconstruction()
+    after = stored_and_read(tmp_path, before, Reconstruction)
+    assert list(after.viewmats) == ["a", "b"]
+    assert all(torch.equal(after.viewmats[name], before.viewmats[name]) for name in "ab")
+    assert torch.equal(after.points.colors, before.points.colors)
+    assert [after.visible[name].tolist() for name in "ab"] == [[0, 1, 2], []]
+    assert after.lenses == before.lenses
+
+
+def test_numbers_that_are_not_finite_come_back(tmp_path):
+    pose = torch.eye(4, dtype=torch.float64)
+    view = RigView("a", pose, 0, math.nan, math.inf)
+    rig = RigCalibration(reconstruction().lenses["a"], pose, (view,), (0.1, 0.2), 0.3, 0.4, ())
+    found = stored_and_read(tmp_path, rig, RigCalibration | None)
+    assert math.isnan(found.views[0].residual_px)
+    assert found.views[0].uncertainty_px == math.inf
+    assert stored_and_read(tmp_path, None, RigCalibration | None) is None
+
+
+def test_what_follows_from_something_else_is_not_taken(tmp_path):
+    save(tmp_path / "result.safetensors", "value", "abc")
+    assert load(tmp_path / "result.safetensors", str, "abd") is None
+    assert load(tmp_path / "missing.safetensors", str, "abc") is None
+
+
+@pytest.mark.parametrize("damage", [b"", b"{}", b"\xff" * 64, None])
+def test_a_damaged_file_is_as_good_as_none(damage, tmp_path):
+    file = tmp_path / "result.safetensors"
+    save(file, reconstruction(), "abc")
+    file.write_bytes(file.read_bytes()[:-8] if damage is None else damage)
+    assert load(file, Reconstruction, "abc") is None
+
+
+def test_a_result_of_another_kind_is_not_taken(tmp_path):
+    save(tmp_path / "result.safetensors", reconstruction(), "abc")
+    assert load(tmp_path / "result.safetensors", Pairing, "abc") is None
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"result\.safetensors cannot be written"):
+        save(tmp_path / "file" / "result.safetensors", "value", "abc")
+
+
+@given(contents, contents)
+def test_fingerprints_tell_values_apart(a, b):
+    assert (fingerprint(pairing_of(a)) == fingerprint(pairing_of(b))) == (a == b)
+
+
+def test_fingerprints_tell_tensors_apart():
+    zeros = torch.zeros(4)
+    assert fingerprint(zeros) == fingerprint(torch.zeros(4))
+    others = [
+        torch.zeros(2, 2),
+        torch.zeros(4, dtype=torch.float64),
+        torch.tensor([0.0, 0.0, 0.0, 1e-30]),
+    ]
+    assert len({fingerprint(value) for value in (zeros, *others)}) == 4
+
+
+def test_what_cannot_be_stored_is_a_mistake_of_the_program(tmp_path):
+    with pytest.raises(TypeError, match="set cannot be stored"):
+        save(tmp_path / "result.safetensors", {1, 2}, "abc")
+
+
+class Counted:
+    """A result that counts how often it is made."""
+
+    def __init__(self, *depends: object, file: Path | None = None) -> None:
+        self.depends, self.file, self.times = depends, file, 0
+
+    def get(self, folder: Path) -> str:
+        return Cache(folder).get("a result", str, self.depends, self.make, self.files)
+
+    def make(self) -> str:
+        self.times += 1
+        return "found"
+
+    def files(self, result: str) -> list[Path]:
+        return [] if self.file is None else [self.file]
+
+
+def test_a_result_is_made_once(tmp_path):
+    counted = Counted("photos")
+    assert [counted.get(tmp_path), counted.get(tmp_path)] == ["found", "found"]
+    assert counted.times == 1
+    Cache(tmp_path).forget("a result")
+    counted.get(tmp_path)
+    assert counted.times == 2
+
+
+@pytest.mark.parametrize("change", ["dependence", "damage", "missing file"])
+def test_a_result_is_made_again_when_something_changed(change, tmp_path):
+    file = tmp_path / "image.png"
+    file.touch()
+    counted = Counted("photos", file=file)
+    counted.get(tmp_path)
+    if change == "dependence":
+        counted.depends = ("other photos",)
+    elif change == "damage":
+        (tmp_path / "a_result.safetensors").write_bytes(b"torn")
+    else:
+        file.unlink()
+    counted.get(tmp_path)
+    assert counted.times == 2
+
+
+def test_a_result_that_was_cut_off_is_made_again(tmp_path):
+    def cut_off() -> str:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Cache(tmp_path).get("result", str, (), cut_off)
+    assert list(tmp_path.iterdir()) == []
+    assert Cache(tmp_path).get("result", str, (), lambda: "found") == "found"
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path):
+    folder = tmp_path / "scene" / "prepare"
+    folder.mkdir(parents=True)
+    message = "scene is being prepared by another run: wait for it, or choose another folder"
+    with FileLock(folder / ".lock"), pytest.raises(RunError, match=message), locked(folder):
+        pass
+    with locked(folder):
+        assert folder.is_dir()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "scene").write_text("mine")
+    with (
+        pytest.raises(RunError, match=r"scene/prepare cannot be written \(.*\): free the place"),
+        locked(tmp_path / "scene" / "prepare"),
+    ):
+        pass
+
+
+def test_stamps_tell_of_every_change(tmp_path):
+    (tmp_path / "b" / "c").mkdir(parents=True)
+    for name in ("z.jpg", "b/y.jpg", "b/c/x.jpg"):
+        (tmp_path / name).write_text(name)
+    before = stamps(tmp_path)
+    assert [name for name, *_ in before] == ["b/c/x.jpg", "b/y.jpg", "z.jpg"]
+    assert stamps(tmp_path) == before
+    os.utime(tmp_path / "b" / "y.jpg", ns=(1, 2))
+    assert [a == b for a, b in zip(stamps(tmp_path), before, strict=True)] == [True, False, True]
+    (tmp_path / "z.jpg").unlink()
+    assert len(stamps(tmp_path)) == 2
+
+
+def test_stamps_leave_hidden_files_out_and_follow_links(tmp_path):
+    photo = tmp_path / "elsewhere.jpg"
+    photo.write_text("1")
+    (tmp_path / "photos" / ".Trashes").mkdir(parents=True)
+    (tmp_path / "photos" / ".Trashes" / "a.jpg").write_text("old")
+    (tmp_path / "photos" / "a.jpg").symlink_to(photo)
+    (tmp_path / "photos" / "gone.jpg").symlink_to(tmp_path / "nowhere")
+    before = stamps(tmp_path / "photos")
+    assert [name for name, *_ in before] == ["a.jpg", "gone.jpg"]
+    photo.write_text("12")
+    assert [a == b for a, b in zip(stamps(tmp_path / "photos"), before, strict=True)] == [
+        False,
+        True,
+    ]
+
+
+def test_a_folder_that_cannot_be_listed_is_named(tmp_path):
+    with pytest.raises(SceneError, match=r"nowhere: cannot be read \(No such file"):
+        stamps(tmp_path / "nowhere")
+
+
+def test_digests_are_of_contents(tmp_path):
+    for name, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
+        (tmp_path / name).write_bytes(content)
+    a, b, c = (digest(tmp_path / name) for name in "abc")
+    assert a == b != c
+    assert digest(tmp_path / "missing") == ""
