@@ -203,13 +203,15 @@ def training(order: Order) -> Iterator[Row]:
         run = load_run(Path(folder) / "run", device=device.type)
         scene = run.load_scene()
         metrics = evaluate(
-            scene.eval, run.render_view, scene.temperature, photograph=run.photograph
+            scene.eval,
+            run.render_view,
+            scene.temperature,
+            camera_response=run.camera_response,
         )
-        figures = {"rgb": metrics.rgb, "thermal": metrics.thermal}
         yield {
             "metrics": {
                 f"{modality} {name}": value
-                for modality, values in figures.items()
+                for modality, values in metrics.mean.items()
                 for name, value in values.items()
                 if isinstance(value, float)
             }

@@ -20,12 +20,11 @@ from benchmarks.workload import (
 )
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.term import Photos
 from mrgs.method.losses.terms import configured_terms
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from mrgs.render import Model
-from mrgs.scene import Pixels
+from mrgs.scene import Modality, Pixels
 from mrgs.training.state import TrainingState
 
 MODALITIES = ("rgb", "thermal")
@@ -98,14 +97,10 @@ def state_on(device: torch.device, count: int, config: TrainConfig) -> TrainingS
     return replace(state, step=STEP_IN_FORCE)
 
 
-def photos_on(device: torch.device, width: int, height: int) -> Photos:
+def photos_on(device: torch.device, width: int, height: int) -> dict[Modality, Pixels]:
     """The photos of ``workload.photos`` on a device."""
-    rgb, thermal, _ = photos(width, height)
-    assert rgb is not None
-    assert thermal is not None
-    return Photos(
-        Pixels(rgb.values.to(device)), Pixels(thermal.values.to(device)), shares_camera=True
-    )
+    on_host = photos(width, height)
+    return {modality: Pixels(pixels.values.to(device)) for modality, pixels in on_host.items()}
 
 
 @dataclass(frozen=True)

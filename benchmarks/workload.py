@@ -18,11 +18,21 @@ from mrgs.field.spherical_harmonics import C0
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.term import Photos, SceneScale
+from mrgs.method.losses.term import SceneScale
 from mrgs.method.losses.terms import configured_terms
 from mrgs.rasterizer import Layer
 from mrgs.render import Model
-from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, TemperatureRange, View
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Camera,
+    Gaussians,
+    Modality,
+    Pixels,
+    PosedImage,
+    TemperatureRange,
+    View,
+)
 from mrgs.training.state import TrainingState
 
 FIELD_OF_VIEW = math.radians(60)
@@ -94,20 +104,24 @@ def camera(width: int, height: int) -> Camera:
     return Camera(K, torch.eye(4, dtype=torch.float64), width, height)
 
 
-def photos(width: int, height: int) -> Photos:
-    """A colour and a thermal photo of noise; every pixel counts."""
+def photos(width: int, height: int) -> dict[Modality, Pixels]:
+    """A photo of noise of each modality; every pixel counts."""
     generator = torch.Generator().manual_seed(1)
-    rgb, thermal = (torch.rand(height, width, channels, generator=generator) for channels in (3, 1))
-    return Photos(Pixels(rgb), Pixels(thermal))
+    return {
+        modality: Pixels(torch.rand(height, width, modality.channels, generator=generator))
+        for modality in (RGB, THERMAL)
+    }
 
 
 def view(width: int, height: int) -> View:
     """The camera with both photos, which share it."""
-    shared, pixels = camera(width, height), photos(width, height)
-    rgb, thermal = pixels.rgb, pixels.thermal
-    assert rgb is not None
-    assert thermal is not None
-    return View("room", PosedImage(shared, lambda: rgb), PosedImage(shared, lambda: thermal))
+    shared = camera(width, height)
+
+    def posed(pixels: Pixels) -> PosedImage:
+        return PosedImage(shared, lambda: pixels)
+
+    images = {modality: posed(pixels) for modality, pixels in photos(width, height).items()}
+    return View("room", images)
 
 
 def radiance_field(count: int, config: TrainConfig) -> RadianceField:
@@ -123,18 +137,21 @@ def gaussians(count: int, field: RadianceField, config: TrainConfig) -> Gaussian
     """The room as a model's parameters, with small coefficients of the higher harmonics."""
     scene = room(count)
     generator = torch.Generator().manual_seed(2)
-    opacity_thermal = scene["opacity_thermal"][:, None].logit()
+    blended = (RGB,) if config.shares_opacity else (RGB, THERMAL)
     bands = ((config.temperature_sh_degree or 0) + 1) ** 2 - 1
     return Gaussians(
         means=scene["means"],
         quats=scene["quats"],
         log_scales=scene["scales"].log(),
-        opacity_rgb_logit=scene["opacity_rgb"][:, None].logit(),
-        opacity_thermal_logit=opacity_thermal[:, :0] if config.shares_opacity else opacity_thermal,
-        sh_dc=(scene["colors"][:, None] - 0.5) / C0,
-        sh_rest=0.1 * torch.randn(count, 15, 3, generator=generator),
-        temperature_dc=(scene["temperatures"][:, None] - 0.5) / C0,
-        temperature_rest=0.1 * torch.randn(count, bands, 1, generator=generator),
+        opacity_logits={each: scene[f"opacity_{each}"][:, None].logit() for each in blended},
+        sh_dc={
+            RGB: (scene["colors"][:, None] - 0.5) / C0,
+            THERMAL: (scene["temperatures"][:, None] - 0.5) / C0,
+        },
+        sh_rest={
+            RGB: 0.1 * torch.randn(count, 15, 3, generator=generator),
+            THERMAL: 0.1 * torch.randn(count, bands, 1, generator=generator),
+        },
         embedding=field.initial_embedding(scene["means"]),
     )
 

@@ -8,6 +8,10 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mrgs.scene import Modality
 
 os.environ.setdefault(
     "OMP_WAIT_POLICY", "PASSIVE"
@@ -110,6 +114,16 @@ def counting_image() -> type:
     from tests.helpers.views import CountingImage
 
     return CountingImage
+
+
+@pytest.fixture
+def near_infrared(monkeypatch: pytest.MonkeyPatch) -> Modality:
+    """A third modality, known for the length of a test."""
+    from mrgs.scene import modality
+    from tests.helpers.gaussians import NEAR_INFRARED
+
+    monkeypatch.setattr(modality, "_known", dict(modality._known))
+    return modality.register_modality(NEAR_INFRARED)
 
 
 @pytest.fixture(scope="session")

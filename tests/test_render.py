@@ -7,9 +7,22 @@ import torch
 
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.rasterizer import reference
-from mrgs.render import Model, Rendering, bake_temperature_residuals, render, render_view
-from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, View
+from mrgs.rasterizer import rasterize
+from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Camera,
+    Gaussians,
+    Modality,
+    Pixels,
+    PosedImage,
+    Rendering,
+    View,
+)
+from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
+
+ALL = (RGB, THERMAL, NEAR_INFRARED)
 
 
 def make_camera(
@@ -28,38 +41,29 @@ def make_camera(
 def make_model(
     dtype: torch.dtype = torch.float32, count: int = 60, bands: int = 0, **field_options
 ) -> Model:
-    generator = torch.Generator().manual_seed(0)
-
-    def random(*shape: int) -> torch.Tensor:
-        return torch.randn(count, *shape, generator=generator)
-
+    gaussians = random_gaussians(count, bands=bands, modalities=ALL)
+    gaussians.log_scales = 0.3 * gaussians.log_scales - 1.5
+    for modality in (RGB, NEAR_INFRARED):
+        gaussians.sh_rest[modality] *= 0.2
     torch.manual_seed(0)
     field = RadianceField(FieldConfig(**field_options))
-    means = random(3)
-    field.set_frame(means)
-    tensors = {
-        "means": means,
-        "quats": random(4),
-        "log_scales": 0.3 * random(3) - 1.5,
-        "opacity_rgb_logit": random(1),
-        "opacity_thermal_logit": random(1),
-        "sh_dc": random(1, 3),
-        "sh_rest": 0.2 * random(15, 3),
-        "temperature_dc": random(1, 1),
-        "temperature_rest": random(bands, 1),
-        "embedding": field.initial_embedding(means),
-    }
-    gaussians = Gaussians(
-        **{name: tensor.to(dtype).requires_grad_() for name, tensor in tensors.items()}
-    )
+    field.set_frame(gaussians.means)
+    gaussians.embedding = field.initial_embedding(gaussians.means)
     k = field.config.neighbours_k
-    return Model(
-        gaussians, field.to(dtype), nearest_neighbours(means, k) if k else None, sh_degree=2
+    neighbours = nearest_neighbours(gaussians.means, k) if k else None
+    gaussians = Gaussians.from_tensors(
+        {name: tensor.to(dtype).requires_grad_() for name, tensor in gaussians.tensors().items()},
+        ALL,
     )
+    return Model(gaussians, field.to(dtype), neighbours, sh_degree=2)
 
 
 def images_of(rendering: Rendering) -> dict[str, torch.Tensor]:
-    return {name: image for name, image in rendering._asdict().items() if image is not None}
+    return {
+        f"{modality} {name}": image
+        for modality, blend in rendering.items()
+        for name, image in blend._asdict().items()
+    }
 
 
 def gradients(model: Model, *renderings: Rendering) -> dict[str, torch.Tensor]:
@@ -88,10 +92,14 @@ def assert_same(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor
         assert error < 1e-4, f"{name}: {error}"
 
 
+def both(camera: Camera) -> dict[Modality, Camera]:
+    return {RGB: camera, THERMAL: camera}
+
+
 def test_a_fused_pass_is_two_passes():
     model, camera = make_model(), make_camera()
-    fused, passes = render(model, camera, make_camera())
-    rgb, thermal = render(model, camera, None), render(model, None, camera)
+    fused, passes = render(model, {RGB: camera, THERMAL: make_camera()})
+    rgb, thermal = render(model, {RGB: camera}), render(model, {THERMAL: camera})
     assert (len(passes), len(rgb[1]), len(thermal[1])) == (1, 1, 1)
     assert_same(images_of(fused), {**images_of(rgb[0]), **images_of(thermal[0])})
     assert_same(gradients(model, fused), gradients(model, rgb[0], thermal[0]))
@@ -100,7 +108,7 @@ def test_a_fused_pass_is_two_passes():
 
 def test_the_offset_collects_the_screen_space_gradient_of_both_modalities():
     model, camera = make_model(), make_camera()
-    runs = [render(model, camera, camera), render(model, camera, None), render(model, None, camera)]
+    runs = [render(model, cameras) for cameras in (both(camera), {RGB: camera}, {THERMAL: camera})]
     grads = []
     for rendering, passes in runs:
         torch.stack(
@@ -113,25 +121,71 @@ def test_the_offset_collects_the_screen_space_gradient_of_both_modalities():
 
 def test_two_cameras_are_two_passes():
     model, here, there = make_model(), make_camera(0.0), make_camera(0.2, width=20, height=16)
-    rendering, passes = render(model, here, there)
+    rendering, passes = render(model, {RGB: here, THERMAL: there})
     assert [points.size for points in passes] == [(33, 26), (20, 16)]
-    assert rendering.rgb.shape == (26, 33, 3)
-    assert rendering.thermal.shape == (16, 20, 1)
-    rgb, thermal = render(model, here, None)[0], render(model, None, there)[0]
+    assert rendering[RGB].image.shape == (26, 33, 3)
+    assert rendering[THERMAL].image.shape == (16, 20, 1)
+    rgb, thermal = render(model, {RGB: here})[0], render(model, {THERMAL: there})[0]
     assert_same(images_of(rendering), {**images_of(rgb), **images_of(thermal)})
+
+
+HERE, THERE, ELSEWHERE = make_camera(0.0), make_camera(0.2), make_camera(0.4)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "passes"),
+    [
+        ({}, []),
+        ({THERMAL: HERE}, [(HERE, [THERMAL])]),
+        ({RGB: HERE, THERMAL: make_camera(0.0)}, [(HERE, [RGB, THERMAL])]),
+        ({THERMAL: HERE, RGB: HERE}, [(HERE, [THERMAL, RGB])]),
+        ({RGB: HERE, THERMAL: THERE}, [(HERE, [RGB]), (THERE, [THERMAL])]),
+        # The rasterizer takes one modality of each number of channels.
+        (dict.fromkeys(ALL, HERE), [(HERE, [RGB, THERMAL]), (HERE, [NEAR_INFRARED])]),
+        (
+            {RGB: HERE, THERMAL: THERE, NEAR_INFRARED: HERE},
+            [(HERE, [RGB, NEAR_INFRARED]), (THERE, [THERMAL])],
+        ),
+        (
+            {RGB: HERE, THERMAL: THERE, NEAR_INFRARED: THERE},
+            [(HERE, [RGB]), (THERE, [THERMAL]), (THERE, [NEAR_INFRARED])],
+        ),
+        (
+            {RGB: HERE, THERMAL: THERE, NEAR_INFRARED: ELSEWHERE},
+            [(HERE, [RGB]), (THERE, [THERMAL]), (ELSEWHERE, [NEAR_INFRARED])],
+        ),
+    ],
+)
+def test_coinciding_cameras_share_a_pass(cameras, passes):
+    assert shared_passes(cameras) == passes
+
+
+@pytest.mark.parametrize(
+    "angles", [(0.0, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.2, 0.2), (0.0, 0.2, 0.4)]
+)
+def test_three_modalities_are_three_renderings(angles):
+    model = make_model()
+    cameras = {modality: make_camera(angle) for modality, angle in zip(ALL, angles, strict=True)}
+    rendering, passes = render(model, cameras)
+    assert list(rendering) == list(ALL)
+    assert len(passes) == len(shared_passes(cameras))
+    alone = [render(model, {modality: camera})[0] for modality, camera in cameras.items()]
+    expected = {name: image for each in alone for name, image in images_of(each).items()}
+    assert_same(images_of(rendering), expected)
+    assert_same(gradients(model, rendering), gradients(model, *alone))
+
+
+def test_images_come_in_the_order_of_their_cameras():
+    cameras = {NEAR_INFRARED: HERE, THERMAL: HERE, RGB: HERE}
+    assert list(render(make_model(), cameras)[0]) == list(cameras)
 
 
 def test_a_modality_without_a_camera_is_left_out():
     model, camera = make_model(), make_camera()
-    assert set(images_of(render(model, camera, None)[0])) == {"rgb", "depth_rgb", "alpha_rgb"}
-    assert set(images_of(render(model, None, camera)[0])) == {
-        "thermal",
-        "depth_thermal",
-        "alpha_thermal",
-    }
-    rendering, passes = render(model, None, None)
-    assert images_of(rendering) == {}
-    assert passes == []
+    for modality in ALL:
+        assert list(render(model, {modality: camera})[0]) == [modality]
+    rendering, passes = render(model, {})
+    assert (dict(rendering), passes) == ({}, [])
 
 
 def test_double_precision_goes_through_the_oracle(monkeypatch):
@@ -141,13 +195,13 @@ def test_double_precision_goes_through_the_oracle(monkeypatch):
         calls.append(args[0].dtype)
         return original(*args)
 
-    original = reference.rasterize
-    monkeypatch.setattr(reference, "rasterize", oracle)
+    original = rasterize.plain
+    monkeypatch.setattr(rasterize, "plain", oracle)
     camera = make_camera()
     single, double = make_model(), make_model(torch.float64)
-    expected = images_of(render(double, camera, camera)[0])
+    expected = images_of(render(double, both(camera))[0])
     assert calls == [torch.float64]
-    found = images_of(render(single, camera, camera)[0])
+    found = images_of(render(single, both(camera))[0])
     assert calls == [torch.float64]
     assert all(image.dtype == torch.float64 for image in expected.values())
     for name, image in expected.items():
@@ -159,53 +213,52 @@ def test_double_precision_goes_through_the_oracle(monkeypatch):
 def test_gaussians_out_of_view_need_no_values(angle, distance, options, monkeypatch):
     model, camera = make_model(**options), make_camera(angle, distance)
     monkeypatch.setattr(mrgs.render, "ALL_ROWS_FROM", -1.0)  # every row is evaluated
-    everything = render(model, camera, camera)[0]
+    everything = render(model, both(camera))[0]
     monkeypatch.setattr(mrgs.render, "ALL_ROWS_FROM", 1.0)
-    in_view = render(model, camera, camera)[0]
+    in_view = render(model, both(camera))[0]
     assert_same(images_of(in_view), images_of(everything))
     expected = gradients(model, everything)
     assert_same(gradients(model, in_view), expected)
-    assert (expected["sh_dc"].flatten(1) == 0).all(dim=1).any()  # some are out of view
+    assert (expected["sh_dc.rgb"].flatten(1) == 0).all(dim=1).any()  # some are out of view
 
 
 def test_a_view_is_rendered_without_gradients():
     model, camera = make_model(), make_camera()
     image = PosedImage(camera, lambda: Pixels(torch.zeros(26, 33, 3)))
-    rendering = render_view(model, View("a", image, None))
-    assert not rendering.rgb.requires_grad
-    assert rendering.thermal is None
-    assert_same({"rgb": rendering.rgb}, {"rgb": render(model, camera, None)[0].rgb})
+    rendering = render_view(model, View("a", {RGB: image}))
+    assert list(rendering) == [RGB]
+    assert not any(image.requires_grad for image in images_of(rendering).values())
+    assert_same(images_of(rendering), images_of(render(model, {RGB: camera})[0]))
 
 
 def test_an_empty_pixel_is_black_and_as_cold_as_the_range_begins():
     model = make_model()
-    rendering = render(model, *[make_camera(distance=-50.0)] * 2)[0]
-    assert (rendering.rgb == 0).all()
-    assert (rendering.thermal == 0).all()
-    assert (rendering.alpha_rgb == 0).all()
+    rendering = render(model, dict.fromkeys(ALL, make_camera(distance=-50.0)))[0]
+    assert all((image == 0).all() for image in images_of(rendering).values())
 
 
 @pytest.mark.parametrize("bands", [0, 15])
 def test_the_degree_of_the_harmonics_counts_for_temperatures_that_have_them(bands):
     model, camera = make_model(bands=bands), make_camera()
     model.sh_degree = 0
-    plain = render(model, camera, camera)[0]
+    plain = render(model, both(camera))[0]
     model.sh_degree = 3
-    full = render(model, camera, camera)[0]
-    assert not torch.allclose(plain.rgb, full.rgb)
-    assert torch.equal(plain.thermal, full.thermal) == (bands == 0)
+    full = render(model, both(camera))[0]
+    assert not torch.allclose(plain[RGB].image, full[RGB].image)
+    assert torch.equal(plain[THERMAL].image, full[THERMAL].image) == (bands == 0)
 
 
-@pytest.mark.parametrize("thermal_angle", [0.0, 0.4])
-def test_temperatures_can_be_rendered_without_their_harmonics(thermal_angle):
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+@pytest.mark.parametrize("modality", [THERMAL, NEAR_INFRARED])
+def test_a_modality_can_be_rendered_without_its_harmonics(modality, angle):
     model = make_model(bands=15)
-    cameras = make_camera(0.0), make_camera(thermal_angle)
-    found = render(model, *cameras, temperature_sh_degree=0)[0]
-    full = render(model, *cameras)[0]
-    model.gaussians.temperature_rest = model.gaussians.temperature_rest[:, :0]
-    torch.testing.assert_close(found.thermal, render(model, *cameras)[0].thermal)
-    assert not torch.allclose(found.thermal, full.thermal, atol=1e-2)
-    assert torch.equal(found.rgb, full.rgb)
+    cameras = {RGB: make_camera(0.0), modality: make_camera(angle)}
+    found = render(model, cameras, {modality: 0})[0]
+    full = render(model, cameras)[0]
+    model.gaussians.sh_rest[modality] = model.gaussians.sh_rest[modality][:, :0]
+    torch.testing.assert_close(found[modality].image, render(model, cameras)[0][modality].image)
+    assert not torch.allclose(found[modality].image, full[modality].image, atol=1e-2)
+    assert torch.equal(found[RGB].image, full[RGB].image)
 
 
 @pytest.mark.parametrize("bands", [0, 15])
@@ -213,14 +266,14 @@ def test_known_residuals_give_the_same_images_without_the_thermal_branch(bands, 
     model = make_model(bands=bands)
     cameras = [make_camera(angle) for angle in (0.0, 1.0)]
     with torch.no_grad():
-        expected = [images_of(render(model, camera, camera)[0]) for camera in cameras]
+        expected = [images_of(render(model, both(camera))[0]) for camera in cameras]
         baked = bake_temperature_residuals(model)
         monkeypatch.setattr(
             RadianceField,
             "temperature_residuals",
             lambda *_: pytest.fail("the thermal branch was evaluated"),
         )
-        found = [images_of(render(baked, camera, camera)[0]) for camera in cameras]
+        found = [images_of(render(baked, both(camera))[0]) for camera in cameras]
     for images, baked_images in zip(expected, found, strict=True):
         for name, image in images.items():
             torch.testing.assert_close(baked_images[name], image, atol=2e-6, rtol=0)
@@ -233,35 +286,7 @@ def test_a_model_without_residuals_has_none_to_know():
     )
 
 
-def rendering_of(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:
-    """A thermal rendering whose surfaces have these depths."""
-    alpha = torch.tensor(alphas)
-    return Rendering(depth_thermal=torch.tensor(depths) * alpha, alpha_thermal=alpha)
-
-
-def test_a_surfaces_depth_is_that_of_the_blend_without_the_background():
-    rendering = rendering_of([[2.0, 2.0, 3.0]], [[0.8, 0.5, 0.4]])
-    expected = torch.tensor([[2.0, 2.0, torch.nan]])
-    torch.testing.assert_close(rendering.surface_depth("thermal"), expected, equal_nan=True)
-    expected[0, 1] = torch.nan
-    torch.testing.assert_close(
-        rendering.surface_depth("thermal", min_alpha=0.6), expected, equal_nan=True
-    )
-
-
-def test_outlines_have_no_depth_where_they_are_not_wanted():
-    """A near and a far surface, both slightly slanted, and a hole, which is no outline of what is
-    beside it."""
-    row = [2.0, 2.01, 2.02, 4.0, 4.02, 4.04, 9.0, 4.1]
-    rendering = rendering_of([row] * 3, [[1.0] * 6 + [0.1, 1.0]] * 3)
-    found = rendering.surface_depth("thermal", max_step=0.05)
-    expected = torch.tensor([row] * 3)
-    expected[:, [2, 3, 6]] = torch.nan
-    torch.testing.assert_close(found, expected, equal_nan=True)
-    assert rendering.surface_depth("thermal").isnan().sum() == 3
-
-
 def test_where_nothing_is_there_is_no_surface():
-    nothing = render(make_model(), *[make_camera(distance=-50.0)] * 2)[0]
-    for modality in ("rgb", "thermal"):
-        assert nothing.surface_depth(modality, max_step=0.1).isnan().all()
+    nothing = render(make_model(), both(make_camera(distance=-50.0)))[0]
+    for blend in nothing.values():
+        assert blend.surface_depth(max_step=0.1).isnan().all()

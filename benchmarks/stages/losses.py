@@ -8,13 +8,14 @@ from torch import Tensor
 from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import EXTENT, TEMPERATURE, photos
-from mrgs.method.losses.photometric import LossConfig, photometric_loss, smoothness_loss
+from mrgs.method.losses.photometric import LossConfig, photometric_loss
 from mrgs.method.losses.radiation import (
     DepthUncertainty,
     boltzmann_loss,
     normalise_radiation,
     thermal_radiation,
 )
+from mrgs.method.losses.smoothness import smoothness_loss
 
 PHOTOMETRIC = "L1 + D-SSIM, 4 channels"
 
@@ -40,10 +41,7 @@ class Losses:
     def __init__(self, width: int, height: int) -> None:
         self._config = LossConfig()
         self._uncertainty = DepthUncertainty()
-        rgb, thermal, _ = photos(width, height)
-        assert rgb is not None
-        assert thermal is not None
-        self._targets = [rgb.values, thermal.values]
+        self._targets = [pixels.values for pixels in photos(width, height).values()]
         generator = torch.Generator().manual_seed(4)
         self._images = [
             torch.rand(t.shape, generator=generator).requires_grad_() for t in self._targets
@@ -62,8 +60,8 @@ class Losses:
     def smoothness(self) -> tuple[Tensor, ...]:
         """L_smooth of both modalities."""
         terms = [
-            smoothness_loss(image, depth, target, None, EXTENT, 1.0, self._config)
-            for image, depth, target in zip(self._images, self._depths, self._targets, strict=True)
+            smoothness_loss(image, depth, None, EXTENT, 1.0, self._config)
+            for image, depth in zip(self._images, self._depths, strict=True)
         ]
         return torch.autograd.grad(torch.stack(terms).sum(), [*self._images, *self._depths])
 

@@ -10,7 +10,7 @@ from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import CAPTURE, EXTENT, SCALE, photos, training_state, view
 from mrgs.field import nearest_neighbours
-from mrgs.method.config import Method, Preset, TrainConfig, make_config
+from mrgs.method.config import Preset, TrainConfig, make_config
 from mrgs.render import bake_temperature_residuals, render_view
 from mrgs.scene import Gaussians
 from mrgs.training.state import TrainingState
@@ -39,7 +39,7 @@ def baseline_step(case: Case) -> Stages:
     return _step(case, "3dgs-rgbt", "default")
 
 
-def _step(case: Case, method: Method, preset: Preset) -> Stages:
+def _step(case: Case, method: str, preset: Preset) -> Stages:
     count, width, height = case.size
     config = make_config(method, preset)
     state = training_state(count, config)
@@ -101,8 +101,8 @@ def _choosing(gaussians: Gaussians, config: TrainConfig) -> TrainConfig:
 def _before_event(start: TrainingState, config: TrainConfig) -> TrainingState:
     """A copy of the state at a step that densifies, with Adam's moments and screen-space
     gradients."""
-    copies = Gaussians(
-        **{name: t.detach().clone() for name, t in start.model.gaussians.tensors().items()}
+    copies = Gaussians.from_tensors(
+        {name: t.detach().clone() for name, t in start.model.gaussians.tensors().items()}
     )
     model = replace(start.model, gaussians=copies)
     generator = torch.Generator().manual_seed(5)

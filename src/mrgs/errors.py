@@ -1,4 +1,4 @@
-"""What a user can be told. Every message names the file or value at fault and says what to do."""
+"""Errors for users. Every message names the file or value at fault and the remedy."""
 
 from __future__ import annotations
 
@@ -37,4 +37,4 @@ class TrainingError(MrgsError):
 
 
 class MrgsWarning(UserWarning):
-    """Something was mended or left out; the result is usable, and the message says what changed."""
+    """Something was repaired or skipped; the result is usable, the message says what changed."""

@@ -4,19 +4,18 @@ blends them."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field import RadianceField
-from mrgs.rasterizer import Blend, Layer, Raster, contract, rasterize
-from mrgs.scene import Camera, Gaussians, View
+from mrgs.rasterizer import Layer, Raster, contract, rasterize
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
 
 ALL_ROWS_FROM = 0.9
 """Above this share in view, picking rows costs more than evaluating the heads for the others."""
@@ -55,94 +54,36 @@ class Model:
             temperature_residuals=None if residuals is None else residuals.to(device),
         )
 
-    def temperatures(
+    def values(
         self,
+        modality: Modality,
         camera_position: Float[Tensor, "3"],
         rows: Int64[Tensor, " v"] | None = None,
         *,
         sh_degree: int | None = None,
-    ) -> Float[Tensor, "v 1"]:
-        """t + t̂, normalised, as seen from a position.
+    ) -> Float[Tensor, "v c"]:
+        """What is blended of a modality, as seen from a position: c + ĉ of RGB, t + t̂ of thermal
+        (normalised), spherical harmonics of any other.
 
         Args:
+            modality: one that the Gaussians have.
             camera_position: in world coordinates.
             rows: of the Gaussians; all if None.
-            sh_degree: highest degree of t's harmonics that counts; the model's if None.
+            sh_degree: highest degree of the spherical harmonics that counts; the model's if None.
         """
         degree = self.sh_degree if sh_degree is None else sh_degree
-        return self.field.temperatures(
-            self.gaussians,
-            self.neighbours,
-            camera_position,
-            degree,
-            rows,
-            self.temperature_residuals,
-        )
-
-
-class Rendering(NamedTuple):
-    """What a model shows from one view; None for a modality without a camera.
-
-    Attributes:
-        rgb: colours from the RGB camera, not clamped, [H, W, 3].
-        depth_rgb: z-depth of the same camera blended with o_c, scene units, [H, W].
-        thermal: normalised temperature from the thermal camera, not clamped, [H', W', 1].
-        depth_thermal: its z-depth blended with o_t, [H', W'].
-        alpha_rgb: accumulated alpha of the RGB blend, [H, W].
-        alpha_thermal: of the thermal blend, [H', W'].
-    """
-
-    rgb: Float[Tensor, "h w 3"] | None = None
-    depth_rgb: Float[Tensor, "h w"] | None = None
-    thermal: Float[Tensor, "h2 w2 1"] | None = None
-    depth_thermal: Float[Tensor, "h2 w2"] | None = None
-    alpha_rgb: Float[Tensor, "h w"] | None = None
-    alpha_thermal: Float[Tensor, "h2 w2"] | None = None
-
-    def cpu(self) -> Rendering:
-        """The images in the host's memory."""
-        return Rendering(*(None if image is None else image.cpu() for image in self))
-
-    def surface_depth(
-        self,
-        modality: Literal["rgb", "thermal"],
-        min_alpha: float = 0.5,
-        max_step: float | None = None,
-    ) -> Float[Tensor, "h3 w3"]:
-        """z-depth of the surface that a pixel shows, D / A: the blended depth without the share of
-        the background.
-
-        Args:
-            modality: whose blend; it must have been rendered.
-            min_alpha: a pixel that is covered less shows no surface.
-            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
-                of more lies on an outline, where the mean depth is that of neither surface. None to
-                keep outlines.
-
-        Returns:
-            Scene units, NaN where there is no surface, the image's size.
-        """
-        depth, alpha = (
-            (self.depth_rgb, self.alpha_rgb)
-            if modality == "rgb"
-            else (self.depth_thermal, self.alpha_thermal)
-        )
-        assert depth is not None
-        assert alpha is not None
-        surface = torch.where(alpha >= min_alpha, depth / alpha.clamp_min(min_alpha), torch.nan)
-        if max_step is None:
-            return surface
-        return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
-
-
-Photograph: TypeAlias = Callable[[Rendering, Camera], Rendering]
-"""From what is there, and the camera that it is seen from, to what the scene's cameras would have
-written there."""
-
-
-def as_it_is(rendering: Rendering, camera: Camera) -> Rendering:
-    """Cameras that change nothing."""
-    return rendering
+        if modality == RGB:
+            return self.field.colors(self.gaussians, camera_position, degree, rows)
+        if modality == THERMAL:
+            return self.field.temperatures(
+                self.gaussians,
+                self.neighbours,
+                camera_position,
+                degree,
+                rows,
+                self.temperature_residuals,
+            )
+        return self.field.intensities(modality, self.gaussians, camera_position, degree, rows)
 
 
 class ScreenPoints(NamedTuple):
@@ -171,102 +112,71 @@ def bake_temperature_residuals(model: Model) -> Model:
 
 def render_view(model: Model, view: View) -> Rendering:
     """Render a view from its own cameras; no gradients are kept."""
-    rgb_camera = view.rgb.camera if view.rgb else None
-    thermal_camera = view.thermal.camera if view.thermal else None
     with torch.no_grad():
-        return render(model, rgb_camera, thermal_camera)[0]
+        return render(model, view.cameras)[0]
 
 
 def render(
     model: Model,
-    rgb_camera: Camera | None,
-    thermal_camera: Camera | None,
-    temperature_sh_degree: int | None = None,
+    cameras: Mapping[Modality, Camera],
+    sh_degrees: Mapping[Modality, int] | None = None,
 ) -> tuple[Rendering, list[ScreenPoints]]:
-    """Render the modalities that have a camera: in one fused pass if both cameras coincide, else in
-    one pass each.
+    """Render each modality from its camera; modalities that one fused pass can serve share it.
 
     Differentiable in the Gaussians' parameters and the field's.
 
     Args:
         model: what to render.
-        rgb_camera: of the RGB image.
-        thermal_camera: of the thermal image.
-        temperature_sh_degree: highest degree of the temperatures' harmonics that counts; the
-            model's if None.
+        cameras: of the modalities to render.
+        sh_degrees: highest degree of a modality's spherical harmonics that counts; the model's for
+            those that are not named.
 
     Returns:
         the images, and the projected centres of each pass.
     """
-    thermal_layer = partial(_thermal_layer, sh_degree=temperature_sh_degree)
-    if (
-        rgb_camera is not None
-        and thermal_camera is not None
-        and rgb_camera.coincides_with(thermal_camera)
-    ):
-        rows = rows_in_view(model.gaussians, rgb_camera)
-        layers = [_rgb_layer(model, rgb_camera, rows), thermal_layer(model, rgb_camera, rows)]
-        raster, points = _pass(model, layers, rgb_camera)
-        return _rendering(*raster.blends), [points]
-    blends: list[Blend | None] = []
-    passes = []
-    for camera, make_layer in ((rgb_camera, _rgb_layer), (thermal_camera, thermal_layer)):
-        if camera is None:
-            blends.append(None)
-            continue
+    degrees = sh_degrees or {}
+    blends: dict[Modality, Blend] = {}
+    points = []
+    for camera, modalities in shared_passes(cameras):
         rows = rows_in_view(model.gaussians, camera)
-        raster, points = _pass(model, [make_layer(model, camera, rows)], camera)
-        blends.append(raster.blends[0])
-        passes.append(points)
-    return _rendering(*blends), passes
+        layers = [_layer(model, each, camera, rows, degrees.get(each)) for each in modalities]
+        raster, projected = _pass(model, layers, camera)
+        blends.update(zip(modalities, raster.blends, strict=True))
+        points.append(projected)
+    return Rendering({modality: blends[modality] for modality in cameras}), points
 
 
-def _depth_range(depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-    """Largest minus smallest depth within 3×3 pixels; NaN does not count."""
-    far, minus_near = (
-        torch.nn.functional.max_pool2d(
-            signed.nan_to_num(nan=-torch.inf)[None], 3, stride=1, padding=1
-        )[0]
-        for signed in (depth, -depth)
-    )
-    return far + minus_near
+def shared_passes(cameras: Mapping[Modality, Camera]) -> list[tuple[Camera, list[Modality]]]:
+    """Modalities that are rendered together: with coinciding cameras, and at most one of each
+    number of channels, as the rasterizer takes them."""
+    passes: list[tuple[Camera, list[Modality]]] = []
+    for modality, camera in cameras.items():
+        for other, together in passes:
+            channels = {each.channels for each in together}
+            if camera.coincides_with(other) and modality.channels not in channels:
+                together.append(modality)
+                break
+        else:
+            passes.append((camera, [modality]))
+    return passes
 
 
-def _rendering(rgb: Blend | None, thermal: Blend | None) -> Rendering:
-    color = (None, None, None) if rgb is None else rgb
-    heat = (None, None, None) if thermal is None else thermal
-    return Rendering(color[0], color[1], heat[0], heat[1], color[2], heat[2])
-
-
-def _rgb_layer(model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None) -> Layer:
-    """o_c and c + ĉ."""
-    gaussians = model.gaussians
-    colors = model.field.colors(
-        gaussians, _position(camera, gaussians.means), model.sh_degree, rows
-    )
-    return Layer(
-        gaussians.opacity_rgb,
-        _scatter(colors, rows, len(gaussians)),
-        colors.new_zeros(3),
-    )
-
-
-def _thermal_layer(
-    model: Model, camera: Camera, rows: Int64[Tensor, " v"] | None, sh_degree: int | None
+def _layer(
+    model: Model,
+    modality: Modality,
+    camera: Camera,
+    rows: Int64[Tensor, " v"] | None,
+    sh_degree: int | None,
 ) -> Layer:
-    """o_t and t + t̂."""
+    """A modality's opacities and values, before a black background."""
     gaussians = model.gaussians
-    values = model.temperatures(_position(camera, gaussians.means), rows, sh_degree=sh_degree)
+    position = camera.tensors(gaussians.means.device, gaussians.means.dtype).position
+    values = model.values(modality, position, rows, sh_degree=sh_degree)
     return Layer(
-        gaussians.opacity_thermal,
+        gaussians.opacity(modality),
         _scatter(values, rows, len(gaussians)),
-        values.new_zeros(1),
+        values.new_zeros(modality.channels),
     )
-
-
-def _position(camera: Camera, means: Float[Tensor, "n 3"]) -> Float[Tensor, "3"]:
-    """The centre of projection, where the Gaussians are."""
-    return camera.tensors(means.device, means.dtype).position
 
 
 @torch.no_grad()

@@ -190,7 +190,7 @@ def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
     ("options", "message"),
     [
         (("--method", "nerf"), "unknown method 'nerf'; choose one of mrgs-plus, mrgs,"),
-        (("--preset", "slow"), "there is no preset 'slow': choose one of fast, default, paper"),
+        (("--preset", "slow"), "unknown preset 'slow'; choose one of fast, default, paper"),
         (("--max-steps", 0), "max_steps must be at least 1, not 0"),
         (("--max-gaussians", 0), "max_gaussians must be at least 1"),
         (("--resolution", 3), "resolution must be at least 16 px, not 3"),
@@ -295,8 +295,12 @@ BAD_RUNS: dict[str, tuple[Damage, str]] = {
         lambda folder: (folder / "config.yaml").write_text("max_steps: [1"),
         r"config\.yaml is not valid YAML.*fix the file or retrain",
     ),
+    "no method": (
+        lambda folder: (folder / "config.yaml").write_text("max_steps: 5"),
+        r"own run is not a run: its config\.yaml names no method; fix the file or retrain",
+    ),
     "bad value": (
-        lambda folder: (folder / "config.yaml").write_text("max_steps: 0"),
+        lambda folder: (folder / "config.yaml").write_text("method: mrgs\nmax_steps: 0"),
         r"config\.yaml: max_steps must be at least 1, not 0; fix the file or retrain",
     ),
     "no text": (
@@ -869,3 +873,9 @@ def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, caps
     progress.step(Step(3, 0.5, {}, 0.25, 10, False))
     assert set(read) == {1, 2, 3}
     assert "loss 0.5000 | thermal error 0.250 (normalised)" in capsys.readouterr().out
+
+
+def test_the_scene_generator_needs_a_checkout(monkeypatch, capsys, tmp_path):
+    monkeypatch.setitem(sys.modules, "mrgs_synth", None)
+    assert main(["synth", str(tmp_path / "scene")]) == 2
+    assert "the scene generator comes with a source checkout only" in capsys.readouterr().err

@@ -30,7 +30,7 @@ def found(version: str = "3.9.0", unlisted: tuple[str, ...] = (), **changes: int
     return {
         "triton": version,
         "unlisted": list(unlisted),
-        "kernels": {"method: blur": {"sm_80": GOOD, "sm_90": {**GOOD, **changes}}},
+        "kernels": {"blur: blur": {"sm_80": GOOD, "sm_90": {**GOOD, **changes}}},
     }
 
 
@@ -66,45 +66,45 @@ def test_what_stays_or_shrinks_is_no_finding():
     ],
 )
 def test_whatever_grows_is_named_with_both_values_and_the_command(key, words):
-    expected = f"method: blur for sm_90 takes {words}; if that is meant: {UPDATE}"
+    expected = f"blur: blur for sm_90 takes {words}; if that is meant: {UPDATE}"
     assert worsened(found(**{key: 1000}), TABLE_OF_GOOD) == [expected]
 
 
 def test_of_a_compiler_without_a_table_only_spills_are_findings():
     assert worsened(found("4.0.0", registers=255), TABLE_OF_GOOD) == []
     (line,) = worsened(found("4.0.0", spill_stores=8), TABLE_OF_GOOD)
-    assert line == "method: blur for sm_90 spills 8 bytes"
+    assert line == "blur: blur for sm_90 spills 8 bytes"
 
 
 def test_table_and_lists_hold_the_same_kernels():
     renamed = found()
-    renamed["kernels"] = {"method: smear": renamed["kernels"]["method: blur"]}
+    renamed["kernels"] = {"blur: smear": renamed["kernels"]["blur: blur"]}
     assert worsened(renamed, TABLE_OF_GOOD) == [
-        f"method: smear is not in the table: {UPDATE}",
-        f"method: blur is in the table, but no longer listed: {UPDATE}",
+        f"blur: smear is not in the table: {UPDATE}",
+        f"blur: blur is in the table, but no longer listed: {UPDATE}",
     ]
 
 
 def test_a_kernel_in_no_list_is_a_finding():
-    lines = worsened(found(unlisted=("mrgs.method.gpu.k.lost",)), TABLE_OF_GOOD)
+    lines = worsened(found(unlisted=("mrgs.kernels.blur.k.lost",)), TABLE_OF_GOOD)
     assert lines == [
-        "mrgs.method.gpu.k.lost is in no KERNELS: list every specialisation that is launched"
+        "mrgs.kernels.blur.k.lost is in no KERNELS: list every specialisation that is launched"
     ]
 
 
 def fake_kernel(name: str, body: Callable = len) -> SimpleNamespace:
     """What ``triton.jit`` returns, as far as it is looked at."""
     code = getattr(body, "__code__", SimpleNamespace(co_names=()))
-    fn = SimpleNamespace(__name__=name, __module__="mrgs.method.gpu.kernels", __code__=code)
+    fn = SimpleNamespace(__name__=name, __module__="mrgs.kernels.blur.gpu", __code__=code)
     return SimpleNamespace(fn=fn, __name__=name, arg_names=["x"])
 
 
 def test_kernels_without_an_entry_are_found_but_not_what_kernels_call():
-    module = ModuleType("mrgs.method.gpu.kernels")
+    module = ModuleType("mrgs.kernels.blur.gpu")
     module.blur = fake_kernel("blur", lambda x: window(x))
     module.window, module.lost = fake_kernel("window"), fake_kernel("lost")
     specs = [KernelSpec(module.blur, {"x": "*fp32"}, {})]
-    assert unlisted([module], specs) == ["mrgs.method.gpu.kernels.lost"]
+    assert unlisted([module], specs) == ["mrgs.kernels.blur.gpu.lost"]
 
 
 def test_specialisations_of_a_kernel_need_names_of_their_own():
@@ -114,9 +114,9 @@ def test_specialisations_of_a_kernel_need_names_of_their_own():
         KernelSpec(blur, {"x": "*fp32"}, {}),
         KernelSpec(blur, {}, {"x": None}, variant="bare"),
     )
-    assert list(listed([module])) == ["method: blur", "method: blur[bare]"]
+    assert list(listed([module])) == ["blur: blur", "blur: blur[bare]"]
     module.KERNELS = (module.KERNELS[0], KernelSpec(blur, {}, {"x": None}))
-    with pytest.raises(ValueError, match="two entries of KERNELS are called method: blur"):
+    with pytest.raises(ValueError, match="two entries of KERNELS are called blur: blur"):
         listed([module])
 
 
@@ -152,7 +152,7 @@ def test_resident_warps(changes, target, expected):
 
 def test_a_row_of_the_table():
     text = to_markdown("3.9.0", found(registers=56)["kernels"])
-    assert "| `method: blur` | 4 | 40 / 56 | 0 | 512 | 48 / 36 |" in text
+    assert "| `blur: blur` | 4 | 40 / 56 | 0 | 512 | 48 / 36 |" in text
 
 
 def test_the_document_shows_the_newest_compiler():
@@ -177,14 +177,14 @@ def test_the_children_compile_whatever_this_process_does(monkeypatch):
 
     def run(command, env, **options):
         started.append(env)
-        kernels = {"method: blur": {**GOOD, "registers": int(command[-1])}}
+        kernels = {"blur: blur": {**GOOD, "registers": int(command[-1])}}
         answer = {"triton": "3.9.0", "unlisted": [], "kernels": kernels}
         return SimpleNamespace(returncode=0, stdout=json.dumps(answer), stderr="")
 
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     monkeypatch.setenv("TRITON_PTXAS_PATH", "/somewhere")
     monkeypatch.setattr(gpu_resources.subprocess, "run", run)
-    kernels = compile_in_children()["kernels"]["method: blur"]
+    kernels = compile_in_children()["kernels"]["blur: blur"]
     assert {target: taken["registers"] for target, taken in kernels.items()} == {
         "sm_80": 80,
         "sm_90": 90,

@@ -12,7 +12,8 @@ from scipy.ndimage import gaussian_filter, uniform_filter1d
 from mrgs.check.images import image_problems
 from mrgs.check.statistics import sharpness
 from mrgs.data.files import scene_error
-from mrgs.scene import Pixels, View
+from mrgs.scene import RGB, THERMAL, Pixels, View
+from tests.helpers.changed_views import with_image, without
 
 
 def only_problem(looked, severity: str = "warning"):
@@ -30,38 +31,30 @@ def test_an_image_that_cannot_be_decoded_is_told(tabletop):
         )
 
     broken = tabletop.changed(
-        lambda view: replace(view, rgb=replace(view.rgb, load=fail)), every=100
+        lambda view: with_image(view, RGB, lambda image: replace(image, load=fail)), every=100
     )
     (problem,) = image_problems(broken.scene, list(broken.statistics.values()))
     assert problem.severity == "error"
     assert "images/a.jpg: cannot be decoded" in problem.text
 
 
-@pytest.mark.parametrize("kind", ["thermal", "rgb"])
-def test_views_that_lack_an_image_are_told(tabletop, kind):
-    lacking = tabletop.changed(lambda view: replace(view, **{kind: None}), every=10)
+@pytest.mark.parametrize("modality", [THERMAL, RGB], ids=str)
+def test_views_that_lack_an_image_are_told(tabletop, modality):
+    lacking = tabletop.changed(lambda view: without(view, modality), every=10)
     names = f"{tabletop.scene.train[0].name}, {tabletop.scene.train[10].name}"
-    assert f"no {'RGB' if kind == 'rgb' else kind} image in 2 views ({names})" in only_problem(
-        lacking
-    )
+    assert f"no {modality.title} image in 2 views ({names})" in only_problem(lacking)
 
 
 def test_a_scene_of_photos_alone_is_told(tabletop):
     scene = tabletop.scene
-    views = [
-        tuple(View(view.name, view.rgb, None) for view in part)
-        for part in (scene.train, scene.eval)
-    ]
+    views = [tuple(without(view, THERMAL) for view in part) for part in (scene.train, scene.eval)]
     (problem,) = image_problems(replace(scene, train=views[0], eval=views[1], temperature=None), [])
     assert "No view has a thermal image" in problem.text
 
 
 def test_thermal_images_alone_are_a_note(tabletop):
     scene = tabletop.scene
-    views = [
-        tuple(View(view.name, None, view.thermal) for view in part)
-        for part in (scene.train, scene.eval)
-    ]
+    views = [tuple(without(view, RGB) for view in part) for part in (scene.train, scene.eval)]
     (problem,) = image_problems(replace(scene, train=views[0], eval=views[1]), [])
     assert problem.severity == "note"
     assert "No view has a RGB image" in problem.text.replace("an RGB", "a RGB")
@@ -75,8 +68,8 @@ def test_missing_bounds_are_told(tabletop):
 
 def test_images_of_several_sizes_are_told(tabletop):
     def half(view: View) -> View:
-        return replace(
-            view, thermal=replace(view.thermal, camera=view.thermal.camera.resized(160, 120))
+        return with_image(
+            view, THERMAL, lambda image: replace(image, camera=image.camera.resized(160, 120))
         )
 
     problem = only_problem(tabletop.posed(half, every=48), "note")
@@ -88,7 +81,9 @@ def test_flat_thermal_images_are_told(tabletop, repainted):
         return replace(pixels, values=torch.full_like(pixels.values, 0.3))
 
     changed = tabletop.changed(
-        lambda view: replace(view, thermal=repainted(view.thermal, flat)), every=100, first=2
+        lambda view: with_image(view, THERMAL, lambda image: repainted(image, flat)),
+        every=100,
+        first=2,
     )
     texts = [
         problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
@@ -102,7 +97,9 @@ def test_saturated_thermal_images_are_told(tabletop, repainted):
     def clipped(pixels: Pixels) -> Pixels:
         return replace(pixels, values=pixels.values.clamp(max=0.27) / 0.27)
 
-    changed = tabletop.changed(lambda view: replace(view, thermal=repainted(view.thermal, clipped)))
+    changed = tabletop.changed(
+        lambda view: with_image(view, THERMAL, lambda image: repainted(image, clipped))
+    )
     texts = [
         problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
     ]
@@ -116,7 +113,8 @@ def test_automatic_gain_is_told(tabletop, repainted, gain, offset):
         return replace(pixels, values=pixels.values * gain + offset)
 
     changed = tabletop.changed(
-        lambda view: replace(view, thermal=repainted(view.thermal, changed_gain)), every=9
+        lambda view: with_image(view, THERMAL, lambda image: repainted(image, changed_gain)),
+        every=9,
     )
     names = ", ".join(tabletop.scene.train[index].name for index in (0, 9, 18))
     texts = [
@@ -132,7 +130,7 @@ def test_automatic_exposure_is_told(tabletop, repainted):
         return replace(pixels, values=pixels.values * 0.7)
 
     changed = tabletop.changed(
-        lambda view: replace(view, rgb=repainted(view.rgb, darker)), every=12
+        lambda view: with_image(view, RGB, lambda image: repainted(image, darker)), every=12
     )
     names = ", ".join(tabletop.scene.train[index].name for index in (0, 12))
     assert f"In 2 views ({names}) the same places are brighter or darker" in only_problem(changed)
@@ -147,7 +145,9 @@ def test_blurred_photos_are_told(tabletop, repainted, blur):
         return replace(pixels, values=torch.from_numpy(blur(pixels.values.numpy())))
 
     changed = tabletop.changed(
-        lambda view: replace(view, rgb=repainted(view.rgb, blurred)), every=100, first=9
+        lambda view: with_image(view, RGB, lambda image: repainted(image, blurred)),
+        every=100,
+        first=9,
     )
     assert f"1 view ({tabletop.scene.train[9].name}) is much less sharp" in only_problem(changed)
 

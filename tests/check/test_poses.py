@@ -9,18 +9,10 @@ import torch
 
 from mrgs.check.poses import NO_POINTS, pose_problems
 from mrgs.data import load_scene
-from mrgs.scene import Camera, PointCloud, View
+from mrgs.scene import THERMAL, Camera, PointCloud, View
+from tests.helpers.changed_views import with_cameras, with_image
 
 FLIP = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
-
-
-def with_cameras(view: View, change) -> View:
-    """Both cameras changed alike."""
-    return View(
-        view.name,
-        replace(view.rgb, camera=change(view.rgb.camera)),
-        replace(view.thermal, camera=change(view.thermal.camera)),
-    )
 
 
 def moved(camera: Camera, matrix: torch.Tensor) -> Camera:
@@ -135,8 +127,11 @@ def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
 
 def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
     def turn(view: View) -> View:
-        camera = moved(view.thermal.camera, FLIP @ view.thermal.camera.viewmat)
-        return replace(view, thermal=replace(view.thermal, camera=camera))
+        return with_image(
+            view,
+            THERMAL,
+            lambda image: replace(image, camera=moved(image.camera, FLIP @ image.camera.viewmat)),
+        )
 
     (problem,) = pose_problems(tabletop.posed(turn, every=10).scene)
     assert problem.severity == "error"

@@ -20,15 +20,18 @@ from mrgs.comparison.figures import (
 )
 from mrgs.data import load_scene
 from mrgs.pictures.files import write_float_tiff
-from mrgs.render import Rendering
-from mrgs.scene import View
+from mrgs.scene import THERMAL, Blend, Modality, PosedImage, Rendering, View
+from tests.helpers.gaussians import NEAR_INFRARED
 
 
 def render_off_by(error: float, depth: float = 2.0) -> Callable[[View], Rendering]:
     def render(view: View) -> Rendering:
-        rgb, thermal = view.rgb.load().values, view.thermal.load().values
-        away = torch.full(rgb.shape[:2], depth)
-        return Rendering(rgb + error, away * 0 + 9, thermal + error, away)
+        def blend(modality: Modality, posed: PosedImage) -> Blend:
+            image = posed.load().values + error
+            away = torch.full(image.shape[:2], depth if modality == THERMAL else 9.0)
+            return Blend(image, away, torch.ones_like(away))
+
+        return Rendering({each: blend(each, posed) for each, posed in view.images.items()})
 
     return render
 
@@ -59,6 +62,19 @@ def test_a_column_for_the_truth_and_for_every_method(make_exhibit):
     two = qualitative(make_exhibit({"a": render_off_by(0.1), "b": render_off_by(0.2)}), ["a", "b"])
     assert WIDE_PX <= two.width - one.width <= WIDE_PX + 10
     assert two.height == one.height > 3 * WIDE_PX * 3 // 4
+
+
+def test_a_third_modality_has_a_row(small_scene):
+    scene = load_scene(small_scene)
+    view = scene.eval[1]
+    grey = view.images[THERMAL]
+    more = View(view.name, {**view.images, NEAR_INFRARED: grey})
+    blocks = []
+    for each in (view, more):
+        shown = {"a": drawn(scene, each, render_off_by(0.1)(each))}
+        blocks.append(qualitative_block(Exhibit(scene, small_scene, each, shown, {}), ["a"]))
+    assert [label for label, _ in blocks[0].rows] == ["RGB", "thermal", "error"]
+    assert [label for label, _ in blocks[1].rows] == ["RGB", "thermal", "error", "near infrared"]
 
 
 def test_many_methods_make_narrow_columns(make_exhibit):

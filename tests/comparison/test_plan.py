@@ -58,7 +58,7 @@ def test_the_neighbours_alone_need_no_method(small_scene, tmp_path):
         ({"seeds": 0}, "--seeds must be at least 1, not 0"),
         ({"methods": ()}, "there is nothing to compare: name at least one of --methods"),
         ({"methods": ("magic",)}, "unknown method 'magic'; choose one of"),
-        ({"preset": "slow"}, "there is no preset 'slow'"),
+        ({"preset": "slow"}, "unknown preset 'slow'; choose one of"),
         ({"neighbours": (0,)}, "neighbours_n must be 1 or more"),
     ],
 )

@@ -4,7 +4,7 @@ import statistics
 
 import pytest
 
-from mrgs.comparison.results import KINDS, failed, outcome, over_scenes, over_seeds
+from mrgs.comparison.results import failed, figure_keys, kind_of, outcome, over_scenes, over_seeds
 from mrgs.evaluation.figures import Missing
 from tests.helpers.comparison import metrics_document
 
@@ -13,7 +13,7 @@ TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015
 
 def test_figures_of_a_document():
     figures = outcome("board", "mrgs", 0, metrics_document(31.5, truth=TRUTH)).figures
-    assert tuple(figures) == tuple(KINDS)
+    assert tuple(figures) == figure_keys(())
     assert figures["thermal.psnr"] == 31.5
     assert (figures["thermal.psnr_matched"], figures["rgb.psnr_matched"]) == (32.5, 24.5)
     assert figures["gaussians_k"] == pytest.approx(12.34)
@@ -88,3 +88,12 @@ def test_seeds_that_lack_a_scene_are_noted():
     one_seed = over_scenes([[1.0, 2.0], [3.0, lost]], ["a", "b"])
     assert one_seed == (2.0, None, 1, "1 of 2 seeds; the others lack a scene")
     assert over_scenes([[1.0, 2.0], [3.0, 4.0]], ["a", "b"]).note is None
+
+
+def test_a_third_modality_has_figures():
+    mean = metrics_document()["mean"] | {"nir": {"psnr": 33.0, "ssim": 0.9, "lpips": 0.1}}
+    each = outcome("board", "mrgs", 0, metrics_document(mean=mean))
+    assert each.modalities == ("thermal", "rgb", "nir")
+    assert each.figures["nir.psnr"] == 33.0
+    assert kind_of("nir.psnr") == kind_of("rgb.psnr")
+    assert "nir.mae_c" not in each.figures

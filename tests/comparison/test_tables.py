@@ -7,7 +7,7 @@ import pytest
 from mrgs.comparison.results import Outcome, failed
 from mrgs.comparison.table import Table
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
-from tests.helpers.comparison import outcome_of
+from tests.helpers.comparison import metrics_document, outcome_of
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
 NO_CELSIUS = {
@@ -185,3 +185,14 @@ def test_other_scenes_have_no_rows_of_the_paper():
 def test_a_method_without_outcomes_was_not_run():
     outcomes = replace(gathered(outcome_of("a", "mrgs")), methods=("mrgs", "mrgs-plus"))
     assert tables_of(outcomes)["thermal"].rows[1].cells[0].note == "not run"
+
+
+def test_a_third_modality_has_a_table():
+    means = metrics_document()["mean"] | {"nir": {"psnr": 33.0, "ssim": 0.9, "lpips": 0.1}}
+    runs = [outcome_of("a", "mrgs", mean=means), outcome_of("b", "mrgs"), failed("a", "x", 0, "no")]
+    tables = tables_of(gathered(*runs))
+    assert list(tables) == ["thermal", "rgb", "nir"]
+    nir = tables["nir"]
+    assert nir.figures[:4] == ["nir.psnr", "nir.ssim", "nir.lpips", "gaussians_k"]
+    assert nir.rows[0].cells[0].mean == 33.0
+    assert [nir.rows[0].cells[4].note, nir.rows[1].cells[0].note] == ["not scored", "no"]

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
+from mrgs.scene import RGB, THERMAL
 
 BOARD = Path(__file__).parents[3] / "shared/scenes/board"
 
@@ -20,16 +21,16 @@ def test_board():
     assert scene.points.positions.norm(dim=1).max() > 70  # far points are real
     assert scene.temperature is None
     view = scene.eval[0]
-    assert not view.shares_camera
-    assert (view.rgb.camera.width, view.rgb.camera.height) == (507, 380)
-    assert (view.thermal.camera.width, view.thermal.camera.height) == (507, 380)
-    for image, channels in ((view.rgb, 3), (view.thermal, 1)):
+    assert not view.shares_camera(RGB, THERMAL)
+    assert (view.images[RGB].camera.width, view.images[RGB].camera.height) == (507, 380)
+    assert (view.images[THERMAL].camera.width, view.images[THERMAL].camera.height) == (507, 380)
+    for image, channels in ((view.images[RGB], 3), (view.images[THERMAL], 1)):
         pixels = image.load()
         assert pixels.values.shape == (380, 507, channels)
         assert pixels.valid is None
         assert 0 <= pixels.values.min() < pixels.values.max() <= 1
     points = torch.cat([scene.points.positions.double(), torch.ones(21_556, 1)], dim=1)
-    in_camera = points @ view.rgb.camera.viewmat.T
-    pixel = in_camera[:, :3] @ view.rgb.camera.K.T
+    in_camera = points @ view.images[RGB].camera.viewmat.T
+    pixel = in_camera[:, :3] @ view.images[RGB].camera.K.T
     seen = (pixel[:, 2] > 0) & (pixel[:, 0] > 0) & (pixel[:, 0] < 507 * pixel[:, 2])
     assert seen.float().mean() > 0.5

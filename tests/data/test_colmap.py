@@ -6,6 +6,7 @@ import torch
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
+from mrgs.scene import RGB, THERMAL
 
 
 def rgbt(writer) -> list[str]:
@@ -31,8 +32,8 @@ def test_text_and_binary_give_the_same_scene(writer, folder):
         from_text.train + from_text.eval, from_binary.train + from_binary.eval, strict=True
     ):
         assert one.name == other.name
-        assert one.rgb.camera.coincides_with(other.rgb.camera)
-        assert torch.equal(one.thermal.load().values, other.thermal.load().values)
+        assert one.images[RGB].camera.coincides_with(other.images[RGB].camera)
+        assert torch.equal(one.images[THERMAL].load().values, other.images[THERMAL].load().values)
 
 
 def test_rgbt_scenes(writer):
@@ -40,7 +41,7 @@ def test_rgbt_scenes(writer):
     scene = load_scene(writer.root)
     assert [view.name for view in scene.train] == ["train_000", "train_001", "train_002"]
     assert [view.name for view in scene.eval] == ["test_000", "test_001", "test_002"]
-    assert all(view.shares_camera for view in scene.train)
+    assert all(view.shares_camera(RGB, THERMAL) for view in scene.train)
     assert scene.points.positions[2].tolist() == [-80, 1, 0]  # a far point is real
     assert any("luminance" in note for note in scene.notes)
 
@@ -60,7 +61,7 @@ def test_the_pose_is_world_to_camera(writer):
     writer.root.joinpath("sparse/0/images.txt").write_text(
         "1 0.7071067811865476 0 0 0.7071067811865476 1 2 3 1 a.png\n\n"
     )
-    camera = load_scene(writer.root).train[0].rgb.camera
+    camera = load_scene(writer.root).train[0].images[RGB].camera
     np.testing.assert_allclose(
         camera.viewmat[:3], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-12
     )
@@ -73,7 +74,7 @@ def test_images_of_one_channel_alone_are_thermal(writer, mode, suffix):
         writer.image(f"images/{name}", mode, seed=index)
     writer.colmap(names, binary=True)
     scene = load_scene(writer.root)
-    assert not scene.has_rgb
+    assert RGB not in scene.modalities
     assert [view.name for view in scene.eval] == ["0000", "0008", "0016"]
     assert len(scene.train) == 14
     assert any("taken for thermal" in note for note in scene.notes)
@@ -84,15 +85,14 @@ def test_bounds_make_the_only_images_thermal(writer):
     writer.bounds(0.0, 50.0)
     writer.colmap(["a.png"], binary=True)
     scene = load_scene(writer.root)
-    assert scene.has_thermal
-    assert not scene.has_rgb
+    assert scene.modalities == (THERMAL,)
     assert scene.temperature.max_c == 50.0
 
 
 def test_a_thermal_folder_alone(writer):
     writer.image("thermal/a.png", "L")
     writer.colmap(["a.png"], binary=True)
-    assert not load_scene(writer.root).has_rgb
+    assert RGB not in load_scene(writer.root).modalities
 
 
 def test_colour_images_alone_are_rgb(writer):
@@ -100,7 +100,7 @@ def test_colour_images_alone_are_rgb(writer):
     writer.image("images/b.png")
     writer.colmap(["a.png"], binary=True)
     scene = load_scene(writer.root)
-    assert not scene.has_thermal
+    assert THERMAL not in scene.modalities
     assert any("1 images were not registered" in note for note in scene.notes)
 
 
@@ -109,8 +109,8 @@ def test_both_images_of_a_pair_may_be_registered(writer):
         writer.image(name)
     writer.colmap(["images/a.png", "thermal/a.png"], binary=True)
     (view,) = load_scene(writer.root).train
-    assert not view.shares_camera
-    assert not torch.equal(view.rgb.camera.viewmat, view.thermal.camera.viewmat)
+    assert not view.shares_camera(RGB, THERMAL)
+    assert not torch.equal(view.images[RGB].camera.viewmat, view.images[THERMAL].camera.viewmat)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_both_images_of_a_pair_may_be_registered(writer):
 def test_camera_models(writer, model, parameters, K, binary):
     writer.image("images/a.png")
     writer.colmap(["a.png"], binary, model, parameters)
-    got = load_scene(writer.root).train[0].rgb.camera.K
+    got = load_scene(writer.root).train[0].images[RGB].camera.K
     assert (got[0, 0], got[1, 1], got[0, 2], got[1, 2]) == K
 
 
@@ -142,7 +142,7 @@ def test_camera_models(writer, model, parameters, K, binary):
 def test_distorting_camera_models_are_undistorted(writer, model, parameters):
     writer.image("images/a.png")
     writer.colmap(["a.png"], True, model, parameters)
-    image = load_scene(writer.root).train[0].rgb
+    image = load_scene(writer.root).train[0].images[RGB]
     assert image.camera.K[0, 0] != 20
     assert image.load().valid is None
 

@@ -91,6 +91,7 @@ def test_transforms_json(writer):
     content = writer.thermoscenes(train=2, held_out=1)
     content.update(applied_transform=[[0, 1, 0, 5], [1, 0, 0, 0], [0, 0, -1, 0]], applied_scale=2.0)
     content["thermal_camera"] = {"w": 24, "h": 16, "fl_x": 20.0, "fl_y": 20.0, "k1": -0.1}
+    content["modalities"] = [{"name": "nir", "channels": 1, "unit": "W", "title": "Near infrared"}]
     content["train_filenames"] = [frame["file_path"] for frame in content["frames"][:2]]
     content["val_filenames"] = [content["frames"][2]["file_path"]]
     content["k1"] = -0.2

@@ -9,6 +9,7 @@ import torch
 from mrgs.data import load_scene
 from mrgs.data.load import _unique_names
 from mrgs.errors import ConfigError, SceneError
+from mrgs.scene import RGB, THERMAL
 
 
 def test_a_missing_folder(tmp_path):
@@ -43,14 +44,14 @@ def test_the_resolution_must_be_positive(writer, resolution):
 
 def test_a_resolution_above_the_images_width_changes_nothing(writer):
     writer.transforms(writer.thermoscenes())
-    assert load_scene(writer.root, resolution=100).train[0].rgb.camera.width == 24
+    assert load_scene(writer.root, resolution=100).train[0].images[RGB].camera.width == 24
 
 
 def test_reading_twice_gives_the_same_bits(writer):
     content = writer.thermoscenes()
     content["k1"] = -0.1
     writer.transforms(content)
-    image = load_scene(writer.root, resolution=20).train[0].rgb
+    image = load_scene(writer.root, resolution=20).train[0].images[RGB]
     assert torch.equal(image.load().values, image.load().values)
 
 
@@ -65,7 +66,7 @@ def test_random_start_points_follow_the_seed(writer):
 
 def test_images_can_be_sent_to_worker_processes(writer):
     writer.transforms(writer.thermoscenes())
-    image = load_scene(writer.root).train[0].thermal
+    image = load_scene(writer.root).train[0].images[THERMAL]
     assert torch.equal(pickle.loads(pickle.dumps(image)).load().values, image.load().values)
 
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, SceneError
-from mrgs.scene import TemperatureRange
+from mrgs.scene import RGB, THERMAL, Modality, TemperatureRange, known_modalities
 
 
 def test_thermoscenes(writer):
@@ -24,18 +24,19 @@ def test_thermoscenes(writer):
     assert scene.temperature == TemperatureRange(10.0, 30.0)
     assert scene.points.positions.shape == (20_000, 3)
     view = scene.train[1]
-    assert view.shares_camera
+    assert view.shares_camera(RGB, THERMAL)
     assert torch.equal(
-        view.rgb.camera.K, torch.tensor([[20.0, 0, 12.5], [0, 22.0, 7.5], [0, 0, 1]]).double()
+        view.images[RGB].camera.K,
+        torch.tensor([[20.0, 0, 12.5], [0, 22.0, 7.5], [0, 0, 1]]).double(),
     )
     c2w = np.array(content["frames"][1]["transform_matrix"])
-    np.testing.assert_allclose(view.rgb.camera.position, c2w[:3, 3], atol=1e-12)
-    np.testing.assert_allclose(view.rgb.camera.forward, -c2w[:3, 2], atol=1e-12)
-    thermal = view.thermal.load()
+    np.testing.assert_allclose(view.images[RGB].camera.position, c2w[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(view.images[RGB].camera.forward, -c2w[:3, 2], atol=1e-12)
+    thermal = view.images[THERMAL].load()
     stored = np.asarray(Image.open(writer.root / "thermal/frame_train_00001.PNG"))
     np.testing.assert_array_equal(thermal.values[..., 0], stored.astype(np.float32) / 255)
     assert thermal.valid is None
-    assert view.rgb.load().values.shape == (16, 24, 3)
+    assert view.images[RGB].load().values.shape == (16, 24, 3)
 
 
 def test_older_scenes_have_transforms_thermal_json(writer):
@@ -71,8 +72,7 @@ def test_plain_nerfstudio_without_thermal(writer):
         path.unlink()
     writer.transforms(content)
     scene = load_scene(writer.root)
-    assert scene.has_rgb
-    assert not scene.has_thermal
+    assert scene.modalities == (RGB,)
     assert scene.temperature is None
 
 
@@ -83,7 +83,7 @@ def test_thermal_images_are_found_by_stem_where_the_file_does_not_name_them(writ
     (writer.root / "thermal/frame_train_00002.PNG").unlink()
     writer.transforms(content)
     scene = load_scene(writer.root)
-    assert [view.thermal is not None for view in scene.train] == [True, True, False, True]
+    assert [THERMAL in view.images for view in scene.train] == [True, True, False, True]
     assert any("1 of 6 frames have no thermal image" in note for note in scene.notes)
 
 
@@ -93,9 +93,43 @@ def test_thermal_alone(writer):
         frame["file_path"] = frame.pop("thermal_file_path")
     writer.transforms(content)
     scene = load_scene(writer.root)
-    assert scene.has_thermal
-    assert not scene.has_rgb
+    assert scene.modalities == (THERMAL,)
     assert len(scene.eval) == 2
+
+
+NIR = Modality("nir", 1)
+
+
+def test_a_scene_may_list_further_modalities(writer):
+    content = writer.thermoscenes(train=2, held_out=0)
+    for index in range(2):
+        writer.image(f"nir/frame_train_{index:05d}.png", "L", seed=200 + index)
+    writer.transforms(content)
+    assert load_scene(writer.root).modalities == (RGB, THERMAL)
+    content["modalities"] = [{"name": "nir", "channels": 1, "unit": None, "title": "Near infrared"}]
+    writer.transforms(content)
+    scene = load_scene(writer.root)
+    assert scene.modalities == (RGB, THERMAL, NIR)
+    assert scene.modalities[2].title == "Near infrared"
+    assert scene.train[0].images[NIR].load().values.shape == (16, 24, 1)
+    assert NIR not in known_modalities()  # another scene is not changed by this one
+
+
+def test_a_further_modality_may_have_a_camera_a_pose_and_a_mask_of_its_own(writer):
+    content = writer.thermoscenes(train=2, held_out=1)
+    content["modalities"] = [{"name": "nir", "channels": 1}]
+    content["nir_camera"] = {"fl_x": 10.0, "w": 12, "h": 8}
+    pose = content["frames"][1]["transform_matrix"]
+    frame = content["frames"][0]
+    frame |= {"nir_file_path": "infra/a.png", "nir_transform_matrix": pose}
+    writer.image("infra/a.png", "L", (12, 8))
+    Image.fromarray(np.eye(8, 12, dtype=np.uint8) * 255).save(writer.root / "mask.png")
+    frame["nir_mask_path"] = "mask.png"
+    writer.transforms(content)
+    image = load_scene(writer.root).train[0].images[NIR]
+    assert (image.camera.width, image.camera.height) == (12, 8)
+    np.testing.assert_allclose(image.camera.position, np.array(pose)[:3, 3], atol=1e-12)
+    assert image.load().valid.sum() == 8
 
 
 def test_a_frame_may_have_its_own_intrinsics(writer):
@@ -103,8 +137,8 @@ def test_a_frame_may_have_its_own_intrinsics(writer):
     content["frames"][0].update(fl_x=30.0, k1=0.1)
     writer.transforms(content)
     first, second = load_scene(writer.root).train[:2]
-    assert first.rgb.camera.K[0, 0] != second.rgb.camera.K[0, 0] == 20.0
-    assert first.shares_camera
+    assert first.images[RGB].camera.K[0, 0] != second.images[RGB].camera.K[0, 0] == 20.0
+    assert first.shares_camera(RGB, THERMAL)
 
 
 def test_two_cameras(writer):
@@ -126,14 +160,16 @@ def test_two_cameras(writer):
         frame["thermal_transform_matrix"] = pose.tolist()
     writer.transforms(content)
     view = load_scene(writer.root).train[0]
-    assert not view.shares_camera
-    assert (view.thermal.camera.width, view.thermal.camera.height) == (12, 10)
-    assert view.thermal.camera.K[0, 0] == 9.0  # k1 belongs to the RGB camera alone
-    assert view.rgb.camera.K[0, 0] != 20.0
+    assert not view.shares_camera(RGB, THERMAL)
+    assert (view.images[THERMAL].camera.width, view.images[THERMAL].camera.height) == (12, 10)
+    assert view.images[THERMAL].camera.K[0, 0] == 9.0  # k1 belongs to the RGB camera alone
+    assert view.images[RGB].camera.K[0, 0] != 20.0
     np.testing.assert_allclose(
-        view.thermal.camera.position - view.rgb.camera.position, [0.25, 0, 0], atol=1e-12
+        view.images[THERMAL].camera.position - view.images[RGB].camera.position,
+        [0.25, 0, 0],
+        atol=1e-12,
     )
-    assert view.thermal.load().values.shape == (10, 12, 1)
+    assert view.images[THERMAL].load().values.shape == (10, 12, 1)
 
 
 def test_distorted_pairs_stay_on_one_grid_at_any_resolution(writer):
@@ -141,10 +177,10 @@ def test_distorted_pairs_stay_on_one_grid_at_any_resolution(writer):
     content.update(k1=-0.2, p2=0.02)
     writer.transforms(content)
     view = load_scene(writer.root, resolution=12).train[0]
-    assert view.shares_camera
-    assert (view.rgb.camera.width, view.rgb.camera.height) == (12, 8)
-    assert view.rgb.load().values.shape == (8, 12, 3)
-    assert view.thermal.load().values.shape == (8, 12, 1)
+    assert view.shares_camera(RGB, THERMAL)
+    assert (view.images[RGB].camera.width, view.images[RGB].camera.height) == (12, 8)
+    assert view.images[RGB].load().values.shape == (8, 12, 3)
+    assert view.images[THERMAL].load().values.shape == (8, 12, 1)
 
 
 def test_masks_from_the_file_and_from_the_folder(writer):
@@ -161,9 +197,9 @@ def test_masks_from_the_file_and_from_the_folder(writer):
     content["frames"][0]["thermal_mask_path"] = "own.png"
     writer.transforms(content)
     first, second = load_scene(writer.root).train[:2]
-    assert first.rgb.load().valid is None
-    assert torch.equal(first.thermal.load().valid, torch.from_numpy(mask > 0))
-    assert torch.equal(second.rgb.load().valid, torch.from_numpy(mask > 0))
+    assert first.images[RGB].load().valid is None
+    assert torch.equal(first.images[THERMAL].load().valid, torch.from_numpy(mask > 0))
+    assert torch.equal(second.images[RGB].load().valid, torch.from_numpy(mask > 0))
 
 
 def test_explicit_lists_win_over_names(writer):
@@ -287,6 +323,22 @@ def put_frame(**values):
         (put(train_filenames="all"), "train_filenames is 'all', not a list"),
         (put(train_filenames=[]), "no view is left for training"),
         (put(applied_scale="2"), "applied_scale is '2', not a number"),
+        (put(modalities="nir"), "modalities is 'nir', not a list"),
+        (put(modalities=[{}] * 17), "not a list of up to 16"),
+        (put(modalities=["nir"]), "a modality is an object"),
+        (put(modalities=[{"channels": 1}]), "name and title must be texts"),
+        (put(modalities=[{"name": "nir"}]), "channels .* must be a whole number"),
+        (put(modalities=[{"name": "nir", "channels": True}]), "channels .* must be a whole number"),
+        (put(modalities=[{"name": "nir", "channels": 10**400}]), "has 1000.* channels"),
+        (put(modalities=[{"name": "nir", "channels": 2}]), "has 2 channels; images .* 1 or 3"),
+        (put(modalities=[{"name": "nir", "channels": 0}]), "at least one channel"),
+        (put(modalities=[{"name": "../nir", "channels": 1}]), "lower-case identifier"),
+        (put(modalities=[{"name": "n" * 5000, "channels": 1}]), "at most 40 characters"),
+        (put(modalities=[{"name": "nir", "channels": 1, "title": "\x1b[2J"}]), "be printable"),
+        (put(modalities=[{"name": "nir", "channels": 1, "unit": 3}]), "unit .* must be a text"),
+        (put(modalities=[{"name": "images", "channels": 1}]), "images has another meaning"),
+        (put(modalities=[{"name": "depth_rgb", "channels": 1}]), "depth_rgb has another meaning"),
+        (put(modalities=[{"name": "rgb", "channels": 1}]), "rgb has 1 channels here and 3"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
@@ -340,7 +392,7 @@ def test_truncated_pixels_are_found_when_loaded(writer):
     path = writer.root / "thermal/frame_train_00000.PNG"
     path.write_bytes(path.read_bytes()[:150])
     with pytest.raises(SceneError, match=r"frame_train_00000\.PNG: cannot be decoded"):
-        load_scene(writer.root).train[0].thermal.load()
+        load_scene(writer.root).train[0].images[THERMAL].load()
 
 
 def test_points_outside_the_folder_are_not_followed(writer, tmp_path: Path):

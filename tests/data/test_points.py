@@ -59,7 +59,7 @@ def test_points_that_float32_cannot_hold_are_dropped(bad):
     cloud = point_cloud(np.array([[0, 0, bad], [1, 2, -75.0]]), None, notes)
     assert cloud.positions.tolist() == [[1, 2, -75]]
     assert cloud.colors.tolist() == [[0.5, 0.5, 0.5]]
-    assert "1 start points" in notes.mended[0]
+    assert "1 start points" in notes.repaired[0]
 
 
 def test_no_points_left():

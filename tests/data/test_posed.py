@@ -35,7 +35,7 @@ def test_grey_becomes_three_channels(tmp_path):
 
 def test_floats_are_no_colours(tmp_path):
     Image.fromarray(np.zeros((31, 40), dtype=np.float32)).save(tmp_path / "a.tiff")
-    with pytest.raises(SceneError, match="holds floats where a colour image is expected"):
+    with pytest.raises(SceneError, match="holds floats where intensities are expected"):
         decode_rgb(tmp_path / "a.tiff")
 
 

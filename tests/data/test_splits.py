@@ -46,5 +46,5 @@ def test_lists():
 def test_conflicts_of_the_lists_are_mended():
     sides, notes = split(["a", "b"], FilenameLists(frozenset({"a", "b", "z"}), frozenset({"b"})))
     assert sides == "te"
-    assert "held out" in notes.mended[0]
-    assert "such as z" in notes.mended[1]
+    assert "held out" in notes.repaired[0]
+    assert "such as z" in notes.repaired[1]

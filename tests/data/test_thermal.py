@@ -36,7 +36,7 @@ def test_swapped_bounds(tmp_path):
     bounds(tmp_path, absolute_min_temperature=30, absolute_max_temperature=-4.5)
     notes = Notes()
     assert read_bounds(tmp_path, notes) == TemperatureRange(-4.5, 30.0)
-    assert "swapped" in notes.mended[0]
+    assert "swapped" in notes.repaired[0]
 
 
 @pytest.mark.parametrize(

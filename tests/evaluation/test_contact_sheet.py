@@ -12,9 +12,9 @@ from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, SheetRows, contact_
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
-from mrgs.render import Rendering
-from mrgs.scene import Reach, TemperatureRange, View, spread
-from tests.helpers.views import CELSIUS, ramp_view, render_with_error
+from mrgs.scene import RGB, THERMAL, Reach, Rendering, TemperatureRange, View, spread
+from tests.helpers.gaussians import NEAR_INFRARED
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
 FACTS = RunFacts("mrgs", "board", 1200, 41_000, 63.5, None, "cpu")
 Render = Callable[[View], Rendering]
@@ -49,7 +49,9 @@ def test_a_model_without_depth_has_no_depth_column() -> None:
     full = draw([ramp_view()], render_with_error, CELSIUS)
     shallow = draw(
         [ramp_view()],
-        lambda view: render_with_error(view)._replace(depth_rgb=None, depth_thermal=None),
+        lambda view: rendering_of(
+            {each: blend.image for each, blend in render_with_error(view).items()}
+        ),
         CELSIUS,
     )
     assert CELL_PX <= full.shape[1] - shallow.shape[1] < CELL_PX + 20
@@ -58,9 +60,9 @@ def test_a_model_without_depth_has_no_depth_column() -> None:
 def test_the_background_is_infinitely_far() -> None:
     view = ramp_view()
     rendering = render_with_error(view)
-    rendering.depth_rgb[:5] = 900.0
-    ball = Reach(view.rgb.camera.position, 10.0)
-    row = sheet_row(view, rendering, ViewMetrics("a", {}, {}, None), None, ball)
+    rendering[RGB].depth[:5] = 900.0
+    ball = Reach(view.images[RGB].camera.position, 10.0)
+    row = sheet_row(view, rendering, ViewMetrics("a", {}, None), None, ball)
     assert np.isinf(row.depth[:5]).all()
     assert (row.depth[5:] == 2).all()
 
@@ -69,11 +71,14 @@ def shown_of(thermal: list[float | Missing], rgb: list[float | Missing]) -> list
     """The numbers of the views that a sheet shows, by their PSNR."""
     shown, made = SheetRows(len(thermal)), []
     for number, psnrs in enumerate(zip(thermal, rgb, strict=True)):
-        metrics = ViewMetrics(str(number), *({"psnr": psnr} for psnr in psnrs), None)
+        figures = {
+            modality: {"psnr": psnr} for modality, psnr in zip((THERMAL, RGB), psnrs, strict=True)
+        }
+        metrics = ViewMetrics(str(number), figures, None)
 
         def make(metrics: ViewMetrics = metrics) -> SheetRow:
             made.append(metrics.name)
-            return SheetRow(metrics, None, None, None, None, None)
+            return SheetRow(metrics, {}, {}, None)
 
         shown.add(number, metrics, make)
     assert {row.metrics.name for row in shown.rows} <= set(made)
@@ -99,10 +104,11 @@ def test_each_modality_has_its_worst_view() -> None:
 
 def test_the_error_changes_the_picture() -> None:
     rows, metrics = rows_of([ramp_view()], render_with_error, CELSIUS)
-    rows[0].thermal[2, 2] -= 1.5
+    rows[0].renderings[THERMAL][2, 2] -= 1.5
     sheets = [np.asarray(contact_sheet(rows, FACTS, metrics, CELSIUS)) for _ in range(2)]
     np.testing.assert_array_equal(*sheets)
-    spoiled = replace(rows[0], thermal=rows[0].thermal + np.linspace(-1, 0, 24, dtype=np.float32))
+    colder = rows[0].renderings[THERMAL] + np.linspace(-1, 0, 24, dtype=np.float32)
+    spoiled = replace(rows[0], renderings=rows[0].renderings | {THERMAL: colder})
     assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, CELSIUS))).any(
         axis=2
     ).sum() > 1000
@@ -112,8 +118,8 @@ def test_rows_hold_celsius_and_mark_invalid_pixels() -> None:
     valid = torch.ones(18, 24, dtype=torch.bool)
     valid[0, 0] = False
     rows, _ = rows_of([ramp_view(valid=valid)], render_with_error, CELSIUS)
-    assert np.isnan(rows[0].measured[0, 0])
-    assert rows[0].measured[8, 10] == pytest.approx(26.0, abs=1e-4)
+    assert np.isnan(rows[0].photos[THERMAL][0, 0])
+    assert rows[0].photos[THERMAL][8, 10] == pytest.approx(26.0, abs=1e-4)
     assert np.nanmax(np.abs(rows[0].error - 1.0)) < 1e-4
 
 
@@ -127,9 +133,18 @@ def test_without_celsius_the_sheet_says_so() -> None:
 
 def test_all_views_of_one_temperature_can_be_drawn() -> None:
     def perfect(view: View) -> Rendering:
-        return Rendering(view.rgb.load().values, None, torch.full((18, 24, 1), 0.5), None)
+        images = {RGB: view.images[RGB].load().values, THERMAL: torch.full((18, 24, 1), 0.5)}
+        return rendering_of(images)
 
     assert draw([ramp_view(name="x" * 80)], perfect, CELSIUS).shape[0] > CELL_PX // 2
+
+
+def test_a_third_modality_has_two_columns() -> None:
+    two = draw([ramp_view()], render_with_error, CELSIUS)
+    three = draw([ramp_view(nir=True)], render_with_error, CELSIUS)
+    assert 2 * CELL_PX < three.shape[1] - two.shape[1] < 2 * CELL_PX + 40
+    rows, _ = rows_of([ramp_view(nir=True)], render_with_error, CELSIUS)
+    assert rows[0].photos[NEAR_INFRARED].shape == (20, 16, 3)
 
 
 def test_no_rows_is_a_mistake_of_the_program() -> None:

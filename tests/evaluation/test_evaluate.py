@@ -8,14 +8,14 @@ import torch
 
 from mrgs.errors import SceneError
 from mrgs.evaluation.evaluate import NO_CELSIUS, NO_LPIPS, evaluate, foreground_threshold
-from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES, Missing
+from mrgs.evaluation.figures import Missing, figure_names
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.metrics import otsu_threshold
 from mrgs.evaluation.truth import Truth
 from mrgs.pictures.files import write_float_tiff
-from mrgs.render import Rendering
-from mrgs.scene import Camera, View
-from tests.helpers.views import CELSIUS, ramp_view, render_with_error
+from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Rendering, View
+from tests.helpers.gaussians import NEAR_INFRARED
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
 
 class ConstantLpips(Lpips):
@@ -29,36 +29,42 @@ class ConstantLpips(Lpips):
 
 
 def perfect(view: View) -> Rendering:
-    rgb = view.rgb.load().values if view.rgb else None
-    thermal = view.thermal.load().values if view.thermal else None
-    return Rendering(rgb, None, thermal, None)
+    return rendering_of({each: image.load().values for each, image in view.images.items()})
 
 
 def test_known_errors() -> None:
     metrics = evaluate([ramp_view("a"), ramp_view("b")], render_with_error, CELSIUS)
-    assert metrics.rgb["psnr"] == pytest.approx(20.0, abs=1e-3)
-    assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
-    assert metrics.thermal["mae_c"] == pytest.approx(1.0, abs=1e-5)
-    assert metrics.thermal["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.mean[RGB]["psnr"] == pytest.approx(20.0, abs=1e-3)
+    assert metrics.mean[THERMAL]["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
+    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.mean[THERMAL]["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
     assert [view.name for view in metrics.views] == ["a", "b"]
     assert metrics.truth is None
-    assert tuple(metrics.thermal) == THERMAL_FIGURES
-    assert tuple(metrics.rgb) == RGB_FIGURES
+    assert tuple(metrics.mean[THERMAL]) == (
+        "psnr",
+        "psnr_matched",
+        "ssim",
+        "ssim_pair_range",
+        "mae_c",
+        "mae_foreground_c",
+        "lpips",
+    )
+    assert tuple(metrics.mean[RGB]) == ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "lpips")
 
 
 def test_the_foreground_is_the_warm_square() -> None:
     view = ramp_view()
     threshold = foreground_threshold([view])
-    warm = view.thermal.load().values[..., 0] > threshold
+    warm = view.images[THERMAL].load().values[..., 0] > threshold
     assert warm.sum() == 7 * 8
 
     def warmer_there(view: View) -> Rendering:
-        thermal = view.thermal.load().values + 0.1 * warm[..., None]
-        return Rendering(None, None, thermal, None)
+        thermal = view.images[THERMAL].load().values + 0.1 * warm[..., None]
+        return rendering_of({THERMAL: thermal})
 
     metrics = evaluate([view], warmer_there, CELSIUS)
-    assert metrics.thermal["mae_foreground_c"] == pytest.approx(2.0, abs=1e-5)
-    assert metrics.thermal["mae_c"] == pytest.approx(2.0 * 56 / (18 * 24), abs=1e-5)
+    assert metrics.mean[THERMAL]["mae_foreground_c"] == pytest.approx(2.0, abs=1e-5)
+    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(2.0 * 56 / (18 * 24), abs=1e-5)
 
 
 def test_the_threshold_is_averaged_over_the_photos() -> None:
@@ -67,7 +73,7 @@ def test_the_threshold_is_averaged_over_the_photos() -> None:
     views = [ramp_view("a"), ramp_view("b", valid=valid), ramp_view("c", thermal=False)]
     each = []
     for view in views[:2]:
-        pixels = view.thermal.load()
+        pixels = view.images[THERMAL].load()
         mask = torch.ones(18, 24, dtype=torch.bool) if pixels.valid is None else pixels.valid
         each.append(otsu_threshold(pixels.values[mask][:, 0].numpy()))
     assert foreground_threshold(views) == pytest.approx(sum(each) / 2)
@@ -78,57 +84,60 @@ def test_masked_pixels_do_not_count() -> None:
     valid[:, :10] = False  # cuts the warm square
 
     def wrong_outside(view: View) -> Rendering:
-        thermal = view.thermal.load().values + 0.05
+        thermal = view.images[THERMAL].load().values + 0.05
         thermal[~valid] = 9.0
-        return Rendering(None, None, thermal, None)
+        return rendering_of({THERMAL: thermal})
 
     metrics = evaluate([ramp_view(valid=valid)], wrong_outside, CELSIUS, ConstantLpips())
-    assert metrics.thermal["mae_c"] == pytest.approx(1.0, abs=1e-5)
-    assert metrics.thermal["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
-    assert metrics.thermal["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
-    assert metrics.thermal["lpips"] == pytest.approx(0.05 * 14 / 24, abs=1e-6)
+    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.mean[THERMAL]["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
+    assert metrics.mean[THERMAL]["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.mean[THERMAL]["lpips"] == pytest.approx(0.05 * 14 / 24, abs=1e-6)
 
 
 def test_a_view_without_valid_pixels_has_no_figures() -> None:
     valid = torch.zeros(18, 24, dtype=torch.bool)
     metrics = evaluate([ramp_view(valid=valid)], perfect, CELSIUS)
-    assert set(metrics.thermal.values()) == {Missing("no pixel of the photo is valid")}
+    assert set(metrics.mean[THERMAL].values()) == {Missing("no pixel of the photo is valid")}
 
 
 def test_missing_figures_say_why() -> None:
     metrics = evaluate([ramp_view()], render_with_error, temperature=None)
-    assert metrics.thermal["mae_c"] == metrics.thermal["mae_foreground_c"] == Missing(NO_CELSIUS)
-    assert metrics.thermal["lpips"] == metrics.rgb["lpips"] == Missing(NO_LPIPS)
+    assert (
+        metrics.mean[THERMAL]["mae_c"]
+        == metrics.mean[THERMAL]["mae_foreground_c"]
+        == Missing(NO_CELSIUS)
+    )
+    assert metrics.mean[THERMAL]["lpips"] == metrics.mean[RGB]["lpips"] == Missing(NO_LPIPS)
 
 
 def test_lpips_of_both_images() -> None:
     metrics = evaluate([ramp_view()], render_with_error, CELSIUS, ConstantLpips())
-    assert metrics.thermal["lpips"] == pytest.approx(0.05, abs=1e-6)
-    assert metrics.rgb["lpips"] == pytest.approx(0.1, abs=1e-2)
+    assert metrics.mean[THERMAL]["lpips"] == pytest.approx(0.05, abs=1e-6)
+    assert metrics.mean[RGB]["lpips"] == pytest.approx(0.1, abs=1e-2)
 
 
 def test_images_too_small_for_lpips() -> None:
-    view = ramp_view(rgb=False)
-    small = View("small", None, type(view.thermal)(view.thermal.camera, lambda: cut))
-    pixels = view.thermal.load()
-    cut = type(pixels)(pixels.values[:15], None)
+    photo = ramp_view().images[THERMAL]
+    cut = Pixels(photo.load().values[:15])
+    small = View("small", {THERMAL: PosedImage(photo.camera, lambda: cut)})
     metrics = evaluate([small], perfect, CELSIUS, ConstantLpips())
-    assert metrics.thermal["lpips"] == Missing("the images are smaller than 16 pixels")
+    assert metrics.mean[THERMAL]["lpips"] == Missing("the images are smaller than 16 pixels")
 
 
 def test_a_missing_modality() -> None:
     views = [ramp_view("both"), ramp_view("only_thermal", rgb=False)]
     metrics = evaluate(views, render_with_error, CELSIUS)
-    assert isinstance(metrics.views[1].rgb["psnr"], Missing)
-    assert metrics.rgb["psnr"] == metrics.views[0].rgb["psnr"]
+    assert isinstance(metrics.views[1].figures[RGB]["psnr"], Missing)
+    assert metrics.mean[RGB]["psnr"] == metrics.views[0].figures[RGB]["psnr"]
     alone = evaluate(views[1:], render_with_error, CELSIUS)
-    assert all(isinstance(figure, Missing) for figure in alone.rgb.values())
+    assert all(isinstance(figure, Missing) for figure in alone.mean[RGB].values())
 
 
 def test_a_perfect_model_is_infinite() -> None:
     metrics = evaluate([ramp_view()], perfect, CELSIUS)
-    assert metrics.rgb["psnr"] == math.inf
-    assert metrics.thermal["mae_c"] == 0.0
+    assert metrics.mean[RGB]["psnr"] == math.inf
+    assert metrics.mean[THERMAL]["mae_c"] == 0.0
 
 
 def test_the_visitor_sees_each_view_once() -> None:
@@ -150,14 +159,12 @@ def test_no_views_is_an_error() -> None:
 
 def test_a_rendering_of_another_size_is_a_mistake_of_the_program() -> None:
     with pytest.raises(ValueError, match="differ in size"):
-        evaluate(
-            [ramp_view()], lambda view: Rendering(torch.zeros(4, 4, 3), None, None, None), None
-        )
+        evaluate([ramp_view()], lambda view: rendering_of({RGB: torch.zeros(4, 4, 3)}), None)
 
 
 def test_against_the_truth(tmp_path: Path) -> None:
     view = ramp_view("a")
-    exact_c = CELSIUS.to_celsius(view.thermal.load().values[..., 0]).numpy() - 0.5
+    exact_c = CELSIUS.to_celsius(view.images[THERMAL].load().values[..., 0]).numpy() - 0.5
     write_float_tiff(
         tmp_path / "truth" / "temperature" / "a.tiff", exact_c, "temperature, degrees Celsius"
     )
@@ -172,16 +179,29 @@ def test_against_the_truth(tmp_path: Path) -> None:
 
 def test_photos_are_compared_with_what_the_cameras_would_write() -> None:
     def colder(rendering: Rendering, camera: Camera) -> Rendering:
-        assert camera is view.cameras[0]
-        return rendering._replace(thermal=rendering.thermal - 0.05)
+        assert camera is view.camera
+        return rendering.with_images({THERMAL: rendering[THERMAL].image - 0.05})
 
     view, seen = ramp_view(), []
     metrics = evaluate(
         [view],
         perfect,
         CELSIUS,
-        photograph=colder,
+        camera_response=colder,
         visit=lambda _, rendering, metrics: seen.append(rendering),
     )
-    assert metrics.thermal["mae_c"] == pytest.approx(0.05 * CELSIUS.span_c, abs=1e-5)
-    assert torch.equal(seen[0].thermal, colder(perfect(view), view.cameras[0]).thermal)
+    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(0.05 * CELSIUS.span_c, abs=1e-5)
+    expected = colder(perfect(view), view.camera)[THERMAL].image
+    assert torch.equal(seen[0][THERMAL].image, expected)
+
+
+def test_a_third_modality_is_scored() -> None:
+    views = [ramp_view("a", nir=True), ramp_view("b")]
+    metrics = evaluate(views, render_with_error, CELSIUS, ConstantLpips())
+    assert tuple(metrics.mean) == (THERMAL, RGB, NEAR_INFRARED)
+    assert tuple(metrics.mean[NEAR_INFRARED]) == figure_names(NEAR_INFRARED) == figure_names(RGB)
+    assert metrics.mean[NEAR_INFRARED]["psnr"] == pytest.approx(40.0, abs=1e-3)
+    assert metrics.mean[NEAR_INFRARED]["lpips"] == pytest.approx(0.01, abs=1e-6)
+    assert metrics.views[1].figures[NEAR_INFRARED]["ssim"] == Missing(
+        "the view has no near infrared image, or the model does not render it"
+    )

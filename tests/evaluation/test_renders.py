@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ from PIL import Image
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.evaluation import evaluate_run, render_run
-from mrgs.evaluation.renders import evaluate_renders
+from mrgs.evaluation.renders import evaluate_renders, find_renders
 from mrgs.pictures.files import write_float_tiff
 from mrgs.runs.open import load_run
+from mrgs.scene import RGB, THERMAL
 from mrgs.training import make_config, train
+from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
 
 NAMES = ("frame_eval_00002", "frame_eval_00006")
@@ -44,8 +47,8 @@ def photo(scene: Path, name: str) -> np.ndarray:
 
 def test_the_photos_themselves_are_perfect(small_scene, renders):
     metrics = evaluate_renders(small_scene, renders)
-    assert metrics.rgb["psnr"] == metrics.thermal["psnr"] == np.inf
-    assert metrics.thermal["mae_c"] == 0
+    assert metrics.mean[RGB]["psnr"] == metrics.mean[THERMAL]["psnr"] == np.inf
+    assert metrics.mean[THERMAL]["mae_c"] == 0
     document = json.loads((renders / "eval" / "metrics.json").read_text())
     assert (document["method"], document["steps"], document["gaussians"]) == (
         "other program",
@@ -75,14 +78,14 @@ def test_sixteen_bits_and_floats_in_celsius_and_normalised_say_the_same(
         )
     for folder in (renders, tmp_path / "celsius", tmp_path / "normalised"):
         metrics = evaluate_renders(small_scene, folder)
-        assert metrics.thermal["mae_c"] == pytest.approx(0.05 * SPAN_C, abs=1e-3), folder
+        assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(0.05 * SPAN_C, abs=1e-3), folder
 
 
 def test_a_modality_may_be_left_out(small_scene, renders):
     shutil.rmtree(renders / "rgb")
     metrics = evaluate_renders(small_scene, renders)
-    assert metrics.thermal["psnr"] == np.inf
-    assert "does not render it" in metrics.rgb["psnr"].reason
+    assert metrics.mean[THERMAL]["psnr"] == np.inf
+    assert "does not render it" in metrics.mean[RGB]["psnr"].reason
 
 
 def test_grey_saved_in_colour_and_jpeg_are_read(small_scene, renders):
@@ -91,7 +94,7 @@ def test_grey_saved_in_colour_and_jpeg_are_read(small_scene, renders):
         with Image.open(path) as image:
             image.convert("RGB").save(path.with_suffix(".jpg"), quality=95)
         path.unlink()
-    assert evaluate_renders(small_scene, renders).thermal["psnr"] > 35
+    assert evaluate_renders(small_scene, renders).mean[THERMAL]["psnr"] > 35
 
 
 def test_what_mrgs_renders_scores_as_its_run(small_scene, tmp_path):
@@ -103,8 +106,8 @@ def test_what_mrgs_renders_scores_as_its_run(small_scene, tmp_path):
     document = json.loads((tmp_path / "scores" / "metrics.json").read_text())
     assert document["method"] == "ours"
     ours = evaluate_run(run)
-    assert metrics.thermal["mae_c"] == pytest.approx(ours.thermal["mae_c"], abs=1e-4)
-    assert metrics.rgb["psnr"] == pytest.approx(ours.rgb["psnr"], abs=0.05)  # 8 bits
+    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(ours.mean[THERMAL]["mae_c"], abs=1e-4)
+    assert metrics.mean[RGB]["psnr"] == pytest.approx(ours.mean[RGB]["psnr"], abs=0.05)  # 8 bits
 
 
 def test_depth_is_scored_where_the_truth_is_known(renders, tmp_path):
@@ -130,7 +133,7 @@ def test_a_sky_without_depth_is_no_reason_to_refuse_the_images(renders, tmp_path
         write_float_tiff(renders / "depth_thermal" / f"{name}.tiff", depth, "depth")
     metrics = evaluate_renders(scene, renders)
     assert metrics.truth["depth_median_relative_error"] == 0
-    assert metrics.thermal["psnr"] == np.inf
+    assert metrics.mean[THERMAL]["psnr"] == np.inf
 
 
 def test_a_sky_far_away_is_drawn_as_one_without_depth(renders, tmp_path):
@@ -262,3 +265,19 @@ def test_the_resolution_is_that_of_the_training(small_scene, renders):
         RunError, match=r"is 40×30 px, but its view is 20×15 px: .*choose the --resolution"
     ):
         evaluate_renders(small_scene, renders, resolution=20)
+
+
+def test_a_third_modality_is_read_from_a_folder_of_its_name(renders, small_scene):
+    scene = load_scene(small_scene)
+    views = [
+        replace(view, images={**view.images, NEAR_INFRARED: view.images[THERMAL]})
+        for view in scene.eval
+    ]
+    (renders / "nir").mkdir()
+    for name in NAMES:
+        with Image.open(renders / "thermal" / f"{name}.png") as image:
+            image.convert("RGB").save(renders / "nir" / f"{name}.png")
+    found = find_renders(renders, replace(scene, eval=tuple(views)))
+    rendering = found.rendering(views[0], scene.temperature)
+    expected = views[0].images[THERMAL].load().values
+    assert rendering[NEAR_INFRARED].image.numpy() == pytest.approx(expected.numpy(), abs=1e-6)

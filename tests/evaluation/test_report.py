@@ -9,13 +9,13 @@ import torch
 
 from mrgs.errors import RunError
 from mrgs.evaluation.evaluate import Metrics, evaluate
-from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
+from mrgs.evaluation.figures import figure_names
 from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
 from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
 from mrgs.pictures.files import write_float_tiff
-from mrgs.render import Rendering
-from mrgs.scene import View
-from tests.helpers.views import CELSIUS, ramp_view, render_with_error
+from mrgs.scene import RGB, THERMAL, Rendering, View
+from tests.helpers.gaussians import NEAR_INFRARED
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
 FACTS = RunFacts("mrgs", "a|b", 1200, 41_000, 63.5, None, "cpu")
 
@@ -25,17 +25,16 @@ def metrics(tmp_path: Path) -> Metrics:
     """Three views: identical images (infinite PSNR), a rendering with NaN, and one without an RGB
     image."""
     views = [ramp_view("perfect"), ramp_view("broken"), ramp_view("no_rgb", rgb=False)]
-    exact = CELSIUS.to_celsius(views[0].thermal.load().values[..., 0]).numpy()
+    exact = CELSIUS.to_celsius(views[0].images[THERMAL].load().values[..., 0]).numpy()
     write_float_tiff(
         tmp_path / "truth" / "temperature" / "perfect.tiff", exact, "temperature, degrees Celsius"
     )
 
     def render(view: View) -> Rendering:
-        rgb = view.rgb.load().values if view.rgb else None
-        thermal = view.thermal.load().values.clone()
+        images = {each: image.load().values.clone() for each, image in view.images.items()}
         if view.name == "broken":
-            thermal[0, 0] = torch.nan
-        return Rendering(rgb, None, thermal, None)
+            images[THERMAL][0, 0] = torch.nan
+        return rendering_of(images)
 
     return evaluate(views, render, CELSIUS, truth=Truth.find(tmp_path))
 
@@ -64,8 +63,8 @@ def test_the_document_has_the_promised_fields(metrics: Metrics, tmp_path: Path) 
         *("method", "scene", "steps", "gaussians", "train_seconds", "peak_memory_bytes", "device"),
         *("mean", "truth", "reasons", "views"),
     ]
-    assert tuple(document["mean"]["thermal"]) == THERMAL_FIGURES
-    assert tuple(document["mean"]["rgb"]) == RGB_FIGURES
+    assert tuple(document["mean"]["thermal"]) == figure_names(THERMAL)
+    assert tuple(document["mean"]["rgb"]) == figure_names(RGB)
     assert tuple(document["truth"]) == TRUTH_FIGURES
     assert document["train_seconds"] == 63.5
     assert [view["name"] for view in document["views"]] == ["perfect", "broken", "no_rgb"]
@@ -126,3 +125,12 @@ def test_both_files_or_an_error_that_names_one(metrics: Metrics, tmp_path: Path)
     (tmp_path / "taken").write_text("")
     with pytest.raises(RunError, match=r"metrics\.json cannot be written"):
         write_report(tmp_path / "taken", FACTS, metrics)
+
+
+def test_a_third_modality_has_its_own_key_and_table() -> None:
+    metrics = evaluate([ramp_view("a", nir=True)], render_with_error, CELSIUS)
+    document = to_document(FACTS, metrics)
+    assert list(document["mean"]) == ["thermal", "rgb", "nir"]
+    assert tuple(document["views"][0]["nir"]) == figure_names(NEAR_INFRARED)
+    assert document["mean"]["nir"]["psnr"] == pytest.approx(40.0, abs=1e-3)
+    assert "## Near infrared" in to_markdown(FACTS, metrics)

@@ -12,6 +12,7 @@ from mrgs.evaluation import evaluate_run, render_run
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render_view
 from mrgs.runs.open import Run, load_run
+from mrgs.scene import RGB, THERMAL
 from mrgs.scene.camera_paths import orbit
 from mrgs.training import make_config
 from tests.helpers.runs import trained_run
@@ -34,7 +35,7 @@ def test_evaluating_writes_scores_and_a_sheet(run):
     assert seen == [(1, 2), (2, 2)]
     folder = run.folder.path / "eval"
     document = json.loads((folder / "metrics.json").read_text())
-    assert document["mean"]["thermal"]["psnr"] == pytest.approx(metrics.thermal["psnr"])
+    assert document["mean"]["thermal"]["psnr"] == pytest.approx(metrics.mean[THERMAL]["psnr"])
     assert (document["method"], document["steps"], document["gaussians"]) == (
         "mrgs",
         3,
@@ -52,8 +53,8 @@ def test_rendered_temperatures_are_those_of_the_model(run):
     expected = run.temperatures_c(render_view(run.model, view)).numpy()
     np.testing.assert_array_equal(pixels(folder / "temperature_c" / f"{view.name}.tiff"), expected)
     assert pixels(folder / "rgb" / f"{view.name}.png").shape == (
-        view.rgb.camera.height,
-        view.rgb.camera.width,
+        view.images[RGB].camera.height,
+        view.images[RGB].camera.width,
         3,
     )
 
@@ -68,7 +69,7 @@ def test_each_modality_has_its_own_frames_along_a_path(run):
     cameras = orbit(run.load_scene().train_cameras, 2)
     for number, camera in enumerate(cameras):
         frame = pixels(folder / "rgb" / f"{number:05d}.png")
-        np.testing.assert_array_equal(frame, to_rgb8(run.render(camera).rgb))
+        np.testing.assert_array_equal(frame, to_rgb8(run.render(camera)[RGB].image))
         thermal = pixels(folder / "thermal" / f"{number:05d}.png")
         assert thermal.shape == frame.shape
         assert not np.array_equal(thermal, frame)

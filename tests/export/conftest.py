@@ -19,7 +19,7 @@ from mrgs.export.splats import Splats
 from mrgs.field.spherical_harmonics import C0
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run, load_run
-from mrgs.scene import Camera, Scene, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
 from mrgs.training import make_config, train
 
 HERE = Path(__file__).parent
@@ -95,9 +95,9 @@ def _draw(splats: Splats, camera: Camera) -> torch.Tensor:
         torch.from_numpy(array) for array in (splats.means, splats.quats, splats.scales)
     )
     return (
-        BakedModel(means, quats, scales, opacities, opacities, sh, opacities, None)
-        .render(camera)
-        .rgb
+        BakedModel(means, quats, scales, {RGB: opacities}, {RGB: sh}, opacities, None)
+        .render(camera)[RGB]
+        .image
     )
 
 
@@ -151,9 +151,8 @@ def make_baked() -> Callable[..., BakedModel]:
         opacities = torch.rand(count, 2, generator=generator) * 0.98 + 0.01
         sh = torch.randn(count, 16, 3, generator=generator) * 0.2
         temperatures = torch.rand(count, generator=generator)
-        return BakedModel(
-            means, quats, scales, opacities[:, 0], opacities[:, 1], sh, temperatures, temperature
-        )
+        by_modality = {RGB: opacities[:, 0], THERMAL: opacities[:, 1]}
+        return BakedModel(means, quats, scales, by_modality, {RGB: sh}, temperatures, temperature)
 
     return make
 
@@ -172,12 +171,10 @@ def globe() -> BakedModel:
     sh = torch.zeros(count, 16, 3)
     sh[:, 0] = (colors - 0.5) / C0
     quats = torch.tensor([1.0, 0, 0, 0]).repeat(count, 1)
-    opacity = torch.full((count,), 0.95)
+    opacities = dict.fromkeys((RGB, THERMAL), torch.full((count,), 0.95))
     temperatures = torch.where(up, 0.75, 0.25)
-    scale = TemperatureRange(10, 30)
-    return BakedModel(
-        means, quats, torch.full((count, 3), 0.012), opacity, opacity, sh, temperatures, scale
-    )
+    scales, scale = torch.full((count, 3), 0.012), TemperatureRange(10, 30)
+    return BakedModel(means, quats, scales, opacities, {RGB: sh}, temperatures, scale)
 
 
 @pytest.fixture
@@ -186,12 +183,12 @@ def wide_scene(scene: Scene) -> Scene:
 
     def views(flip: bool):
         for view in scene.train:
-            camera = view.rgb.camera.resized(160, 120)
+            camera = view.cameras[RGB].resized(160, 120)
             turn = torch.diag(
                 torch.tensor([1, -1, -1, 1] if flip else [1, 1, 1, 1], dtype=torch.float64)
             )
             camera = Camera(camera.K, camera.viewmat @ turn, camera.width, camera.height)
-            yield replace(view, rgb=replace(view.rgb, camera=camera), thermal=None)
+            yield replace(view, images={RGB: replace(view.images[RGB], camera=camera)})
 
     return replace(scene, train=(*views(False), *views(True)))
 
@@ -201,12 +198,8 @@ def globe_under_sky(globe: BakedModel, wide_scene: Scene) -> BakedModel:
     """The same sphere, and cold splats all around it where training puts what lies far behind a
     scene."""
     ball = wide_scene.reach
-    sky = {
-        name: torch.cat([getattr(globe, name)] * 2)
-        for name in ("quats", "opacity_rgb", "opacity_thermal", "sh")
-    }
     return replace(
-        globe,
+        globe.map_tensors(lambda tensor: torch.cat([tensor] * 2)),
         means=torch.cat(
             [globe.means, ball.centre.float() + 2 * ball.background_distance * globe.means]
         ),
@@ -214,7 +207,6 @@ def globe_under_sky(globe: BakedModel, wide_scene: Scene) -> BakedModel:
             [globe.scales, torch.full_like(globe.scales, 0.05 * ball.background_distance)]
         ),
         temperatures=torch.cat([globe.temperatures, torch.zeros_like(globe.temperatures)]),
-        **sky,
     )
 
 

@@ -9,7 +9,8 @@ import torch
 
 from mrgs.data import load_scene
 from mrgs.export.cameras import write_cameras
-from mrgs.scene import Pixels, PosedImage
+from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
+from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
 
 
@@ -27,12 +28,11 @@ def same_cameras(found, expected):
 def same_views(found, expected):
     assert [view.name for view in found] == [view.name for view in expected]
     for one, other in zip(found, expected, strict=True):
-        same_cameras(one.rgb.camera, other.rgb.camera)
-        same_cameras(one.thermal.camera, other.thermal.camera)
-        torch.testing.assert_close(one.rgb.load().values, other.rgb.load().values)
-        torch.testing.assert_close(
-            one.thermal.load().values, other.thermal.load().values, atol=1e-6, rtol=0
-        )
+        assert list(one.images) == list(other.images)
+        for modality, image in one.images.items():
+            same_cameras(image.camera, other.images[modality].camera)
+            expected_values = other.images[modality].load().values
+            torch.testing.assert_close(image.load().values, expected_values, atol=1e-6, rtol=0)
 
 
 def test_transforms_json_reads_back(tmp_path, original):
@@ -57,7 +57,7 @@ def test_the_colmap_model_reads_back(tmp_path, original):
 def test_transforms_json_is_camera_to_world_with_opengl_axes(tmp_path, original):
     write_cameras(tmp_path / "out", original)
     frame = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"][0]
-    pose, camera = np.array(frame["transform_matrix"]), original.train[0].rgb.camera
+    pose, camera = np.array(frame["transform_matrix"]), original.train[0].images[RGB].camera
     np.testing.assert_allclose(pose[:3, 3], camera.position)
     np.testing.assert_allclose(-pose[:3, 2], camera.forward)  # looks along −z
     np.testing.assert_allclose(pose[:3, 1], -camera.viewmat[1, :3])  # y is up
@@ -66,37 +66,61 @@ def test_transforms_json_is_camera_to_world_with_opengl_axes(tmp_path, original)
 def test_colmap_is_world_to_camera_with_opencv_axes(tmp_path, original):
     write_cameras(tmp_path / "out", original)
     line = (tmp_path / "out" / "sparse" / "0" / "images.txt").read_text().splitlines()[1].split()
-    camera = original.train[0].rgb.camera
+    camera = original.train[0].images[RGB].camera
     np.testing.assert_allclose(
         [float(word) for word in line[5:8]], camera.viewmat[:3, 3], atol=1e-12
     )
     name = f"{original.train[0].name}.png"
-    assert line[9] == (name if original.train[0].shares_camera else f"images/{name}")
+    assert line[9] == (name if original.train[0].shares_camera(RGB, THERMAL) else f"images/{name}")
 
 
 def test_without_celsius_thermal_images_are_16_bit(tmp_path, original):
     write_cameras(tmp_path / "out", replace(original, temperature=None))
     found = load_scene(tmp_path / "out")
     assert found.temperature is None
-    values = found.train[0].thermal.load().values
-    torch.testing.assert_close(values, original.train[0].thermal.load().values, atol=1e-5, rtol=0)
+    values = found.train[0].images[THERMAL].load().values
+    torch.testing.assert_close(
+        values, original.train[0].images[THERMAL].load().values, atol=1e-5, rtol=0
+    )
 
 
-@pytest.mark.parametrize("modality", ["rgb", "thermal"])
+@pytest.mark.parametrize("modality", [RGB, THERMAL])
 def test_scenes_of_one_modality(tmp_path, original, modality):
-    other = {"rgb": "thermal", "thermal": "rgb"}[modality]
     alone = replace(
-        original, train=tuple(replace(view, **{other: None}) for view in original.train), eval=()
+        original,
+        train=tuple(View(view.name, {modality: view.images[modality]}) for view in original.train),
+        eval=(),
     )
     write_cameras(tmp_path / "out", alone)
     for _ in range(2):  # transforms.json, then COLMAP
         found = load_scene(tmp_path / "out")
         views = [*found.train, *found.eval]
-        cameras = {view.name: getattr(view, modality).camera for view in views}
-        assert all(getattr(view, other) is None for view in views)
+        assert all(list(view.images) == [modality] for view in views)
+        cameras = {view.name: view.camera for view in views}
         for view in alone.train:
-            same_cameras(cameras[view.name], getattr(view, modality).camera)
+            same_cameras(cameras[view.name], view.camera)
         (tmp_path / "out" / "transforms.json").unlink(missing_ok=True)
+
+
+def test_a_third_modality_reads_back(tmp_path, original):
+    def with_infrared(views):
+        return tuple(
+            View(view.name, {**view.images, NEAR_INFRARED: view.images[THERMAL]}) for view in views
+        )
+
+    original = replace(
+        original, train=with_infrared(original.train), eval=with_infrared(original.eval)
+    )
+    paths = write_cameras(tmp_path / "out", original)
+    assert tmp_path / "out" / "nir" / f"{original.train[0].name}.png" in paths
+    found = load_scene(tmp_path / "out")
+    assert found.modalities == (RGB, THERMAL, NEAR_INFRARED)
+    for one, other in zip(found.train, original.train, strict=True):
+        for modality, camera in one.cameras.items():
+            same_cameras(camera, other.cameras[modality])
+        values = one.images[NEAR_INFRARED].load().values
+        expected = other.images[THERMAL].load().values
+        torch.testing.assert_close(values, expected, atol=1e-5, rtol=0)
 
 
 def test_masks_are_kept(tmp_path, original):
@@ -108,9 +132,9 @@ def test_masks_are_kept(tmp_path, original):
         valid[:5] = False
         return replace(image, load=lambda: Pixels(values, valid))
 
-    view = replace(view, rgb=masked(view.rgb), thermal=masked(view.thermal))
+    view = replace(view, images={each: masked(image) for each, image in view.images.items()})
     write_cameras(tmp_path / "out", replace(original, train=(view,), eval=()))
     found = load_scene(tmp_path / "out").train[0]
-    for image in (found.rgb, found.thermal):
+    for image in (found.images[RGB], found.images[THERMAL]):
         assert not image.load().valid[:5].any()
         assert image.load().valid[5:].all()

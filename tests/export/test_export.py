@@ -1,14 +1,21 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
+import laspy
+import numpy as np
 import pytest
 import torch
 
 from mrgs.errors import ConfigError, MrgsWarning, RunError
 from mrgs.export import FORMATS, export
+from mrgs.field.spherical_harmonics import C0
+from mrgs.scene import RGB, THERMAL, View
+from tests.helpers.gaussians import NEAR_INFRARED
 
 EXPECTED = {
     "ply": {"rgb.ply", "thermal.ply", "rgb_thermal.ply"},
@@ -26,7 +33,7 @@ def solid(baked):
     """The small model, opaque enough for points and a mesh."""
     return replace(
         baked,
-        opacity_rgb=torch.full_like(baked.opacity_rgb, 0.95),
+        opacities={**baked.opacities, RGB: torch.full_like(baked.opacities[RGB], 0.95)},
         scales=baked.scales.clamp_min(0.1),
     )
 
@@ -92,18 +99,82 @@ def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene, read_ply):
 
 
 def test_a_modality_that_the_scene_has_not_is_left_out(tmp_path, baked, scene):
-    alone = replace(scene, train=tuple(replace(view, rgb=None) for view in scene.train))
+    views = (View(view.name, {THERMAL: view.images[THERMAL]}) for view in scene.train)
+    alone = replace(scene, train=tuple(views))
     assert {path.name for path in export(baked, alone, "spz", tmp_path)} == {
         "thermal.spz",
         "thermal.spz.json",
     }
 
 
+def with_infrared(baked, scene):
+    """The model and the scene with a third modality that looks as warm as the thermal one."""
+    temperatures = baked.temperatures.clamp_min(0)
+    sh = ((temperatures - 0.5) / C0)[:, None, None]
+    model = replace(
+        baked,
+        temperatures=temperatures,
+        opacities={**baked.opacities, NEAR_INFRARED: baked.opacities[THERMAL]},
+        sh={**baked.sh, NEAR_INFRARED: sh},
+    )
+    views = (
+        View(view.name, {**view.images, NEAR_INFRARED: view.images[THERMAL]})
+        for view in scene.train
+    )
+    return model, replace(scene, train=tuple(views))
+
+
+@pytest.mark.parametrize("format", ["ply", "spz", "glb", "splat"])
+def test_a_third_modality_has_grey_splats_of_its_own(tmp_path, baked, scene, format):
+    model, scene = with_infrared(baked, scene)
+    export(model, scene, format, tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names - EXPECTED[format] - {f"{name}.json" for name in EXPECTED[format]} == {
+        f"nir.{format}",
+        f"nir.{format}.json",
+    }
+    facts = json.loads((tmp_path / f"nir.{format}.json").read_text(encoding="utf-8"))
+    assert facts["colors"]["palette"] == "grey"
+    assert facts["nir"]["property"] == "nir"
+    both = json.loads((tmp_path / f"rgb.{format}.json").read_text(encoding="utf-8"))
+    assert both["nir"] == facts["nir"]
+
+
+def test_a_third_modality_is_a_column_beside_the_temperatures(tmp_path, solid, scene, read_ply):
+    model, scene = with_infrared(solid, scene)
+    for format, name in (("ply", "rgb_thermal"), ("points", "points"), ("mesh", "mesh")):
+        export(model, scene, format, tmp_path)
+        rows = read_ply(tmp_path / f"{name}.ply")[1]["vertex"]
+        celsius = 10 + 20 * rows["nir"]
+        np.testing.assert_allclose(rows["temperature_c"], celsius, atol=1e-3, err_msg=name)
+    splats = read_ply(tmp_path / "nir.ply")[1]["vertex"]
+    np.testing.assert_array_equal(splats["f_dc_0"], splats["f_dc_2"])
+    export(model, scene, "las", tmp_path)
+    assert "nir" in laspy.read(tmp_path / "points.las").point_format.dimension_names
+
+
+def test_the_page_needs_colours_or_temperatures(tmp_path, solid, scene):
+    model, scene = with_infrared(solid, scene)
+    views = (View(view.name, {NEAR_INFRARED: view.images[NEAR_INFRARED]}) for view in scene.train)
+    alone = replace(scene, train=tuple(views), eval=())
+    with pytest.raises(ConfigError, match="the page needs rgb or thermal to show"):
+        export(model, alone, "page", tmp_path)
+    with pytest.warns(MrgsWarning, match="page is left out: the page needs rgb or thermal"):
+        names = {path.name for path in export(model, alone, "all", tmp_path)}
+    assert {"nir.splat", "mesh.ply", "transforms.json"} <= names
+    assert "rgb.splat" not in names
+
+
+def test_the_manual_lists_every_format():
+    manual = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `(\w+)` \|", manual, re.MULTILINE) == list(FORMATS)
+
+
 def test_an_unknown_format_is_named(tmp_path, baked, scene):
     with pytest.raises(
         ConfigError, match="unknown export format 'obj': choose one of ply, spz, glb"
     ):
-        export.__wrapped__(baked, scene, "obj", tmp_path)
+        export(baked, scene, "obj", tmp_path)
 
 
 def test_a_missing_package_is_named_before_anything_is_done(tmp_path, baked, scene, monkeypatch):
@@ -115,9 +186,7 @@ def test_a_missing_package_is_named_before_anything_is_done(tmp_path, baked, sce
 
 def test_all_goes_on_without_the_package(tmp_path, solid, scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.warns(
-        MrgsWarning, match="points.las is left out: LAS files need the package laspy"
-    ):
+    with pytest.warns(MrgsWarning, match="las is left out: LAS files need the package laspy"):
         names = {path.name for path in export(solid, scene, "all", tmp_path)}
     assert "points.las" not in names
     assert "points.ply" in names

@@ -8,12 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mrgs.export.glb import EXTENSION, rotation_to_y, write_glb
-from mrgs.export.splats import rgb_splats, shown_temperatures, thermal_scale, thermal_splats
+from mrgs.export.splats import shaded_splats, shown_temperatures, thermal_scale, thermal_splats
+from mrgs.scene import RGB
 
 
 def test_an_independent_reader_finds_every_number(tmp_path, make_baked, read_glb, splats_of):
     baked = make_baked()
-    splats = rgb_splats(baked)
+    splats = shaded_splats(baked, RGB)
     path = write_glb(
         tmp_path / "rgb.glb", splats, properties={"temperature_c": shown_temperatures(baked)}
     )
@@ -29,7 +30,7 @@ def test_an_independent_reader_finds_every_number(tmp_path, make_baked, read_glb
 
 def test_khronos_s_validator_knows_everything_but_the_extension(tmp_path, make_baked, read_glb):
     baked = make_baked()
-    for splats in (rgb_splats(baked), thermal_splats(baked, thermal_scale(baked))):
+    for splats in (shaded_splats(baked, RGB), thermal_splats(baked, thermal_scale(baked))):
         issues = read_glb(
             write_glb(tmp_path / "a.glb", splats, np.array([0.0, 0.0, 1.0]), {"unit": "°C"})
         )["issues"]
@@ -49,7 +50,7 @@ def document(path):
 
 def test_the_extension_is_declared_as_its_specification_wants(tmp_path, make_baked):
     content = document(
-        write_glb(tmp_path / "a.glb", rgb_splats(make_baked(7)), extras={"scene": "kettle"})
+        write_glb(tmp_path / "a.glb", shaded_splats(make_baked(7), RGB), extras={"scene": "kettle"})
     )
     primitive = content["meshes"][0]["primitives"][0]
     assert content["extensionsUsed"] == [EXTENSION]

@@ -8,6 +8,7 @@ import torch
 
 from mrgs.errors import RunError
 from mrgs.export.mesh import build_mesh, write_mesh_ply
+from mrgs.scene import RGB
 
 RADIUS = 0.5
 
@@ -21,9 +22,10 @@ def test_a_sphere_comes_out_with_its_colours_and_temperatures(globe, wide_scene)
     assert ((a * np.cross(b - a, c - a)).sum(axis=1) > 0).mean() > 0.95  # seen from outside
     warm, cold = mesh.vertices[:, 2] > 0.1, mesh.vertices[:, 2] < -0.1
     assert min(warm.sum(), cold.sum()) > 200
-    np.testing.assert_allclose(np.median(mesh.temperatures[warm]), 25, atol=0.3)
-    np.testing.assert_allclose(np.median(mesh.temperatures[cold]), 15, atol=0.3)
-    assert (mesh.colors[warm, 0] > mesh.colors[warm, 2]).mean() > 0.98
+    temperatures = mesh.columns["temperature_c"]
+    np.testing.assert_allclose(np.median(temperatures[warm]), 25, atol=0.3)
+    np.testing.assert_allclose(np.median(temperatures[cold]), 15, atol=0.3)
+    assert (mesh.columns["red"][warm] > mesh.columns["blue"][warm]).mean() > 0.98
 
 
 def test_the_sky_is_no_surface_and_costs_no_resolution(globe_under_sky, globe, wide_scene):
@@ -38,16 +40,19 @@ def test_the_sky_is_no_surface_and_costs_no_resolution(globe_under_sky, globe, w
 
 def test_the_file_holds_a_temperature_per_vertex(tmp_path, globe, wide_scene, read_ply):
     mesh = build_mesh(globe, wide_scene, resolution=24)
-    _, elements = read_ply(write_mesh_ply(tmp_path / "mesh.ply", mesh, globe))
+    _, elements = read_ply(write_mesh_ply(tmp_path / "mesh.ply", mesh))
     names = ("x", "y", "z", "red", "green", "blue", "temperature_c")
     assert elements["vertex"].dtype.names == names
     np.testing.assert_array_equal(elements["face"], mesh.faces)
-    np.testing.assert_array_equal(elements["vertex"]["temperature_c"], mesh.temperatures)
+    np.testing.assert_array_equal(
+        elements["vertex"]["temperature_c"], mesh.columns["temperature_c"]
+    )
     assert elements["face"].max() == len(mesh.vertices) - 1  # no vertex is unused
 
 
 def test_haze_has_no_mesh(globe, wide_scene):
-    haze = replace(globe, opacity_rgb=torch.full_like(globe.opacity_rgb, 1e-3))
+    haze = globe.map_tensors(torch.clone)
+    haze.opacities[RGB].fill_(1e-3)
     with pytest.raises(RunError, match="no view of the model is opaque enough to show a surface"):
         build_mesh(haze, wide_scene, resolution=24)
 

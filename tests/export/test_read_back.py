@@ -11,9 +11,10 @@ from mrgs.evaluation.metrics import psnr
 from mrgs.export.glb import write_glb
 from mrgs.export.ply import write_splat_ply
 from mrgs.export.splat import write_splat
-from mrgs.export.splats import rgb_splats, thermal_scale, thermal_splats, without_directions
+from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats, without_directions
 from mrgs.export.spz import write_spz
 from mrgs.pictures.palette import colorize
+from mrgs.scene import RGB, THERMAL
 
 TOLERANCE_DB = 0.2
 """Against the photo."""
@@ -24,10 +25,13 @@ LEAST_LIKENESS_DB = 40.0
 
 @pytest.mark.parametrize(("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz)])
 def test_rgb(tmp_path, baked, scene, splat_transform, draw, suffix, write):
-    back = splat_transform(write(tmp_path / f"rgb.{suffix}", rgb_splats(baked)))
+    back = splat_transform(write(tmp_path / f"rgb.{suffix}", shaded_splats(baked, RGB)))
     for view in scene.eval:
-        photo, rendering = view.rgb.load().values, baked.render(view.rgb.camera).rgb
-        drawn = draw(back, view.rgb.camera)
+        photo, rendering = (
+            view.images[RGB].load().values,
+            baked.render(view.cameras[RGB])[RGB].image,
+        )
+        drawn = draw(back, view.cameras[RGB])
         assert psnr(rendering, photo) > 18  # a model of something
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
@@ -36,13 +40,14 @@ def test_rgb(tmp_path, baked, scene, splat_transform, draw, suffix, write):
 def test_rgb_without_directions(tmp_path, baked, scene, splat_transform, draw):
     """The format holds no view dependence: it is compared with the model whose colours have none
     either."""
-    flat = without_directions(baked, [view.rgb.camera for view in scene.train])
+    model = without_directions(baked, [view.cameras[RGB] for view in scene.train])
+    flat = shaded_splats(model, RGB)
     back = splat_transform(write_splat(tmp_path / "rgb.splat", flat))
     for view in scene.eval:
         photo, rendering, drawn = (
-            view.rgb.load().values,
-            draw(flat, view.rgb.camera),
-            draw(back, view.rgb.camera),
+            view.images[RGB].load().values,
+            draw(flat, view.cameras[RGB]),
+            draw(back, view.cameras[RGB]),
         )
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
@@ -56,19 +61,24 @@ def test_colour_mapped_temperatures(tmp_path, baked, scene, splat_transform, dra
     splats = thermal_splats(baked, scale)
     back = splat_transform(write(tmp_path / f"thermal.{suffix}", splats))
     for view in scene.eval:
-        celsius = baked.temperature.to_celsius(view.thermal.load().values[..., 0]).numpy()
+        celsius = baked.temperature.to_celsius(view.images[THERMAL].load().values[..., 0]).numpy()
         photo = torch.from_numpy(
             colorize(celsius, scale.low, scale.high, scale.palette) / np.float32(255)
         )
-        rendering, drawn = draw(splats, view.thermal.camera), draw(back, view.thermal.camera)
+        rendering, drawn = draw(splats, view.cameras[THERMAL]), draw(back, view.cameras[THERMAL])
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
 
 
 def test_glb(tmp_path, baked, scene, read_glb, splats_of, draw):
-    back = splats_of(read_glb(write_glb(tmp_path / "rgb.glb", rgb_splats(baked)))["attributes"])
+    back = splats_of(
+        read_glb(write_glb(tmp_path / "rgb.glb", shaded_splats(baked, RGB)))["attributes"]
+    )
     for view in scene.eval:
-        photo, rendering = view.rgb.load().values, baked.render(view.rgb.camera).rgb
-        drawn = draw(back, view.rgb.camera)
+        photo, rendering = (
+            view.images[RGB].load().values,
+            baked.render(view.cameras[RGB])[RGB].image,
+        )
+        drawn = draw(back, view.cameras[RGB])
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB

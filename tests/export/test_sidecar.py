@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.loss import BakingLoss
 from mrgs.export.sidecar import comment_lines, facts_of, up_direction, write_sidecar
-from mrgs.scene import Camera
+from mrgs.scene import RGB, THERMAL, Camera, View
 
 
 def test_the_facts_say_units_axes_range_and_loss(make_baked, scene):
-    facts = facts_of(make_baked(), scene, np.array([0.0, 0.0, 1.0]), BakingLoss(0.12, 0.0))
+    facts = facts_of(make_baked(), scene, np.array([0.0, 0.0, 1.0]), {RGB: 0.12, THERMAL: 0.0})
     assert (
         facts["temperature"].items()
         >= {"property": "temperature_c", "unit": "°C", "min": 10.0, "max": 30.0}.items()
@@ -58,7 +57,7 @@ def turned(scene, roll):
         )
 
     views = (
-        replace(view, rgb=rolled(i, view.rgb), thermal=None) for i, view in enumerate(scene.train)
+        View(view.name, {RGB: rolled(i, view.images[RGB])}) for i, view in enumerate(scene.train)
     )
     return replace(scene, train=tuple(views))
 

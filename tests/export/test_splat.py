@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 
 from mrgs.export.splat import write_splat
-from mrgs.export.splats import rgb_splats, to_bytes
+from mrgs.export.splats import shaded_splats, to_bytes
+from mrgs.scene import RGB
 
 
 def test_thirty_two_bytes_per_splat_the_largest_first(tmp_path, make_baked):
-    splats = rgb_splats(make_baked())
+    splats = shaded_splats(make_baked(), RGB)
     data = write_splat(tmp_path / "a.splat", splats).read_bytes()
     assert len(data) == 50 * 32
     size = splats.scales.prod(axis=1) * splats.opacities

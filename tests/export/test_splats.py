@@ -10,7 +10,7 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.metrics import psnr
 from mrgs.export.splats import (
     require_exportable,
-    rgb_splats,
+    shaded_splats,
     shown_temperatures,
     temperature_name,
     thermal_scale,
@@ -18,12 +18,13 @@ from mrgs.export.splats import (
     without_directions,
 )
 from mrgs.pictures.palette import palette_table
+from mrgs.scene import RGB, THERMAL
 
 
 def test_the_colours_are_those_of_the_baked_model(baked, scene, draw):
-    camera = scene.eval[0].rgb.camera
+    camera = scene.eval[0].images[RGB].camera
     torch.testing.assert_close(
-        draw(rgb_splats(baked), camera), baked.render(camera).rgb, atol=1e-5, rtol=0
+        draw(shaded_splats(baked, RGB), camera), baked.render(camera)[RGB].image, atol=1e-5, rtol=0
     )
 
 
@@ -31,7 +32,7 @@ def test_temperatures_get_the_palette_s_colours(make_baked):
     baked = replace(make_baked(3), temperatures=torch.tensor([-1.0, 0.5, 2.0]))
     splats = thermal_splats(baked, thermal_scale(baked, "iron", (10.0, 30.0)))
     np.testing.assert_array_equal(splats.base_colors, palette_table("iron")[[0, 128, 255]])
-    np.testing.assert_array_equal(splats.opacities, baked.opacity_thermal.numpy())
+    np.testing.assert_array_equal(splats.opacities, baked.opacities[THERMAL].numpy())
     assert splats.sh_degree == 0
 
 
@@ -71,33 +72,35 @@ def test_an_empty_model_is_refused(make_baked):
 
 
 @pytest.mark.parametrize(
-    "name", ["means", "quats", "scales", "opacity_rgb", "opacity_thermal", "sh", "temperatures"]
+    "name",
+    ["means", "quats", "scales", "opacity.rgb", "opacity.thermal", "sh.rgb", "temperatures"],
 )
 def test_numbers_that_are_not_finite_are_refused(make_baked, name):
-    values = getattr(make_baked(), name).clone()
-    values[7] = float("nan")
-    values[9] = float("inf")
+    baked = make_baked().map_tensors(torch.clone)
+    baked.tensors()[name][7] = float("nan")
+    baked.tensors()[name][9] = float("inf")
     with pytest.raises(RunError, match="2 of 50 splats hold NaN or infinity"):
-        require_exportable(replace(make_baked(), **{name: values}))
+        require_exportable(baked)
 
 
 def test_colours_without_directions_are_the_mean_over_the_cameras(make_baked, scene):
-    baked, cameras = make_baked(), [view.rgb.camera for view in scene.train]
-    flat = without_directions(baked, cameras)
-    colors = torch.stack([baked.colors(camera.position.float()) for camera in cameras])
+    baked, cameras = make_baked(), [view.cameras[RGB] for view in scene.train]
+    flat = shaded_splats(without_directions(baked, cameras), RGB)
+    colors = torch.stack([baked.values(RGB, camera.position) for camera in cameras])
     base = torch.from_numpy(flat.sh[:, 0]) * 0.28209479 + 0.5
     low, high = colors.amin(0).clamp(0, 1), colors.amax(0).clamp(0, 1)
     assert ((base >= low - 1e-4) & (base <= high + 1e-4)).all()
-    one = without_directions(baked, cameras[:1])
+    one = shaded_splats(without_directions(baked, cameras[:1]), RGB)
     torch.testing.assert_close(
         torch.from_numpy(one.sh[:, 0]) * 0.28209479 + 0.5, colors[0].clamp(0, 1), atol=1e-4, rtol=0
     )
 
 
 def test_colours_without_directions_beat_dropping_the_directions(baked, scene, draw):
-    flat = without_directions(baked, [view.rgb.camera for view in scene.train])
-    dropped = replace(rgb_splats(baked), sh=baked.sh[:, :1].numpy())
-    photos = [(view.rgb.camera, view.rgb.load().values) for view in scene.eval]
+    model = without_directions(baked, [view.cameras[RGB] for view in scene.train])
+    flat = shaded_splats(model, RGB)
+    dropped = replace(shaded_splats(baked, RGB), sh=baked.sh[RGB][:, :1].numpy())
+    photos = [(view.cameras[RGB], view.images[RGB].load().values) for view in scene.eval]
     scores = [
         sum(psnr(draw(splats, camera), photo) for camera, photo in photos)
         for splats in (flat, dropped)

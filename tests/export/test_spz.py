@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.export.splats import rgb_splats, thermal_scale, thermal_splats
+from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats
 from mrgs.export.spz import write_spz
+from mrgs.scene import RGB
 
 
 def unpack(path):
@@ -37,7 +38,7 @@ def quats_of(words):
 
 def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path, make_baked):
     version, count, degree, _, body = unpack(
-        write_spz(tmp_path / "rgb.spz", rgb_splats(make_baked()))
+        write_spz(tmp_path / "rgb.spz", shaded_splats(make_baked(), RGB))
     )
     assert (version, count, degree, len(body)) == (3, 50, 3, 50 * (20 + 45))
     baked = make_baked()
@@ -48,7 +49,7 @@ def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path, make_baked
 
 @pytest.mark.parametrize(("size", "bits"), [(1.0, 20), (100.0, 16), (4e6, 1)])
 def test_positions_get_as_many_bits_as_the_farthest_leaves(tmp_path, make_baked, size, bits):
-    splats = rgb_splats(make_baked())
+    splats = shaded_splats(make_baked(), RGB)
     splats = replace(splats, means=splats.means / np.abs(splats.means).max() * np.float32(size))
     *_, found, body = unpack(write_spz(tmp_path / "rgb.spz", splats))
     assert found == bits
@@ -59,14 +60,14 @@ def test_positions_get_as_many_bits_as_the_farthest_leaves(tmp_path, make_baked,
 
 
 def test_splats_beyond_24_bits_are_refused(tmp_path, make_baked):
-    splats = rgb_splats(make_baked())
+    splats = shaded_splats(make_baked(), RGB)
     with pytest.raises(RunError, match="farther than SPZ can store: export a PLY"):
         write_spz(tmp_path / "rgb.spz", replace(splats, means=splats.means * np.float32(1e9)))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_rotations_are_kept_to_a_third_of_a_degree(tmp_path, make_baked):
-    splats = rgb_splats(make_baked(2000))
+    splats = shaded_splats(make_baked(2000), RGB)
     splats.quats[:4] = np.eye(4)  # ties and signs
     splats.quats[4:6] = [[-0.5, 0.5, -0.5, 0.5], [0.5, 0.5, 0.5, 0.5]]
     body = unpack(write_spz(tmp_path / "rgb.spz", splats))[-1]
@@ -78,7 +79,7 @@ def test_rotations_are_kept_to_a_third_of_a_degree(tmp_path, make_baked):
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, make_baked):
     first, second = (
-        write_spz(tmp_path / name, rgb_splats(make_baked())).read_bytes()
+        write_spz(tmp_path / name, shaded_splats(make_baked(), RGB)).read_bytes()
         for name in ("a.spz", "b.spz")
     )
     assert first == second

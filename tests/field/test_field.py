@@ -8,31 +8,19 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0, evaluate_sh
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
+from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
 
 CAMERA = torch.tensor([0.0, 0.0, -4.0], dtype=torch.float64)
 
 
 def make_gaussians(field: RadianceField, count: int = 40, temperature_bands: int = 0) -> Gaussians:
-    generator = torch.Generator().manual_seed(1)
-
-    def random(*shape: int) -> torch.Tensor:
-        return torch.randn(count, *shape, generator=generator)
-
-    means = random(3)
-    field.set_frame(means)
-    return Gaussians(
-        means=means,
-        quats=random(4),
-        log_scales=random(3),
-        opacity_rgb_logit=random(1),
-        opacity_thermal_logit=random(1),
-        sh_dc=random(1, 3),
-        sh_rest=random(15, 3),
-        temperature_dc=random(1, 1),
-        temperature_rest=random(temperature_bands, 1),
-        embedding=field.initial_embedding(means),
+    gaussians = random_gaussians(
+        count, bands=temperature_bands, seed=1, modalities=(RGB, THERMAL, NEAR_INFRARED)
     )
+    field.set_frame(gaussians.means)
+    gaussians.embedding = field.initial_embedding(gaussians.means)
+    return gaussians
 
 
 def make_field(**options) -> RadianceField:
@@ -45,7 +33,9 @@ def test_colors_are_clamped_harmonics_plus_the_residual(residuals):
     field = make_field(residuals=residuals)
     gaussians = make_gaussians(field)
     directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
-    expected = (evaluate_sh(gaussians.sh_dc, gaussians.sh_rest, directions, 2) + 0.5).clamp_min(0)
+    expected = (
+        evaluate_sh(gaussians.sh_dc[RGB], gaussians.sh_rest[RGB], directions, 2) + 0.5
+    ).clamp_min(0)
     if residuals:
         expected = expected + field.color_head(gaussians.embedding, directions)
     torch.testing.assert_close(field.colors(gaussians, CAMERA, 2), expected)
@@ -55,10 +45,10 @@ def test_temperatures_are_the_papers_chain():
     field = make_field()
     gaussians = make_gaussians(field)
     neighbours = nearest_neighbours(gaussians.means, 8)
-    e_t = field.extraction(gaussians.embedding, gaussians.sh)
+    e_t = field.extraction(gaussians.embedding, gaussians.sh(RGB))
     features = field.thermal_head(e_t, (gaussians.means - field.center) / field.scale)
-    refined = field.heat(features, gaussians.opacity_thermal, neighbours)
-    expected = C0 * gaussians.temperature_dc[:, 0] + 0.5 + 0.01 * field.temperature_output(refined)
+    refined = field.heat(features, gaussians.opacity(THERMAL), neighbours)
+    expected = C0 * gaussians.sh_dc[THERMAL][:, 0] + 0.5 + 0.01 * field.temperature_output(refined)
     torch.testing.assert_close(field.temperatures(gaussians, neighbours, CAMERA, 3), expected)
 
 
@@ -77,14 +67,14 @@ def test_temperatures_do_not_depend_on_the_view():
 def test_temperatures_of_a_higher_degree_add_their_harmonics_without_a_clamp(degree):
     field = make_field()
     gaussians = make_gaussians(field, temperature_bands=15)
-    gaussians.temperature_dc -= 2
+    gaussians.sh_dc[THERMAL] -= 2
     neighbours = nearest_neighbours(gaussians.means, 8)
     found = field.temperatures(gaussians, neighbours, CAMERA, degree)
     directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
     harmonics = evaluate_sh(
-        torch.zeros_like(gaussians.temperature_dc), gaussians.temperature_rest, directions, degree
+        torch.zeros_like(gaussians.sh_dc[THERMAL]), gaussians.sh_rest[THERMAL], directions, degree
     )
-    gaussians.temperature_rest = gaussians.temperature_rest[:, :0]
+    gaussians.sh_rest[THERMAL] = gaussians.sh_rest[THERMAL][:, :0]
     torch.testing.assert_close(
         found, field.temperatures(gaussians, neighbours, CAMERA, degree) + harmonics
     )
@@ -95,12 +85,26 @@ def test_baseline_treats_temperature_like_a_colour():
     field = make_field(residuals=False)
     gaussians = make_gaussians(field, temperature_bands=15)
     directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
-    sh = evaluate_sh(gaussians.temperature_dc, gaussians.temperature_rest, directions, 3)
+    sh = evaluate_sh(gaussians.sh_dc[THERMAL], gaussians.sh_rest[THERMAL], directions, 3)
     torch.testing.assert_close(
         field.temperatures(gaussians, None, CAMERA, 3), (sh + 0.5).clamp_min(0)
     )
     assert gaussians.embedding.shape == (40, 0)
     assert not list(field.parameters())
+
+
+@pytest.mark.parametrize("residuals", [True, False])
+@pytest.mark.parametrize("rows", [None, torch.tensor([7, 3, 39])])
+def test_any_other_modality_is_clamped_harmonics(residuals, rows):
+    field = make_field(residuals=residuals)
+    gaussians = make_gaussians(field)
+    directions = torch.nn.functional.normalize(gaussians.means - CAMERA.float(), dim=1)
+    dc, rest = gaussians.sh_dc[NEAR_INFRARED], gaussians.sh_rest[NEAR_INFRARED]
+    expected = (evaluate_sh(dc, rest, directions, 2) + 0.5).clamp_min(0)
+    found = field.intensities(NEAR_INFRARED, gaussians, CAMERA, 2, rows)
+    torch.testing.assert_close(found, expected if rows is None else expected[rows])
+    with pytest.raises(IndexError, match="rows must lie in 0 to 39"):
+        field.intensities(NEAR_INFRARED, gaussians, CAMERA, 2, torch.tensor([40]))
 
 
 @pytest.mark.parametrize(
@@ -141,13 +145,13 @@ def test_every_parameter_and_the_thermal_inputs_get_a_gradient():
         assert parameter.grad.abs().sum() > 0, name
     for name in (
         "means",
-        "opacity_thermal_logit",
-        "sh_dc",
-        "sh_rest",
-        "temperature_dc",
+        "opacity_logit.thermal",
+        "sh_dc.rgb",
+        "sh_rest.rgb",
+        "sh_dc.thermal",
         "embedding",
     ):
-        assert getattr(gaussians, name).grad.abs().sum() > 0, name
+        assert gaussians.tensors()[name].grad.abs().sum() > 0, name
 
 
 def test_start_is_close_to_the_plain_values():

@@ -106,19 +106,19 @@ def test_the_field_does_not_make_the_host_wait(config, bands, picks):
         "means": (3,),
         "quats": (4,),
         "log_scales": (3,),
-        "opacity_rgb_logit": (1,),
-        "opacity_thermal_logit": (1,),
-        "sh_dc": (1, 3),
-        "sh_rest": (15, 3),
-        "temperature_dc": (1, 1),
-        "temperature_rest": (bands, 1),
+        "opacity_logit.rgb": (1,),
+        "opacity_logit.thermal": (1,),
+        "sh_dc.rgb": (1, 3),
+        "sh_rest.rgb": (15, 3),
+        "sh_dc.thermal": (1, 1),
+        "sh_rest.thermal": (bands, 1),
         "embedding": (config.embedding_width if config.residuals else 0,),
     }
     tensors = {
         name: torch.empty(count, *shape, device="meta").requires_grad_()
         for name, shape in shapes.items()
     }
-    gaussians, field = Gaussians(**tensors), RadianceField(config).to("meta")
+    gaussians, field = Gaussians.from_tensors(tensors), RadianceField(config).to("meta")
     neighbours = torch.empty(count, config.neighbours_k, dtype=torch.int64, device="meta")
     rows = torch.empty(20, dtype=torch.int64, device="meta") if picks else None
     position = torch.empty(3, device="meta")

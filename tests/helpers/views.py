@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
-from mrgs.render import Rendering
-from mrgs.scene import Camera, Pixels, PosedImage, TemperatureRange, View
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Blend,
+    Camera,
+    Modality,
+    Pixels,
+    PosedImage,
+    Rendering,
+    TemperatureRange,
+    View,
+)
+from tests.helpers.gaussians import NEAR_INFRARED
 
 CELSIUS = TemperatureRange(10.0, 30.0)
 
@@ -21,28 +34,47 @@ def posed_image(values: Tensor, valid: Tensor | None = None) -> PosedImage:
 
 
 def ramp_view(
-    name: str = "eval_0", rgb: bool = True, thermal: bool = True, valid: Tensor | None = None
+    name: str = "eval_0",
+    rgb: bool = True,
+    thermal: bool = True,
+    valid: Tensor | None = None,
+    nir: bool = False,
 ) -> View:
-    """An RGB image of 24×32 and a thermal image of 18×24, smooth ramps with a warm square."""
+    """An RGB image of 24×32 and a thermal image of 18×24, smooth ramps with a warm square; if
+    asked for, also a near infrared one of 20×16."""
     ramp = torch.linspace(0.1, 0.6, 32).expand(24, 32)
     color = torch.stack([ramp, 0.9 - ramp, ramp.square()], dim=-1)
     heat = torch.linspace(0.2, 0.3, 24).repeat(18, 1)[..., None]
     heat[5:12, 8:16] = 0.8
-    return View(
-        name,
-        posed_image(color) if rgb else None,
-        posed_image(heat, valid) if thermal else None,
-    )
+    images = {}
+    if rgb:
+        images[RGB] = posed_image(color)
+    if thermal:
+        images[THERMAL] = posed_image(heat, valid)
+    if nir:
+        images[NEAR_INFRARED] = posed_image(torch.linspace(0.1, 0.8, 16).repeat(20, 1)[..., None])
+    return View(name, images)
+
+
+ERRORS = {RGB: 0.1, THERMAL: 0.05, NEAR_INFRARED: 0.01}
+"""How much too bright the images are, and how much too high the temperatures: 1 °C of
+`CELSIUS`."""
+
+
+def rendering_of(images: Mapping[Modality, Tensor]) -> Rendering:
+    """Images without depth and alpha."""
+    return Rendering({modality: Blend.of_image(image) for modality, image in images.items()})
 
 
 def render_with_error(view: View) -> Rendering:
-    """Colours 0.1 too bright, temperatures 0.05 (1 °C of `CELSIUS`) too high, at a depth of 2."""
-    rgb = view.rgb.load().values + 0.1 if view.rgb else None
-    thermal = view.thermal.load().values + 0.05 if view.thermal else None
-    depths = [
-        None if image is None else torch.full(image.shape[:2], 2.0) for image in (rgb, thermal)
-    ]
-    return Rendering(rgb, depths[0], thermal, depths[1])
+    """Images that are off by `ERRORS`, at a depth of 2 and with an alpha of 1."""
+    images = {each: image.load().values + ERRORS[each] for each, image in view.images.items()}
+    return Rendering(
+        {
+            modality: Blend(image, torch.full(image.shape[:2], 2.0), torch.ones(image.shape[:2]))
+            for modality, image in images.items()
+        }
+    )
 
 
 class CountingImage:

@@ -20,9 +20,9 @@ from mrgs.pictures.files import (
     write_scaled_png,
 )
 from mrgs.pictures.palette import palette_table
-from mrgs.render import Rendering
-from mrgs.scene import Reach
-from tests.helpers.views import CELSIUS, ramp_view
+from mrgs.scene import RGB, THERMAL, Blend, Reach, Rendering, View
+from tests.helpers.gaussians import NEAR_INFRARED
+from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
 
 def rendering() -> Rendering:
@@ -31,8 +31,12 @@ def rendering() -> Rendering:
         torch.rand(12, 16, 3, generator=generator),
         torch.rand(9, 12, 1, generator=generator) * 1.4 - 0.2,
     )
+    depth = torch.rand(9, 12, generator=generator)
     return Rendering(
-        rgb, torch.full((12, 16), 2.0), thermal, torch.rand(9, 12, generator=generator)
+        {
+            RGB: Blend(rgb, torch.full((12, 16), 2.0), torch.ones(12, 16)),
+            THERMAL: Blend(thermal, depth, torch.ones(9, 12)),
+        }
     )
 
 
@@ -66,7 +70,7 @@ def test_all_images_of_a_view_in_celsius(tmp_path: Path) -> None:
         "depth_thermal/v1.png",
     }
     assert all(path.is_file() for path in paths)
-    expected = CELSIUS.to_celsius(shown.thermal[..., 0]).numpy()
+    expected = CELSIUS.to_celsius(shown[THERMAL].image[..., 0]).numpy()
     np.testing.assert_array_equal(read_float_tiff(tmp_path / "temperature_c/v1.tiff"), expected)
     assert expected.max() > CELSIUS.max_c  # not clamped
 
@@ -76,7 +80,7 @@ def test_without_celsius_the_file_says_so(tmp_path: Path) -> None:
     write_rendering(tmp_path, ramp_view("v1"), shown, None)
     assert not (tmp_path / "temperature_c").exists()
     path = tmp_path / "thermal_normalised" / "v1.tiff"
-    np.testing.assert_array_equal(read_float_tiff(path), shown.thermal[..., 0].numpy())
+    np.testing.assert_array_equal(read_float_tiff(path), shown[THERMAL].image[..., 0].numpy())
     with Image.open(path) as image:
         assert "normalised" in image.tag_v2[270]
 
@@ -85,10 +89,24 @@ def test_what_the_model_lacks_is_left_out(tmp_path: Path) -> None:
     paths = write_rendering(
         tmp_path,
         ramp_view("v1"),
-        rendering()._replace(rgb=None, depth_rgb=None, depth_thermal=None),
+        rendering_of({THERMAL: rendering()[THERMAL].image}),
         CELSIUS,
     )
     assert {path.parent.name for path in paths} == {"temperature_c", "thermal"}
+
+
+def test_a_third_modality_is_a_grey_picture(tmp_path: Path) -> None:
+    view = ramp_view("v1", rgb=False, thermal=False, nir=True)
+    paths = write_rendering(tmp_path, view, render_with_error(view), CELSIUS)
+    assert [str(path.relative_to(tmp_path)) for path in paths] == [
+        "nir/v1.png",
+        "depth_nir/v1.tiff",
+        "depth_nir/v1.png",
+    ]
+    with Image.open(paths[0]) as image:
+        pixels = np.asarray(image)
+    expected = np.rint((view.images[NEAR_INFRARED].load().values.numpy() + 0.01) * 255)
+    np.testing.assert_array_equal(pixels, np.repeat(expected, 3, axis=2))
 
 
 def test_the_map_keeps_its_pixels_beside_the_bar(tmp_path: Path) -> None:
@@ -110,11 +128,10 @@ def test_near_is_light_in_a_depth_picture(tmp_path: Path) -> None:
 
 def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(tmp_path: Path) -> None:
     shown, view = rendering(), ramp_view("v1")
-    shown.depth_rgb[:6] = 900.0
-    shown.depth_rgb[6:9] = 2.5
-    assert view.rgb is not None
-    camera = replace(view.rgb.camera, width=16, height=12)
-    view = replace(view, rgb=replace(view.rgb, camera=camera))
+    shown[RGB].depth[:6] = 900.0
+    shown[RGB].depth[6:9] = 2.5
+    camera = replace(view.images[RGB].camera, width=16, height=12)
+    view = View("v1", {RGB: replace(view.images[RGB], camera=camera)})
     write_rendering(tmp_path, view, shown, None, ball=Reach(camera.position, 10.0))
     assert read_float_tiff(tmp_path / "depth_rgb/v1.tiff").max() == 900
     with Image.open(tmp_path / "depth_rgb/v1.png") as image:

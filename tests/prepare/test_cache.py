@@ -17,6 +17,7 @@ from mrgs.data.radiometric import ExifFacts, GpsPosition, ObjectParameters, Phot
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare.cache import Cache, digest, fingerprint, load, locked, save, stamps
 from mrgs.prepare.contract import (
+    ConvertedImage,
     ConvertedPhotos,
     ConvertedView,
     Pairing,
@@ -25,7 +26,7 @@ from mrgs.prepare.contract import (
     Skipped,
 )
 from mrgs.prepare.rig import RigCalibration, RigView
-from mrgs.scene import PointCloud
+from mrgs.scene import RGB, THERMAL, PointCloud
 
 EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosition(48.1, -11.5))
 
@@ -65,8 +66,10 @@ def test_times_places_and_missing_values_come_back(tmp_path):
     views = (
         ConvertedView(
             "a",
-            "images/a.jpg",
-            "thermal/a.tiff",
+            {
+                RGB: ConvertedImage("images/a.jpg"),
+                THERMAL: ConvertedImage("thermal/a.tiff", (320, 240), "ab12"),
+            },
             EXIF,
             PhotoFacts(
                 "FLIR radiometric JPEG",
@@ -76,9 +79,8 @@ def test_times_places_and_missing_values_come_back(tmp_path):
                 warnings=("warning",),
             ),
             (-3.5, 41.0),
-            thermal_size=(320, 240),
         ),
-        ConvertedView("b", None, "thermal/b.png", ExifFacts()),
+        ConvertedView("b", {THERMAL: ConvertedImage("thermal/b.png")}, ExifFacts()),
     )
     photos = ConvertedPhotos(views, (Skipped("c", "is cut off"),))
     assert stored_and_read(tmp_path, photos, ConvertedPhotos) == photos

@@ -55,8 +55,8 @@ def test_stages_are_said_and_what_to_do_next(asked, capsys):
     ]
     notes = printed.err.splitlines()
     assert notes[0] == "mrgs: note: thermal camera: The camera moved."
-    assert notes[1] == "mrgs: note: left out: 0.txt: is no photo"
-    assert notes[-1] == "mrgs: note: left out: 5 more; see my scene/prepare.html"
+    assert notes[1] == "mrgs: note: skipped: 0.txt: is no photo"
+    assert notes[-1] == "mrgs: note: skipped: 5 more; see my scene/prepare.html"
     assert len(notes) == 22
     assert asked == [(Path("photos"), Path("my scene"), PrepareOptions())]
 

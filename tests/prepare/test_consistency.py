@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.prepare.consistency import agreements, luma
+from mrgs.prepare.consistency import agreements, brightness
 from mrgs.scene import Camera, PointCloud
 
 CAMERA = Camera(
@@ -52,5 +52,6 @@ def test_images_that_share_too_little_are_not_judged():
 
 def test_luma_runs_from_black_to_white():
     np.testing.assert_allclose(
-        luma(np.array([[[0, 0, 0], [255, 255, 255], [255, 0, 0]]], dtype=np.uint8)), [[0, 1, 0.299]]
+        brightness(np.array([[[0, 0, 0], [255, 255, 255], [255, 0, 0]]], dtype=np.uint8)),
+        [[0, 1, 0.299]],
     )

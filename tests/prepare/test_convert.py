@@ -18,6 +18,7 @@ from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.pairs import find_pairs
 from mrgs.prepare.work import Work
+from mrgs.scene import RGB, THERMAL
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
 
@@ -64,16 +65,16 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_flir_photo_and_its_visible_photo(made, scene, photos):
     found = made({"FLIR1.jpg": ("flir with visible", {"taken": NOON, "model": "E60"})})
     (view,) = found.views
-    assert (view.name, view.rgb, view.thermal) == (
+    assert (view.name, *view.files) == (
         "FLIR1",
         "images/FLIR1.jpg",
         "thermal/FLIR1.tiff",
     )
     truth = read_thermal_photo(photos({}) / "FLIR1.jpg")
-    written = pixels(scene / view.thermal)
+    written = pixels(scene / view.images[THERMAL].file)
     assert written.dtype == np.float32
     np.testing.assert_array_equal(written, truth.temperature_c)
-    assert (scene / view.rgb).read_bytes() == truth.facts.visible.data
+    assert (scene / view.images[RGB].file).read_bytes() == truth.facts.visible.data
     assert view.range_c == (float(written.min()), float(written.max()))
     assert (view.facts.camera, view.exif.model, view.exif.taken) == ("Test Camera", "E60", NOON)
     assert found.skipped == found.warnings == ()
@@ -83,7 +84,10 @@ def test_pixels_without_temperature_are_nan(made, scene, flir):
     raw = flir().raw
     raw[3, 4] = 0
     (view,) = made({"a.jpg": flir(raw=raw).jpeg()}).views
-    assert np.isnan(pixels(scene / view.thermal)).nonzero() == (np.array([3]), np.array([4]))
+    assert np.isnan(pixels(scene / view.images[THERMAL].file)).nonzero() == (
+        np.array([3]),
+        np.array([4]),
+    )
     assert view.range_c is not None
     assert np.isfinite(view.range_c).all()
     assert "0.1 % of the pixels have no temperature; they are masked." in view.facts.warnings
@@ -97,7 +101,7 @@ def test_upright_photos_keep_their_bytes(made, scene, photos):
     }
     found = made({**files, "thermal/b.tif": "celsius"})
     root = photos({})
-    assert [view.rgb for view in found.views] == ["images/a.jpg", "images/b.jpg"]
+    assert [view.images[RGB].file for view in found.views] == ["images/a.jpg", "images/b.jpg"]
     assert (scene / "images/a.jpg").read_bytes() == (root / "rgb/a.JPG").read_bytes()
     assert (found.views[0].exif.model, found.views[0].exif.taken) == ("X100", NOON)
     assert found.views[0].facts.notes == ("The numbers are taken for celsius.",)
@@ -109,7 +113,7 @@ def test_a_tiff_photo_becomes_a_png(made, scene, photos):
     (root / "rgb").mkdir()
     Image.fromarray(colours).save(root / "rgb/a.tif")
     (view,) = made({"thermal/a.png": "png"}).views
-    assert view.rgb == "images/a.png"
+    assert view.images[RGB].file == "images/a.png"
     np.testing.assert_array_equal(pixels(scene / "images/a.png"), colours)
 
 
@@ -119,7 +123,7 @@ def test_a_rotated_photo_is_turned_in_its_pixels(made, scene, orientation):
     (view,) = made({"rgb/a.jpg": rgb, "thermal/a.tif": "celsius"}).views
     with Image.open(scene.parent / "card/rgb/a.jpg") as image:
         upright = np.asarray(image.transpose(turn_by_exif(orientation)), dtype=int)
-    with Image.open(scene / view.rgb) as image:
+    with Image.open(scene / view.images[RGB].file) as image:
         assert image.format == "JPEG"
         assert 0x0112 not in image.getexif()
         assert image.getexif()[0x0110] == "X100"
@@ -195,10 +199,12 @@ def test_images_with_given_poses_stay_as_they_are_stored(photos, scene, orientat
     root = photos({"rgb/a.jpg": ("jpg", turn), "thermal/a.png": ("png", turn)})
     (view,) = converted(find_pairs(root), scene, turn=False).views
     stored = pixels(root / "rgb/a.jpg").astype(int)
-    written = pixels(scene / view.rgb).astype(int)
+    written = pixels(scene / view.images[RGB].file).astype(int)
     assert written.shape == stored.shape
     assert np.abs(written - stored).mean() < 2
-    np.testing.assert_array_equal(pixels(scene / view.thermal), pixels(root / "thermal/a.png"))
+    np.testing.assert_array_equal(
+        pixels(scene / view.images[THERMAL].file), pixels(root / "thermal/a.png")
+    )
 
 
 def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
@@ -210,7 +216,7 @@ def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
         stages.images(work)
         assert not work.reports[0].reused
         (view,) = work.images.views
-        assert pixels(scene / view.rgb).shape == shape
+        assert pixels(scene / view.images[RGB].file).shape == shape
 
 
 def test_all_photos_are_turned_as_most_of_them(made, scene):
@@ -219,7 +225,7 @@ def test_all_photos_are_turned_as_most_of_them(made, scene):
         f"rgb/{i}.jpg": ("jpg", {"size": (32, 16), "orientation": (1, 6, 6)[i]}) for i in range(3)
     }
     found = made(rgb | {f"thermal/{i}.tif": "celsius" for i in range(3)})
-    assert {pixels(scene / view.rgb).shape for view in found.views} == {(32, 16, 3)}
+    assert {pixels(scene / view.images[RGB].file).shape for view in found.views} == {(32, 16, 3)}
 
 
 def test_thermal_photos_are_turned_too(made, scene):
@@ -227,16 +233,17 @@ def test_thermal_photos_are_turned_too(made, scene):
         {"a_t.png": ("png", {"size": (32, 16), "orientation": 6}), "a_rgb.jpg": "jpg"}
     ).views
     np.testing.assert_array_equal(
-        pixels(scene / view.thermal), np.rot90(pixels(scene.parent / "card/a_t.png"), -1)
+        pixels(scene / view.images[THERMAL].file),
+        np.rot90(pixels(scene.parent / "card/a_t.png"), -1),
     )
 
 
 def test_photos_without_temperatures_still_train(made, scene):
     found = made({"rgb/a.jpg": "jpg", "thermal/a.png": "png"})
     (view,) = found.views
-    assert (view.thermal, view.range_c) == ("thermal/a.png", None)
+    assert (view.images[THERMAL].file, view.range_c) == ("thermal/a.png", None)
     np.testing.assert_array_equal(
-        pixels(scene / view.thermal), pixels(scene.parent / "card/thermal/a.png")
+        pixels(scene / view.images[THERMAL].file), pixels(scene.parent / "card/thermal/a.png")
     )
     assert found.warnings == ()
     (warning,) = view.facts.warnings

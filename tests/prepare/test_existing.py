@@ -35,7 +35,7 @@ def write_colmap(folder: Path, names: list[str], points: bool = True) -> None:
 
 def test_transforms(small_scene, tmp_path):
     scene = load_scene(small_scene)
-    truth = {view.name: view.rgb.camera.viewmat for view in scene.train}
+    truth = {view.name: view.camera.viewmat for view in scene.train}
     found = existing_poses(small_scene, photos(tmp_path / "photos", [*truth, "another"]))
     assert found.viewmats.keys() == truth.keys()
     for name, viewmat in found.viewmats.items():

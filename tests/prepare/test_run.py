@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.rig import ChessboardTarget, RigCalibration, RigView, TargetFit
 from mrgs.prepare.work import Work
+from mrgs.scene import RGB, THERMAL
 
 STAGES = ["pairs", "images", "poses", "scale and north", "thermal camera", "scene files", "page"]
 BOUNDS = Overrides(bounds_c=(10.0, 30.0))
@@ -54,7 +55,7 @@ class Fakes:
         assert cameras.keys() == images.keys()
         self.calls.append("thermal poses" if stretch else "poses")
         progress("matching", 1, 2)
-        return replace(existing_poses(self.poses, images), images="thermal" if stretch else "rgb")
+        return replace(existing_poses(self.poses, images), images=THERMAL if stretch else RGB)
 
     def calibrate(self, pairs, points, options, progress) -> RigCalibration:
         self.calls.append("thermal camera")
@@ -69,11 +70,12 @@ class Fakes:
         )
 
 
-def short_page(scene: Path, stages, *arguments, **options) -> Path:
+def short_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
     """A page that holds what the stages said."""
-    text = "\n".join(line for stage in stages for line in stage.lines)
-    (scene / "prepare.html").write_text(text, encoding="utf-8")
-    return scene / "prepare.html"
+    text = "\n".join(line for stage in work.reports for line in stage.lines)
+    page = work.scene / "prepare.html"
+    page.write_text(text, encoding="utf-8")
+    return page
 
 
 @pytest.fixture
@@ -116,12 +118,16 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
     assert (scene.temperature.min_c, scene.temperature.max_c) == (10.0, 30.0)
     true = {view.name: view for view in (*truth.train, *truth.eval)}
     for view in (*scene.train, *scene.eval):
-        assert view.shares_camera
-        assert torch.equal(view.rgb.load().values, true[view.name].rgb.load().values)
+        assert view.shares_camera(RGB, THERMAL)
+        assert torch.equal(
+            view.images[RGB].load().values, true[view.name].images[RGB].load().values
+        )
         # The same pictures through the same lenses; the world may have been turned upright.
-        assert torch.allclose(view.rgb.camera.K, true[view.name].rgb.camera.K)
+        assert torch.allclose(view.images[RGB].camera.K, true[view.name].images[RGB].camera.K)
         assert torch.allclose(
-            view.thermal.load().values, true[view.name].thermal.load().values, atol=1e-6
+            view.images[THERMAL].load().values,
+            true[view.name].images[THERMAL].load().values,
+            atol=1e-6,
         )
 
 
@@ -129,11 +135,13 @@ def test_the_thermal_camera_comes_into_the_scene(photos, fakes, tmp_path):
     prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
     assert fakes.calls == ["poses", "thermal camera"]
     view = load_scene(tmp_path / "scene").train[0]
-    between = view.thermal.camera.viewmat @ torch.linalg.inv(view.rgb.camera.viewmat)
+    between = view.images[THERMAL].camera.viewmat @ torch.linalg.inv(
+        view.images[RGB].camera.viewmat
+    )
     assert torch.allclose(
         between[:3, 3], torch.tensor([-0.03, 0.0, 0.0], dtype=torch.float64), atol=1e-9
     )
-    assert view.thermal.camera.K[0, 0] == 41.0
+    assert view.images[THERMAL].camera.K[0, 0] == 41.0
 
 
 def touch(path: Path) -> None:
@@ -230,8 +238,7 @@ def test_thermal_photos_alone_are_posed_by_themselves(photos, fakes, tmp_path):
     made = prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
     assert fakes.calls == ["thermal poses"]
     scene = load_scene(tmp_path / "scene")
-    assert not scene.has_rgb
-    assert scene.has_thermal
+    assert scene.modalities == (THERMAL,)
     assert made.stages[4].lines == ("There are only thermal images.",)
 
 
@@ -307,11 +314,15 @@ def test_a_target_gives_metres(photos, fakes, tmp_path, monkeypatch):
     assert made.stages[4].lines[-1] == "The target gives the scale: the scene is in metres."
     after = load_scene(made.scene)
     for old, new in zip(before.train, after.train, strict=True):
-        assert torch.allclose(2 * old.rgb.camera.position, new.rgb.camera.position, atol=1e-9)
         assert torch.allclose(
-            2 * old.thermal.camera.position, new.thermal.camera.position, atol=1e-9
+            2 * old.images[RGB].camera.position, new.images[RGB].camera.position, atol=1e-9
         )
-        assert torch.allclose(old.rgb.camera.viewmat[:3, :3], new.rgb.camera.viewmat[:3, :3])
+        assert torch.allclose(
+            2 * old.images[THERMAL].camera.position, new.images[THERMAL].camera.position, atol=1e-9
+        )
+        assert torch.allclose(
+            old.images[RGB].camera.viewmat[:3, :3], new.images[RGB].camera.viewmat[:3, :3]
+        )
     assert torch.allclose(2 * before.points.positions, after.points.positions, atol=1e-5)
     camera = thermal_camera.read_thermal_camera(
         made.scene / "transforms.json"
@@ -362,9 +373,9 @@ def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, mon
             "only 2 of 8 photos could be placed", (Skipped("view_3", "too little texture"),)
         )
 
-    def page(scene, *arguments, skipped):
-        told.extend(skipped)
-        return scene / "prepare.html"
+    def page(work, without_pose):
+        told.extend((*work.skipped, *without_pose))
+        return work.scene / "prepare.html"
 
     monkeypatch.setattr(stages, "reconstruct", fails)
     monkeypatch.setattr(stages, "write_page", page)

@@ -14,20 +14,21 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import ExifFacts, GpsPosition, Overrides
+from mrgs.data.radiometric import GpsPosition, Overrides
 from mrgs.data.undistort import pinhole_of
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions
-from mrgs.prepare.contract import ConvertedPhotos, ConvertedView, Georeference, Reconstruction
+from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
-from mrgs.scene import Camera, PointCloud
+from mrgs.scene import RGB, THERMAL, Camera, PointCloud
+from tests.helpers.converted import converted_view
 
-RGB = Lens(32, 24, 30.0, 31.0, 15.0, 12.5, (-0.05, 0.01, 0.002, 0.0), (0.001, -0.002))
+RGB_LENS = Lens(32, 24, 30.0, 31.0, 15.0, 12.5, (-0.05, 0.01, 0.002, 0.0), (0.001, -0.002))
 OTHER_RGB = Lens(32, 24, 28.0, 28.0, 16.0, 12.0)
 FISHEYE = Lens(32, 24, 20.0, 20.0, 16.0, 12.0, (0.01, 0.002, 0.001, 0.0005), fisheye=True)
-THERMAL = Lens(16, 12, 14.0, 14.2, 8.0, 6.0, (-0.1, 0.0, 0.0, 0.0))
+THERMAL_LENS = Lens(16, 12, 14.0, 14.2, 8.0, 6.0, (-0.1, 0.0, 0.0, 0.0))
 OFFSET = torch.tensor(
     [[1.0, 0, 0, 0.05], [0, 1, 0, -0.01], [0, 0, 1, 0.002], [0, 0, 0, 1]], dtype=torch.float64
 )
@@ -74,12 +75,12 @@ def convert(
         )
         range_c = (10.4 + i, 20.2 + i) if celsius else None
         views.append(
-            ConvertedView(name, f"images/{name}.png", thermal, ExifFacts(), range_c=range_c)
+            converted_view(name, {RGB: f"images/{name}.png", THERMAL: thermal}, range_c=range_c)
         )
     return ConvertedPhotos(tuple(views), ())
 
 
-def reconstruct(names: list[str], lens: Lens = RGB) -> Reconstruction:
+def reconstruct(names: list[str], lens: Lens = RGB_LENS) -> Reconstruction:
     points = PointCloud(
         torch.tensor([[0.0, 1, 2], [0.5, -0.25, 4]]), torch.tensor([[0.0, 0.2, 1], [1, 0.4, 0]])
     )
@@ -94,7 +95,7 @@ def rig_of(names: list[str]) -> RigCalibration:
         correction = torch.eye(4, dtype=torch.float64)
         correction[0, 3] = 0.001 * i
         views.append(RigView(name, correction, 50, 0.5, 0.3))
-    return RigCalibration(THERMAL, OFFSET, tuple(views), (0.5, 1.0), 0.3, 0.2, ())
+    return RigCalibration(THERMAL_LENS, OFFSET, tuple(views), (0.5, 1.0), 0.3, 0.2, ())
 
 
 def write(
@@ -125,8 +126,8 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
     assert set(views) == set(names)
     for index, name in enumerate(names):
         own = viewmat(int(name.rpartition("_")[2]))
-        assert_camera(views[name].rgb.camera, RGB, own)
-        assert_camera(views[name].thermal.camera, THERMAL, rig.viewmat(index, own))
+        assert_camera(views[name].images[RGB].camera, RGB_LENS, own)
+        assert_camera(views[name].images[THERMAL].camera, THERMAL_LENS, rig.viewmat(index, own))
     torch.testing.assert_close(scene.points.positions, reconstruct(names).points.positions)
     torch.testing.assert_close(
         scene.points.colors, reconstruct(names).points.colors, atol=1e-6, rtol=0
@@ -138,7 +139,7 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
     np.testing.assert_allclose(content["thermal_from_rgb_m"], OFFSET)
 
 
-@pytest.mark.parametrize("lens", [RGB, OTHER_RGB, FISHEYE])
+@pytest.mark.parametrize("lens", [RGB_LENS, OTHER_RGB, FISHEYE])
 def test_one_camera_serves_both_images_whatever_the_size_of_the_thermal_ones(tmp_path, lens):
     photos = convert(tmp_path, 3)
     names = [view.name for view in photos.views]
@@ -146,14 +147,14 @@ def test_one_camera_serves_both_images_whatever_the_size_of_the_thermal_ones(tmp
     scene = load_scene(tmp_path)
     assert scene.eval == ()
     view = scene.train[1]
-    assert_camera(view.rgb.camera, lens, viewmat(1))
+    assert_camera(view.images[RGB].camera, lens, viewmat(1))
     half = replace(
         lens,
         width=16,
         height=12,
         **{key: getattr(lens, key) / 2 for key in ("fx", "fy", "cx", "cy")},
     )
-    assert_camera(view.thermal.camera, half, viewmat(1))
+    assert_camera(view.images[THERMAL].camera, half, viewmat(1))
 
 
 def test_each_view_may_have_a_lens_of_its_own(tmp_path):
@@ -162,20 +163,20 @@ def test_each_view_may_have_a_lens_of_its_own(tmp_path):
     reconstruction = reconstruct(names)
     reconstruction = replace(reconstruction, lenses={**reconstruction.lenses, "shot_2": OTHER_RGB})
     write(tmp_path, photos, reconstruction, rig_of(names), None, eval_every=0, bounds=None)
-    lenses = [view.rgb.camera for view in load_scene(tmp_path).train]
-    assert_camera(lenses[1], RGB, viewmat(1))
+    lenses = [view.images[RGB].camera for view in load_scene(tmp_path).train]
+    assert_camera(lenses[1], RGB_LENS, viewmat(1))
     assert_camera(lenses[2], OTHER_RGB, viewmat(2))
 
 
 def test_a_thermal_only_set_has_poses_of_the_thermal_images(tmp_path):
     photos = convert(tmp_path, 9)
     names = [view.name for view in photos.views]
-    reconstruction = replace(reconstruct(names, THERMAL), images="thermal")
+    reconstruction = replace(reconstruct(names, THERMAL_LENS), images=THERMAL)
     write(tmp_path, photos, reconstruction, None, None, eval_every=8, bounds=None)
     scene = load_scene(tmp_path)
     assert [view.name for view in scene.eval] == ["shot_0", "shot_8"]
-    assert all(view.rgb is None for view in scene.train)
-    assert_camera(scene.train[0].thermal.camera, THERMAL, viewmat(1))
+    assert all(RGB not in view.images for view in scene.train)
+    assert_camera(scene.train[0].images[THERMAL].camera, THERMAL_LENS, viewmat(1))
 
 
 @pytest.mark.parametrize(

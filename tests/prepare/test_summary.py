@@ -6,10 +6,9 @@ import pytest
 import torch
 
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import ExifFacts, PhotoFacts
+from mrgs.data.radiometric import PhotoFacts
 from mrgs.prepare.contract import (
     ConvertedPhotos,
-    ConvertedView,
     Pairing,
     PhotoPair,
     Reconstruction,
@@ -22,15 +21,14 @@ from mrgs.prepare.summary import (
     summarize_poses,
     summarize_thermal_camera,
 )
-from mrgs.scene import PointCloud
+from mrgs.scene import RGB, THERMAL, PointCloud
+from tests.helpers.converted import converted_view
 
-VIEW = ConvertedView(
+VIEW = converted_view(
     "a",
-    "images/a.jpg",
-    "thermal/a.tiff",
-    ExifFacts(),
-    PhotoFacts("FLIR radiometric JPEG", camera="FLIR E60", warnings=("It is old.",)),
-    (-3.04, 41.26),
+    {RGB: "images/a.jpg", THERMAL: "thermal/a.tiff"},
+    facts=PhotoFacts("FLIR radiometric JPEG", camera="FLIR E60", warnings=("It is old.",)),
+    range_c=(-3.04, 41.26),
 )
 
 

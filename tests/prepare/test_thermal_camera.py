@@ -11,13 +11,13 @@ import torch
 from PIL import Image
 
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import ExifFacts
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare import PrepareOptions, thermal_camera
-from mrgs.prepare.contract import ConvertedPhotos, ConvertedView, Georeference, Reconstruction
+from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
 from mrgs.prepare.work import Work
-from mrgs.scene import PointCloud
+from mrgs.scene import RGB, THERMAL, Modality, PointCloud
+from tests.helpers.converted import converted_view
 
 LENS = {
     "camera_model": "OPENCV",
@@ -65,7 +65,7 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
                 tmp_path / folder / f"{name}.png"
             )
     views = tuple(
-        ConvertedView(name, f"images/{name}.png", f"thermal/{name}.png", ExifFacts())
+        converted_view(name, {RGB: f"images/{name}.png", THERMAL: f"thermal/{name}.png"})
         for name in "ab"
     )
     found = Reconstruction(
@@ -78,7 +78,7 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
         "test",
     )
 
-    def called(metric: bool = True, images: str = "rgb", **options: object) -> object:
+    def called(metric: bool = True, images: Modality = RGB, **options: object) -> object:
         work = Work(tmp_path, tmp_path, PrepareOptions(**options))
         work.images, work.poses = ConvertedPhotos(views, ()), replace(found, images=images)
         work.georeference = replace(IDENTITY, metric=metric)
@@ -117,12 +117,12 @@ def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
 
 @pytest.mark.parametrize("options", [{"one_camera": True}, {"thermal_fov_deg": 40.0}])
 def test_thermal_images_alone_have_no_second_camera(calibrate, asked, options):
-    assert calibrate(images="thermal") is None
+    assert calibrate(images=THERMAL) is None
     with pytest.raises(
         ConfigError,
         match="there are only thermal images, so options for a second camera have no effect; rem",
     ) as error:
-        calibrate(images="thermal", **options)
+        calibrate(images=THERMAL, **options)
     assert error.value.options == tuple(options)
     assert asked == []
 

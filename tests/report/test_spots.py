@@ -8,7 +8,7 @@ import torch
 
 from mrgs.report.spots import find_spots
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera, Pixels, PosedImage, Reach, TemperatureRange, View
+from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Reach, TemperatureRange, View
 
 HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
 """Places on the plane z = 0."""
@@ -34,8 +34,7 @@ def views(count: int = 8, thermal: bool = True) -> list[View]:
     cameras = [camera_at(2 * math.pi * i / count) for i in range(count)]
     images = [PosedImage(camera, lambda: Pixels(torch.zeros(120, 160, 1))) for camera in cameras]
     return [
-        View(f"view_{i}", image if not thermal else None, image if thermal else None)
-        for i, image in enumerate(images)
+        View(f"view_{i}", {THERMAL if thermal else RGB: image}) for i, image in enumerate(images)
     ]
 
 
@@ -59,9 +58,8 @@ def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedMo
         means,
         quats,
         scales,
-        opacity,
-        opacity,
-        torch.zeros(n, 16, 3),
+        {RGB: opacity, THERMAL: opacity},
+        {RGB: torch.zeros(n, 16, 3)},
         temperatures,
         TemperatureRange(0.0, 100.0),
     )
@@ -97,10 +95,10 @@ def test_spots_of_a_list_keep_their_distance():
 
 
 def test_a_floater_before_one_camera_does_not_count():
-    first = views()[0].thermal.camera
+    first = views()[0].images[THERMAL].camera
     place = tuple((first.position + 0.4 * first.forward).float().tolist())
     model = plane([(place, 1.0)])
-    assert model.render(first).thermal.max() > 0.95
+    assert model.render(first)[THERMAL].image.max() > 0.95
     hottest, _ = find_spots(views(), model.render)
     assert hottest[0].value == pytest.approx(0.9, abs=0.01)
     assert np.hypot(*(hottest[0].position[:2] - HOT)) < 0.1
@@ -109,12 +107,12 @@ def test_a_floater_before_one_camera_does_not_count():
 def test_the_view_that_is_named_sees_the_spot():
     all_views = views()
     hottest, _ = find_spots(all_views, plane().render)
-    camera = all_views[hottest[0].view].thermal.camera
+    camera = all_views[hottest[0].view].images[THERMAL].camera
     pixel, depth = camera.project(torch.from_numpy(hottest[0].position))
     column, row = pixel.int().tolist()
     rendering = plane().render(camera)
-    assert rendering.thermal[row, column, 0].item() == pytest.approx(0.9, abs=0.01)
-    assert rendering.depth_thermal[row, column].item() == pytest.approx(depth.item(), rel=0.02)
+    assert rendering[THERMAL].image[row, column, 0].item() == pytest.approx(0.9, abs=0.01)
+    assert rendering[THERMAL].depth[row, column].item() == pytest.approx(depth.item(), rel=0.02)
 
 
 def test_two_views_are_enough_where_there_are_no_more():
@@ -125,6 +123,6 @@ def test_two_views_are_enough_where_there_are_no_more():
 def test_nothing_is_found_where_nothing_is_seen():
     assert find_spots(views(), BakedModel(
         torch.tensor([[0.0, 0.0, 50.0]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.01),
-        torch.tensor([0.5]), torch.tensor([0.5]), torch.zeros(1, 16, 3), torch.tensor([0.5]), None,
+        {THERMAL: torch.tensor([0.5])}, {}, torch.tensor([0.5]), None,
     ).render) == ([], [])  # fmt: skip
     assert find_spots(views(thermal=False), plane().render) == ([], [])

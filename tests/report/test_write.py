@@ -14,6 +14,7 @@ from mrgs.errors import RunError
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
 from mrgs.runs.open import Run, load_run
+from mrgs.scene import THERMAL
 from mrgs.training import make_config, train
 from tests.helpers.scenes import write_scene
 
@@ -43,7 +44,8 @@ def run(trained: Path) -> Run:
     solid = replace(
         gaussians,
         log_scales=torch.full_like(gaussians.log_scales, -1.2),
-        opacity_thermal_logit=torch.full_like(gaussians.opacity_thermal_logit, 4.0),
+        opacity_logits=gaussians.opacity_logits
+        | {THERMAL: torch.full_like(gaussians.opacity_logits[THERMAL], 4.0)},
     )
     return replace(run, model=replace(run.model, gaussians=solid))
 
@@ -173,9 +175,9 @@ def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, tmp_path):
 
 
 def test_temperatures_that_depend_on_the_view_are_spoken_of(run, tmp_path):
-    gaussians = replace(
-        run.model.gaussians, temperature_rest=torch.zeros(len(run.model.gaussians), 15, 1)
-    )
+    gaussians = run.model.gaussians
+    rest = torch.zeros(len(gaussians), 15, 1)
+    gaussians = replace(gaussians, sh_rest=gaussians.sh_rest | {THERMAL: rest})
     changing = replace(run, model=replace(run.model, gaussians=gaussians))
     scene = run.load_scene()
     assert "Viewpoint" in Page(write_report(changing, scene, tmp_path / "report.html")).text
@@ -185,7 +187,7 @@ def test_temperatures_that_depend_on_the_view_are_spoken_of(run, tmp_path):
 def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):
     run = load_run(trained)
     with torch.no_grad():
-        run.model.gaussians.opacity_thermal_logit.fill_(-4)
+        run.model.gaussians.opacity_logits[THERMAL].fill_(-4)
     assert (
         "No surface is seen by enough views"
         in Page(write_report(run, run.load_scene(), tmp_path / "r.html")).text

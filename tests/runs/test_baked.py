@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,8 @@ import torch
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.render import Model, render
 from mrgs.runs.baked import bake
-from mrgs.scene import Camera, Gaussians, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, TemperatureRange
+from tests.helpers.gaussians import NEAR_INFRARED
 
 COUNT = 80
 
@@ -27,7 +29,12 @@ def make_camera(angle: float) -> Camera:
 CAMERAS = [make_camera(angle) for angle in torch.linspace(-0.6, 0.6, 24).tolist()]
 
 
-def make_model(sh_degree: int = 3, bands: int = 0, **field_options) -> Model:
+def make_model(
+    sh_degree: int = 3,
+    bands: int = 0,
+    modalities: Sequence[Modality] = (RGB, THERMAL),
+    **field_options,
+) -> Model:
     torch.manual_seed(0)
     config = FieldConfig(**field_options)
     field = RadianceField(config)
@@ -37,12 +44,12 @@ def make_model(sh_degree: int = 3, bands: int = 0, **field_options) -> Model:
         means=means,
         quats=torch.randn(COUNT, 4),
         log_scales=0.3 * torch.randn(COUNT, 3) - 1.5,
-        opacity_rgb_logit=torch.randn(COUNT, 1),
-        opacity_thermal_logit=torch.randn(COUNT, 1),
-        sh_dc=torch.rand(COUNT, 1, 3),
-        sh_rest=0.05 * torch.randn(COUNT, 15, 3),
-        temperature_dc=torch.rand(COUNT, 1, 1),
-        temperature_rest=0.05 * torch.randn(COUNT, bands, 1),
+        opacity_logits={each: torch.randn(COUNT, 1) for each in modalities},
+        sh_dc={each: torch.rand(COUNT, 1, each.channels) for each in modalities},
+        sh_rest={
+            each: 0.05 * torch.randn(COUNT, bands if each == THERMAL else 15, each.channels)
+            for each in modalities
+        },
         embedding=field.initial_embedding(means),
     )
     neighbours = nearest_neighbours(means, config.neighbours_k) if config.neighbours_k else None
@@ -59,36 +66,35 @@ def test_a_baked_model_looks_like_the_trained_one(sh_degree):
     baked = bake(model, CAMERAS, None)
     unseen = make_camera(0.33)
     with torch.no_grad():
-        expected = render(model, unseen, unseen)[0]
+        expected = render(model, dict.fromkeys((RGB, THERMAL), unseen))[0]
     found = baked.render(unseen)
-    torch.testing.assert_close(found.thermal, expected.thermal, atol=2e-6, rtol=0)
-    torch.testing.assert_close(found.depth_rgb, expected.depth_rgb)
-    assert psnr(found.rgb, expected.rgb) > 50
+    torch.testing.assert_close(found[THERMAL].image, expected[THERMAL].image, atol=2e-6, rtol=0)
+    torch.testing.assert_close(found[RGB].depth, expected[RGB].depth)
+    assert psnr(found[RGB].image, expected[RGB].image) > 50
 
 
 def test_the_colour_residual_counts():
     model = make_model(residual_scale=0.2)
     plain = bake(make_model(residual_scale=0.0), CAMERAS, None)
     with torch.no_grad():
-        expected = render(model, CAMERAS[5], None)[0].rgb
+        expected = render(model, {RGB: CAMERAS[5]})[0][RGB].image
     baked = bake(model, CAMERAS, None)
     assert (
-        psnr(baked.render(CAMERAS[5]).rgb, expected)
-        > psnr(plain.render(CAMERAS[5]).rgb, expected) + 10
+        psnr(baked.render(CAMERAS[5])[RGB].image, expected)
+        > psnr(plain.render(CAMERAS[5])[RGB].image, expected) + 10
     )
 
 
 def test_spherical_harmonics_alone_are_kept_as_they_are():
     model = make_model(residuals=False)
-    assert torch.equal(bake(model, CAMERAS, None).sh, model.gaussians.sh)
+    assert torch.equal(bake(model, CAMERAS, None).sh[RGB], model.gaussians.sh(RGB))
 
 
 @pytest.mark.parametrize("residuals", [True, False])
 def test_what_of_the_temperatures_depends_on_the_view_is_left_out(residuals):
     model = make_model(bands=15, residuals=residuals)
-    flat = replace(
-        model, gaussians=replace(model.gaussians, temperature_rest=torch.zeros(COUNT, 0, 1))
-    )
+    rest = {**model.gaussians.sh_rest, THERMAL: torch.zeros(COUNT, 0, 1)}
+    flat = replace(model, gaussians=replace(model.gaussians, sh_rest=rest))
     torch.testing.assert_close(
         bake(model, CAMERAS, None).temperatures, bake(flat, CAMERAS, None).temperatures
     )
@@ -102,13 +108,33 @@ def test_temperatures_are_celsius_where_the_scale_is_known():
         _ = bake(model, CAMERAS, None).temperatures_c
 
 
+@pytest.mark.parametrize("sh_degree", [1, 3])
+def test_a_third_modality_is_kept_as_it_is_rendered(sh_degree):
+    model = make_model(sh_degree, modalities=(RGB, THERMAL, NEAR_INFRARED), residual_scale=0.2)
+    baked = bake(model, CAMERAS, None)
+    assert baked.modalities == (RGB, THERMAL, NEAR_INFRARED)
+    unseen = dict.fromkeys(baked.modalities, make_camera(0.33))
+    with torch.no_grad():
+        expected = render(model, unseen)[0]
+    found = baked.render(make_camera(0.33))
+    for one, other in zip(found[NEAR_INFRARED], expected[NEAR_INFRARED], strict=True):
+        torch.testing.assert_close(one, other, atol=2e-6, rtol=1e-5)
+
+
+def test_only_the_asked_modalities_are_rendered():
+    baked = bake(make_model(), CAMERAS, None)
+    alone = baked.render({THERMAL: CAMERAS[3]})
+    assert list(alone) == [THERMAL]
+    torch.testing.assert_close(alone[THERMAL].image, baked.render(CAMERAS[3])[THERMAL].image)
+
+
 def test_a_subset_has_the_rows_in_their_order():
     baked = bake(make_model(), CAMERAS, TemperatureRange(10.0, 30.0))
     rows = torch.tensor([7, 3, 40])
     subset = baked.subset(rows)
     assert len(subset) == 3
     assert set(subset.tensors()) == {
-        "means", "quats", "scales", "opacity_rgb", "opacity_thermal", "sh", "temperatures"
+        "means", "quats", "scales", "opacity.rgb", "opacity.thermal", "sh.rgb", "temperatures"
     }  # fmt: skip
     for name, tensor in baked.tensors().items():
         assert torch.equal(subset.tensors()[name], tensor[rows]), name

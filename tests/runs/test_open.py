@@ -10,6 +10,7 @@ import mrgs
 from mrgs.errors import DeviceError, RunError, SceneError
 from mrgs.runs import open as run_module
 from mrgs.runs.open import Run, load_run, open_run
+from mrgs.scene import RGB, THERMAL, Rendering
 from mrgs.training import make_config, train
 from tests.helpers.runs import trained_run
 from tests.helpers.scenes import write_scene
@@ -34,33 +35,33 @@ def test_a_run_knows_what_it_was_trained_on(run, small_scene):
 
 
 def test_any_camera_can_be_rendered_without_gradients(run):
-    camera = run.load_scene().eval[0].rgb.camera.resized(64, 20)
+    camera = run.load_scene().eval[0].images[RGB].camera.resized(64, 20)
     rendering = run.render(camera)
-    assert rendering.rgb.shape == (20, 64, 3)
-    assert rendering.thermal.shape == (20, 64, 1)
-    assert not any(image.requires_grad for image in rendering)
-    assert rendering.alpha_rgb.max() > 0.1
+    assert rendering[RGB].image.shape == (20, 64, 3)
+    assert rendering[THERMAL].image.shape == (20, 64, 1)
+    assert not any(image.requires_grad for blend in rendering.values() for image in blend)
+    assert rendering[RGB].alpha.max() > 0.1
 
 
 def test_thermal_may_have_a_camera_of_its_own(run):
-    camera = run.load_scene().eval[0].rgb.camera
-    rendering = run.render(camera, camera.resized(20, 15))
-    assert (rendering.rgb.shape, rendering.thermal.shape) == ((30, 40, 3), (15, 20, 1))
-    alone = run.render(None, camera.resized(20, 15))
-    assert alone.rgb is None
-    torch.testing.assert_close(alone.thermal, rendering.thermal)
+    camera = run.load_scene().eval[0].images[RGB].camera
+    rendering = run.render({RGB: camera, THERMAL: camera.resized(20, 15)})
+    assert [blend.image.shape for blend in rendering.values()] == [(30, 40, 3), (15, 20, 1)]
+    alone = run.render({THERMAL: camera.resized(20, 15)})
+    assert list(alone) == [THERMAL]
+    torch.testing.assert_close(alone[THERMAL].image, rendering[THERMAL].image)
 
 
 def test_temperatures_are_celsius(run):
-    rendering = run.render(run.load_scene().eval[0].rgb.camera)
+    rendering = run.render(run.load_scene().eval[0].images[RGB].camera)
     celsius = run.temperatures_c(rendering)
-    torch.testing.assert_close(celsius, MIN_C + (MAX_C - MIN_C) * rendering.thermal[..., 0])
+    torch.testing.assert_close(celsius, MIN_C + (MAX_C - MIN_C) * rendering[THERMAL].image[..., 0])
 
 
 def test_without_a_temperature_range_there_is_no_celsius(run):
-    rendering = run.render(run.load_scene().eval[0].rgb.camera)
+    rendering = run.render(run.load_scene().eval[0].images[RGB].camera)
     unknown = replace(run, facts=run.facts._replace(temperature=None))
-    for case, image in ((unknown, rendering), (run, rendering._replace(thermal=None))):
+    for case, image in ((unknown, rendering), (run, Rendering({RGB: rendering[RGB]}))):
         with pytest.raises(
             ValueError, match="no °C: the scene has no temperature range, or the rendering has no"
         ):
@@ -101,7 +102,7 @@ def test_a_gpu_without_enough_memory_to_render_is_said(run, monkeypatch):
 
     monkeypatch.setattr(run_module, "render", full)
     with pytest.raises(DeviceError) as caught:
-        run.render(run.load_scene().eval[0].rgb.camera)
+        run.render(run.load_scene().eval[0].images[RGB].camera)
     assert (
         str(caught.value)
         == "the GPU's memory does not suffice to render 25 Gaussians: use --device cpu"
@@ -120,8 +121,11 @@ def test_a_gpu_that_cannot_be_used_is_said(run):
 def test_a_gpu_renders_what_the_cpu_does_into_the_hosts_memory(run):
     on_gpu = load_run(run.folder.path, device="cuda")
     view = run.load_scene().eval[0]
-    for found, expected in zip(on_gpu.render_view(view), run.render_view(view), strict=True):
-        assert found.device.type == "cpu"
-        assert (found - expected).abs().max() < 1e-3
+    on_cpu, rendering = run.render_view(view), on_gpu.render_view(view)
+    for modality, blend in rendering.items():
+        for found, expected in zip(blend, on_cpu[modality], strict=True):
+            assert found.device.type == "cpu"
+            assert (found - expected).abs().max() < 1e-3
     assert on_gpu.model.gaussians.means.device.type == "cpu"
-    assert on_gpu.photograph(on_gpu.render_view(view), view.cameras[0]).thermal.isfinite().all()
+    observed = on_gpu.camera_response(rendering, view.camera)
+    assert observed[THERMAL].image.isfinite().all()

@@ -1,65 +1,122 @@
 from __future__ import annotations
 
-from dataclasses import fields
-
 import pytest
 import torch
 from jaxtyping import TypeCheckError
 
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
+from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
+
+NAMES = [
+    "means", "quats", "log_scales", "opacity_logit.rgb", "opacity_logit.thermal",
+    "sh_dc.rgb", "sh_dc.thermal", "sh_rest.rgb", "sh_rest.thermal", "embedding",
+]  # fmt: skip
 
 
 def make(shares_opacity: bool = False) -> Gaussians:
-    generator = torch.Generator().manual_seed(0)
-
-    def random(*shape: int) -> torch.Tensor:
-        return torch.randn(7, *shape, generator=generator)
-
-    return Gaussians(
-        means=random(3),
-        quats=random(4),
-        log_scales=random(3),
-        opacity_rgb_logit=random(1),
-        opacity_thermal_logit=random(0 if shares_opacity else 1),
-        sh_dc=random(1, 3),
-        sh_rest=random(15, 3),
-        temperature_dc=random(1, 1),
-        temperature_rest=random(0, 1),
-        embedding=random(24),
-    )
+    return random_gaussians(7, shares_opacity, embedding_width=24)
 
 
 def test_scales_and_opacities_are_read_through_their_logarithms():
     gaussians = make()
     assert len(gaussians) == 7
     torch.testing.assert_close(gaussians.scales.log(), gaussians.log_scales)
-    torch.testing.assert_close(gaussians.opacity_rgb.logit(), gaussians.opacity_rgb_logit[:, 0])
-    torch.testing.assert_close(
-        gaussians.opacity_thermal.logit(), gaussians.opacity_thermal_logit[:, 0]
-    )
-    assert not torch.equal(gaussians.opacity_rgb, gaussians.opacity_thermal)
+    for modality in (RGB, THERMAL):
+        logits = gaussians.opacity_logits[modality][:, 0]
+        torch.testing.assert_close(gaussians.opacity(modality).logit(), logits)
+    assert not torch.equal(gaussians.opacity(RGB), gaussians.opacity(THERMAL))
 
 
-def test_without_a_thermal_opacity_the_one_opacity_serves_both():
+def test_a_modality_without_an_opacity_shares_that_of_the_first():
     gaussians = make(shares_opacity=True)
-    assert torch.equal(gaussians.opacity_thermal, gaussians.opacity_rgb)
+    assert torch.equal(gaussians.opacity(THERMAL), gaussians.opacity(RGB))
+    assert "opacity_logit.thermal" not in gaussians.tensors()
 
 
 def test_harmonics_are_the_degrees_in_order():
     gaussians = make()
-    assert torch.equal(gaussians.sh[:, :1], gaussians.sh_dc)
-    assert torch.equal(gaussians.sh[:, 1:], gaussians.sh_rest)
+    assert torch.equal(gaussians.sh(RGB)[:, :1], gaussians.sh_dc[RGB])
+    assert torch.equal(gaussians.sh(RGB)[:, 1:], gaussians.sh_rest[RGB])
+    assert torch.equal(gaussians.sh(THERMAL), gaussians.sh_dc[THERMAL])
+
+
+def test_modalities_with_higher_degrees_depend_on_the_view(near_infrared):
+    gaussians = random_gaussians(3, modalities=(RGB, THERMAL, near_infrared))
+    assert gaussians.modalities == (RGB, THERMAL, near_infrared)
+    depends = [gaussians.depends_on_view(modality) for modality in gaussians.modalities]
+    assert depends == [True, False, True]
 
 
 def test_shapes_are_checked():
     """By the hook of tests/conftest.py, in every test."""
     tensors = make().tensors()
     with pytest.raises(TypeCheckError, match="quats"):
-        Gaussians(**{**tensors, "quats": tensors["quats"][:3]})
+        Gaussians.from_tensors({**tensors, "quats": tensors["quats"][:3]})
 
 
-def test_tensors_are_all_the_fields_themselves():
+def test_tensors_are_the_parameters_themselves_by_name():
     gaussians = make()
     tensors = gaussians.tensors()
-    assert list(tensors) == [field.name for field in fields(Gaussians)]
-    assert all(tensor is getattr(gaussians, name) for name, tensor in tensors.items())
+    assert list(tensors) == NAMES
+    assert tensors["means"] is gaussians.means
+    assert tensors["sh_dc.thermal"] is gaussians.sh_dc[THERMAL]
+    assert tensors["opacity_logit.rgb"] is gaussians.opacity_logits[RGB]
+
+
+@pytest.mark.parametrize("shares_opacity", [True, False])
+def test_gaussians_come_back_from_their_tensors(shares_opacity, near_infrared):
+    gaussians = random_gaussians(4, shares_opacity, modalities=(RGB, THERMAL, near_infrared))
+    tensors = gaussians.tensors()
+    found = Gaussians.from_tensors(tensors)
+    assert found.modalities == gaussians.modalities
+    assert list(found.tensors()) == list(tensors)
+    assert all(tensor is tensors[name] for name, tensor in found.tensors().items())
+
+
+def test_modalities_need_not_be_known_where_they_are_given():
+    modalities = (NEAR_INFRARED, RGB)
+    tensors = random_gaussians(4, modalities=(RGB, NEAR_INFRARED)).tensors()
+    found = Gaussians.from_tensors(tensors, modalities)
+    assert found.modalities == modalities  # in the order that is asked for
+    assert all(tensor is tensors[name] for name, tensor in found.tensors().items())
+    assert found.with_tensors(tensors).modalities == modalities
+    with pytest.raises(ValueError, match="unknown modalities: nir"):
+        Gaussians.from_tensors(tensors)
+    with pytest.raises(ValueError, match="unknown modalities: rgb"):
+        Gaussians.from_tensors(tensors, [NEAR_INFRARED])
+
+
+def test_a_missing_tensor_is_named():
+    tensors = make().tensors()
+    del tensors["quats"]
+    with pytest.raises(KeyError, match="quats"):
+        Gaussians.from_tensors(tensors)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_tensor_is_replaced_by_its_name(name):
+    gaussians = make()
+    before = gaussians.tensors()
+    new = torch.zeros_like(before[name])
+    gaussians.replace(name, new)
+    after = gaussians.tensors()
+    assert list(after) == NAMES
+    assert after[name] is new
+    assert all(after[other] is before[other] for other in NAMES if other != name)
+
+
+@pytest.mark.parametrize("name", ["scales", "opacity_logit", "sh_dc.nir", "means.rgb"])
+def test_what_is_no_tensor_is_not_replaced(name):
+    with pytest.raises(KeyError, match=name):
+        make().replace(name, torch.zeros(7, 1, 1))
+
+
+def test_copies_on_a_device_have_no_gradient():
+    gaussians = make()
+    for tensor in gaussians.tensors().values():
+        tensor.requires_grad_()
+    copies = gaussians.to(torch.device("cpu"))
+    assert list(copies.tensors()) == NAMES
+    for name, tensor in copies.tensors().items():
+        assert torch.equal(tensor, gaussians.tensors()[name])
+        assert not tensor.requires_grad

@@ -15,6 +15,7 @@ from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.scene import Gaussians
 from mrgs.training.state import TrainingState, initial_state, learned_layers
+from tests.helpers.gaussians import random_gaussians
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -42,29 +43,6 @@ def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> T
         config.densification, start=max_steps, stop=max_steps, every=1_000, reset_every=1_000
     )
     return replace(config, optimizer=rates, densification=schedule, **changes)
-
-
-def random_gaussians(
-    count: int, shares_opacity: bool = False, bands: int = 0, seed: int = 0
-) -> Gaussians:
-    """Gaussians without meaning; no embedding."""
-    generator = torch.Generator().manual_seed(seed)
-
-    def random(*shape: int) -> torch.Tensor:
-        return torch.randn(count, *shape, generator=generator)
-
-    return Gaussians(
-        means=random(3),
-        quats=random(4),
-        log_scales=random(3),
-        opacity_rgb_logit=random(1),
-        opacity_thermal_logit=random(0 if shares_opacity else 1),
-        sh_dc=random(1, 3),
-        sh_rest=random(15, 3),
-        temperature_dc=random(1, 1),
-        temperature_rest=random(bands, 1),
-        embedding=random(0),
-    )
 
 
 def tensors_of(state: TrainingState) -> dict[str, torch.Tensor]:

@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from mrgs.errors import RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
-from mrgs.method.losses.term import Photos, SceneScale
+from mrgs.method.losses.term import SceneScale
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
@@ -47,7 +47,7 @@ def state(make_start, config) -> TrainingState:
     for _ in range(2):
         number = state.sampler.next()
         view = scene.train[number]
-        photos = Photos(view.rgb.load(), view.thermal.load())
+        photos = {each: image.load() for each, image in view.images.items()}
         scale = SceneScale(scene.extent, scene.temperature)
         result = step.training_step(state, view, number, photos, config, scale)
         step.control_density(state, result, config, scene.extent)
@@ -111,7 +111,7 @@ def test_a_truncated_checkpoint_is_named(keep, path, config):
         assert (
             str(caught.value)
             == f"{path} is not a whole checkpoint: delete it, and the one before it is used; "
-            f"without one, train anew"
+            f"without one, retrain"
         )
 
 
@@ -132,6 +132,10 @@ def test_a_file_of_something_else_is_named(header, path):
         {"capture": {"views": 6}},
         {"temperature": [30.0, 10.0]},
         {"temperature": [1.0]},
+        {"modalities": "removed"},
+        {"modalities": ["nir"]},
+        {"modalities": [{"name": "nir", "channels": "1"}]},
+        {"modalities": [{"name": "../nir", "channels": 1}]},
     ],
 )
 def test_a_header_that_lacks_facts_is_named(changes, path):
@@ -140,11 +144,32 @@ def test_a_header_that_lacks_facts_is_named(changes, path):
         load_facts(path)
 
 
+@pytest.mark.parametrize(
+    "modalities",
+    [[{"name": "nir", "channels": 1}], [{"name": "thermal", "channels": 3}]],
+)
+def test_modalities_that_the_tensors_have_not_are_named(modalities, path, config):
+    change_header(path, modalities=modalities)
+    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+        load_model(path, config)
+
+
+@pytest.mark.parametrize("missing", ["sh_dc.rgb", "sh_rest.rgb", "opacity_logit.rgb"])
+def test_a_missing_modality_is_named(missing, path, config):
+    tensors = load_file(path)
+    with safe_open(path, framework="pt") as file:
+        header = file.metadata()
+    del tensors[f"gaussians.{missing}"]
+    save_file(tensors, path, header)
+    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+        load_model(path, config)
+
+
 def test_another_format_is_named(path):
     change_header(path, format=99)
     with pytest.raises(RunError) as caught:
         load_facts(path)
-    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 4: train anew"
+    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 5: retrain"
 
 
 def test_another_configuration_is_named(path, config):

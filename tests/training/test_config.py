@@ -110,7 +110,7 @@ def test_any_text_gives_a_configuration_or_a_config_error(text):
             {"method": "nerf"},
             "unknown method 'nerf'; choose one of mrgs, mrgs-base, mrgs-fourier",
         ),
-        ({"preset": "slow"}, "there is no preset 'slow': choose one of fast, default, paper"),
+        ({"preset": "slow"}, "unknown preset 'slow'; choose one of fast, default, paper"),
         ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
         ({"resolution": 8}, "resolution must be at least 16 px, not 8"),
         ({"max_gaussians": 0}, "max_gaussians must be at least 1"),

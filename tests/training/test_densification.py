@@ -17,7 +17,7 @@ from mrgs.method.density.adaptive import (
 from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig
 from mrgs.rasterizer.reference import rotation_matrices
 from mrgs.render import ScreenPoints
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
 
 EXTENT = 10.0
 CONFIG = AdaptiveDensityControl(
@@ -36,12 +36,12 @@ def build(
 ) -> GaussianOptimizer:
     gaussians = make_gaussians(len(sizes), shares_opacity)
     gaussians.log_scales = torch.tensor(sizes).log()[:, None] + torch.tensor([0.0, -0.5, -2.0])
-    gaussians.opacity_rgb_logit = torch.tensor(
+    gaussians.opacity_logits[RGB] = torch.tensor(
         [logit(o) for o in opacities_rgb or [0.5] * len(sizes)]
     )[:, None]
     if not shares_opacity:
         thermal = torch.tensor([logit(o) for o in opacities_thermal or [0.5] * len(sizes)])
-        gaussians.opacity_thermal_logit = thermal[:, None]
+        gaussians.opacity_logits[THERMAL] = thermal[:, None]
     return GaussianOptimizer(gaussians, OptimizerConfig(), EXTENT)
 
 
@@ -93,8 +93,8 @@ def test_halves_are_drawn_from_the_rotated_gaussian(make_gaussians):
     optimizer = build(make_gaussians, [LARGE])
     one = optimizer.gaussians
     optimizer = GaussianOptimizer(
-        Gaussians(
-            **{
+        Gaussians.from_tensors(
+            {
                 name: tensor.detach().repeat_interleave(count, 0)
                 for name, tensor in one.tensors().items()
             }
@@ -136,7 +136,7 @@ def test_a_shared_opacity_decides_alone(make_gaussians):
     counts, after = run(optimizer, [0.0, 2.0, 0.0])
     assert counts == DensificationCounts(cloned=0, split=1, pruned=1)
     assert torch.equal(after.means[0], before[2])
-    assert after.opacity_thermal_logit.shape == (3, 0)
+    assert set(after.opacity_logits) == {RGB}
 
 
 @pytest.mark.parametrize(("prunes_large", "left"), [(False, 3), (True, 2)])

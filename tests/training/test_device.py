@@ -22,9 +22,9 @@ from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import adaptive
-from mrgs.method.losses.term import Photos, SceneScale
-from mrgs.rasterizer import Blend, Raster
-from mrgs.scene import Pixels
+from mrgs.method.losses.term import SceneScale
+from mrgs.rasterizer import Raster
+from mrgs.scene import RGB, Blend, Pixels
 from mrgs.system import gpu
 from mrgs.training import step as step_module
 from mrgs.training.state import initial_state
@@ -151,19 +151,18 @@ def start(small_scene, make_short_config):
                 state.model.gaussians.means.double(), config.field.neighbours_k
             )
         for dtype in (torch.float32, torch.float64):
-            scene.train[0].rgb.camera.tensors(gpu.HOST, dtype)
+            scene.train[0].images[RGB].camera.tensors(gpu.HOST, dtype)
         adaptive._half((8, 6), gpu.HOST)
 
         def take(number: int = 0, masked: bool = False):
             view = scene.train[number]
-            rgb, thermal = (image.load() for image in (view.rgb, view.thermal))
+            photos = {modality: image.load() for modality, image in view.images.items()}
             if masked:
                 valid = torch.ones(6, 8, dtype=torch.bool)
                 valid[2:4, 1:5] = False
-                rgb, thermal = (replace(pixels, valid=valid) for pixels in (rgb, thermal))
+                photos = {each: replace(pixels, valid=valid) for each, pixels in photos.items()}
 
             def step() -> step_module.StepStatistics:
-                photos = Photos(rgb, thermal, True)
                 result = training_step(state, view, number, photos, config, scale)
                 control_density(state, result, config, scale.extent)
                 return result.statistics
@@ -205,11 +204,10 @@ def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(
     scene = load_scene(small_scene)
     state = initial_state(scene, config, device)
     view = scene.train[0]
-    pixels = (
-        replace(image.load(), values=image.load().values.to(device))
-        for image in (view.rgb, view.thermal)
-    )
-    photos, scale = Photos(*pixels, True), SceneScale(scene.extent, scene.temperature)
+    photos = {
+        modality: Pixels(image.load().values.to(device)) for modality, image in view.images.items()
+    }
+    scale = SceneScale(scene.extent, scene.temperature)
 
     def take() -> None:
         result = training_step(state, view, 0, photos, config, scale)
@@ -291,13 +289,14 @@ def test_all_of_a_step_is_on_one_device(
             25, config.field.neighbours_k, dtype=torch.int64, device=device
         )
     view = scene.train[0]
-    rgb, thermal = (
-        Pixels(image.load().values.to(device), torch.ones(6, 8, dtype=torch.bool, device=device))
-        for image in (view.rgb, view.thermal)
-    )
+    valid = torch.ones(6, 8, dtype=torch.bool, device=device)
+    photos = {
+        modality: Pixels(image.load().values.to(device), valid)
+        for modality, image in view.images.items()
+    }
     scale = SceneScale(scene.extent, scene.temperature)
     for number in (1, 2):
-        result = training_step(state, view, 0, Photos(rgb, thermal, True), config, scale)
+        result = training_step(state, view, 0, photos, config, scale)
         control_density(state, result, config, scale.extent)
         assert result.statistics.step == number
         assert result.statistics._measured.device == device

@@ -21,10 +21,9 @@ from mrgs.method.losses import photometric as losses
 from mrgs.method.losses import radiation
 from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.smoothness import total_variation
-from mrgs.method.losses.term import LossContext, Photos, SceneScale
+from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
-from mrgs.render import Rendering
-from mrgs.scene import Pixels, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from mrgs.system import gpu
 from mrgs.training.state import learned_layers
 
@@ -172,13 +171,20 @@ def test_no_loss_makes_the_host_wait(without_values, masked, make_gaussians):
     def photo(channels: int) -> Pixels:
         return Pixels(plane(channels), plane() > 0 if masked else None)
 
-    rendering = Rendering(*(plane(*c).requires_grad_() for c in ((3,), (), (1,), (), (), ())))
-    photographed = image_model(rendering, 1)
+    modalities = (RGB, THERMAL)
+    blends = {
+        each: Blend(*(plane(*c).requires_grad_() for c in ((each.channels,), (), ())))
+        for each in modalities
+    }
+    rendering = Rendering(blends)
+    observed = image_model(rendering, 1)
+    camera = Camera(torch.eye(3, dtype=torch.float64), torch.eye(4, dtype=torch.float64), *size)
     changed = replace(config, loss=replace(config.loss, opaque=0.1, smooth_depth=1.0))
     context = LossContext(
         rendering,
-        photographed,
-        Photos(photo(3), photo(1), shares_camera=True),
+        observed,
+        {each: photo(each.channels) for each in modalities},
+        dict.fromkeys(modalities, camera),
         make_gaussians(1),
         SceneScale(2.0, TemperatureRange(10.0, 30.0)),
     )
@@ -192,9 +198,13 @@ def test_no_loss_makes_the_host_wait(without_values, masked, make_gaussians):
     learned = [p for layers in learned_layers(terms).values() for p in layers.parameters()]
     assert learned
     assert all(parameter.grad is not None for parameter in learned)
-    assert [name for name, tensor in rendering._asdict().items() if tensor.grad is None] == [
-        "alpha_rgb"
+    without_gradient = [
+        (modality, name)
+        for modality, blend in blends.items()
+        for name, tensor in blend._asdict().items()
+        if tensor.grad is None
     ]
+    assert without_gradient == [(RGB, "alpha")]
     assert all(parameter.grad is not None for parameter in image_model.parameters())
 
 

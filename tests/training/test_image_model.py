@@ -14,8 +14,7 @@ from mrgs.method.camera_model.image_model import (
     PointSpread,
 )
 from mrgs.method.camera_model.photo_gain import Viewpoint
-from mrgs.render import Rendering
-from mrgs.scene import Camera
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
 
 
 def along_a_line(count: int) -> tuple[Viewpoint, ...]:
@@ -38,8 +37,14 @@ def camera_at(x: float) -> Camera:
 def rendering(seed: int = 0) -> Rendering:
     generator = torch.Generator().manual_seed(seed)
     return Rendering(
-        rgb=torch.rand(9, 12, 3, generator=generator),
-        thermal=torch.rand(9, 12, 1, generator=generator),
+        {
+            modality: Blend(
+                torch.rand(9, 12, modality.channels, generator=generator),
+                torch.ones(9, 12),
+                torch.ones(9, 12),
+            )
+            for modality in (RGB, THERMAL)
+        }
     )
 
 
@@ -70,8 +75,8 @@ def test_nothing_is_done_unless_it_is_asked_for():
 def test_at_the_start_only_the_spread_changes_anything():
     model, seen = ImageModel(ALL, CAPTURE), rendering()
     written = model(seen, 1)
-    assert torch.equal(written.rgb, seen.rgb)
-    torch.testing.assert_close(written.thermal, PointSpread()(seen.thermal))
+    assert written[RGB].image is seen[RGB].image
+    torch.testing.assert_close(written[THERMAL].image, PointSpread()(seen[THERMAL].image))
 
 
 def test_a_photo_that_was_not_learned_from_is_expected_to_have_its_neighbours_gain():
@@ -79,11 +84,11 @@ def test_a_photo_that_was_not_learned_from_is_expected_to_have_its_neighbours_ga
     seen = rendering()
     model.thermal_gain.offsets.data[10:] = 0.2
     written = model.expected(seen, camera_at(2 * 15.4))
-    assert torch.equal(written.rgb, seen.rgb)
-    expected = model.point_spread(seen.thermal) + 0.1
-    torch.testing.assert_close(written.thermal, expected, atol=0.01, rtol=0)
-    at_a_photo = model.expected(seen, camera_at(2 * 15.0)).thermal
-    torch.testing.assert_close(at_a_photo, model(seen, 15).thermal)
+    assert written[RGB].image is seen[RGB].image
+    expected = model.point_spread(seen[THERMAL].image) + 0.1
+    torch.testing.assert_close(written[THERMAL].image, expected, atol=0.01, rtol=0)
+    at_a_photo = model.expected(seen, camera_at(2 * 15.0))[THERMAL].image
+    torch.testing.assert_close(at_a_photo, model(seen, 15)[THERMAL].image)
 
 
 def test_thermal_photos_in_celsius_have_no_gain():
@@ -94,13 +99,14 @@ def test_thermal_photos_in_celsius_have_no_gain():
 def test_without_thermal_photos_there_is_no_gain():
     model = ImageModel(ALL, CAPTURE._replace(thermal_viewpoints=(None,) * 3))
     assert model.thermal_gain is None
-    assert model.expected(rendering(), camera_at(0.3)).thermal is not None
+    assert model.expected(rendering(), camera_at(0.3))[THERMAL].image.isfinite().all()
 
 
 def test_a_modality_that_is_not_there_stays_away():
     model = ImageModel(ALL, CAPTURE)
-    assert model(rendering()._replace(rgb=None), 0).rgb is None
-    assert model(rendering()._replace(thermal=None), 0).thermal is None
+    seen = rendering()
+    for modality in (RGB, THERMAL):
+        assert set(model(Rendering({modality: seen[modality]}), 0)) == {modality}
 
 
 def test_every_parameter_has_a_learning_rate():

@@ -7,17 +7,20 @@ from torch import Tensor
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.method.start.initialisation import SMALLEST_DISTANCE, initial_gaussians
 from mrgs.method.start.start_points import StartPoints
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
+
+MODALITIES = (RGB, THERMAL)
 
 
 def points_at(positions: Tensor) -> StartPoints:
     """Points that differ in everything."""
     generator = torch.Generator().manual_seed(1)
-    colors = torch.rand(len(positions), 3, generator=generator)
-    temperatures = torch.rand(len(positions), generator=generator)
-    opacities = 0.1 + 0.8 * torch.rand(2, len(positions), generator=generator)
+    count = len(positions)
     return StartPoints(
-        positions, colors, temperatures, *opacities, torch.full_like(temperatures, torch.inf)
+        positions,
+        {each: torch.rand(count, each.channels, generator=generator) for each in MODALITIES},
+        {each: 0.1 + 0.8 * torch.rand(count, generator=generator) for each in MODALITIES},
+        torch.full((count,), torch.inf),
     )
 
 
@@ -41,12 +44,12 @@ def test_one_gaussian_per_point_with_its_colour_temperature_and_opacity(degree):
     assert torch.equal(gaussians.means, points.positions)
     field = RadianceField(FieldConfig(residuals=False))
     anywhere = torch.zeros(3).double()
-    torch.testing.assert_close(field.colors(gaussians, anywhere, 3), points.colors)
+    torch.testing.assert_close(field.colors(gaussians, anywhere, 3), points.values[RGB])
     torch.testing.assert_close(
-        field.temperatures(gaussians, None, anywhere, degree)[:, 0], points.temperatures
+        field.temperatures(gaussians, None, anywhere, degree), points.values[THERMAL]
     )
-    torch.testing.assert_close(gaussians.opacity_rgb, points.opacities_rgb)
-    torch.testing.assert_close(gaussians.opacity_thermal, points.opacities_thermal)
+    for modality in MODALITIES:
+        torch.testing.assert_close(gaussians.opacity(modality), points.opacities[modality])
     torch.testing.assert_close(gaussians.quats, torch.tensor([1.0, 0, 0, 0]).expand(30, 4))
 
 
@@ -83,26 +86,26 @@ def test_too_many_points_give_a_random_subset():
     assert rows == sorted(rows)
     assert torch.equal(start(points, cap=20).means, gaussians.means)
     whole = start(points)
-    for name in ("sh_dc", "temperature_dc", "opacity_rgb_logit"):
-        assert torch.equal(getattr(gaussians, name), getattr(whole, name)[rows])
+    for name in ("sh_dc.rgb", "sh_dc.thermal", "opacity_logit.rgb"):
+        assert torch.equal(gaussians.tensors()[name], whole.tensors()[name][rows])
     assert not torch.equal(start(points, cap=20, seed=1).means, gaussians.means)
 
 
 def test_each_method_has_its_columns():
     gaussians = start(cloud(5), shares_opacity=True, degree=3, residuals=False)
-    assert gaussians.opacity_thermal_logit.shape == (5, 0)
-    assert gaussians.temperature_rest.shape == (5, 15, 1)
+    assert set(gaussians.opacity_logits) == {RGB}
+    assert gaussians.sh_rest[THERMAL].shape == (5, 15, 1)
     assert gaussians.embedding.shape == (5, 0)
     gaussians = start(cloud(5))
-    assert gaussians.opacity_thermal_logit.shape == (5, 1)
-    assert gaussians.temperature_rest.shape == (5, 0, 1)
+    assert set(gaussians.opacity_logits) == {RGB, THERMAL}
+    assert gaussians.sh_rest[THERMAL].shape == (5, 0, 1)
     assert gaussians.embedding.shape == (5, 24)
 
 
 def test_parameters_share_no_memory():
     points = cloud(5)
     gaussians = start(points)
-    gaussians.opacity_rgb_logit.zero_()
+    gaussians.opacity_logits[RGB].zero_()
     gaussians.means.zero_()
-    assert (gaussians.opacity_thermal_logit != 0).all()
+    assert (gaussians.opacity_logits[THERMAL] != 0).all()
     assert (points.positions != 0).any()

@@ -8,7 +8,8 @@ import torch
 
 from mrgs.errors import ConfigError
 from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig, are_finite, set_rates
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
+from tests.helpers.gaussians import NEAR_INFRARED
 
 EXTENT = 2.0
 
@@ -16,15 +17,15 @@ EXTENT = 2.0
 def give_gradients(gaussians: Gaussians, rows: torch.Tensor, seed: int) -> None:
     """Gradients that depend on the row's number in ``rows`` alone, so that a row can be
     followed."""
-    for name, tensor in gaussians.tensors().items():
+    for tensor in gaussians.tensors().values():
         generator = torch.Generator().manual_seed(seed)
         everything = torch.randn(100, *tensor.shape[1:], generator=generator)
-        getattr(gaussians, name).grad = everything[rows]
+        tensor.grad = everything[rows]
 
 
 def rows_of(gaussians: Gaussians, rows: torch.Tensor) -> Gaussians:
-    return Gaussians(
-        **{name: tensor.detach()[rows].clone() for name, tensor in gaussians.tensors().items()}
+    return Gaussians.from_tensors(
+        {name: tensor.detach()[rows].clone() for name, tensor in gaussians.tensors().items()}
     )
 
 
@@ -94,8 +95,8 @@ def test_empty_columns_survive(steps_before, make_gaussians):
     give_gradients(optimizer.gaussians, torch.arange(3), seed=7)
     optimizer.step(0.5)
     shapes = {name: tuple(tensor.shape) for name, tensor in optimizer.gaussians.tensors().items()}
-    assert shapes["opacity_thermal_logit"] == (3, 0)
-    assert shapes["temperature_rest"] == (3, 0, 1)
+    assert "opacity_logit.thermal" not in shapes
+    assert shapes["sh_rest.thermal"] == (3, 0, 1)
     assert shapes["embedding"] == (3, 0)
     assert shapes["means"] == (3, 3)
     assert not any(key.startswith("adam.embedding") for key in optimizer.state())
@@ -111,9 +112,10 @@ def test_opacities_are_limited_and_forget_their_moments(shares_opacity, make_gau
     optimizer.limit_opacities(0.3)
     gaussians, state = optimizer.gaussians, optimizer.state()
     limit = math.log(0.3 / 0.7)
-    for name in ("opacity_rgb_logit", "opacity_thermal_logit")[: 1 if shares_opacity else 2]:
-        torch.testing.assert_close(getattr(gaussians, name), getattr(before, name).clamp(max=limit))
-        assert (getattr(before, name) < limit).any()
+    for name in ("opacity_logit.rgb", "opacity_logit.thermal")[: 1 if shares_opacity else 2]:
+        logits = before.tensors()[name]
+        torch.testing.assert_close(gaussians.tensors()[name], logits.clamp(max=limit))
+        assert (logits < limit).any()
         assert (state[f"adam.{name}.exp_avg"] == 0).all()
         assert (state[f"adam.{name}.exp_avg_sq"] == 0).all()
     assert torch.equal(gaussians.means, before.means)
@@ -130,8 +132,8 @@ def test_the_state_goes_on_exactly(make_gaussians):
     whole = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(6)).state()
     part = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(3)).state()
     saved = {name: tensor.clone() for name, tensor in part.items()}
-    gaussians = Gaussians(
-        **{name: tensor for name, tensor in saved.items() if not name.startswith("adam.")}
+    gaussians = Gaussians.from_tensors(
+        {name: tensor for name, tensor in saved.items() if not name.startswith("adam.")}
     )
     second = GaussianOptimizer(gaussians, OptimizerConfig(), EXTENT)
     second.load_moments(saved)
@@ -148,7 +150,7 @@ def test_values_that_are_not_finite_are_found(value, make_gaussians):
     assert not are_finite(value * loss, optimizer.gradients())
     give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
     assert are_finite(loss, optimizer.gradients())
-    optimizer.gaussians.sh_rest.grad[3, 7, 1] = value
+    optimizer.gaussians.sh_rest[RGB].grad[3, 7, 1] = value
     assert not are_finite(loss, optimizer.gradients())
     optimizer.zero_grad()
     assert are_finite(loss, optimizer.gradients())
@@ -207,9 +209,17 @@ def test_learning_rate_of_the_means_decays_between_its_ends():
 
 
 def test_every_parameter_has_its_learning_rate(make_gaussians):
-    config = OptimizerConfig()
-    for name in make_gaussians(1).tensors():
-        assert config.of(name) == (config.opacities if "opacity" in name else getattr(config, name))
+    config = OptimizerConfig(
+        opacities=1.0, sh_dc=2.0, sh_rest=3.0, temperature_dc=4.0, temperature_rest=5.0
+    )
+    names = make_gaussians(1, modalities=(RGB, THERMAL, NEAR_INFRARED)).tensors()
+    assert {name: config.of(name) for name in names} == {
+        "means": config.means, "quats": config.quats, "log_scales": config.log_scales,
+        "opacity_logit.rgb": 1.0, "opacity_logit.thermal": 1.0, "opacity_logit.nir": 1.0,
+        "sh_dc.rgb": 2.0, "sh_dc.thermal": 4.0, "sh_dc.nir": 2.0,
+        "sh_rest.rgb": 3.0, "sh_rest.thermal": 5.0, "sh_rest.nir": 3.0,
+        "embedding": config.embedding,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -15,11 +16,14 @@ from mrgs.method.start.start_points import (
     UNSEEN,
     start_points,
 )
-from mrgs.scene import Camera, Pixels, PointCloud, PosedImage, Scene, View
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PointCloud, PosedImage, Scene, View
+from tests.helpers.gaussians import NEAR_INFRARED
 
 WIDTH, HEIGHT = 48, 36
 WALL_C, SKY_C = 0.8, 0.1
 SKY = torch.tensor([0.3, 0.5, 0.9])
+GREY = (torch.tensor([SKY_C]), torch.tensor([WALL_C]))
+"""Sky and wall in photos of one channel."""
 
 
 def image(above: Tensor, below: Tensor, camera: Camera) -> PosedImage:
@@ -31,7 +35,7 @@ def image(above: Tensor, below: Tensor, camera: Camera) -> PosedImage:
     )
 
 
-def wall_under_sky(has_rgb: bool = True, has_thermal: bool = True) -> Scene:
+def wall_under_sky(modalities: Sequence[Modality] = (RGB, THERMAL)) -> Scene:
     """A wall of grey points fills the lower half of the only photo, from 3 units before the
     camera."""
     K = torch.tensor(
@@ -41,10 +45,10 @@ def wall_under_sky(has_rgb: bool = True, has_thermal: bool = True) -> Scene:
     rows, columns = torch.arange(HEIGHT // 2, HEIGHT), torch.arange(WIDTH)
     pixels = torch.cartesian_prod(columns, rows).double() + 0.5
     positions = camera.unproject(pixels, torch.full((len(pixels),), 3.0).double()).float()
-    rgb = image(SKY, torch.tensor([0.2, 0.2, 0.2]), camera) if has_rgb else None
-    thermal = image(torch.tensor([SKY_C]), torch.tensor([WALL_C]), camera) if has_thermal else None
+    values = {RGB: (SKY, torch.tensor([0.2, 0.2, 0.2]))}
+    images = {modality: image(*values.get(modality, GREY), camera) for modality in modalities}
     points = PointCloud(positions, torch.full_like(positions, 0.4))
-    return Scene("wall", (View("one", rgb, thermal),), (), points, None)
+    return Scene("wall", (View("one", images),), (), points, None)
 
 
 def test_the_scenes_own_points_keep_their_colours_and_get_temperatures():
@@ -52,12 +56,12 @@ def test_the_scenes_own_points_keep_their_colours_and_get_temperatures():
     found = start_points(scene, make_config("mrgs", "fast"))
     own = slice(len(scene.points.positions))
     assert torch.equal(found.positions[own], scene.points.positions)
-    assert torch.equal(found.colors[own], scene.points.colors)
+    assert torch.equal(found.values[RGB][own], scene.points.colors)
     torch.testing.assert_close(
-        found.temperatures[own], torch.full_like(found.temperatures[own], WALL_C)
+        found.values[THERMAL][own], torch.full_like(found.values[THERMAL][own], WALL_C)
     )
-    assert (found.opacities_rgb[own] == OPACITY).all()
-    assert (found.opacities_thermal[own] == THERMAL_OPACITY).all()
+    assert (found.opacities[RGB][own] == OPACITY).all()
+    assert (found.opacities[THERMAL][own] == THERMAL_OPACITY).all()
 
 
 def test_the_sky_is_opaque_and_as_the_photos_show_it():
@@ -65,12 +69,14 @@ def test_the_sky_is_opaque_and_as_the_photos_show_it():
     count = len(scene.points.positions)
     found = start_points(scene, make_config("mrgs", "fast"))
     assert len(found.positions) > count + 30
-    assert (found.opacities_rgb[count:] == DISTANT_OPACITY).all()
-    assert (found.opacities_thermal[count:] == DISTANT_OPACITY).all()
+    assert (found.opacities[RGB][count:] == DISTANT_OPACITY).all()
+    assert (found.opacities[THERMAL][count:] == DISTANT_OPACITY).all()
     torch.testing.assert_close(
-        found.temperatures[count:], torch.full_like(found.temperatures[count:], SKY_C)
+        found.values[THERMAL][count:], torch.full_like(found.values[THERMAL][count:], SKY_C)
     )
-    torch.testing.assert_close(found.colors[count:], SKY.expand(len(found.positions) - count, 3))
+    torch.testing.assert_close(
+        found.values[RGB][count:], SKY.expand(len(found.positions) - count, 3)
+    )
 
 
 def test_only_the_sky_is_limited_in_size():
@@ -84,24 +90,31 @@ def test_only_the_sky_is_limited_in_size():
     )
 
 
-@pytest.mark.parametrize(("has_rgb", "has_thermal"), [(True, False), (False, True)])
-def test_a_modality_without_photos_says_nothing(has_rgb, has_thermal):
-    scene = wall_under_sky(has_rgb, has_thermal)
+@pytest.mark.parametrize("photographed", [RGB, THERMAL])
+def test_a_modality_without_photos_says_nothing(photographed):
+    scene = wall_under_sky([photographed])
     found = start_points(scene, make_config("mrgs", "fast"))
-    if not has_rgb:
-        assert (found.colors[len(scene.points.positions) :] == UNSEEN).all()
-    if not has_thermal:
-        assert (found.temperatures == UNSEEN).all()
-        assert (found.opacities_thermal == found.opacities_rgb).all()
+    if photographed == THERMAL:
+        assert (found.values[RGB][len(scene.points.positions) :] == UNSEEN).all()
+    else:
+        assert (found.values[THERMAL] == UNSEEN).all()
+        assert (found.opacities[THERMAL] == found.opacities[RGB]).all()
+
+
+def test_a_third_modality_starts_like_the_temperatures():
+    found = start_points(wall_under_sky([RGB, THERMAL, NEAR_INFRARED]), make_config("mrgs", "fast"))
+    assert list(found.values) == [RGB, THERMAL, NEAR_INFRARED]
+    assert torch.equal(found.values[NEAR_INFRARED], found.values[THERMAL])
+    assert torch.equal(found.opacities[NEAR_INFRARED], found.opacities[THERMAL])
 
 
 def test_as_published_only_the_scenes_points_are_there():
     scene = wall_under_sky()
     found = start_points(scene, make_config("mrgs", "paper"))
     assert torch.equal(found.positions, scene.points.positions)
-    assert (found.temperatures == UNSEEN).all()
-    assert (found.opacities_rgb == OPACITY).all()
-    assert (found.opacities_thermal == OPACITY).all()
+    assert (found.values[THERMAL] == UNSEEN).all()
+    assert (found.opacities[RGB] == OPACITY).all()
+    assert (found.opacities[THERMAL] == OPACITY).all()
 
 
 def test_each_switch_acts_alone():
@@ -110,7 +123,7 @@ def test_each_switch_acts_alone():
     warm = start_points(scene, replace(published, photo_temperatures=True))
     far = start_points(scene, replace(published, distant_points=True))
     assert len(warm.positions) == len(scene.points.positions)
-    torch.testing.assert_close(warm.temperatures, torch.full_like(warm.temperatures, WALL_C))
+    torch.testing.assert_close(warm.values[THERMAL], torch.full_like(warm.values[THERMAL], WALL_C))
     assert len(far.positions) > len(scene.points.positions)
-    assert (far.temperatures == UNSEEN).all()
-    assert torch.equal(far.opacities_thermal, far.opacities_rgb)
+    assert (far.values[THERMAL] == UNSEEN).all()
+    assert torch.equal(far.opacities[THERMAL], far.opacities[RGB])

@@ -2,19 +2,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TypeAlias
 
 import pytest
 import torch
 
 from mrgs.method.losses import terms as terms_module
 from mrgs.method.losses.photometric import LossConfig, photometric_loss
-from mrgs.method.losses.term import Photos, SceneScale
-from mrgs.scene import Pixels
+from mrgs.method.losses.term import SceneScale
+from mrgs.scene import RGB, THERMAL, Modality, Pixels
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
+
+Photos: TypeAlias = dict[Modality, Pixels]
 
 
 def photos_of(view) -> Photos:
-    return Photos(view.rgb.load(), view.thermal.load())
+    return {each: image.load() for each, image in view.images.items()}
 
 
 def take(state, scene, config, number: int = 0, photos: Photos | None = None) -> StepStatistics:
@@ -87,9 +90,9 @@ def poison_gradient(monkeypatch, photos: Photos) -> Photos:
 
 def poison_photo(monkeypatch, photos: Photos) -> Photos:
     """One pixel that is NaN."""
-    values = photos.thermal.values.clone()
+    values = photos[THERMAL].values.clone()
     values[7, 9] = float("nan")
-    return photos._replace(thermal=Pixels(values, None))
+    return photos | {THERMAL: Pixels(values)}
 
 
 @pytest.mark.parametrize("poison", [poison_loss, poison_gradient, poison_photo])
@@ -126,11 +129,11 @@ def test_ignored_pixels_do_not_matter(make_start, make_short_config, snapshot):
         photos = photos_of(scene.train[0])
         valid = torch.ones(30, 40, dtype=torch.bool)
         valid[5:20, 10:20] = False
-        hidden = [
-            Pixels(torch.where(valid[..., None], photo.values, torch.tensor(value)), valid)
-            for photo in photos[:2]
-        ]
-        statistics = take(state, scene, config, photos=Photos(*hidden))
+        hidden = {
+            each: Pixels(torch.where(valid[..., None], photo.values, torch.tensor(value)), valid)
+            for each, photo in photos.items()
+        }
+        statistics = take(state, scene, config, photos=hidden)
         assert not statistics.skipped
         return {**snapshot(state), "error": torch.tensor(statistics.thermal_error)}
 
@@ -156,7 +159,7 @@ def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
 ):
     config = make_short_config(method, sh_every=1, temperature_sh_degree=3)
     scene, state = make_start(config)
-    gradients, moment = [], "adam.temperature_rest.exp_avg_sq"
+    gradients, moment = [], "adam.sh_rest.thermal.exp_avg_sq"
     for number in range(3):
         before = state.gaussian_optimizer.state().get(moment, torch.zeros(1)).clone()
         take(state, scene, config, number)
@@ -220,11 +223,11 @@ def test_density_control_starts_the_statistics_anew_and_resets_opacities(
     assert counts["cloned"] + counts["split"] == 25
     assert state.strategy_state["views"].tolist() == [0.0] * 50
     assert state.gaussian_optimizer.gaussians is state.model.gaussians
-    assert state.model.gaussians.opacity_rgb.max() > 0.05
+    assert state.model.gaussians.opacity(RGB).max() > 0.05
     result = do_step(state, scene, config, 2)
     control_density(state, result, config, scene.extent)
-    assert state.model.gaussians.opacity_rgb.max() <= 0.01 + 1e-6
-    assert state.model.gaussians.opacity_thermal.max() <= 0.01 + 1e-6
+    assert state.model.gaussians.opacity(RGB).max() <= 0.01 + 1e-6
+    assert state.model.gaussians.opacity(THERMAL).max() <= 0.01 + 1e-6
 
 
 def test_density_control_learns_nothing_of_a_step_that_is_not_finite(
@@ -244,4 +247,4 @@ def test_density_control_learns_nothing_of_a_step_that_is_not_finite(
     assert control_density(state, poisoned, config, scene.extent) is None
     assert all(torch.equal(state.strategy_state[name], before[name]) for name in before)
     assert len(state.model.gaussians) == 25
-    assert state.model.gaussians.opacity_rgb.max() > 0.05
+    assert state.model.gaussians.opacity(RGB).max() > 0.05

@@ -39,7 +39,7 @@ class Duplicate(Strategy):
             return DensityUpdate({"drawn": drawn})
         chosen = torch.randint(len(gaussians), (1,), generator=step.generator)
         rows = {name: tensor.detach()[chosen] for name, tensor in gaussians.tensors().items()}
-        optimizer.replace_rows(torch.arange(len(gaussians)), type(gaussians)(**rows))
+        optimizer.replace_rows(torch.arange(len(gaussians)), gaussians.with_tensors(rows))
         return DensityUpdate({"drawn": torch.cat([drawn, drawn[chosen]])}, {"doubled": 1})
 
 

@@ -14,6 +14,7 @@ from mrgs.method.density import adaptive
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import render_view
 from mrgs.runs.open import load_run
+from mrgs.scene import RGB, THERMAL, View
 from mrgs.training import METHODS, driver, step, train
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.run_folder import RunFolder
@@ -60,10 +61,11 @@ def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(
     scene = load_scene(make_scene())
     without_celsius = replace(scene, temperature=None)
     colors_alone = replace(
-        without_celsius, train=tuple(replace(view, thermal=None) for view in scene.train)
+        without_celsius,
+        train=tuple(View(view.name, {RGB: view.images[RGB]}) for view in scene.train),
     )
     bands = [
-        initial_state(scene, changed).model.gaussians.temperature_rest.shape[1]
+        initial_state(scene, changed).model.gaussians.sh_rest[THERMAL].shape[1]
         for scene, changed in (
             (scene, config),
             (without_celsius, config),
@@ -93,9 +95,9 @@ def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
     model, _, _ = load_model(folder.newest_checkpoint(), folder.read_config(from_yaml))
     for view in scene.eval:
         rendering = render_view(model, view)
-        photo = view.thermal.load().values
+        photo = view.images[THERMAL].load().values
         assert (
-            rendering.thermal - photo
+            rendering[THERMAL].image - photo
         ).abs().mean() < 0.5 * photo.mean()  # half the error of a black image
 
 
@@ -157,9 +159,7 @@ def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
     assert set(statistics[0].terms) == expected
     tensors = load_file(folder.newest_checkpoint())
     assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier", "mrgs-plus"))
-    assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (
-        0 if method == "3dgs-rgbt" else 1
-    )
+    assert ("gaussians.opacity_logit.thermal" in tensors) == (method != "3dgs-rgbt")
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
@@ -182,7 +182,7 @@ def test_every_kind_of_scene_trains(
     assert (statistics[0].thermal_error is None) == ("thermal" not in terms)
     shares_opacity = method == "3dgs-rgbt" or len(terms) == 1
     tensors = load_file(folder.newest_checkpoint())
-    assert tensors["gaussians.opacity_thermal_logit"].shape[1] == (0 if shares_opacity else 1)
+    assert ("gaussians.opacity_logit.thermal" in tensors) == (not shares_opacity)
 
 
 @pytest.mark.parametrize("options", [{"rgb": False}, {"thermal": False}])
@@ -225,7 +225,7 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     }  # the test must have met the events
     assert len({counts[number] for number in (10, 30, 60, 90)}) > 2
     assert len({counts[number] for number in (110, 130, 160, 190)}) > 2
-    assert expected["gaussians.adam.temperature_dc.step"] == 200  # none was skipped
+    assert expected["gaussians.adam.sh_dc.thermal.step"] == 200  # none was skipped
 
 
 def test_a_checkpoint_of_a_densification_step_can_be_rendered(
@@ -234,13 +234,13 @@ def test_a_checkpoint_of_a_densification_step_can_be_rendered(
     train(small_scene, tmp_path / "run", eventful(make_short_config, "mrgs"), stop_at=100)
     run = load_run(tmp_path / "run")
     assert "neighbours" not in load_file(run.folder.newest_checkpoint())
-    assert run.render(load_scene(small_scene).train[0].cameras[0]).thermal.isfinite().all()
+    assert run.render(load_scene(small_scene).train[0].camera)[THERMAL].image.isfinite().all()
 
 
 def test_the_seed_decides(small_scene, tmp_path, make_short_config):
     def final(name: str, seed: int) -> torch.Tensor:
         folder = train(small_scene, tmp_path / name, make_short_config(max_steps=5, seed=seed))
-        return load_file(folder.newest_checkpoint())["gaussians.sh_dc"]
+        return load_file(folder.newest_checkpoint())["gaussians.sh_dc.rgb"]
 
     first = final("a", seed=1)
     assert torch.equal(first, final("b", seed=1))
@@ -408,7 +408,7 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(
     assert str(caught.value) == (
         f"the GPU's memory does not suffice for step 6 with 25 Gaussians; the last good step is "
         f"kept in {kept}: "
-        "go on with --resume --device cpu, or train anew with a smaller --max-gaussians or "
+        "resume on the CPU, or retrain with a smaller --max-gaussians or "
         "--resolution"
     )
     folder = train(small_scene, tmp_path / "run", config, resume=True, device="cpu")
@@ -425,7 +425,7 @@ def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
     assert str(caught.value) == (
         "the GPU's memory does not suffice for step 1 with 25 Gaussians; there is no checkpoint "
         "yet: "
-        "train anew with a smaller --max-gaussians or --resolution"
+        "retrain with a smaller --max-gaussians or --resolution"
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.scene import Camera, Pixels, PosedImage, View
+from mrgs.scene import RGB, Camera, Pixels, PosedImage, View
 from mrgs.viewer.cameras import (
     fitted_size,
     nearest_view,
@@ -41,7 +41,7 @@ def test_sizes_are_reduced_only():
 def test_a_pose_looks_along_the_captured_axis(balls):
     view = balls.train[0]
     pose = pose_at(view, balls.train)
-    camera = view.cameras[0]
+    camera = view.camera
     np.testing.assert_allclose(pose.position, camera.position.numpy())
     direction = (pose.target - pose.position) / np.linalg.norm(pose.target - pose.position)
     np.testing.assert_allclose(direction, camera.forward.numpy(), atol=1e-9)
@@ -58,13 +58,13 @@ def test_a_pose_without_cameras_sees_the_model():
 def test_the_nearest_view_is_found_and_ties_are_kept(balls):
     views = balls.train
     for index, view in enumerate(views):
-        assert nearest_view(views, view.cameras[0], balls.extent) == index
+        assert nearest_view(views, view.camera, balls.extent) == index
     twice = (views[0], views[0])
-    assert nearest_view(twice, views[0].cameras[0], balls.extent, preferred=1) == 1
+    assert nearest_view(twice, views[0].camera, balls.extent, preferred=1) == 1
 
 
 def test_a_path_goes_through_its_keyframes(balls):
-    keyframes = [view.cameras[0] for view in balls.train[:3]]
+    keyframes = [view.camera for view in balls.train[:3]]
     path = smooth_path(keyframes, 21)
     assert len(path) == 21
     for keyframe, found in zip(keyframes, (path[0], path[10], path[20]), strict=True):
@@ -106,5 +106,5 @@ def test_cameras_may_be_parallel_to_upright(camera):
     )
     down = Camera(camera.K, viewmat, 160, 120)
 
-    view = View("down", PosedImage(down, lambda: Pixels(torch.zeros(120, 160, 3))), None)
+    view = View("down", {RGB: PosedImage(down, lambda: Pixels(torch.zeros(120, 160, 3)))})
     np.testing.assert_allclose(pose_at(view, [view]).up, [0, 1, 0], atol=1e-9)

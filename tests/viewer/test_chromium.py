@@ -167,7 +167,7 @@ def test_a_photo_can_be_gone_to(viewer, page, balls):
     page.get_by_role("button", name="Next photo").click()
     inspection = viewer.browsers[0].inspection
     wait_until(lambda: inspection.view is balls.train[1], "the second photo is chosen", page)
-    expected = balls.train[1].rgb.camera.position
+    expected = balls.train[1].camera.position
     wait_until(
         lambda: np.allclose(inspection.camera.position, expected, atol=1e-3),
         "the view is the photo's",

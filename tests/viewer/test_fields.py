@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mrgs.scene import THERMAL
 from mrgs.viewer.fields import render_pane
 
 
@@ -12,8 +13,8 @@ def test_beside_a_photo_the_camera_is_imitated(subject, small_run, camera):
     have written."""
     colder = replace(
         subject,
-        photograph=lambda rendering, _: rendering._replace(
-            thermal=rendering.thermal - 0.25, rgb=None
+        camera_response=lambda rendering, _: rendering.with_images(
+            {THERMAL: rendering[THERMAL].image - 0.25}
         ),
     )
     looked_at = render_pane(small_run.model, camera, colder)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.runs.open import load_run
-from mrgs.scene import Reach, Scene
+from mrgs.scene import RGB, THERMAL, Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
@@ -74,12 +74,14 @@ def test_a_click_into_the_void_says_so(inspection, camera):
 
 def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
     inspection.settings = Settings(mode="difference")
-    captured = balls.train[2].thermal.camera
+    captured = balls.train[2].cameras[THERMAL]
     inspection.picture(captured.resized(160, 120), coarse=False)
     assert inspection.view is balls.train[2]
     shown = inspection.click(20.5 / 40, 15.5 / 30)
     model = small_run.temperatures_c(small_run.render(captured))[15, 20].item()
-    photo = small_run.temperature.to_celsius(balls.train[2].thermal.load().values[15, 20, 0].item())
+    photo = small_run.temperature.to_celsius(
+        balls.train[2].images[THERMAL].load().values[15, 20, 0].item()
+    )
     assert (shown.reading.value, shown.photo_value) == pytest.approx((model, photo), abs=1e-3)
     assert f"photo {photo:.1f} °C" in texts.point(inspection)
 
@@ -115,7 +117,7 @@ def test_boxes_read_what_is_in_them(inspection, camera, small_run):
     inspection.picture(camera, coarse=False)
     (reading,) = inspection.box_readings
     rendering = small_run.render(camera)
-    solid = torch.maximum(rendering.alpha_thermal, rendering.alpha_rgb) >= 0.5
+    solid = torch.maximum(rendering[THERMAL].alpha, rendering[RGB].alpha) >= 0.5
     inside = small_run.temperatures_c(rendering)[42:78, 64:96][solid[42:78, 64:96]]
     assert reading.highest.value == pytest.approx(inside.max().item(), abs=1e-3)
     assert reading.mean == pytest.approx(inside.mean().item(), abs=1e-3)
@@ -164,7 +166,7 @@ def test_a_path_becomes_a_video(inspection, balls, monkeypatch, with_mp4):
     monkeypatch.setattr("mrgs.pictures.video.can_write_mp4", lambda: with_mp4)
     monkeypatch.setattr("mrgs.viewer.inspection.can_write_mp4", lambda: with_mp4)
     for view in balls.train[:2]:
-        inspection.picture(view.cameras[0].resized(80, 60), coarse=False)
+        inspection.picture(view.camera.resized(80, 60), coarse=False)
         inspection.add_keyframe()
     told = []
     path = inspection.render_video(0.25, lambda done, total: told.append((done, total)))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.layout import panes_of, place_at
 from tests.helpers.scenes import write_scene
 
@@ -33,7 +34,7 @@ def test_photos_stand_beside_the_model(camera, balls):
         assert pane.left + pane.camera.width <= 160
         assert pane.top + pane.camera.height <= 120
         assert pane.camera.width / pane.camera.height == pytest.approx(4 / 3, rel=0.03)
-        torch.testing.assert_close(pane.camera.viewmat, view.rgb.camera.viewmat)
+        torch.testing.assert_close(pane.camera.viewmat, view.cameras[RGB].viewmat)
 
 
 def test_panes_do_not_overlap(camera, balls):
@@ -51,11 +52,11 @@ def test_each_thermal_pane_has_the_thermal_camera(camera, tmp_path):
 
     view = load_scene(write_scene(tmp_path / "scene", two_cameras=True)).train[0]
     panes = {pane.content: pane for pane in panes_of("photos", camera, view)}
-    torch.testing.assert_close(panes["temperature"].camera.viewmat, view.thermal.camera.viewmat)
-    torch.testing.assert_close(panes["rgb"].camera.viewmat, view.rgb.camera.viewmat)
-    assert not torch.equal(view.thermal.camera.viewmat, view.rgb.camera.viewmat)
+    torch.testing.assert_close(panes["temperature"].camera.viewmat, view.cameras[THERMAL].viewmat)
+    torch.testing.assert_close(panes["rgb"].camera.viewmat, view.cameras[RGB].viewmat)
+    assert not torch.equal(view.cameras[THERMAL].viewmat, view.cameras[RGB].viewmat)
     (difference,) = panes_of("difference", camera, view)
-    torch.testing.assert_close(difference.camera.viewmat, view.thermal.camera.viewmat)
+    torch.testing.assert_close(difference.camera.viewmat, view.cameras[THERMAL].viewmat)
 
 
 def test_places_are_found_in_their_panes(camera):

@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from mrgs.rasterizer import Layer, rasterize
+from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.fields import SOLID_ALPHA
 from mrgs.viewer.picking import Box, read_box, read_point
 
 
 def solid_pixel(rendering) -> tuple[int, int]:
-    row, column = divmod(int(rendering.alpha_thermal.argmax()), rendering.alpha_thermal.shape[1])
+    row, column = divmod(int(rendering[THERMAL].alpha.argmax()), rendering[THERMAL].alpha.shape[1])
     return row, column
 
 
@@ -23,9 +24,9 @@ def test_a_reading_is_the_rendered_value_at_its_place(small_run, camera, subject
     assert reading.value == pytest.approx(
         small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3
     )
-    alpha = rendering.alpha_thermal[row, column].item()
+    alpha = rendering[THERMAL].alpha[row, column].item()
     assert reading.depth == pytest.approx(
-        rendering.depth_thermal[row, column].item() / alpha, rel=1e-5
+        rendering[THERMAL].depth[row, column].item() / alpha, rel=1e-5
     )
     pixel, z = camera.project(torch.from_numpy(reading.position))
     assert (*pixel.tolist(), z.item()) == pytest.approx(
@@ -43,7 +44,7 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
     for first in range(0, count, 3):
         features = torch.eye(count)[:, first : first + 3]
         features = torch.nn.functional.pad(features, (0, 3 - features.shape[1]))
-        layer = Layer(gaussians.opacity_thermal, features, torch.zeros(3))
+        layer = Layer(gaussians.opacity(THERMAL), features, torch.zeros(3))
         raster = rasterize(
             gaussians.means,
             gaussians.quats,
@@ -62,7 +63,7 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
     variance = (weights * (depths - reading.depth).square()).sum() / alpha
     assert reading.depth_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
     celsius = small_run.temperature.to_celsius(
-        small_run.model.temperatures(torch.zeros(3))[:, 0].double()
+        small_run.model.values(THERMAL, torch.zeros(3))[:, 0].double()
     )
     variance = (weights * (celsius - reading.value).square()).sum()
     variance += (1 - alpha) * (small_run.temperature.min_c - reading.value) ** 2
@@ -70,7 +71,7 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
 
 
 def test_where_nothing_is_nothing_is_read(small_run, camera, subject):
-    assert small_run.render(camera).alpha_rgb[0, 0] < SOLID_ALPHA
+    assert small_run.render(camera)[RGB].alpha[0, 0] < SOLID_ALPHA
     assert read_point(small_run.model, camera, 0.0, 0.0, subject) is None
 
 
@@ -78,14 +79,14 @@ def test_what_is_cold_and_transparent_to_the_thermal_blend_is_read_all_the_same(
     small_run, camera, subject
 ):
     gaussians = small_run.model.gaussians
-    faint = replace(
-        gaussians, opacity_thermal_logit=torch.full_like(gaussians.opacity_thermal_logit, -9.0)
-    )
+    logits = gaussians.opacity_logits
+    invisible = torch.full_like(logits[THERMAL], -9.0)
+    faint = replace(gaussians, opacity_logits={**logits, THERMAL: invisible})
     reading = read_point(replace(small_run.model, gaussians=faint), camera, 0.5, 0.5, subject)
     assert reading.value == pytest.approx(subject.temperature.min_c, abs=0.01)
     rendering = small_run.render(camera)
     assert reading.depth == pytest.approx(
-        (rendering.depth_rgb[60, 80] / rendering.alpha_rgb[60, 80]).item(), rel=1e-5
+        (rendering[RGB].depth[60, 80] / rendering[RGB].alpha[60, 80]).item(), rel=1e-5
     )
 
 
@@ -94,20 +95,22 @@ def test_without_celsius_values_are_normalised(small_run, camera, subject):
     row, column = solid_pixel(rendering)
     unknown = replace(subject, temperature=None)
     reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, unknown)
-    assert reading.value == pytest.approx(rendering.thermal[row, column, 0].item(), abs=1e-5)
+    assert reading.value == pytest.approx(rendering[THERMAL].image[row, column, 0].item(), abs=1e-5)
 
 
 def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, subject):
-    views = tuple(replace(view, thermal=None) for view in subject.scene.train)
+    views = tuple(replace(view, images={RGB: view.images[RGB]}) for view in subject.scene.train)
     colour_only = replace(subject, scene=replace(subject.scene, train=views))
     rendering = small_run.render(camera)
-    row, column = divmod(int(rendering.alpha_rgb.argmax()), 160)
+    row, column = divmod(int(rendering[RGB].alpha.argmax()), 160)
     reading = read_point(
         small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, colour_only
     )
     assert (reading.value, reading.value_spread) == (None, None)
-    alpha = rendering.alpha_rgb[row, column].item()
-    assert reading.depth == pytest.approx(rendering.depth_rgb[row, column].item() / alpha, rel=1e-5)
+    alpha = rendering[RGB].alpha[row, column].item()
+    assert reading.depth == pytest.approx(
+        rendering[RGB].depth[row, column].item() / alpha, rel=1e-5
+    )
 
 
 def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(
@@ -116,9 +119,9 @@ def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(
     rest = 0.2 * torch.randn(
         len(small_run.model.gaussians), 15, 1, generator=torch.Generator().manual_seed(0)
     )
-    model = replace(
-        small_run.model, gaussians=replace(small_run.model.gaussians, temperature_rest=rest)
-    )
+    gaussians = small_run.model.gaussians
+    gaussians = replace(gaussians, sh_rest={**gaussians.sh_rest, THERMAL: rest})
+    model = replace(small_run.model, gaussians=gaussians)
     row, column = solid_pixel(small_run.render(camera))
     flat, reading = (
         read_point(which, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)

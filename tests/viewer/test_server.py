@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from mrgs.errors import ConfigError, MrgsWarning, RunError
-from mrgs.render import Rendering, render
+from mrgs.render import render
 from mrgs.runs.open import load_run
-from mrgs.scene import Camera, Gaussians
+from mrgs.scene import THERMAL, Blend, Camera, Gaussians, Rendering
 from mrgs.training import StepStatistics, make_config, train
 from mrgs.viewer import LiveView, view
 from mrgs.viewer.address import require_free
@@ -95,7 +95,7 @@ def test_viser_missing_is_named_with_its_extra(small_run, monkeypatch):
 
 def test_an_empty_model_is_named(small_run):
     tensors = small_run.model.gaussians.tensors()
-    empty = Gaussians(**{name: tensor[:0] for name, tensor in tensors.items()})
+    empty = Gaussians.from_tensors({name: tensor[:0] for name, tensor in tensors.items()})
     with pytest.raises(RunError, match="the model has no Gaussians, so there is nothing to see"):
         view(replace(small_run, model=replace(small_run.model, gaussians=empty)), None, port=0)
 
@@ -139,8 +139,8 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
     browser = FakeBrowser()
     with LiveView(tmp_path / "run", port=0, on_ready=urls.append) as live:
 
-        def on_model(model, photograph):
-            live.on_model(model, photograph)
+        def on_model(model, response):
+            live.on_model(model, response)
             live._viewer._browsers[0] = browser
 
         def look():
@@ -158,6 +158,12 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
     assert values[0] > 0
 
 
+def thermal_rendering(image: Tensor) -> Rendering:
+    """A rendering of temperatures alone, opaque."""
+    depth = torch.ones(image.shape[:2])
+    return Rendering({THERMAL: Blend(image, depth, depth)})
+
+
 def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scene, tmp_path):
     """The blur of ``mrgs-plus`` as it is learned by then; an image without detail stays as it
     is."""
@@ -169,7 +175,7 @@ def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scen
         def look(_):
             subject = live._viewer._subject
             written = [
-                subject.photograph(Rendering(thermal=image), CAMERA).thermal
+                subject.camera_response(thermal_rendering(image), CAMERA)[THERMAL].image
                 for image in (sharp, sharp * 0 + 0.5)
             ]
             found.append(written)
@@ -178,7 +184,8 @@ def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scen
         train(small_scene, tmp_path / "run", config, on_model=live.on_model, on_step=look)
     run = load_run(tmp_path / "run")
     blurred, even = found[-1]
-    torch.testing.assert_close(blurred, run.photograph(Rendering(thermal=sharp), CAMERA).thermal)
+    expected = run.camera_response(thermal_rendering(sharp), CAMERA)
+    torch.testing.assert_close(blurred, expected[THERMAL].image)
     assert not torch.equal(blurred, found[0][0])
     assert blurred.max() < 0.9
     torch.testing.assert_close(even, torch.full_like(even, 0.5))
@@ -192,7 +199,7 @@ def test_watching_changes_nothing(small_scene, tmp_path):
 
     def look(model):
         with torch.no_grad():
-            seen.append(render(model, CAMERA, CAMERA)[0].thermal)
+            seen.append(render(model, {THERMAL: CAMERA})[0][THERMAL].image)
 
     with ThreadPoolExecutor(1) as pool, LiveView(tmp_path / "watched", port=0) as live:
         live._source = LiveSource(share=1.0)
@@ -224,7 +231,7 @@ def test_a_burst_viewer_does_not_stop_the_training(small_scene, tmp_path, caplog
             small_scene, tmp_path / "run", make_config(max_steps=4, max_gaussians=60),
             on_model=live.on_model, on_step=on_step,
         )  # fmt: skip
-    assert "the training goes on without its view: the browser burst" in caplog.text
+    assert "training continues without its viewer: the browser burst" in caplog.text
     steps = [json.loads(line)["step"] for line in folder.log_file.read_text().splitlines()]
     assert steps[-1] == 4
 
@@ -237,7 +244,7 @@ def test_a_port_that_is_taken_meanwhile_does_not_stop_the_training(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         live._port = taken.getsockname()[1]
-        live.on_model(small_run.model, small_run.photograph)
+        live.on_model(small_run.model, small_run.camera_response)
         live.on_step(StepStatistics(1, 0.0, {}, None, 10, False))
-    assert "the training goes on without its view" in caplog.text
+    assert "training continues without its viewer" in caplog.text
     live.close()

@@ -7,6 +7,7 @@ import torch
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import palette_table
 from mrgs.runs.baked import bake
+from mrgs.scene import RGB
 from mrgs.viewer.painting import ISOTHERM_COLOR, Scales
 from mrgs.viewer.settings import Settings
 from mrgs.viewer.splats import BrowserSplats, covariances, splat_colors
@@ -37,7 +38,7 @@ def test_temperatures_have_the_pictures_colours(baked):
 
 def test_colours_are_the_means_over_the_directions(baked):
     colors = splat_colors(baked, Settings(mode="rgb"), Scales())
-    expected = (0.5 + 0.28209479 * baked.sh[:, 0]).clamp(0, 1) * 255
+    expected = (0.5 + 0.28209479 * baked.sh[RGB][:, 0]).clamp(0, 1) * 255
     np.testing.assert_allclose(colors, expected, atol=0.51)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt8
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
+from mrgs_synth.bands import BANDS, in_band
 from mrgs_synth.electronics import electronics
 from mrgs_synth.facade import facade
 from mrgs_synth.hits import Hits, Triangles, exact_temperature, first_hits
@@ -55,6 +56,7 @@ def synthesize(
     samples: int = 64,
     seed: int = 0,
     truth: Literal["eval", "all"] = "eval",
+    bands: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments and Mitsuba
@@ -75,17 +77,18 @@ def synthesize(
         samples: paths per pixel of the colour photos; the time is proportional to it.
         seed: of the textures, the camera jitter and all noise.
         truth: whether the truth is written for the evaluation views or for all.
+        bands: further modalities, of ``BANDS``: "nir" is near infrared. The other files stay the
+            same, but for ``transforms.json``.
         progress: called after each view with the number of views done and of all views.
 
     Raises:
         ConfigError: an argument is not allowed, ``output`` holds a scene already, or Mitsuba is not
             installed.
     """
-    _check(width, height, train_views, eval_views, samples)
+    _check(width, height, train_views, eval_views, samples, bands)
     stage = STAGES[scene](seed)
     cameras = _cameras(stage, width, height, train_views, eval_views, seed)
-    with tempfile.TemporaryDirectory() as folder:
-        tracer = PathTracer(stage, Path(folder))
+    tracer = _tracer(stage)
     target = SceneFolder.create(output)
     shots = _photograph(stage, tracer, cameras, samples, seed, progress)
     for name, shot in shots.items():
@@ -94,6 +97,8 @@ def synthesize(
             target.truth(name, shot.exact_c, shot.hits.depth_m)
     sensor = ThermalSensor()
     _write_thermal(target, sensor, shots, seed)
+    for band in bands:
+        _write_band(target, stage, band, cameras, samples, seed)
     train = [name for name in cameras if "_train_" in name]
     rng = np.random.default_rng([seed, 4])
     target.points(
@@ -109,10 +114,17 @@ def synthesize(
     target.parameters(
         {"scene": scene, "seed": seed, "samples": samples, **_fixed_parameters(stage, sensor)}
     )
-    target.transforms(cameras)
+    target.transforms(cameras, [BANDS[band].modality for band in bands])
 
 
-def _check(width: int, height: int, train_views: int, eval_views: int, samples: int) -> None:
+def _check(
+    width: int,
+    height: int,
+    train_views: int,
+    eval_views: int,
+    samples: int,
+    bands: Sequence[str],
+) -> None:
     if width < 16 or height < 16 or width % 2 or height % 2:
         raise ConfigError(
             f"images of {width}×{height} cannot be generated: choose even sizes of 16 pixels or "
@@ -122,6 +134,15 @@ def _check(width: int, height: int, train_views: int, eval_views: int, samples: 
         raise ConfigError(
             "choose 2 or more training views, 0 or more evaluation views, and 1 or more samples"
         )
+    if unknown := set(bands) - set(BANDS):
+        raise ConfigError(
+            f"unknown bands {', '.join(sorted(unknown))}: choose of {', '.join(BANDS)}"
+        )
+
+
+def _tracer(stage: Stage) -> PathTracer:
+    with tempfile.TemporaryDirectory() as folder:
+        return PathTracer(stage, Path(folder))
 
 
 def _cameras(
@@ -137,6 +158,11 @@ def _cameras(
     }
 
 
+def _photo_seeds(cameras: dict[str, Camera], seed: int) -> dict[str, int]:
+    """The path tracer's seed of each photo."""
+    return {name: seed * len(cameras) + number for number, name in enumerate(cameras, start=1)}
+
+
 def _photograph(
     stage: Stage,
     tracer: PathTracer,
@@ -146,10 +172,10 @@ def _photograph(
     progress: Callable[[int, int], None] | None,
 ) -> dict[str, Shot]:
     triangles = Triangles.of(stage.solids)
-    shots = {}
+    shots, seeds = {}, _photo_seeds(cameras, seed)
     for number, (name, camera) in enumerate(cameras.items(), start=1):
         shots[name] = Shot(
-            photo=tracer.photograph(camera, samples, seed=seed * len(cameras) + number),
+            photo=tracer.photograph(camera, samples, seed=seeds[name]),
             exact_c=exact_temperature(camera, stage, triangles, RAYS_PER_SIDE),
             hits=first_hits(camera, triangles),
         )
@@ -167,6 +193,21 @@ def _write_thermal(
     for frame, (name, shot) in enumerate(shots.items()):
         target.thermal(name, quantise(sensor.photograph(shot.exact_c, frame, seed), temperature))
     target.temperature_bounds(temperature)
+
+
+def _write_band(
+    target: SceneFolder,
+    stage: Stage,
+    band: str,
+    cameras: dict[str, Camera],
+    samples: int,
+    seed: int,
+) -> None:
+    """Photograph the stage in another band of light, from the same cameras."""
+    tracer, seeds = _tracer(in_band(stage, BANDS[band])), _photo_seeds(cameras, seed)
+    for name, camera in cameras.items():
+        photo = tracer.photograph(camera, samples, seeds[name])
+        target.band(BANDS[band].modality, name, photo[..., 0])
 
 
 def _fixed_parameters(stage: Stage, sensor: ThermalSensor) -> dict[str, Any]:

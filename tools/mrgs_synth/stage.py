@@ -29,11 +29,14 @@ class Material:
         finish: ``matte`` scatters evenly; ``glossy`` adds a coat that reflects; ``metal`` only
             reflects.
         roughness: of the reflection (Beckmann's alpha); not used by matte surfaces.
+        infrared_lift: how far its near-infrared reflectance lies on the way from its strongest
+            colour to white, 0 to 1; None for what suits the finish (``bands``).
     """
 
     texture: UInt8[np.ndarray, "h w 3"]
     finish: Literal["matte", "glossy", "metal"] = "matte"
     roughness: float = 0.1
+    infrared_lift: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,7 +77,7 @@ def _ground(rng: np.random.Generator) -> list[Solid]:
 
 def _plants(rng: np.random.Generator) -> list[Solid]:
     """A clipped hedge beside the house, a lower one below its windows, and a bare tree."""
-    look = Material(outdoor.leaves(256, 768, rng))
+    look = Material(outdoor.leaves(256, 768, rng), infrared_lift=0.5)
     tall, low = _hedge(5.6, 0.7, 1.15, rng), _hedge(3.4, 0.6, 0.7, rng)
     hedge = merge([tall.placed(-9.6, -2.6, 0.0), low.placed(-3.2, -0.75, 0.0)])
     trunk, twigs = _tree(rng)
@@ -166,7 +166,11 @@ def _car(rng: np.random.Generator) -> list[Solid]:
             Material(textures.plain((30, 36, 44), rng), "glossy", 0.05),
             constant(-7.0),
         ),
-        "tyres": (merge(tyres), Material(textures.plain((34, 34, 36), rng)), _tyre_c),
+        "tyres": (
+            merge(tyres),
+            Material(textures.plain((34, 34, 36), rng), infrared_lift=0.0),
+            _tyre_c,
+        ),
         "hubs": (
             merge(hubs),
             Material(textures.plain((190, 192, 196), rng), "metal", 0.3),

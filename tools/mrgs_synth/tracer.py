@@ -162,6 +162,15 @@ def to_srgb(linear: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
     return np.round(255.0 * curve).astype(np.uint8)
 
 
+def from_srgb(value: UInt8[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """8-bit sRGB -> linear light; the inverse of ``to_srgb``."""
+    share = value / 255.0
+    linear: Float[np.ndarray, "*shape"] = np.where(
+        share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
+    )
+    return linear
+
+
 def _write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a triangle mesh with normals and texture coordinates as a PLY file."""
     values = np.concatenate([mesh.vertices, mesh.normals, mesh.uv], axis=1).astype(np.float32)

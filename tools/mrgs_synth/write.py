@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from mrgs.data.transforms import (
     write_transforms,
 )
 from mrgs.errors import ConfigError
-from mrgs.scene import Camera, TemperatureRange
+from mrgs.scene import THERMAL, Camera, Modality, TemperatureRange
 
 JPEG_QUALITY = 92
 # Truth is rounded to these steps, far below what matters, so that it compresses: 1/512 °C and
@@ -66,6 +66,12 @@ class SceneFolder:
         """Write ``thermal/NAME.png``."""
         Image.fromarray(grey).save(self.path / f"thermal/{name}.png", optimize=True)
 
+    def band(self, modality: Modality, name: str, grey: UInt8[np.ndarray, "h w"]) -> None:
+        """Write ``MODALITY/NAME.png``."""
+        folder = self.path / modality.name
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(grey).save(folder / f"{name}.png", optimize=True)
+
     def truth(
         self, name: str, exact_c: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
     ) -> None:
@@ -87,14 +93,21 @@ class SceneFolder:
         text = json.dumps(parameters, indent=1) + "\n"
         (self.path / "truth/synth.json").write_text(text, encoding="utf-8")
 
-    def transforms(self, cameras: Mapping[str, Camera]) -> None:
-        """Write ``transforms.json`` for named cameras that share their intrinsics."""
+    def transforms(self, cameras: Mapping[str, Camera], further: Sequence[Modality] = ()) -> None:
+        """Write ``transforms.json`` for named cameras that share their intrinsics, and for the
+        images of further modalities."""
         frames = [
-            frame_json(camera.viewmat, f"images/{name}.jpg", f"thermal/{name}.png")
+            frame_json(
+                camera.viewmat,
+                f"images/{name}.jpg",
+                {each: f"{each}/{name}.png" for each in (THERMAL, *further)},
+            )
             for name, camera in cameras.items()
         ]
         lens = pinhole_lens(next(iter(cameras.values())))
-        write_transforms(self.path / TRANSFORMS, frames, lens=lens, points=POINTS)
+        write_transforms(
+            self.path / TRANSFORMS, frames, lens=lens, points=POINTS, modalities=further
+        )
 
 
 def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], step: float) -> None:

@@ -398,7 +398,15 @@ def _demo(command: Demo) -> None:
 
 
 def _synth(command: Synth) -> None:
-    from mrgs_synth import synthesize
+    try:
+        from mrgs_synth import synthesize
+    except ModuleNotFoundError as error:
+        if error.name != "mrgs_synth":
+            raise
+        raise ConfigError(
+            "the scene generator comes with a source checkout only: run `pip install -e "
+            "'.[synth]'` there"
+        ) from None
 
     _check_seed(command.seed, MAX_SYNTH_SEED)
     with counter("rendering") as progress:
@@ -411,6 +419,7 @@ def _synth(command: Synth) -> None:
             eval_views=command.eval_views,
             samples=command.samples,
             seed=command.seed,
+            bands=["nir"] if command.nir else [],
             progress=progress,
         )
     print(f"scene: {command.output}")

@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from mrgs.export.formats import FORMATS
 from mrgs.runs.registry import registered_methods
 
 if TYPE_CHECKING:
     from mrgs.prepare import PrepareOptions
 
 METHODS_HELP = "; ".join(f"{each.name}: {each.description}" for each in registered_methods())
+
+FORMATS_HELP = "what to write: all; " + "; ".join(
+    f"{each.name}: {each.files}" for each in FORMATS.values()
+)
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 """As in ``mrgs.system.gpu``, which loads torch."""
@@ -123,10 +128,7 @@ class Export:
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
-    format: Literal[
-        "all", "ply", "spz", "glb", "splat", "points", "las", "mesh", "cameras", "page"
-    ] = "all"
-    """What to write; see docs/export.md."""
+    format: Annotated[str, tyro.conf.arg(help=FORMATS_HELP)] = "all"
     output: Path | None = None
     """Output folder; by default RUN/export."""
     scene: Path | None = None
@@ -335,6 +337,8 @@ class Synth:
     """Paths per pixel; more take longer and reduce noise."""
     seed: int = 0
     """Seed of the scene's random details and of the sensor's noise."""
+    nir: bool = False
+    """Also take near-infrared photos, a third modality."""
 
 
 Command = (

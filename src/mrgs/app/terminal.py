@@ -47,7 +47,7 @@ BAR_WIDTH = 20
 STEPS_REMEMBERED = 250
 """Steps averaged per update; earlier ones weigh less than 1 % in the running means."""
 
-LEFT_OUT_SHOWN = 20
+SKIPPED_SHOWN = 20
 """Skipped files listed at the end of ``mrgs prepare``."""
 
 
@@ -130,10 +130,9 @@ def note_unfinished(run: Run) -> None:
 
 def print_baking_loss(loss: BakingLoss) -> None:
     """PSNR on the held-out views that plain splats lose against the trained model."""
-    named = {"RGB": loss.rgb_db, "thermal": loss.thermal_db}
     known = [
-        f"{name} {round(value, 2) + 0.0:.2f} dB"
-        for name, value in named.items()
+        f"{modality.title} {round(value, 2) + 0.0:.2f} dB"
+        for modality, value in loss.items()
         if value is not None
     ]
     lost = ", ".join(known) or "unknown, there are no held-out views"
@@ -316,10 +315,10 @@ class PrepareProgress:
 
     def end(self, preparation: Preparation) -> None:
         """List the skipped files."""
-        for item in preparation.skipped[:LEFT_OUT_SHOWN]:
-            self._warnings.append(f"left out: {item.name}: {item.reason}")
-        if (more := len(preparation.skipped) - LEFT_OUT_SHOWN) > 0:
-            self._warnings.append(f"left out: {more} more; see {preparation.page}")
+        for item in preparation.skipped[:SKIPPED_SHOWN]:
+            self._warnings.append(f"skipped: {item.name}: {item.reason}")
+        if (more := len(preparation.skipped) - SKIPPED_SHOWN) > 0:
+            self._warnings.append(f"skipped: {more} more; see {preparation.page}")
 
 
 def _plan(scene: Scene, config: RunConfig) -> str:
@@ -361,11 +360,8 @@ def print_figures(metrics: Metrics) -> None:
     are in the report only."""
     from mrgs.evaluation.report import COLUMNS, format_figure
 
-    for title, figures in (
-        ("thermal", metrics.thermal),
-        ("RGB", metrics.rgb),
-        ("truth", metrics.truth or {}),
-    ):
+    groups = [(modality.title, figures) for modality, figures in metrics.mean.items()]
+    for title, figures in (*groups, ("truth", metrics.truth or {})):
         shown = []
         for name, value in figures.items():
             if isinstance(value, float) and name not in ("psnr_matched", "ssim_pair_range"):

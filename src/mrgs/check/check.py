@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mrgs.check.images import image_problems
 from mrgs.check.page import write_check_page
-from mrgs.check.poses import pose_problems
+from mrgs.check.poses import cameras_by_modality, pose_problems
 from mrgs.check.problems import Problem, SceneCheck, worst_first
 from mrgs.check.statistics import ViewStatistics, measure_view
 from mrgs.data import load_scene
@@ -78,14 +78,12 @@ def _read_views(scene: Scene, report: Progress) -> list[ViewStatistics]:
 def _facts(scene: Scene) -> tuple[str, ...]:
     """Contents of the scene, one sentence each."""
     lines = [f"{len(scene.train)} training views, {len(scene.eval)} held out."]
-    views = [*scene.train, *scene.eval]
-    rgb = [view.rgb.camera for view in views if view.rgb is not None]
-    thermal = [view.thermal.camera for view in views if view.thermal is not None]
-    for kind, cameras in (("RGB", rgb), ("thermal", thermal)):
-        if sizes := sorted({(camera.width, camera.height) for camera in cameras}):
-            lines.append(
-                f"{len(cameras)} {kind} images, {', '.join(f'{w}×{h}' for w, h in sizes)} px."
-            )
+    for modality, cameras in cameras_by_modality(scene).items():
+        sizes = sorted({(camera.width, camera.height) for camera in cameras.values()})
+        lines.append(
+            f"{len(cameras)} {modality.title} images, "
+            f"{', '.join(f'{width}×{height}' for width, height in sizes)} px."
+        )
     if scene.temperature is not None:
         lines.append(
             f"Temperatures from {scene.temperature.min_c:g} to {scene.temperature.max_c:g} °C."

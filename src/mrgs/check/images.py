@@ -6,33 +6,46 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
+from mrgs.check.poses import cameras_by_modality
 from mrgs.check.problems import Problem, Severity
-from mrgs.check.statistics import ViewStatistics
-from mrgs.prepare.consistency import agreements, luma
-from mrgs.prepare.page.previews import Preview, views_text
-from mrgs.scene import Camera, Scene
+from mrgs.check.statistics import ImageStatistics, ViewStatistics
+from mrgs.prepare.consistency import agreements, brightness
+from mrgs.prepare.page.previews import views_text
+from mrgs.scene import RGB, THERMAL, Modality, Scene
+from mrgs.scene.modality import in_order
 
 _SATURATED = 0.02
 """Of a set's thermal pixels; a view counts as saturated at five times that."""
 
 _FLAT = 0.01
-"""Normalised: a thermal image whose values spread less shows nothing."""
+"""Normalised: an image whose values spread less shows nothing."""
 
 _BLURRED = 0.4
 """Of the set's median sharpness."""
 
 _FEWEST_TO_COMPARE = 5
 
+_EXPECTED: dict[Modality, tuple[Severity, str]] = {
+    THERMAL: ("warning", "temperatures"),
+    RGB: ("note", "colours"),
+}
+"""How serious it is that no view has such an image, and what the model will lack."""
+
 
 def image_problems(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
     """All problems that the pixels show."""
     rules: list[Callable[[Scene, Sequence[ViewStatistics]], list[Problem]]] = [
-        _unreadable, _missing, _without_temperatures, _sizes, _flat, _saturated, _gain, _exposure,
-        _blurred,
+        _unreadable, _missing, _without_temperatures, _sizes, _flat, _saturated, _jumps, _blurred,
     ]  # fmt: skip
     return [problem for rule in rules for problem in rule(scene, statistics)]
+
+
+def _of_modality(
+    modality: Modality, statistics: Sequence[ViewStatistics]
+) -> dict[str, ImageStatistics]:
+    """Statistics of the images of a modality, by the view's name."""
+    return {one.preview.name: one.images[modality] for one in statistics if modality in one.images}
 
 
 def _unreadable(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
@@ -40,27 +53,25 @@ def _unreadable(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Prob
 
 
 def _missing(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    """Views that lack one of the two images."""
+    """Views that lack an image of a modality."""
     views = [*scene.train, *scene.eval]
+    present = cameras_by_modality(scene)
     found = []
-    for kind, lacking in (
-        ("thermal", [view.name for view in views if view.thermal is None]),
-        ("RGB", [view.name for view in views if view.rgb is None]),
-    ):
-        if len(lacking) == len(views):
-            what = "temperatures" if kind == "thermal" else "colours"
-            text = f"No view has a {kind} image: the model will have no {what}."
-            severity: Severity = "warning" if kind == "thermal" else "note"
+    for modality in in_order((*_EXPECTED, *present)):
+        title = modality.title
+        lacking = [view.name for view in views if modality not in view.images]
+        if modality not in present:
+            severity, what = _EXPECTED[modality]
+            text = f"No view has a {title} image: the model will have no {what}."
             found.append(Problem(severity, text, "Name them in the file if there are any."))
         elif lacking:
-            text = f"There is no {kind} image in {views_text(lacking)}."
-            found.append(Problem("warning", text, f"Add the {kind} images, unless that is meant."))
+            text = f"There is no {title} image in {views_text(lacking)}."
+            found.append(Problem("warning", text, f"Add the {title} images, unless that is meant."))
     return found
 
 
 def _without_temperatures(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    thermal = any(view.thermal for view in (*scene.train, *scene.eval))
-    if scene.temperature is not None or not thermal:
+    if scene.temperature is not None or THERMAL not in cameras_by_modality(scene):
         return []
     text = "There is no temperature_bounds.json: thermal values are relative, without °C."
     remedy = (
@@ -71,38 +82,41 @@ def _without_temperatures(scene: Scene, statistics: Sequence[ViewStatistics]) ->
 
 
 def _sizes(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    """Images of one kind in several sizes: another camera, or some were resized."""
-    views = [*scene.train, *scene.eval]
+    """Images of a modality in several sizes: another camera, or some were resized."""
     found = []
-    for kind, images in (("RGB", [v.rgb for v in views]), ("thermal", [v.thermal for v in views])):
-        sizes = Counter(
-            f"{image.camera.width}×{image.camera.height}" for image in images if image is not None
-        )
+    for modality, cameras in cameras_by_modality(scene).items():
+        sizes = Counter(f"{camera.width}×{camera.height}" for camera in cameras.values())
         if len(sizes) > 1:
             counts = ", ".join(f"{count} of {size} px" for size, count in sizes.items())
-            text = f"The {kind} images are not of one size: {counts}."
+            text = f"The {modality.title} images are not of one size: {counts}."
             remedy = "That is right for several cameras, and wrong if some were resized."
             found.append(Problem("note", text, remedy))
     return found
 
 
 def _flat(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    flat = [one.preview.name for one in statistics if one.spread is not None and one.spread < _FLAT]
-    if not flat:
-        return []
-    severity: Severity = "error" if len(flat) == len(statistics) else "warning"
-    text = f"The thermal image of {views_text(flat)} is flat: all its pixels are nearly equal."
-    return [Problem(severity, text, "Replace these images, or leave them out.")]
+    """Images that show nothing."""
+    found = []
+    for modality in scene.modalities:
+        images = _of_modality(modality, statistics)
+        flat = [name for name, image in images.items() if image.spread < _FLAT]
+        if flat:
+            severity: Severity = "error" if len(flat) == len(statistics) else "warning"
+            text = (
+                f"The {modality.title} image of {views_text(flat)} is flat: all its pixels are "
+                f"nearly equal."
+            )
+            found.append(Problem(severity, text, "Replace these images, or leave them out."))
+    return found
 
 
 def _saturated(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    """Temperatures beyond the scale. Colours may be black or white."""
     found = []
+    images = _of_modality(THERMAL, statistics)
     for end, shares in (
-        (
-            "lower",
-            {one.preview.name: one.cold_end for one in statistics if one.cold_end is not None},
-        ),
-        ("upper", {one.preview.name: one.hot_end for one in statistics if one.hot_end is not None}),
+        ("lower", {name: image.low_end for name, image in images.items()}),
+        ("upper", {name: image.high_end for name, image in images.items()}),
     ):
         mean = float(np.mean(list(shares.values()))) if shares else 0.0
         if mean > _SATURATED:
@@ -120,57 +134,61 @@ def _saturated(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Probl
     return found
 
 
-def _gain(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    previews = [one.preview for one in statistics]
-    names = _jumping(
-        previews,
-        [preview.thermal for preview in previews],
-        [preview.thermal_camera for preview in previews],
-        scene,
+def _jumps(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    """Images whose gain or offset differs from that of most."""
+    found = []
+    for modality in scene.modalities:
+        views = [one.preview for one in statistics if modality in one.preview.images]
+        images = [view.images[modality] for view in views]
+        relations = agreements(
+            [brightness(image.pixels) for image in images],
+            [image.camera for image in images],
+            scene.points,
+        )
+        names = [
+            view.name
+            for view, relation in zip(views, relations, strict=True)
+            if relation is not None and relation.jumps
+        ]
+        if names:
+            found.append(_jump(modality, names))
+    return found
+
+
+def _jump(modality: Modality, names: Sequence[str]) -> Problem:
+    changed, cause, remedy = (
+        "warmer or colder",
+        "gain",
+        "Export all thermal images with one fixed span, or from radiometric files.",
     )
+    if modality != THERMAL:
+        changed, cause, remedy = (
+            "brighter or darker",
+            "exposure",
+            "The colours will be a mixture; fix exposure and white balance next time.",
+        )
     text = (
-        f"In {views_text(names)} the same places are warmer or colder than in the others: an "
-        f"automatic gain."
+        f"In {views_text(names)} the same places are {changed} than in the others: an automatic "
+        f"{cause} of the {modality.title} camera."
     )
-    remedy = "Export all thermal images with one fixed span, or from radiometric files."
-    return [Problem("warning", text, remedy)] if names else []
-
-
-def _exposure(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    previews = [one.preview for one in statistics]
-    brightness = [None if preview.rgb is None else luma(preview.rgb) for preview in previews]
-    names = _jumping(previews, brightness, [preview.rgb_camera for preview in previews], scene)
-    text = (
-        f"In {views_text(names)} the same places are brighter or darker than in the others: an "
-        f"automatic exposure."
-    )
-    remedy = "The colours will be a mixture; fix exposure and white balance next time."
-    return [Problem("warning", text, remedy)] if names else []
-
-
-def _jumping(
-    previews: Sequence[Preview],
-    images: Sequence[Float[np.ndarray, "..."] | None],
-    cameras: Sequence[Camera | None],
-    scene: Scene,
-) -> list[str]:
-    """Names of the views whose image has another gain or offset than most."""
-    found = agreements(images, cameras, scene.points)
-    pairs = zip(previews, found, strict=True)
-    return [
-        preview.name for preview, agreement in pairs if agreement is not None and agreement.jumps
-    ]
+    return Problem("warning", text, remedy)
 
 
 def _blurred(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    known = {one.preview.name: one.sharpness for one in statistics if one.sharpness is not None}
-    if len(known) < _FEWEST_TO_COMPARE:
-        return []
-    limit = _BLURRED * float(np.median(list(known.values())))
-    blurred = [name for name, value in known.items() if value < limit]
-    text = (
-        f"The RGB image of {views_text(blurred)} is much less sharp than the others: motion blur, "
-        f"or out of focus."
-    )
-    remedy = "Leave these views out, unless nothing else shows what they show."
-    return [Problem("warning", text, remedy)] if blurred else []
+    """Images without fine details. Thermal images have few in any case."""
+    found = []
+    for modality in scene.modalities:
+        known = {
+            name: image.sharpness for name, image in _of_modality(modality, statistics).items()
+        }
+        if modality == THERMAL or len(known) < _FEWEST_TO_COMPARE:
+            continue
+        limit = _BLURRED * float(np.median(list(known.values())))
+        if blurred := [name for name, value in known.items() if value < limit]:
+            text = (
+                f"The {modality.title} image of {views_text(blurred)} is much less sharp than the "
+                f"others: motion blur, or out of focus."
+            )
+            remedy = "Leave these views out, unless nothing else shows what they show."
+            found.append(Problem("warning", text, remedy))
+    return found

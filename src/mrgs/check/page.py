@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mrgs.check.poses import cameras_by_modality
 from mrgs.check.problems import Problem
 from mrgs.check.statistics import ViewStatistics
 from mrgs.data.lens import Lens
-from mrgs.prepare.page.cameras import lens_rows
+from mrgs.prepare.page.cameras import capitalised, lens_rows
 from mrgs.prepare.page.overlay import thermal_on_rgb
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs
 from mrgs.prepare.page.temperatures import temperatures
@@ -54,7 +55,7 @@ def write_check_page(
 
 def _world(scene: Scene) -> World:
     """Cameras and points."""
-    cameras = {view.name: view.cameras[0] for view in (*scene.train, *scene.eval)}
+    cameras = {view.name: view.camera for view in (*scene.train, *scene.eval)}
     held_out = frozenset(view.name for view in scene.eval)
     return world_of(cameras, held_out, scene.points, metric=False, north=False)
 
@@ -73,10 +74,13 @@ def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]
 
 
 def _lenses(scene: Scene) -> list[tuple[str, str]]:
-    views = [*scene.train, *scene.eval]
-    rgb = {view.name: _lens(view.rgb.camera) for view in views if view.rgb}
-    thermal = {view.name: _lens(view.thermal.camera) for view in views if view.thermal}
-    return [*lens_rows(rgb, "RGB"), *lens_rows(thermal, "Thermal")]
+    return [
+        row
+        for modality, cameras in cameras_by_modality(scene).items()
+        for row in lens_rows(
+            {name: _lens(camera) for name, camera in cameras.items()}, capitalised(modality.title)
+        )
+    ]
 
 
 def _lens(camera: Camera) -> Lens:

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from mrgs.check.problems import Problem
 from mrgs.prepare.page.previews import views_text
-from mrgs.scene import Camera, Scene, View
+from mrgs.scene import Camera, Modality, Scene, View
+from mrgs.scene.modality import in_order
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV
 from mrgs.scene.view import spread
 
@@ -61,7 +62,7 @@ be right, from the one that was read, and what to do."""
 def pose_problems(scene: Scene) -> list[Problem]:
     """All problems of views, cameras and points that need no pixels."""
     views = [*scene.train, *scene.eval]
-    cameras = {view.name: view.cameras[0] for view in views}
+    cameras = {view.name: view.camera for view in views}
     found = [*_number_of_views(scene), *_scale(scene, list(cameras.values()))]
     if any(note.startswith(NO_POINTS) for note in scene.notes):
         text = "The scene has no points of its own: the program places some at random."
@@ -79,10 +80,16 @@ def pose_problems(scene: Scene) -> list[Problem]:
         depth = _median_depth(list(cameras.values()), points)
     found += _same_place(scene, cameras, depth)
     found += _rig(views, depth)
-    found += _intrinsics(
-        {"RGB": [v for v in views if v.rgb], "thermal": [v for v in views if v.thermal]}
-    )
-    return found
+    return found + _intrinsics(scene)
+
+
+def cameras_by_modality(scene: Scene) -> dict[Modality, dict[str, Camera]]:
+    """The cameras of all images of each modality, by the view's name."""
+    found: dict[Modality, dict[str, Camera]] = {}
+    for view in (*scene.train, *scene.eval):
+        for modality, camera in view.cameras.items():
+            found.setdefault(modality, {})[view.name] = camera
+    return {modality: found[modality] for modality in in_order(found)}
 
 
 def seen_shares(
@@ -236,48 +243,42 @@ def _same_place(scene: Scene, cameras: dict[str, Camera], depth: float | None) -
 
 
 def _rig(views: Sequence[View], depth: float | None) -> list[Problem]:
-    """Thermal cameras that do not stand beside their RGB cameras."""
-    apart = []
+    """Cameras that do not stand beside the first camera of their view."""
+    apart: dict[tuple[Modality, Modality], list[str]] = {}
     for view in views:
-        if view.rgb is None or view.thermal is None:
-            continue
-        rgb, thermal = view.rgb.camera, view.thermal.camera
-        angle = math.degrees(math.acos(max(-1.0, min(1.0, float(rgb.forward @ thermal.forward)))))
-        distance = (rgb.position - thermal.position).norm().item()
-        if angle > _APART_DEG or (depth is not None and distance > _APART * depth):
-            apart.append(view.name)
-    if not apart:
-        return []
-    text = (
-        f"In {views_text(apart)} the thermal camera looks elsewhere than the RGB camera, or "
-        f"from far beside it."
-    )
+        (first, camera), *others = view.cameras.items()
+        for modality, other in others:
+            cosine = max(-1.0, min(1.0, float(camera.forward @ other.forward)))
+            distance = (camera.position - other.position).norm().item()
+            if math.degrees(math.acos(cosine)) > _APART_DEG or (
+                depth is not None and distance > _APART * depth
+            ):
+                apart.setdefault((first, modality), []).append(view.name)
     return [
         Problem(
             "error",
-            text,
-            "Check thermal_transform_matrix: it needs the convention of transform_matrix.",
+            f"In {views_text(names)} the {modality.title} camera looks elsewhere than the "
+            f"{first.title} camera, or from far beside it.",
+            f"Check {modality}_transform_matrix: it needs the convention of transform_matrix.",
         )
+        for (first, modality), names in apart.items()
     ]
 
 
-def _intrinsics(views: dict[str, list[View]]) -> list[Problem]:
+def _intrinsics(scene: Scene) -> list[Problem]:
     """Fields of view, principal points and pixels that no camera has."""
     found = []
-    for kind, having in views.items():
-        cameras = {
-            v.name: v.rgb.camera if kind == "RGB" and v.rgb else v.cameras[-1] for v in having
-        }
+    for modality, cameras in cameras_by_modality(scene).items():
         odd = {
             name: reason for name, camera in cameras.items() if (reason := _odd_intrinsics(camera))
         }
         if odd:
             first = next(iter(odd.values()))
-            text = f"The {kind} intrinsics of {views_text(list(odd))} are implausible: {first}."
             found.append(
                 Problem(
                     "warning",
-                    text,
+                    f"The {modality.title} intrinsics of {views_text(list(odd))} are implausible: "
+                    f"{first}.",
                     "Compare fl_x, fl_y, cx, cy with the image size that they are for.",
                 )
             )

@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
-from torch import Tensor
+from jaxtyping import Float
 
 from mrgs.data.thermal import LUMINANCE
 from mrgs.errors import SceneError
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
-from mrgs.scene import Pixels, PosedImage, TemperatureRange, View
+from mrgs.scene import Modality, Pixels, PosedImage, TemperatureRange, View
 
 _AT_END = 1e-3
 """Normalised; nearer than this to 0 or 1 (a quarter of an 8-bit step) a value lies at the end of
 the scale."""
+
+
+@dataclass(frozen=True)
+class ImageStatistics:
+    """Statistics of an image's pixels; of a colour image, of its luminance.
+
+    Attributes:
+        sharpness: see ``sharpness``.
+        low_end: share of the usable pixels at or below the scale's lower end.
+        high_end: share at or above its upper end.
+        spread: between the 1 % and the 99 % quantile, normalised.
+    """
+
+    sharpness: float
+    low_end: float
+    high_end: float
+    spread: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,19 +41,12 @@ class ViewStatistics:
 
     Attributes:
         preview: the view at the size of the page.
-        sharpness: of the RGB image, see ``sharpness``; None without one.
-        cold_end: share of the thermal pixels at or below the scale's lower end; None without a
-            thermal image.
-        hot_end: share at or above its upper end.
-        spread: between the 1 % and the 99 % quantile of the thermal image, normalised.
+        images: by modality; images that are missing or cannot be read are left out.
         failures: messages of images that cannot be read.
     """
 
     preview: Preview
-    sharpness: float | None
-    cold_end: float | None
-    hot_end: float | None
-    spread: float | None
+    images: Mapping[Modality, ImageStatistics]
     failures: tuple[str, ...]
 
 
@@ -44,16 +54,42 @@ def measure_view(
     view: View, status: str, temperature: TemperatureRange | None, width: int
 ) -> ViewStatistics:
     """Read the view's images; one that cannot be read is a failure, and else counts as missing."""
+    pixels: dict[Modality, Pixels] = {}
     failures: list[str] = []
-    rgb, thermal = (_read(image, failures) for image in (view.rgb, view.thermal))
-    ends = None if thermal is None else _ends(thermal)
+    for modality, image in view.images.items():
+        found = _load(image)
+        if isinstance(found, Pixels):
+            pixels[modality] = found
+        else:
+            failures.append(found)
     return ViewStatistics(
-        preview=preview_of_pixels(view, status, temperature, width, rgb, thermal),
-        sharpness=None if rgb is None else sharpness((rgb.values @ LUMINANCE).double().numpy()),
-        cold_end=None if ends is None else ends[0],
-        hot_end=None if ends is None else ends[1],
-        spread=None if ends is None else ends[2],
-        failures=tuple(failures),
+        preview_of_pixels(view, status, temperature, width, pixels),
+        {modality: _measure(found) for modality, found in pixels.items()},
+        tuple(failures),
+    )
+
+
+def _load(image: PosedImage) -> Pixels | str:
+    """The image, or why it cannot be read."""
+    try:
+        return image.load()
+    except SceneError as error:
+        return str(error)
+
+
+def _measure(pixels: Pixels) -> ImageStatistics:
+    values = pixels.values
+    luminance = values @ LUMINANCE if values.shape[-1] == 3 else values.mean(dim=-1)
+    sharp = sharpness(luminance.double().numpy())
+    known = luminance.flatten() if pixels.valid is None else luminance[pixels.valid]
+    if not known.numel():
+        return ImageStatistics(sharp, 0.0, 0.0, 0.0)
+    low, high = np.quantile(known.numpy(), [0.01, 0.99])
+    return ImageStatistics(
+        sharp,
+        low_end=(known <= _AT_END).float().mean().item(),
+        high_end=(known >= 1 - _AT_END).float().mean().item(),
+        spread=float(high - low),
     )
 
 
@@ -74,28 +110,3 @@ def sharpness(image: Float[np.ndarray, "h w"]) -> float:
             np.square(np.diff(fine, axis=axis)).mean() / below - 0.25 if below > 1e-12 else 0.0
         )
     return float(max(min(ratios), 0.0))
-
-
-def _read(image: PosedImage | None, failures: list[str]) -> Pixels | None:
-    if image is None:
-        return None
-    try:
-        return image.load()
-    except SceneError as error:
-        failures.append(str(error))
-        return None
-
-
-def _ends(pixels: Pixels) -> tuple[float, float, float]:
-    """Shares of the usable pixels at the lower and upper end of the scale, and the spread of the
-    values."""
-    values: Float32[Tensor, "h w"] = pixels.values[..., 0]
-    known = values.flatten() if pixels.valid is None else values[pixels.valid]
-    if not known.numel():
-        return 0.0, 0.0, 0.0
-    low, high = np.quantile(known.numpy(), [0.01, 0.99])
-    cold, hot = (
-        (known <= _AT_END).float().mean().item(),
-        (known >= 1 - _AT_END).float().mean().item(),
-    )
-    return cold, hot, float(high - low)

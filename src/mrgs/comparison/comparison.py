@@ -319,7 +319,7 @@ def _render(
         )
     job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
     run = open_run(job.folder, job.scene, "cpu")
-    return run.photograph(run.render_view(view), view.cameras[0])
+    return run.camera_response(run.render_view(view), view.camera)
 
 
 def _key(each: Outcome) -> tuple[str, str, int | None]:

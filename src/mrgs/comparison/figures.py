@@ -19,8 +19,7 @@ from mrgs.evaluation.evaluate import ViewMetrics
 from mrgs.evaluation.truth import read_float_tiff
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import colorize, display_range, round_up
-from mrgs.render import Rendering
-from mrgs.scene import Scene, View
+from mrgs.scene import THERMAL, Modality, Rendering, Scene, View
 
 WIDE_PX, NARROW_PX = 300, 220
 """Width of a panel; narrow where there are more than five columns."""
@@ -69,11 +68,9 @@ def drawn(scene: Scene, view: View, rendering: Rendering) -> SheetRow:
     Raises:
         SceneError: a photo cannot be read.
     """
-    if rendering.depth_thermal is not None:  # what L_boltz acts on
-        rendering = rendering._replace(depth_rgb=None)
-    return sheet_row(
-        view, rendering, ViewMetrics(view.name, {}, {}, None), scene.temperature, scene.reach
-    )
+    metrics = ViewMetrics(view.name, {}, None)
+    # L_boltz acts on the depth of the thermal camera.
+    return sheet_row(view, rendering, metrics, scene.temperature, scene.reach, THERMAL)
 
 
 def qualitative_figure(blocks: Sequence[Block], methods: Sequence[str]) -> Image.Image:
@@ -107,43 +104,42 @@ def _cell_px(methods: Sequence[str]) -> int:
 
 
 def qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
-    """Rows RGB, thermal and thermal error of one scene, its images as large as they are drawn.
+    """A row per modality and one of the thermal error, the images as large as they are drawn.
 
     At least one of the methods must be among those that the exhibit shows.
     """
     shown = {method: exhibit.shown.get(method) for method in methods}
     there = [row for row in shown.values() if row is not None]
     photos = there[0]
-    unit = exhibit.unit
     rows: list[tuple[str, list[Panel]]] = []
-    bars = []
-    if photos.photo is not None:
-        panels = [
-            Panel(None if row is None else row.rgb, _caption(exhibit, name, "rgb"))
-            for name, row in shown.items()
-        ]
-        rows.append(("RGB", [Panel(photos.photo), *panels]))
-    if photos.measured is not None:
-        scale = Scale("inferno", *display_range(photos.measured), unit)
-        errors = [np.abs(row.error).ravel() for row in there if row.error is not None]
-        limit = round_up(display_range(np.concatenate(errors), tail=1.0)[1]) if errors else 1.0
-        error_scale = Scale("error", -limit, limit, unit)
+    bars: list[tuple[Scale, str]] = []
+    for modality, photo in photos.photos.items():
+        captions = [_caption(exhibit, name, modality) for name in shown]
+        images = [None if row is None else row.renderings.get(modality) for row in shown.values()]
+        if modality != THERMAL:
+            panels = [Panel(*pair) for pair in zip(images, captions, strict=True)]
+            rows.append((modality.title, [Panel(photo), *panels]))
+            continue
+        scale = Scale("inferno", *display_range(photo), exhibit.unit)
         heat = [
-            Panel(
-                _colored(None if row is None else row.thermal, scale),
-                _caption(exhibit, name, "thermal"),
-            )
-            for name, row in shown.items()
+            Panel(_colored(image, scale), caption)
+            for image, caption in zip(images, captions, strict=True)
         ]
-        error = [
-            Panel(_colored(None if row is None else row.error, error_scale))
-            for row in shown.values()
-        ]
-        rows.append(("thermal", [Panel(_colored(photos.measured, scale)), *heat]))
-        rows.append(("error", [Panel(None, missing=""), *error]))
-        bars = [(scale, "temperature" if unit else "normalised: the scene has no °C")]
+        rows.append((modality.title, [Panel(_colored(photo, scale)), *heat]))
+        bars.append((scale, "temperature" if exhibit.unit else "normalised: the scene has no °C"))
+        error, error_scale = _error_row(shown, exhibit.unit)
+        rows.append(("error", error))
         bars.append((error_scale, "rendering minus photo: blue too cold, red too warm"))
     return as_drawn(Block(exhibit.title, rows, bars), _cell_px(methods))
+
+
+def _error_row(shown: Mapping[str, SheetRow | None], unit: str) -> tuple[list[Panel], Scale]:
+    """Rendered minus measured temperature of each method, and the scale of all."""
+    errors = [None if row is None else row.error for row in shown.values()]
+    sizes = [np.abs(error).ravel() for error in errors if error is not None]
+    limit = round_up(display_range(np.concatenate(sizes), tail=1.0)[1]) if sizes else 1.0
+    scale = Scale("error", -limit, limit, unit)
+    return [Panel(None, missing=""), *(Panel(_colored(error, scale)) for error in errors)], scale
 
 
 def depth_block(exhibit: Exhibit) -> Block:
@@ -158,7 +154,8 @@ def depth_block(exhibit: Exhibit) -> Block:
         exact if exact is not None else np.concatenate(depths or [np.zeros(1)]), tail=1.0
     )
     scale = Scale("depth", far, near, "")
-    heats = [row.thermal.ravel() for row in pair.values() if row.thermal is not None]
+    images = {method: row.renderings.get(THERMAL) for method, row in pair.items()}
+    heats = [image.ravel() for image in images.values() if image is not None]
     heat_scale = Scale(
         "inferno", *display_range(np.concatenate(heats or [np.zeros(1)])), exhibit.unit
     )
@@ -166,10 +163,10 @@ def depth_block(exhibit: Exhibit) -> Block:
     for method, row in pair.items():
         panels.append(Panel(_colored(row.depth, scale), _depth_caption(exhibit, method)))
         panels.append(
-            Panel(_colored(row.thermal, heat_scale), _caption(exhibit, method, "thermal"))
+            Panel(_colored(images[method], heat_scale), _caption(exhibit, method, THERMAL))
         )
     panels.append(Panel(_colored(exact, scale)))
-    bars = [(scale, "z-depth in scene units"), (heat_scale, "thermal")]
+    bars = [(scale, "z-depth in scene units"), (heat_scale, THERMAL.title)]
     return as_drawn(Block(exhibit.title, [("", panels)], bars), WIDE_PX)
 
 
@@ -189,9 +186,9 @@ def _colored(values: np.ndarray | None, scale: Scale) -> np.ndarray | None:
     return None if values is None else colorize(values, scale.low, scale.high, scale.palette)
 
 
-def _caption(exhibit: Exhibit, method: str, group: str) -> str:
+def _caption(exhibit: Exhibit, method: str, modality: Modality) -> str:
     """This view's PSNR, and its error in °C where there is one."""
-    figures = exhibit.figures.get(method, {}).get(group, {})
+    figures = exhibit.figures.get(method, {}).get(modality.name, {})
     parts = [
         f"{value:.{decimals}f} {unit}"
         for key, decimals, unit in (("psnr", 2, "dB"), ("mae_c", 2, "°C"))

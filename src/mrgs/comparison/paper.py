@@ -38,11 +38,11 @@ def scene_title(scene: str) -> str | None:
 def rows_of(table: str, scene: str) -> dict[str, dict[str, float | None]]:
     """The paper's rows of a table for a scene; empty where it has none."""
     title = scene_title(scene)
-    return {} if title is None else published()[table].get(title, {})
+    return {} if title is None else published().get(table, {}).get(title, {})
 
 
 def cell(table: str, scene: str, row: str, figure: str) -> Cell:
-    """One published figure, by its name in ``results.KINDS``."""
+    """One published figure, by its name in ``results.figure_keys``."""
     figures = rows_of(table, scene).get(row)
     if figures is None:
         return Cell(None, note="the paper has no figures of this scene")

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from mrgs.evaluation.figures import Figure, Missing
+from mrgs.evaluation.figures import REPORTED, Figure, Missing
+from mrgs.scene import THERMAL
 
 
 class Kind(NamedTuple):
@@ -28,15 +29,16 @@ class Kind(NamedTuple):
     better: Literal["higher", "lower"] | None
 
 
-KINDS = {
-    "thermal.psnr": Kind("PSNR", "dB", 2, 2, "higher"),
-    "thermal.psnr_matched": Kind("PSNR matched", "dB", 2, 2, "higher"),
-    "thermal.ssim": Kind("SSIM", "", 4, 3, "higher"),
-    "thermal.mae_c": Kind("MAE", "°C", 3, 3, "lower"),
-    "rgb.psnr": Kind("PSNR", "dB", 2, 2, "higher"),
-    "rgb.psnr_matched": Kind("PSNR matched", "dB", 2, 2, "higher"),
-    "rgb.ssim": Kind("SSIM", "", 4, 3, "higher"),
-    "rgb.lpips": Kind("LPIPS", "", 4, 3, "lower"),
+IMAGE_KINDS = {
+    "psnr": Kind("PSNR", "dB", 2, 2, "higher"),
+    "psnr_matched": Kind("PSNR matched", "dB", 2, 2, "higher"),
+    "ssim": Kind("SSIM", "", 4, 3, "higher"),
+    "mae_c": Kind("MAE", "°C", 3, 3, "lower"),
+    "lpips": Kind("LPIPS", "", 4, 3, "lower"),
+}
+"""The figures of one modality's images; in tables ``MODALITY.`` stands before the name."""
+
+RUN_KINDS = {
     "gaussians_k": Kind("Gaussians", "K", 1, 0, "lower"),
     "minutes": Kind("training", "min", 1, 0, "lower"),
     "truth.mae_c": Kind("MAE to exact", "°C", 3, 3, "lower"),
@@ -44,7 +46,7 @@ KINDS = {
     "truth.ratio": Kind("ratio", "", 2, 2, "lower"),
     "truth.depth_percent": Kind("depth error", "%", 2, 2, "lower"),
 }
-"""Every figure of the tables."""
+"""The figures of a run."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Outcome:
         scene: the scene's name.
         method: what the tables call the method.
         seed: of the run; None for renders.
-        figures: by the names of ``KINDS``.
+        figures: by the names of ``figure_keys``.
         document: the content of ``metrics.json``; None where there is none.
         failure: why there is none.
     """
@@ -66,6 +68,11 @@ class Outcome:
     figures: dict[str, Figure]
     document: dict[str, Any] | None
     failure: str | None = None
+
+    @property
+    def modalities(self) -> tuple[str, ...]:
+        """Names of those that were scored."""
+        return () if self.document is None else _scored(self.document)
 
 
 class Cell(NamedTuple):
@@ -84,14 +91,46 @@ class Cell(NamedTuple):
     note: str | None = None
 
 
+def kind_of(figure: str) -> Kind:
+    """What one of ``figure_keys`` is."""
+    group, _, key = figure.partition(".")
+    return RUN_KINDS[figure] if figure in RUN_KINDS else IMAGE_KINDS[key or group]
+
+
+def figure_keys(modalities: Sequence[str]) -> tuple[str, ...]:
+    """Every figure of the tables.
+
+    Args:
+        modalities: names of those that were scored besides ``REPORTED``.
+    """
+    names = dict.fromkeys((*(modality.name for modality in REPORTED), *modalities))
+    images = [f"{name}.{key}" for name in names for key in _image_keys(name)]
+    return (*images, *RUN_KINDS)
+
+
+def _image_keys(modality: str) -> list[str]:
+    """What is gathered of a modality: the MAE in °C of temperatures, LPIPS of all else."""
+    omitted = "lpips" if modality == THERMAL.name else "mae_c"
+    return [key for key in IMAGE_KINDS if key != omitted]
+
+
 def outcome(scene: str, method: str, seed: int | None, document: dict[str, Any]) -> Outcome:
     """Read the figures of a ``metrics.json``."""
-    return Outcome(scene, method, seed, {name: _figure(document, name) for name in KINDS}, document)
+    figures = {key: _figure(document, key) for key in figure_keys(_scored(document))}
+    return Outcome(scene, method, seed, figures, document)
+
+
+def _scored(document: dict[str, Any]) -> tuple[str, ...]:
+    """Names of the modalities of a ``metrics.json``."""
+    means = document.get("mean")
+    return tuple(means) if isinstance(means, dict) else ()
 
 
 def failed(scene: str, method: str, seed: int | None, reason: str) -> Outcome:
     """All figures missing for one reason."""
-    return Outcome(scene, method, seed, {name: Missing(reason) for name in KINDS}, None, reason)
+    return Outcome(
+        scene, method, seed, {key: Missing(reason) for key in figure_keys(())}, None, reason
+    )
 
 
 def over_seeds(figures: Sequence[Figure]) -> Cell:

@@ -11,7 +11,7 @@ from typing import Any
 from mrgs.comparison.methods import OnStep, device_of, read_config, train_run
 from mrgs.errors import ConfigError
 from mrgs.evaluation import evaluate_run
-from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES
+from mrgs.evaluation.figures import REPORTED, figure_names
 from mrgs.runs.open import open_run
 from mrgs.system.gpu import DeviceName
 from mrgs.training.run_folder import RunConfig, RunFolder
@@ -117,12 +117,16 @@ def _is_trained(folder: Path, config: RunConfig) -> bool:
 
 def _has_every_figure(document: dict[str, Any]) -> bool:
     """Whether each figure is there, be it as null."""
-    groups = {"thermal": THERMAL_FIGURES, "rgb": RGB_FIGURES}
-    return all(_means(document, group).keys() >= set(names) for group, names in groups.items())
+    return all(
+        _means(document, modality.name).keys() >= set(figure_names(modality))
+        for modality in REPORTED
+    )
 
 
 def _has_lpips(document: dict[str, Any]) -> bool:
-    return any(_means(document, group).get("lpips") is not None for group in ("thermal", "rgb"))
+    means = document.get("mean")
+    groups = means if isinstance(means, dict) else {}
+    return any(_means(document, group).get("lpips") is not None for group in groups)
 
 
 def _means(document: dict[str, Any], group: str) -> dict[str, Any]:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from mrgs.comparison.results import KINDS, Cell
+from mrgs.comparison.results import Cell, kind_of
 
 Mark = Literal["best", "second", ""]
 
 
 class Group(NamedTuple):
-    """Columns under a common heading, usually a scene; ``figures`` are names in ``KINDS``."""
+    """Columns under a common heading, usually a scene; ``figures`` are ``figure_keys``."""
 
     heading: str
     figures: tuple[str, ...]
@@ -63,7 +63,7 @@ class Table:
 
 def printed(cell: Cell, figure: str, published: bool) -> str:
     """The cell's number as the tables show it, without its mark; a dash where there is none."""
-    kind = KINDS[figure]
+    kind = kind_of(figure)
     if cell.mean is None:
         return "–"
     decimals = kind.paper_decimals if published else kind.decimals
@@ -91,7 +91,7 @@ def marks(table: Table) -> list[list[Mark]]:
 
 
 def _rank(table: Table, members: Sequence[int], column: int, figure: str) -> dict[int, Mark]:
-    kind = KINDS[figure]
+    kind = kind_of(figure)
     values = {
         index: round(mean, kind.decimals)
         for index in members

@@ -7,17 +7,18 @@ from dataclasses import dataclass
 from functools import partial
 
 from mrgs.comparison import paper
-from mrgs.comparison.results import KINDS, Cell, Outcome, over_scenes, over_seeds
+from mrgs.comparison.results import Cell, Outcome, kind_of, over_scenes, over_seeds
 from mrgs.comparison.table import Group, Row, Table
-from mrgs.evaluation.figures import Figure, Missing
+from mrgs.evaluation.figures import REPORTED, Figure, Missing
+from mrgs.evaluation.report import heading
+from mrgs.scene import THERMAL
 
-NAMES = ("thermal", "rgb", "ablation", "neighbours", "truth")
-"""Of all tables that there can be."""
+NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "truth")
+"""Of all tables that there can be of any scene; another modality's bears its name."""
 
-THERMAL = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
-THERMAL_WITHOUT_CELSIUS = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
-RGB = ("rgb.psnr", "rgb.ssim", "rgb.lpips", "gaussians_k")
-NEIGHBOURS = (*THERMAL, "minutes")
+CELSIUS = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
+WITHOUT_CELSIUS = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
+NEIGHBOURS = (*CELSIUS, "minutes")
 TRUTH = ("truth.mae_c", "truth.camera_mae_c", "truth.ratio", "truth.depth_percent")
 
 ABLATION = {
@@ -59,7 +60,9 @@ class Outcomes:
     def figures(self, scene: str, method: str, figure: str) -> list[Figure]:
         """The figure of each seed."""
         found = [each for each in self.all if (each.scene, each.method) == (scene, method)]
-        return [each.figures[figure] for each in found] or [Missing("not run")]
+        return [
+            each.figures.get(figure, Missing(each.failure or "not scored")) for each in found
+        ] or [Missing("not run")]
 
     def mean(self, method: str, figure: str) -> Cell:
         """The mean over the scenes where any method has the figure."""
@@ -84,9 +87,9 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
     tables = []
     if outcomes.methods:
         caption = "novel views of scenes and methods: held-out views, full frame."
-        thermal = partial(_thermal_figures, outcomes)
-        tables.append(_methods_by_scenes(outcomes, "thermal", f"Thermal {caption}", thermal))
-        tables.append(_methods_by_scenes(outcomes, "rgb", f"RGB {caption}", lambda scenes: RGB))
+        for modality, title in _scored(outcomes).items():
+            figures_of = partial(_figures_of, outcomes, modality)
+            tables.append(_methods_by_scenes(outcomes, modality, f"{title} {caption}", figures_of))
     if sum(method in ABLATION for method in outcomes.methods) > 1:
         tables.append(_ablation(outcomes))
     if outcomes.neighbours:
@@ -99,17 +102,24 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
     return tables
 
 
-def _thermal_figures(outcomes: Outcomes, scenes: Sequence[str]) -> tuple[str, ...]:
-    """What the thermal images of scenes are judged by: the paper's figures, or what takes the place
-    of the MAE."""
+def _scored(outcomes: Outcomes) -> dict[str, str]:
+    """Names and titles of the tables' modalities: ``REPORTED``, and what else any scene has."""
+    titles = {modality.name: heading(modality) for modality in REPORTED}
+    others = {name for each in outcomes.all for name in each.modalities} - titles.keys()
+    return titles | {name: name for name in sorted(others)}
+
+
+def _figures_of(outcomes: Outcomes, modality: str, scenes: Sequence[str]) -> tuple[str, ...]:
+    """What the images of scenes are judged by: the paper's figures, or what takes the place of the
+    MAE."""
+    if modality != THERMAL.name:
+        return (*(f"{modality}.{key}" for key in ("psnr", "ssim", "lpips")), "gaussians_k")
     celsius, matched = (
         set(outcomes.scenes_with(key)) for key in ("thermal.mae_c", "thermal.psnr_matched")
     )
-    return (
-        THERMAL
-        if celsius.intersection(scenes) or not matched.intersection(scenes)
-        else THERMAL_WITHOUT_CELSIUS
-    )
+    if celsius.intersection(scenes) or not matched.intersection(scenes):
+        return CELSIUS
+    return WITHOUT_CELSIUS
 
 
 def _methods_by_scenes(
@@ -148,20 +158,20 @@ def _ablation(outcomes: Outcomes) -> Table:
     rows = []
     for scene in outcomes.scenes:
         for method in methods:
-            cells = tuple(over_seeds(outcomes.figures(scene, method, key)) for key in THERMAL)
+            cells = tuple(over_seeds(outcomes.figures(scene, method, key)) for key in CELSIUS)
             rows.append(Row((_title(scene), *ABLATION[method]), cells, block=scene))
-        rows += _published_rows("ablation", scene, THERMAL, ABLATION)
+        rows += _published_rows("ablation", scene, CELSIUS, ABLATION)
     remarks = [PUBLISHED] if any(row.published for row in rows) else []
     if len(outcomes.scenes) > 1:
         for method in methods:
-            cells = tuple(outcomes.mean(method, key) for key in THERMAL)
+            cells = tuple(outcomes.mean(method, key) for key in CELSIUS)
             rows.append(Row((MEAN, *ABLATION[method]), cells, block=MEAN))
-        remarks += _remarks_on_means(outcomes, outcomes.scenes, THERMAL)
+        remarks += _remarks_on_means(outcomes, outcomes.scenes, CELSIUS)
     return Table(
         "ablation",
         "Ablation of the paper's parts: thermal images of held-out views.",
         ("scene", "3DGS_RGB-T", "MrGS base", "Fourier", "L_boltz"),
-        (Group("", THERMAL),),
+        (Group("", CELSIUS),),
         tuple(rows),
         tuple(remarks),
     )
@@ -244,7 +254,7 @@ def _remarks_on_means(
         gone = [_title(scene) for scene in scenes if scene not in there]
         if there and gone:
             remarks.append(
-                f"The mean {KINDS[figure].heading} leaves out {', '.join(gone)}, which has none."
+                f"The mean {kind_of(figure).heading} leaves out {', '.join(gone)}, which has none."
             )
     return remarks
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from string import ascii_lowercase
 
-from mrgs.comparison.results import KINDS
+from mrgs.comparison.results import kind_of
 from mrgs.comparison.table import Mark, Table, marks, printed
 
 MARKDOWN_GROUPS = 3
@@ -80,7 +80,7 @@ def to_csv(table: Table) -> str:
     for row, row_marks in zip(table.rows, marks(table), strict=True):
         for (group, name), cell, mark in zip(columns, row.cells, row_marks, strict=True):
             mean, std = ("" if value is None else repr(value) for value in (cell.mean, cell.std))
-            kind = KINDS[name]
+            kind = kind_of(name)
             writer.writerow(
                 [
                     *row.labels,
@@ -174,7 +174,7 @@ def _headings(table: Table, line_break: str) -> list[str]:
     headings = []
     for group in table.groups:
         for name in group.figures:
-            kind = KINDS[name]
+            kind = kind_of(name)
             text = kind.heading + (f", {kind.unit}" if kind.unit else "") + arrows[kind.better]
             headings.append(f"{group.heading}{line_break}{text}" if group.heading else text)
     return headings

@@ -3,7 +3,7 @@ decoding."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,29 +11,29 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.scene import PointCloud
+from mrgs.scene import Modality, PointCloud
 
 
 class Notes:
-    """Collects what the reader decided or mended, one sentence each.
+    """What the reader decided or repaired, one sentence each.
 
     Attributes:
         all: every sentence in order, for ``Scene.notes``.
-        mended: those that the user should also be warned of: something in the files was wrong.
+        repaired: errors in the files, of which the user is also warned.
     """
 
     def __init__(self) -> None:
         self.all: list[str] = []
-        self.mended: list[str] = []
+        self.repaired: list[str] = []
 
     def decide(self, text: str) -> None:
         """Record a decision."""
         self.all.append(text)
 
-    def mend(self, text: str) -> None:
+    def repair(self, text: str) -> None:
         """Record a repair."""
         self.all.append(text)
-        self.mended.append(text)
+        self.repaired.append(text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +55,15 @@ class ImageSource:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What becomes a view. ``key`` is the path of its images without extension; it decides the name
-    and the split."""
+    """What becomes a view.
+
+    Attributes:
+        key: path of its first image without extension; it decides the name and the split.
+        images: by modality; never empty.
+    """
 
     key: str
-    rgb: ImageSource | None
-    thermal: ImageSource | None
+    images: Mapping[Modality, ImageSource]
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class Capture:
         shots: in the file's order; never empty.
         points: start points from the files; None if there are none.
         lists: the explicit split, if the files give one.
-        notes: what was decided and mended on the way.
+        notes: decisions and repairs.
     """
 
     root: Path

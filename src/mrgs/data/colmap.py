@@ -16,6 +16,7 @@ from mrgs.data.files import ImageFinder, is_file, scene_error, shown, without_im
 from mrgs.data.images import probe
 from mrgs.data.points import point_cloud
 from mrgs.data.thermal import BOUNDS_FILES
+from mrgs.scene import RGB, THERMAL
 
 RGB_FOLDERS = ("rgb", "images")
 THERMAL_FOLDER = "thermal"
@@ -120,8 +121,14 @@ def _shot(
     thermal_masks = "thermal_masks" if rgb.files else "masks"
     return Shot(
         key,
-        _source(rgb.files.get(key), rgb_image or sole, "masks", finder),
-        _source(thermal.files.get(key), thermal_image or sole, thermal_masks, finder),
+        {
+            modality: source
+            for modality, images, image, masks in (
+                (RGB, rgb, rgb_image, "masks"),
+                (THERMAL, thermal, thermal_image, thermal_masks),
+            )
+            if (source := _source(images.files.get(key), image or sole, masks, finder))
+        },
     )
 
 

@@ -165,7 +165,7 @@ class _Cursor:
         return count
 
     def skip(self, size: int) -> None:
-        """Go on by a number of bytes."""
+        """Skip a number of bytes."""
         if size > len(self._data) - self._offset:
             raise self._cut_off()
         self._offset += size

@@ -1,4 +1,4 @@
-"""Opening files that strangers wrote: bounded, and never outside the scene's folder."""
+"""Opening untrusted files: bounded, and never outside the scene folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()
 
 
 def shown(value: object) -> str:
-    """A stranger's value, shortened and on one line, to be quoted in a message."""
+    """An untrusted value, truncated to one line, for an error message."""
     return reprlib.repr(value)
 
 

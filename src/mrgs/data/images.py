@@ -30,6 +30,10 @@ be touched."""
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of floats (a TIFF in °C)."""
 
+LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
+"""ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its
+values."""
+
 
 @dataclass(frozen=True)
 class ImageInfo:
@@ -92,6 +96,20 @@ def decode(path: Path) -> Decoded:
     channels = 1 if kind == "grey" else 3
     valid = _mask(pixels[..., channels] >= 128) if pixels.shape[2] > channels else None
     return Decoded(torch.from_numpy(pixels[..., :channels].astype(np.float32) / 255), valid, kind)
+
+
+def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Tensor, "h w d"]:
+    """Intensities with a number of channels: a grey image gets equal ones; of a colour image,
+    where one is wanted, the luminance is taken.
+
+    Raises:
+        ValueError: there is no such rule for these numbers of channels.
+    """
+    if values.shape[2] == 3 and channels == 1:
+        return values @ LUMINANCE[:, None]
+    if values.shape[2] not in (1, channels):
+        raise ValueError(f"has {values.shape[2]} channels where {channels} are expected")
+    return values.expand(-1, -1, channels)
 
 
 def decode_mask(path: Path) -> Bool[Tensor, "h w"]:

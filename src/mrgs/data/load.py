@@ -14,11 +14,11 @@ from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
 from mrgs.data.files import scene_error
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import RANDOM_POINTS, random_points
-from mrgs.data.posed import check_files, decode_rgb, posed_image
+from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
 from mrgs.data.splits import Split, assign_splits
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import ConfigError, MrgsWarning
-from mrgs.scene import Scene, TemperatureRange, View
+from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -42,7 +42,7 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
         ConfigError: ``resolution`` is not positive.
 
     Warns:
-        MrgsWarning: something in the files was mended. Decisions are in ``Scene.notes`` only.
+        MrgsWarning: an error in the files was repaired. Decisions are in ``Scene.notes`` only.
     """
     if resolution is not None and resolution < 1:
         raise ConfigError(
@@ -55,7 +55,7 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
         raise scene_error(
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
         ) from None
-    for text in capture.notes.mended:
+    for text in capture.notes.repaired:
         warnings.warn(f"{capture.root.name}: {text}", MrgsWarning, stacklevel=2)
     return scene
 
@@ -82,10 +82,10 @@ def _recognise(path: Path) -> Capture:
 def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
     thermal_kinds = []
     for shot in capture.shots:
-        if shot.rgb is not None:
-            check_files(shot.rgb)
-        if shot.thermal is not None:
-            thermal_kinds.append((shot.thermal.path, check_files(shot.thermal).kind))
+        for modality, source in shot.images.items():
+            kind = check_files(source).kind
+            if modality == THERMAL:
+                thermal_kinds.append((source.path, kind))
     splits = assign_splits([shot.key for shot in capture.shots], capture.lists, capture.notes)
     if "train" not in splits:
         raise scene_error(
@@ -108,7 +108,8 @@ def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
         capture.notes.decide(
             f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
         )
-        points = random_points([camera for view in train for camera in view.cameras], seed)
+        cameras = [camera for view in train for camera in view.cameras.values()]
+        points = random_points(cameras, seed)
     return Scene(
         name=capture.root.name,
         train=train,
@@ -123,7 +124,9 @@ def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRan
     """The range of the training images, which hold °C."""
     pairs = zip(capture.shots, splits, strict=True)
     paths = [
-        shot.thermal.path for shot, split in pairs if split == "train" and shot.thermal is not None
+        shot.images[THERMAL].path
+        for shot, split in pairs
+        if split == "train" and THERMAL in shot.images
     ]
     if not paths:
         raise scene_error(
@@ -140,10 +143,20 @@ def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRan
 def _view(
     name: str, shot: Shot, temperature: TemperatureRange | None, resolution: int | None
 ) -> View:
-    rgb = None if shot.rgb is None else posed_image(shot.rgb, decode_rgb, resolution)
-    decoder = partial(decode_thermal, temperature=temperature)
-    thermal = None if shot.thermal is None else posed_image(shot.thermal, decoder, resolution)
-    return View(name, rgb, thermal)
+    return View(
+        name,
+        {
+            modality: posed_image(source, _decoder(modality, temperature), resolution)
+            for modality, source in shot.images.items()
+        },
+    )
+
+
+def _decoder(modality: Modality, temperature: TemperatureRange | None) -> Decoder:
+    """Temperatures are decoded with their range, all other modalities as intensities."""
+    if modality == THERMAL:
+        return partial(decode_thermal, temperature=temperature)
+    return partial(decode_intensities, channels=modality.channels)
 
 
 def _unique_names(keys: Sequence[str]) -> list[str]:

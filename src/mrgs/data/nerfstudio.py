@@ -3,11 +3,14 @@ two cameras.
 
 Beyond nerfstudio's own keys a frame may have ``thermal_file_path`` and ``thermal_mask_path``; a
 thermal camera of its own is given by ``thermal_camera`` (intrinsics, at the top or in the frame)
-and ``thermal_transform_matrix``.
+and ``thermal_transform_matrix``. The same keys exist for every modality that the file lists under
+``modalities`` (``[{"name": "nir", "channels": 1}]``; ``unit`` and ``title`` may be added), and for
+those that Python has registered.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -34,8 +37,15 @@ from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
-from mrgs.scene import PointCloud
+from mrgs.scene import RGB, Modality, PointCloud, known_modalities
 
+MOST_MODALITIES = 16
+IMAGE_CHANNELS = (1, 3)
+"""Of the image files that are read."""
+_TAKEN = re.compile(
+    r"images|.*masks|sparse|truth|train|val|test|eval|temperature_c|thermal_normalised|depth_.*"
+)
+"""Names of other folders, in scenes and among renderings, that a modality's would be taken for."""
 _PERSPECTIVE_MODELS = {
     "OPENCV",
     "PINHOLE",
@@ -139,6 +149,45 @@ class _Reader:
         self.top = read_json_object(file)
         self.images = ImageFinder(root)
         self.notes = Notes()
+        self.modalities = self._modalities()
+
+    def _modalities(self) -> tuple[Modality, ...]:
+        """Those that frames may have: the known ones, and those that the file lists."""
+        listed = self.top.get("modalities", [])
+        if not isinstance(listed, list) or len(listed) > MOST_MODALITIES:
+            raise scene_error(
+                self.file,
+                f"modalities is {shown(listed)}, not a list of up to {MOST_MODALITIES} objects; "
+                f"correct it",
+            )
+        by_name = {modality.name: modality for modality in known_modalities()}
+        for value in listed:
+            modality = self._modality(value)
+            if by_name.setdefault(modality.name, modality) != modality:
+                raise scene_error(
+                    self.file,
+                    f"modality {modality} has {modality.channels} channels here and "
+                    f"{by_name[modality.name].channels} elsewhere; correct it",
+                )
+        return tuple(by_name.values())
+
+    def _modality(self, value: object) -> Modality:
+        """A modality that the file lists."""
+        try:
+            modality = Modality.from_json(value)
+        except ValueError as error:
+            raise scene_error(self.file, f"modalities: {error}; correct it") from None
+        if modality.channels not in IMAGE_CHANNELS:
+            raise scene_error(
+                self.file,
+                f"modality {modality} has {shown(modality.channels)} channels; images that can be "
+                f"read have 1 or 3",
+            )
+        if _TAKEN.fullmatch(modality.name):
+            raise scene_error(
+                self.file, f"a folder named {modality} has another meaning; rename the modality"
+            )
+        return modality
 
     def capture(self) -> Capture:
         frames = self.top.get("frames")
@@ -148,8 +197,10 @@ class _Reader:
                 f'"frames" is {shown(frames)}, not a list of frames; export the file again',
             )
         shots = [self._shot(frame, f"frame {index}") for index, frame in enumerate(frames)]
-        if 0 < (alone := sum(shot.thermal is None for shot in shots)) < len(shots):
-            self.notes.decide(f"{alone} of {len(shots)} frames have no thermal image.")
+        for modality in self.modalities:
+            missing = sum(modality not in shot.images for shot in shots)
+            if modality != RGB and 0 < missing < len(shots):
+                self.notes.decide(f"{missing} of {len(shots)} frames have no {modality} image.")
         return Capture(self.root, self.file, shots, self._points(), self.notes, self._lists())
 
     def _shot(self, frame: object, what: str) -> Shot:
@@ -157,44 +208,59 @@ class _Reader:
             raise scene_error(
                 self.file, f"{what} is {shown(frame)}, not an object; export the file again"
             )
-        rgb_path, thermal_path = self._image_paths(frame, what)
-        key_path = rgb_path or thermal_path
-        if key_path is None:
+        paths = self._image_paths(frame, what)
+        if not paths:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
-        what = f"{what} ({shown(self._key_of(key_path))})"
-        viewmat = self._viewmat(frame, "transform_matrix", what)
-        rgb = thermal = None
-        if rgb_path:
-            lens = self._lens(frame, rgb_path, what)
-            rgb = ImageSource(
-                rgb_path, lens, viewmat, self._mask(frame, "mask_path", "masks", rgb_path, what)
-            )
-        if thermal_path:
-            own = frame.get("thermal_camera", self.top.get("thermal_camera"))
-            if own is not None and not isinstance(own, dict):
-                raise scene_error(
-                    self.file, f"thermal_camera is {shown(own)}, not an object; correct it"
-                )
-            if "thermal_transform_matrix" in frame:
-                viewmat = self._viewmat(frame, "thermal_transform_matrix", what)
-            lens = self._lens(frame if own is None else own, thermal_path, what, shared=own is None)
-            mask = self._mask(frame, "thermal_mask_path", "thermal_masks", thermal_path, what)
-            thermal = ImageSource(thermal_path, lens, viewmat, mask)
-        return Shot(self._key_of(key_path), rgb, thermal)
+        key = self._key_of(next(iter(paths.values())))
+        what = f"{what} ({shown(key)})"
+        images = {
+            modality: self._source(modality, frame, path, what) for modality, path in paths.items()
+        }
+        return Shot(key, images)
+
+    def _source(
+        self, modality: Modality, frame: Mapping[str, Any], path: Path, what: str
+    ) -> ImageSource:
+        """An image with its camera: the frame's, unless its modality has one of its own."""
+        prefix = "" if modality == RGB else f"{modality}_"
+        camera = f"{prefix}camera"
+        own = frame.get(camera, self.top.get(camera)) if prefix else None
+        if own is not None and not isinstance(own, dict):
+            raise scene_error(self.file, f"{camera} is {shown(own)}, not an object; correct it")
+        lens = self._lens(frame if own is None else own, path, what, shared=own is None)
+        pose = f"{prefix}transform_matrix"
+        viewmat = self._viewmat(frame, pose if pose in frame else "transform_matrix", what)
+        mask = self._mask(frame, f"{prefix}mask_path", f"{prefix}masks", path, what)
+        return ImageSource(path, lens, viewmat, mask)
 
     def _key_of(self, path: Path) -> str:
         return without_image_suffix(path.relative_to(self.root).as_posix())
 
-    def _image_paths(self, frame: Mapping[str, Any], what: str) -> tuple[Path | None, Path | None]:
-        """The RGB and the thermal image of a frame. A ``file_path`` in a folder ``thermal`` is a
-        thermal image."""
-        rgb = self._path(frame, "file_path", what)
-        thermal = self._path(frame, "thermal_file_path", what)
-        if thermal is None and rgb is not None:
-            if rgb.parent.name == "thermal":
-                return None, rgb
-            thermal = self.images.find(f"thermal/{rgb.name}", self.file)
-        return rgb, thermal
+    def _image_paths(self, frame: Mapping[str, Any], what: str) -> dict[Modality, Path]:
+        """The images of a frame by modality, RGB first.
+
+        A ``file_path`` in a folder that is named like another modality is of that modality; an
+        image that is not named is looked for in the folder of its modality, under the name of the
+        first.
+        """
+        first = self._path(frame, "file_path", what)
+        others = [modality for modality in self.modalities if modality != RGB]
+        paths = {
+            modality: path
+            for modality in others
+            if (path := self._path(frame, f"{modality}_file_path", what))
+        }
+        if first is None:
+            return paths
+        for modality in others:
+            if modality not in paths and first.parent.name == modality.name:
+                return {modality: first, **paths}
+        found = {RGB: first, **paths}
+        for modality in others:
+            path = self.images.find(f"{modality}/{first.name}", self.file)
+            if modality not in found and path is not None:
+                found[modality] = path
+        return {modality: found[modality] for modality in self.modalities if modality in found}
 
     def _path(self, frame: Mapping[str, Any], name: str, what: str) -> Path | None:
         value = frame.get(name)

@@ -31,7 +31,7 @@ def point_cloud(
     Args:
         positions: [N, 3].
         colors: RGB in [0, 1], [N, 3]; None gives middle grey.
-        notes: told of points that were dropped.
+        notes: receives how many points were dropped.
         transform: an affine map to world coordinates.
 
     Returns:
@@ -44,7 +44,7 @@ def point_cloud(
         # Squares must be finite too: distances between points are taken in float32.
         usable = np.isfinite(single * single).all(axis=1)
     if dropped := int((~usable).sum()):
-        notes.mend(f"{dropped} start points are not finite; left out.")
+        notes.repair(f"{dropped} start points are not finite; left out.")
     if not usable.any():
         return None
     rgb = (

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from mrgs.data.capture import ImageSource
 from mrgs.data.files import scene_error
-from mrgs.data.images import ImageInfo, decode, decode_mask, probe
+from mrgs.data.images import ImageInfo, decode, decode_mask, probe, with_channels
 from mrgs.data.lens import Lens
 from mrgs.data.undistort import pinhole_of, resize, undistort
-from mrgs.scene import Camera, Pixels, PosedImage
+from mrgs.scene import RGB, Camera, Pixels, PosedImage
 
 Decoder = Callable[[Path], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
 
@@ -60,19 +60,31 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
     return PosedImage(camera, partial(_load, source, decoder, camera.width, camera.height))
 
 
-def decode_rgb(path: Path) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
-    """Colours in [0, 1] and the mask of usable pixels (None if all are); grey images get three
-    equal channels.
+def decode_intensities(
+    path: Path, channels: int
+) -> tuple[Float32[Tensor, "h w {channels}"], Bool[Tensor, "h w"] | None]:
+    """Values in [0, 1] and the mask of usable pixels (None if all are).
+
+    A grey image gets ``channels`` equal channels; of a colour image, where one channel is wanted,
+    the luminance is taken.
 
     Raises:
-        SceneError: the file cannot be decoded, or holds floats.
+        SceneError: the file cannot be decoded, holds floats, or has another number of channels.
     """
     values, valid, kind = decode(path)
     if kind == "float":
         raise scene_error(
-            path, "holds floats where a colour image is expected; save it with 8 bits per channel"
+            path, "holds floats where intensities are expected; save it with 8 or 16 bits"
         )
-    return values.expand(-1, -1, 3), valid
+    try:
+        return with_channels(values, channels), valid
+    except ValueError as error:
+        raise scene_error(path, str(error)) from error
+
+
+def decode_rgb(path: Path) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
+    """Colours in [0, 1] and the mask of usable pixels; see ``decode_intensities``."""
+    return decode_intensities(path, RGB.channels)
 
 
 def _load(source: ImageSource, decoder: Decoder, width: int, height: int) -> Pixels:

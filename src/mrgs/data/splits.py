@@ -27,7 +27,7 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> li
     Args:
         keys: paths without extension, one per view.
         lists: explicit lists, as far as the files give them.
-        notes: told of the rule that was used, and of conflicts.
+        notes: receives the rule that was used, and conflicts.
     """
     if lists.train is not None or lists.eval is not None:
         return _by_lists(keys, lists, notes)
@@ -51,12 +51,12 @@ def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> list[S
         "eval" if key in held_out else "train" if key in train else "unused" for key in keys
     ]
     if train & held_out:
-        notes.mend(
+        notes.repair(
             f"{len(train & held_out)} images are listed for training and for evaluation; they are "
             f"held out."
         )
     if missing := (train | held_out) - frozenset(keys):
-        notes.mend(
+        notes.repair(
             f"{len(missing)} images of the split lists have no frame (such as {min(missing)}); "
             f"left out."
         )

@@ -6,20 +6,15 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from mrgs.data.capture import Notes
 from mrgs.data.files import contained, finite_number, is_file, read_json_object, scene_error
-from mrgs.data.images import Kind, decode
+from mrgs.data.images import LUMINANCE, Kind, decode
 from mrgs.scene import TemperatureRange
 
 BOUNDS_FILES = ("temperature_bounds.json", "thermal/temperature_bounds.json")
-
-LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
-"""ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its
-values."""
 
 
 def read_bounds(root: Path, notes: Notes) -> TemperatureRange | None:
@@ -42,7 +37,7 @@ def read_bounds(root: Path, notes: Notes) -> TemperatureRange | None:
     )
     if low > high:
         low, high = high, low
-        notes.mend(f"{path.name} has its bounds swapped; {low:g} °C to {high:g} °C is used.")
+        notes.repair(f"{path.name} has its bounds swapped; {low:g} °C to {high:g} °C is used.")
     return _range(low, high, path)
 
 

@@ -4,51 +4,53 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.scene import Camera
+from mrgs.scene import RGB, THERMAL, Camera, Modality
 from mrgs.scene.rotations import opengl_camera_to_world
 from mrgs.system.atomic import replacing
 
 TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
 
+EMPTY: Mapping[Any, Any] = MappingProxyType({})
+
 
 def frame_json(
     viewmat: Float64[Tensor, "4 4"],
     file_path: str | None,
-    thermal_file_path: str | None = None,
+    others: Mapping[Modality, str] = EMPTY,
     *,
     lens: Lens | None = None,
-    thermal_viewmat: Float64[Tensor, "4 4"] | None = None,
-    thermal_lens: Lens | None = None,
+    viewmats: Mapping[Modality, Float64[Tensor, "4 4"]] = EMPTY,
+    lenses: Mapping[Modality, Lens] = EMPTY,
 ) -> dict[str, Any]:
     """One entry of ``frames``.
 
     Args:
         viewmat: world to camera with OpenCV axes.
-        file_path: image of this pose; None if only the thermal image exists.
-        thermal_file_path: thermal image; None if there is none.
+        file_path: image of this pose; None if there are only ``others``.
+        others: images of the other modalities.
         lens: intrinsics of this frame alone; None if all frames share them.
-        thermal_viewmat: pose of the thermal image; None if it is ``viewmat``.
-        thermal_lens: intrinsics of this thermal image alone.
+        viewmats: poses of other modalities that are not ``viewmat``.
+        lenses: intrinsics of other modalities' images of this frame alone.
     """
     frame: dict[str, Any] = {} if lens is None else lens_json(lens)
     if file_path is not None:
         frame["file_path"] = file_path
-    if thermal_file_path is not None:
-        frame["thermal_file_path"] = thermal_file_path
+    frame |= {f"{modality}_file_path": path for modality, path in others.items()}
     frame["transform_matrix"] = opengl_camera_to_world(viewmat).tolist()
-    if thermal_viewmat is not None:
-        frame["thermal_transform_matrix"] = opengl_camera_to_world(thermal_viewmat).tolist()
-    if thermal_lens is not None:
-        frame["thermal_camera"] = lens_json(thermal_lens)
-    return frame
+    frame |= {
+        f"{modality}_transform_matrix": opengl_camera_to_world(own).tolist()
+        for modality, own in viewmats.items()
+    }
+    return frame | {f"{modality}_camera": lens_json(own) for modality, own in lenses.items()}
 
 
 def write_transforms(
@@ -59,6 +61,7 @@ def write_transforms(
     thermal_lens: Lens | None = None,
     points: str | None = None,
     split: tuple[Sequence[str], Sequence[str]] | None = None,
+    modalities: Iterable[Modality] = (),
     facts: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write ``transforms.json``; returns the path.
@@ -70,6 +73,7 @@ def write_transforms(
         thermal_lens: intrinsics that all thermal images share, if they differ from ``lens``.
         points: path of the start points, relative to the file.
         split: paths of the training and of the evaluation images; None leaves it to the reader.
+        modalities: of the images; those that not every reader knows are listed.
         facts: further entries.
 
     Raises:
@@ -78,6 +82,8 @@ def write_transforms(
     content: dict[str, Any] = {**(facts or {}), **({} if lens is None else lens_json(lens))}
     if thermal_lens is not None:
         content["thermal_camera"] = lens_json(thermal_lens)
+    if listed := [each.to_json() for each in modalities if each not in (RGB, THERMAL)]:
+        content["modalities"] = listed
     if points is not None:
         content["ply_file_path"] = points
     if split is not None:

@@ -4,9 +4,9 @@ views."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -28,8 +28,18 @@ from mrgs.pictures.drawing import (
 )
 from mrgs.pictures.files import shown_depth, to_array, to_rgb8
 from mrgs.pictures.palette import PaletteName, colorize, display_range, round_up
-from mrgs.render import Rendering
-from mrgs.scene import Pixels, Reach, TemperatureRange, View, spread
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Modality,
+    Pixels,
+    Reach,
+    Rendering,
+    TemperatureRange,
+    View,
+    in_order,
+    spread,
+)
 
 CELL_PX = 288
 LABEL_PX = 148
@@ -39,43 +49,34 @@ HEADER_PX = 92
 TITLE_PX = 30
 FOOTER_PX = 62
 
-_TITLES = {
-    "photo": "RGB photo",
-    "rgb": "RGB rendering",
-    "measured": "thermal photo",
-    "thermal": "thermal rendering",
-    "error": "thermal error",
-    "depth": "depth",
-}
+ImageValues: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
+"""A picture as it is, or the temperatures that a palette shows; invalid ones are NaN."""
+
+PHOTO, RENDERING, ERROR, DEPTH = "photo", "rendering", "error", "depth"
 
 
 @dataclass(frozen=True, eq=False)
 class SheetRow:
-    """One view's images as they are shown; None where the view or the model has none. Invalid
-    pixels are NaN.
+    """One view's images as they are shown.
 
     Attributes:
         metrics: the view's figures.
-        photo: RGB photo.
-        rgb: RGB rendering.
-        measured: thermal photo in the sheet's thermal unit.
-        thermal: thermal rendering in the same unit and size.
-        depth: z-depth in scene units, infinite where it is the background's.
+        photos: of the modalities that the view has; temperatures in the sheet's thermal unit.
+        renderings: of those that the model renders, in the same unit and size.
+        depth: z-depth in scene units, infinite where it is the background's; None if not known.
     """
 
     metrics: ViewMetrics
-    photo: UInt8[np.ndarray, "h w 3"] | None
-    rgb: UInt8[np.ndarray, "h w 3"] | None
-    measured: Float[np.ndarray, "h2 w2"] | None
-    thermal: Float[np.ndarray, "h2 w2"] | None
-    depth: Float[np.ndarray, "h3 w3"] | None
+    photos: Mapping[Modality, ImageValues]
+    renderings: Mapping[Modality, ImageValues]
+    depth: Float[np.ndarray, "h w"] | None
 
     @property
-    def error(self) -> Float[np.ndarray, "h2 w2"] | None:
-        """Rendered minus measured temperature."""
-        return (
-            None if self.measured is None or self.thermal is None else self.thermal - self.measured
-        )
+    def error(self) -> Float[np.ndarray, "h w"] | None:
+        """Rendered minus measured temperature; None if either is not there."""
+        if THERMAL not in self.photos or THERMAL not in self.renderings:
+            return None
+        return self.renderings[THERMAL] - self.photos[THERMAL]
 
 
 class SheetRows:
@@ -89,12 +90,12 @@ class SheetRows:
     def __init__(self, count: int) -> None:
         self._spread = spread(count)
         self._rows: dict[int, SheetRow] = {}
-        self._worst: dict[str, tuple[float, int]] = {}
+        self._worst: dict[Modality, tuple[float, int]] = {}
 
     def add(self, number: int, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
         """Take a view by its number, from 0; its row is made only if it is shown as far as is known
         by now."""
-        for modality, figures in (("thermal", metrics.thermal), ("rgb", metrics.rgb)):
+        for modality, figures in metrics.figures.items():
             psnr = figures["psnr"]
             if isinstance(psnr, float):
                 score = (-math.inf if math.isnan(psnr) else psnr, number)
@@ -119,32 +120,46 @@ class _Scales(NamedTuple):
     depth: Scale
 
 
+class _Column(NamedTuple):
+    """A column of the sheet; the depth belongs to no modality."""
+
+    modality: Modality | None
+    kind: str
+
+    @property
+    def title(self) -> str:
+        """Its heading."""
+        return self.kind if self.modality is None else f"{self.modality.title} {self.kind}"
+
+
 def sheet_row(
     view: View,
     rendering: Rendering,
     metrics: ViewMetrics,
     temperature: TemperatureRange | None,
     ball: Reach | None = None,
+    depth_of: Modality = RGB,
 ) -> SheetRow:
     """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has
     them.
 
-    The background of ``ball`` does not count on the scale of the depth.
+    The background of ``ball`` does not count on the scale of the depth, which is that of
+    ``depth_of`` if it is known, or else of another modality.
     """
-    photo = None if view.rgb is None else to_rgb8(view.rgb.load().values)
-    measured = None if view.thermal is None else _thermal(view.thermal.load(), temperature)
-    depth, seen = (rendering.depth_rgb, view.rgb)
-    if depth is None:
-        depth, seen = (rendering.depth_thermal, view.thermal)
+    seen = rendering.with_depth(depth_of)
     return SheetRow(
         metrics=metrics,
-        photo=photo,
-        rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
-        measured=measured,
-        thermal=None
-        if rendering.thermal is None
-        else _thermal(Pixels(rendering.thermal.detach().cpu()), temperature),
-        depth=None if depth is None else shown_depth(depth, seen, ball),
+        photos={
+            modality: _values(modality, image.load(), temperature)
+            for modality, image in view.images.items()
+        },
+        renderings={
+            modality: _values(modality, Pixels(blend.image.detach().cpu()), temperature)
+            for modality, blend in rendering.items()
+        },
+        depth=None
+        if seen is None
+        else shown_depth(rendering[seen].depth, view.images.get(seen), ball),
     )
 
 
@@ -167,7 +182,7 @@ def contact_sheet(
         raise ValueError("a contact sheet needs at least one row")
     scales = _scales(rows, temperature, palette)
     cells = [_cells(row, scales) for row in rows]
-    columns = [name for name in _TITLES if any(row[name] is not None for row in cells)]
+    columns = _columns(cells)
     heights = [_row_height(row) for row in cells]
     left = MARGIN_PX + LABEL_PX
     width = left + len(columns) * CELL_PX + (len(columns) - 1) * GAP_PX + MARGIN_PX
@@ -176,20 +191,24 @@ def contact_sheet(
     )
     sheet = Image.new("RGB", (width, height), PAPER)
     _draw_header(sheet, facts, metrics)
-    offsets = {name: left + index * (CELL_PX + GAP_PX) for index, name in enumerate(columns)}
-    for name, x in offsets.items():
-        draw_text(sheet, (x, HEADER_PX + 18), _TITLES[name], 15, INK)
+    offsets = {column: left + index * (CELL_PX + GAP_PX) for index, column in enumerate(columns)}
+    for column, x in offsets.items():
+        draw_text(sheet, (x, HEADER_PX + 18), column.title, 15, INK)
     y = HEADER_PX + TITLE_PX
     for row, images, row_height in zip(rows, cells, heights, strict=True):
         _draw_label(sheet, row.metrics, y)
-        for name, x in offsets.items():
-            _draw_cell(sheet, images[name], (x, y), row_height)
+        for column, x in offsets.items():
+            _draw_cell(sheet, images.get(column), (x, y), row_height)
         y += row_height + GAP_PX
     _draw_scale_bars(sheet, scales, offsets, y + 4)
     return sheet
 
 
-def _thermal(pixels: Pixels, temperature: TemperatureRange | None) -> Float[np.ndarray, "h w"]:
+def _values(
+    modality: Modality, pixels: Pixels, temperature: TemperatureRange | None
+) -> ImageValues:
+    if modality != THERMAL:
+        return to_rgb8(pixels.values)
     values = pixels.values[..., 0]
     shown = to_array(values if temperature is None else temperature.to_celsius(values))
     return (
@@ -201,7 +220,7 @@ def _scales(
     rows: Sequence[SheetRow], temperature: TemperatureRange | None, palette: PaletteName
 ) -> _Scales:
     unit = "" if temperature is None else "°C"
-    photos = _pool([row.measured if row.measured is not None else row.thermal for row in rows])
+    photos = _pool([{**row.renderings, **row.photos}.get(THERMAL) for row in rows])
     depths = _pool([row.depth for row in rows])
     _, largest = display_range(np.abs(_pool([row.error for row in rows])), tail=1.0)
     limit = round_up(largest)
@@ -218,27 +237,37 @@ def _pool(images: Sequence[np.ndarray | None]) -> np.ndarray:
     return np.concatenate(there) if there else np.zeros(0, np.float32)
 
 
-def _cells(row: SheetRow, scales: _Scales) -> dict[str, np.ndarray | None]:
-    def shown(values: np.ndarray | None, scale: Scale) -> np.ndarray | None:
-        return None if values is None else colorize(values, scale.low, scale.high, scale.palette)
+def _cells(row: SheetRow, scales: _Scales) -> dict[_Column, UInt8[np.ndarray, "h w 3"]]:
+    """The row's pictures; temperatures and depths through their palettes."""
+    cells = {}
+    for kind, images in ((PHOTO, row.photos), (RENDERING, row.renderings)):
+        for modality, values in images.items():
+            shown = _colored(values, scales.thermal) if modality == THERMAL else values
+            cells[_Column(modality, kind)] = shown
+    if row.error is not None:
+        cells[_Column(THERMAL, ERROR)] = _colored(row.error, scales.error)
+    if row.depth is not None:
+        cells[_Column(None, DEPTH)] = _colored(row.depth, scales.depth)
+    return cells
 
-    return {
-        "photo": row.photo,
-        "rgb": row.rgb,
-        "measured": shown(row.measured, scales.thermal),
-        "thermal": shown(row.thermal, scales.thermal),
-        "error": shown(row.error, scales.error),
-        "depth": shown(row.depth, scales.depth),
-    }
+
+def _colored(values: Float[np.ndarray, "h w"], scale: Scale) -> UInt8[np.ndarray, "h w 3"]:
+    return colorize(values, scale.low, scale.high, scale.palette)
 
 
-def _row_height(images: dict[str, np.ndarray | None]) -> int:
-    """The tallest image at the cell's width, but no taller than 4:3 upright."""
-    heights = [
-        round(CELL_PX * image.shape[0] / image.shape[1])
-        for image in images.values()
-        if image is not None
+def _columns(cells: Sequence[Mapping[_Column, np.ndarray]]) -> list[_Column]:
+    """Those that any row has: by modality photo, rendering and error, then the depth."""
+    there = {column for row in cells for column in row}
+    modalities = in_order(column.modality for column in there if column.modality is not None)
+    columns = [
+        _Column(modality, kind) for modality in modalities for kind in (PHOTO, RENDERING, ERROR)
     ]
+    return [column for column in [*columns, _Column(None, DEPTH)] if column in there]
+
+
+def _row_height(images: Mapping[_Column, np.ndarray]) -> int:
+    """The tallest image at the cell's width, but no taller than 4:3 upright."""
+    heights = [round(CELL_PX * image.shape[0] / image.shape[1]) for image in images.values()]
     return min(max([*heights, CELL_PX // 2]), CELL_PX * 4 // 3)
 
 
@@ -259,10 +288,11 @@ def _draw_cell(
 
 def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
     """Method and scene on the left, the means as large numbers on the right."""
-    numbers = [
-        ("thermal PSNR", _with_unit(metrics.thermal, "psnr", "dB")),
-        ("thermal MAE", _with_unit(metrics.thermal, "mae_c", "°C")),
-        ("RGB PSNR", _with_unit(metrics.rgb, "psnr", "dB")),
+    numbers = []
+    for modality, mean in metrics.mean.items():
+        numbers.append((f"{modality.title} PSNR", _with_unit(mean, "psnr", "dB")))
+        numbers.append((f"{modality.title} MAE", _with_unit(mean, "mae_c", "°C")))
+    numbers += [
         ("Gaussians", None if facts.gaussians is None else f"{facts.gaussians:,}"),
         ("steps", None if facts.steps is None else f"{facts.steps:,}"),
     ]
@@ -287,13 +317,12 @@ def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
 def _draw_label(sheet: Image.Image, metrics: ViewMetrics, y: int) -> None:
     """The view's name and its figures, at the left of its row."""
     draw_text(sheet, (MARGIN_PX, y + 15), fit_text(metrics.name, 15, LABEL_PX - 14), 15, INK)
-    lines = [
-        ("RGB", _with_unit(metrics.rgb, "psnr", "dB")),
-        ("", _with_unit(metrics.rgb, "ssim", "SSIM")),
-        ("thermal", _with_unit(metrics.thermal, "psnr", "dB")),
-        ("", _with_unit(metrics.thermal, "ssim", "SSIM")),
-        ("", _with_unit(metrics.thermal, "mae_c", "°C MAE")),
-    ]
+    lines = []
+    for modality in in_order(metrics.figures):
+        figures = metrics.figures[modality]
+        lines.append((modality.title, _with_unit(figures, "psnr", "dB")))
+        lines.append(("", _with_unit(figures, "ssim", "SSIM")))
+        lines.append(("", _with_unit(figures, "mae_c", "°C MAE")))
     baseline = y + 40
     for caption, value in lines:
         if value is None:
@@ -304,22 +333,28 @@ def _draw_label(sheet: Image.Image, metrics: ViewMetrics, y: int) -> None:
 
 
 def _with_unit(figures: Figures, name: str, unit: str) -> str | None:
-    figure = figures[name]
+    figure = figures.get(name, Missing("not a figure of this modality"))
     return None if isinstance(figure, Missing) else f"{format_figure(name, figure)} {unit}"
 
 
-def _draw_scale_bars(sheet: Image.Image, scales: _Scales, offsets: dict[str, int], y: int) -> None:
+def _draw_scale_bars(
+    sheet: Image.Image, scales: _Scales, offsets: Mapping[_Column, int], y: int
+) -> None:
     """One bar under the columns that it explains."""
-    for names, scale, note in (
+    for columns, scale, note in (
         (
-            ("measured", "thermal"),
+            (_Column(THERMAL, PHOTO), _Column(THERMAL, RENDERING)),
             scales.thermal,
             "" if scales.thermal.unit else "normalised: the scene has no °C",
         ),
-        (("error",), scales.error, "rendering minus photo: blue too cold, red too warm"),
-        (("depth",), scales.depth, "z-depth in scene units"),
+        (
+            (_Column(THERMAL, ERROR),),
+            scales.error,
+            "rendering minus photo: blue too cold, red too warm",
+        ),
+        ((_Column(None, DEPTH),), scales.depth, "z-depth in scene units"),
     ):
-        starts = [offsets[name] for name in names if name in offsets]
+        starts = [offsets[column] for column in columns if column in offsets]
         if not starts:
             continue
         bar = scale_bar(scale, starts[-1] + CELL_PX - starts[0], "horizontal")

@@ -3,7 +3,7 @@ exact truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -12,11 +12,13 @@ from torch import Tensor
 
 from mrgs.errors import SceneError
 from mrgs.evaluation.figures import (
-    RGB_FIGURES,
-    THERMAL_FIGURES,
+    CELSIUS_FIGURES,
+    REPORTED,
+    Figure,
     Figures,
     Missing,
     all_missing,
+    figure_names,
     mean_figures,
 )
 from mrgs.evaluation.lpips import MIN_SIDE_PX, Lpips
@@ -30,8 +32,17 @@ from mrgs.evaluation.metrics import (
     ssim_pair_range,
 )
 from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
-from mrgs.render import Photograph, Rendering, as_it_is
-from mrgs.scene import Pixels, TemperatureRange, View
+from mrgs.scene import (
+    THERMAL,
+    CameraResponse,
+    Modality,
+    Pixels,
+    Rendering,
+    TemperatureRange,
+    View,
+    ideal_cameras,
+    in_order,
+)
 
 NO_LPIPS = "no VGG-16 and LPIPS weights were given (--lpips-weights FILE)"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
@@ -39,12 +50,17 @@ NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
 @dataclass(frozen=True)
 class ViewMetrics:
-    """One view's figures, by the names of ``THERMAL_FIGURES``, ``RGB_FIGURES`` and
-    ``TRUTH_FIGURES``."""
+    """One view's figures.
+
+    Attributes:
+        name: the view's.
+        figures: of each modality, by the names of ``figure_names``.
+        truth: against the exact truth, by the names of ``TRUTH_FIGURES``; None where the scene has
+            none.
+    """
 
     name: str
-    thermal: Figures
-    rgb: Figures
+    figures: Mapping[Modality, Figures]
     truth: Figures | None
 
 
@@ -53,14 +69,12 @@ class Metrics:
     """Figures of a set of views.
 
     Attributes:
-        thermal: means over the views that have the figure.
-        rgb: the same for the colour images.
+        mean: of each modality, means over the views that have the figure.
         truth: the same against the exact truth; None where the scene has none.
         views: each view's own figures.
     """
 
-    thermal: Figures
-    rgb: Figures
+    mean: Mapping[Modality, Figures]
     truth: Figures | None
     views: tuple[ViewMetrics, ...]
 
@@ -75,7 +89,7 @@ def evaluate(
     lpips: Lpips | None = None,
     truth: Truth | None = None,
     visit: Visitor | None = None,
-    photograph: Photograph = as_it_is,
+    camera_response: CameraResponse = ideal_cameras,
 ) -> Metrics:
     """Render each view once and score it at the full frame, on the (undistorted) images that the
     views load.
@@ -88,8 +102,8 @@ def evaluate(
         truth: exact temperatures and depths, see ``Truth.find``.
         visit: called after each view with what was compared with its photos; nothing is kept from
             view to view.
-        photograph: from what is there to what the cameras would write, which is compared with the
-            photos; the truth is compared with what is there.
+        camera_response: from the rendering to what the cameras would have recorded, which is
+            compared with the photos; the truth is compared with the rendering.
 
     Raises:
         SceneError: there are no views, or an image or a truth file cannot be read.
@@ -100,21 +114,43 @@ def evaluate(
             "val_filenames"
         )
     threshold = foreground_threshold(views)
+    modalities = scored_modalities(views)
     scored = []
     for view in views:
         rendering = render(view)
-        photographed = photograph(rendering, view.cameras[0])
-        metrics = _score(view, rendering, photographed, temperature, threshold, lpips, truth)
+        observed = camera_response(rendering, view.camera)
+        photos = {
+            modality: _loaded(image.load(), observed, modality)
+            for modality, image in view.images.items()
+        }
+        figures = {
+            modality: _image_figures(
+                modality, photos.get(modality), observed, temperature, threshold, lpips
+            )
+            for modality in modalities
+        }
+        exact = None if truth is None else _score_truth(truth, view, rendering, photos, temperature)
+        metrics = ViewMetrics(view.name, figures, exact)
         scored.append(metrics)
         if visit is not None:
-            visit(view, photographed, metrics)
+            visit(view, observed, metrics)
     truths = [metrics.truth for metrics in scored if metrics.truth is not None]
     return Metrics(
-        thermal=mean_figures([metrics.thermal for metrics in scored], THERMAL_FIGURES),
-        rgb=mean_figures([metrics.rgb for metrics in scored], RGB_FIGURES),
+        mean={
+            modality: mean_figures(
+                [metrics.figures[modality] for metrics in scored], figure_names(modality)
+            )
+            for modality in modalities
+        },
         truth=mean_figures(truths, TRUTH_FIGURES) if truths else None,
         views=tuple(scored),
     )
+
+
+def scored_modalities(views: Sequence[View]) -> tuple[Modality, ...]:
+    """Those of ``REPORTED``, which stand in every report, and the views' other ones."""
+    found = in_order(modality for view in views for modality in view.images)
+    return tuple(dict.fromkeys((*REPORTED, *found)))
 
 
 def foreground_threshold(views: Sequence[View]) -> float | None:
@@ -125,9 +161,9 @@ def foreground_threshold(views: Sequence[View]) -> float | None:
     """
     thresholds = []
     for view in views:
-        if view.thermal is None:
+        if THERMAL not in view.images:
             continue
-        pixels = view.thermal.load()
+        pixels = view.images[THERMAL].load()
         values = pixels.values[..., 0] if pixels.valid is None else pixels.values[pixels.valid]
         threshold = otsu_threshold(values.flatten().numpy()) if values.numel() else None
         if threshold is not None:
@@ -135,72 +171,79 @@ def foreground_threshold(views: Sequence[View]) -> float | None:
     return float(np.mean(thresholds)) if thresholds else None
 
 
-def _score(
-    view: View,
-    rendering: Rendering,
-    photographed: Rendering,
-    temperature: TemperatureRange | None,
-    threshold: float | None,
-    lpips: Lpips | None,
-    truth: Truth | None,
-) -> ViewMetrics:
-    thermal = _loaded(view.thermal.load(), photographed.thermal) if view.thermal else None
-    rgb = _loaded(view.rgb.load(), photographed.rgb) if view.rgb else None
-    rgb_figures = all_missing(
-        RGB_FIGURES, "the view has no RGB image, or the model does not render it"
-    )
-    if rgb is not None and photographed.rgb is not None:
-        rgb_figures = _image_figures(photographed.rgb, rgb, lpips)
-    thermal_figures = all_missing(
-        THERMAL_FIGURES, "the view has no thermal image, or the model does not render it"
-    )
-    if thermal is not None and photographed.thermal is not None:
-        figures = _image_figures(photographed.thermal, thermal, lpips)
-        figures |= _temperature_figures(photographed.thermal, thermal, temperature, threshold)
-        thermal_figures = {name: figures[name] for name in THERMAL_FIGURES}
-    truth_figures = None
-    if truth is not None:
-        depth = (
-            rendering.depth_thermal if rendering.depth_thermal is not None else rendering.depth_rgb
-        )
-        truth_figures = truth.score(view.name, rendering.thermal, thermal, depth, temperature)
-    return ViewMetrics(view.name, thermal_figures, rgb_figures, truth_figures)
-
-
-def _loaded(pixels: Pixels, rendered: Tensor | None) -> Pixels:
+def _loaded(pixels: Pixels, rendering: Rendering, modality: Modality) -> Pixels:
     """The photo on the rendering's device.
 
     Raises:
         ValueError: the rendering has another size than the photo.
     """
-    if rendered is None:
+    if modality not in rendering:
         return pixels
-    if rendered.shape != pixels.values.shape:
+    image = rendering[modality].image
+    if image.shape != pixels.values.shape:
         raise ValueError(
-            f"rendering {tuple(rendered.shape)} and photo {tuple(pixels.values.shape)} differ in "
-            f"size"
+            f"rendering {tuple(image.shape)} and photo {tuple(pixels.values.shape)} differ in size"
         )
-    valid = None if pixels.valid is None else pixels.valid.to(rendered.device)
-    return Pixels(pixels.values.to(rendered), valid)
+    valid = None if pixels.valid is None else pixels.valid.to(image.device)
+    return Pixels(pixels.values.to(image), valid)
 
 
-def _image_figures(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figures:
-    """PSNR and SSIM in both conventions, and LPIPS."""
+def _image_figures(
+    modality: Modality,
+    photo: Pixels | None,
+    rendering: Rendering,
+    temperature: TemperatureRange | None,
+    threshold: float | None,
+    lpips: Lpips | None,
+) -> Figures:
+    """What ``figure_names`` says of a modality, for one view."""
+    names = figure_names(modality)
+    if photo is None or modality not in rendering:
+        return all_missing(
+            names, f"the view has no {modality.title} image, or the model does not render it"
+        )
+    if photo.valid is not None and not photo.valid.any():
+        return all_missing(names, "no pixel of the photo is valid")
+    image = rendering[modality].image
+    figures = _pixel_figures(image, photo) | {"lpips": _lpips(image, photo, lpips)}
+    if modality == THERMAL:
+        figures |= _temperature_figures(image, photo, temperature, threshold)
+    return {name: figures[name] for name in names}
+
+
+def _score_truth(
+    truth: Truth,
+    view: View,
+    rendering: Rendering,
+    photos: Mapping[Modality, Pixels],
+    temperature: TemperatureRange | None,
+) -> Figures:
+    """The rendering against the exact truth, which the thermal camera saw."""
+    thermal = rendering[THERMAL].image if THERMAL in rendering else None
+    seen = rendering.with_depth(THERMAL)
+    depth = None if seen is None else rendering[seen].depth
+    return truth.score(view.name, thermal, photos.get(THERMAL), depth, temperature)
+
+
+def _pixel_figures(image: Tensor, photo: Pixels) -> Figures:
+    """PSNR and SSIM in both conventions."""
     target, valid = photo.values, photo.valid
-    if valid is not None and not valid.any():
-        return all_missing(RGB_FIGURES, "no pixel of the photo is valid")
-    figures: Figures = {
+    return {
         "psnr": psnr(image, target, valid),
         "psnr_matched": psnr_matched(image, target, valid),
         "ssim": ssim(image, target, valid),
         "ssim_pair_range": ssim_pair_range(image, target, valid),
-        "lpips": Missing(NO_LPIPS),
     }
-    if lpips is not None and min(image.shape[:2]) < MIN_SIDE_PX:
-        figures["lpips"] = Missing(f"the images are smaller than {MIN_SIDE_PX} pixels")
-    elif lpips is not None:
-        figures["lpips"] = lpips(fill_invalid(image.clamp(0, 1), target, valid), target)
-    return figures
+
+
+def _lpips(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figure:
+    if lpips is None:
+        return Missing(NO_LPIPS)
+    if image.shape[2] not in (1, 3):
+        return Missing("VGG-16 sees one or three channels")
+    if min(image.shape[:2]) < MIN_SIDE_PX:
+        return Missing(f"the images are smaller than {MIN_SIDE_PX} pixels")
+    return lpips(fill_invalid(image.clamp(0, 1), photo.values, photo.valid), photo.values)
 
 
 def _temperature_figures(
@@ -209,10 +252,8 @@ def _temperature_figures(
     """MAE in °C over the full frame and over the foreground (photo above ``threshold``,
     normalised)."""
     if temperature is None:
-        return all_missing(("mae_c", "mae_foreground_c"), NO_CELSIUS)
+        return all_missing(CELSIUS_FIGURES, NO_CELSIUS)
     target, valid = photo.values, photo.valid
-    if valid is not None and not valid.any():
-        return all_missing(("mae_c", "mae_foreground_c"), "no pixel of the photo is valid")
     figures: Figures = {"mae_c": mean_absolute_error(image, target, valid) * temperature.span_c}
     figures["mae_foreground_c"] = Missing("no photo has two classes for Otsu's threshold to part")
     if threshold is not None:

@@ -6,16 +6,19 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeAlias
 
-THERMAL_FIGURES = (
-    "psnr",
-    "psnr_matched",
-    "ssim",
-    "ssim_pair_range",
-    "mae_c",
-    "mae_foreground_c",
-    "lpips",
-)
-RGB_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "lpips")
+from mrgs.scene import RGB, THERMAL, Modality
+
+PIXEL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range")
+CELSIUS_FIGURES = ("mae_c", "mae_foreground_c")
+
+REPORTED = (THERMAL, RGB)
+"""The modalities that every report names, in its order; others follow where there are any."""
+
+
+def figure_names(modality: Modality) -> tuple[str, ...]:
+    """What the images of a modality are scored by."""
+    celsius = CELSIUS_FIGURES if modality == THERMAL else ()
+    return (*PIXEL_FIGURES, *celsius, "lpips")
 
 
 class Missing(NamedTuple):

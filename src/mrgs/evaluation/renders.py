@@ -1,6 +1,6 @@
 """Score any program's renderings of a scene's held-out views: image files named like the views.
 
-``FOLDER/rgb/NAME.png`` (or .jpg) and the temperatures in one of
+``FOLDER/MODALITY/NAME.png`` (or .jpg), such as ``FOLDER/rgb``; but temperatures in one of
 
 - ``FOLDER/temperature_c/NAME.tiff``: float32, °C;
 - ``FOLDER/thermal_normalised/NAME.tiff``: float32, 0 and 1 at the ends of the scene's range;
@@ -15,8 +15,9 @@ scene units) is read where it is there.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -26,13 +27,22 @@ from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.data.files import IMAGE_SUFFIXES, without_image_suffix
-from mrgs.data.images import Decoded, decode
+from mrgs.data.images import Decoded, decode, with_channels
 from mrgs.errors import MrgsWarning, RunError, SceneError
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.report import RunFacts
 from mrgs.evaluation.score_run import Progress, score_views
-from mrgs.render import Rendering
-from mrgs.scene import Camera, Scene, TemperatureRange, View
+from mrgs.scene import (
+    THERMAL,
+    Blend,
+    Camera,
+    Modality,
+    Rendering,
+    Scene,
+    TemperatureRange,
+    View,
+    in_order,
+)
 
 GREY_TOLERANCE = 2.5 / 255
 """Largest difference between the channels of a grey image that was saved in colour."""
@@ -49,13 +59,17 @@ Convert = Callable[[Path, Decoded, TemperatureRange | None], Tensor]
 
 @dataclass(frozen=True)
 class Renders:
-    """The image files of one folder, by view name; a modality that the folder lacks is None, depths
-    may be empty."""
+    """The image files of one folder.
 
-    rgb: dict[str, Path] | None
-    thermal: dict[str, Path] | None
+    Attributes:
+        images: of each modality that the folder has, by view name.
+        thermal_kind: what the thermal images hold.
+        depths: of the thermal camera, by view name; may be empty.
+    """
+
+    images: Mapping[Modality, Mapping[str, Path]]
     thermal_kind: ThermalKind
-    depth: dict[str, Path]
+    depths: Mapping[str, Path]
 
     def rendering(self, view: View, temperature: TemperatureRange | None) -> Rendering:
         """The images of a view, as if a model had rendered them.
@@ -63,24 +77,26 @@ class Renders:
         Raises:
             RunError: a file cannot be used; one line that names it and says what to do.
         """
-        rgb = thermal = depth = None
-        if self.rgb is not None and view.rgb is not None:
-            rgb = _read(self.rgb[view.name], view.rgb.camera, _colors, temperature)
-        if self.thermal is not None and view.thermal is not None:
-            convert = {
-                "temperature_c": _celsius,
-                "thermal_normalised": _floats,
-                "thermal": _temperatures,
-            }
-            thermal = _read(
-                self.thermal[view.name],
-                view.thermal.camera,
-                convert[self.thermal_kind],
-                temperature,
-            )
-            if view.name in self.depth:
-                depth = _read_depth(self.depth[view.name], view.thermal.camera)
-        return Rendering(rgb=rgb, thermal=thermal, depth_thermal=depth)
+        blends = {}
+        for modality, posed in view.images.items():
+            if modality in self.images:
+                path, convert = self.images[modality][view.name], self._convert(modality)
+                image = _read(path, posed.camera, convert, temperature)
+                blends[modality] = Blend.of_image(image)
+        if THERMAL in blends and view.name in self.depths:
+            depth = _read_depth(self.depths[view.name], view.images[THERMAL].camera)
+            blends[THERMAL] = blends[THERMAL]._replace(depth=depth)
+        return Rendering(blends)
+
+    def _convert(self, modality: Modality) -> Convert:
+        """How a modality's files are read."""
+        if modality != THERMAL:
+            return partial(_intensities, modality)
+        return {
+            "temperature_c": _celsius,
+            "thermal_normalised": _floats,
+            "thermal": _temperatures,
+        }[self.thermal_kind]
 
 
 def evaluate_renders(
@@ -149,25 +165,28 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
     """
     if not folder.is_dir():
         raise RunError(f"{folder} is not a folder: give the folder that holds rgb/ and thermal/")
-    rgb_names = [view.name for view in scene.eval if view.rgb is not None]
-    thermal_names = [view.name for view in scene.eval if view.thermal is not None]
-    rgb = _files(folder / "rgb", rgb_names, IMAGE_SUFFIXES)
     kind: ThermalKind = next(
         (kind for kind in THERMAL_KINDS if (folder / kind).is_dir()), "thermal"
     )
-    thermal = _files(
-        folder / kind, thermal_names, IMAGE_SUFFIXES if kind == "thermal" else FLOAT_SUFFIXES
-    )
-    if rgb is None and thermal is None:
+    images, wanted = {}, []
+    for modality in in_order(modality for view in scene.eval for modality in view.images):
+        names = [view.name for view in scene.eval if modality in view.images]
+        place = folder / (kind if modality == THERMAL else modality.name)
+        is_float = modality == THERMAL and kind != "thermal"
+        files = _files(place, names, FLOAT_SUFFIXES if is_float else IMAGE_SUFFIXES)
+        if files is not None:
+            images[modality] = files
+        wanted.append(f"{modality.title} images into {folder / modality.name}")
+    if wanted and not images:
+        names = [view.name for view in scene.eval]
         raise RunError(
-            f"{folder} holds no renderings: put RGB images into {folder / 'rgb'} and thermal "
-            f"images into "
-            f"{folder / 'thermal'}, named like the eval views "
-            f"({_listed(rgb_names or thermal_names)})"
+            f"{folder} holds no renderings: put {' and '.join(wanted)}, named like the eval views "
+            f"({_listed(names)})"
         )
-    depth_folder = folder / "depth_thermal"
-    depth = _files(depth_folder, thermal_names, FLOAT_SUFFIXES) if thermal is not None else None
-    return Renders(rgb, thermal, kind, depth or {})
+    depths = None
+    if THERMAL in images:
+        depths = _files(folder / "depth_thermal", list(images[THERMAL]), FLOAT_SUFFIXES)
+    return Renders(images, kind, depths or {})
 
 
 def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str, Path] | None:
@@ -244,10 +263,15 @@ def _decoded(path: Path, camera: Camera) -> Decoded:
     return image
 
 
-def _colors(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[Tensor, "h w 3"]:
+def _intensities(
+    modality: Modality, path: Path, image: Decoded, _: TemperatureRange | None
+) -> Float32[Tensor, "h w c"]:
     if image.kind == "float":
-        raise RunError(f"{path} is a float image: save RGB with 8 bits per channel")
-    return image.values.expand(-1, -1, 3)
+        raise RunError(f"{path} is a float image: save {modality.title} with 8 bits per channel")
+    try:
+        return with_channels(image.values, modality.channels)
+    except ValueError as error:
+        raise RunError(f"{path} {error}") from error
 
 
 def _floats(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from mrgs.evaluation.evaluate import Metrics
-from mrgs.evaluation.figures import RGB_FIGURES, THERMAL_FIGURES, Figure, Figures, Missing, to_json
+from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_json
 from mrgs.evaluation.truth import TRUTH_FIGURES
+from mrgs.scene import Modality
 from mrgs.system.atomic import replacing
 
 COLUMNS = {
@@ -81,20 +82,20 @@ def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
     object that holds ``reasons``: the document itself for the run and the means, each entry of
     ``views`` for its own figures.
     """
-    means = {"thermal": metrics.thermal, "rgb": metrics.rgb}
     document: dict[str, Any] = dict(vars(facts))
     reasons = {name: UNKNOWN_FACTS[name] for name, value in document.items() if value is None}
     document["mean"] = {
-        group: _split(figures, f"mean.{group}", reasons) for group, figures in means.items()
+        modality.name: _split(figures, f"mean.{modality}", reasons)
+        for modality, figures in metrics.mean.items()
     }
     if metrics.truth is not None:
         document["truth"] = _split(metrics.truth, "truth", reasons)
     document["reasons"] = reasons
     document["views"] = []
     for view in metrics.views:
-        groups = {"thermal": view.thermal, "rgb": view.rgb} | (
-            {} if view.truth is None else {"truth": view.truth}
-        )
+        groups = {modality.name: figures for modality, figures in view.figures.items()}
+        if view.truth is not None:
+            groups["truth"] = view.truth
         view_reasons: dict[str, str] = {}
         entry = {group: _split(figures, group, view_reasons) for group, figures in groups.items()}
         document["views"].append({"name": view.name, **entry, "reasons": view_reasons})
@@ -114,16 +115,14 @@ def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
         f"{_count(facts.steps, 'steps')}{_count(facts.gaussians, 'Gaussians')}training {seconds}, "
         f"peak memory {memory}, device {_escape(facts.device)}.",
     ]
-    groups: list[tuple[str, str, Sequence[str]]] = [
-        ("Thermal", "thermal", THERMAL_FIGURES),
-        ("RGB", "rgb", RGB_FIGURES),
-    ]
+    for modality, mean in metrics.mean.items():
+        figures = [(_escape(view.name), view.figures[modality]) for view in metrics.views]
+        table = _table([("**mean**", mean), *figures], figure_names(modality))
+        blocks += [f"## {heading(modality)}", table]
     if metrics.truth is not None:
-        groups.append(("Against the exact truth", "truth", TRUTH_FIGURES))
-    for title, group, names in groups:
-        rows = [("**mean**", getattr(metrics, group))]
-        rows += [(_escape(view.name), getattr(view, group)) for view in metrics.views]
-        blocks += [f"## {title}", _table(rows, names)]
+        truths = [(_escape(view.name), view.truth) for view in metrics.views if view.truth]
+        table = _table([("**mean**", metrics.truth), *truths], TRUTH_FIGURES)
+        blocks += ["## Against the exact truth", table]
     reasons = _distinct_reasons(metrics)
     if reasons:
         blocks.append(
@@ -148,6 +147,11 @@ def write_report(folder: Path, facts: RunFacts, metrics: Metrics) -> tuple[Path,
         with replacing(path) as temporary:
             temporary.write_text(content, encoding="utf-8")
     return paths
+
+
+def heading(modality: Modality) -> str:
+    """A modality's title at the start of a line."""
+    return modality.title[:1].upper() + modality.title[1:]
 
 
 def format_figure(name: str, figure: Figure) -> str:
@@ -188,9 +192,9 @@ def _table(rows: Sequence[tuple[str, Figures]], names: Sequence[str]) -> str:
 
 
 def _distinct_reasons(metrics: Metrics) -> list[str]:
-    groups = [metrics.thermal, metrics.rgb, metrics.truth or {}]
+    groups = [*metrics.mean.values(), metrics.truth or {}]
     for view in metrics.views:
-        groups += [view.thermal, view.rgb, view.truth or {}]
+        groups += [*view.figures.values(), view.truth or {}]
     lines = [
         f"{COLUMNS[name][0]}: {figure.reason}"
         for figures in groups

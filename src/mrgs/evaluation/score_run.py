@@ -13,12 +13,11 @@ from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
-from mrgs.pictures.files import thermal_values, to_rgb8, write_png, write_rendering
-from mrgs.pictures.palette import PaletteName, colorize
+from mrgs.pictures.files import to_picture, write_png, write_rendering
+from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.video import frame_writer
-from mrgs.render import Photograph, Rendering, as_it_is
 from mrgs.runs.open import TrainedRun
-from mrgs.scene import Camera, Scene, View
+from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
 
 PATH_FRAMES = 120
@@ -53,7 +52,7 @@ def evaluate_run(
         run.folder.path / "eval",
         lpips_weights,
         progress,
-        run.photograph,
+        run.camera_response,
     )
 
 
@@ -65,7 +64,7 @@ def score_views(
     output: Path,
     lpips_weights: Path | None = None,
     progress: Progress | None = None,
-    photograph: Photograph = as_it_is,
+    camera_response: CameraResponse = ideal_cameras,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
     folder.
@@ -78,7 +77,7 @@ def score_views(
         output: the folder to write into.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
         progress: called after each view.
-        photograph: see ``evaluate``.
+        camera_response: see ``evaluate``.
 
     Raises:
         SceneError: the scene has no eval views, or an image cannot be read.
@@ -88,7 +87,7 @@ def score_views(
         raise SceneError(
             f"{scene_folder}: no views are held out, so there is nothing to score; put 'eval' "
             f"into the file names "
-            "of some, or list them in val_filenames, and train anew"
+            "of some, or list them in val_filenames, and retrain"
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
     shown = SheetRows(len(scene.eval))
@@ -105,7 +104,13 @@ def score_views(
             progress(done, len(scene.eval))
 
     metrics = evaluate(
-        scene.eval, render, scene.temperature, lpips, Truth.find(scene_folder), visit, photograph
+        scene.eval,
+        render,
+        scene.temperature,
+        lpips,
+        Truth.find(scene_folder),
+        visit,
+        camera_response,
     )
     write_report(output, facts, metrics)
     write_png(
@@ -143,9 +148,8 @@ def render_run(
     """Write the run's images of a split into the run's folder ``renders/SPLIT``; returns that
     folder.
 
-    Per view: RGB as PNG, temperature as float32 °C TIFF and as PNG with a scale bar, both depths.
-    For ``path``, a camera path around the scene: frames of both modalities as PNG, and as mp4 where
-    the extra ``video`` is installed.
+    Per view: what ``write_rendering`` writes. For ``path``, a camera path around the scene: frames
+    of each modality as PNG, and as mp4 where the extra ``video`` is installed.
 
     Raises:
         SceneError: the scene cannot be read.
@@ -179,23 +183,18 @@ def _write_path(
     palette: PaletteName,
     progress: Progress | None,
 ) -> None:
-    """The frames of both modalities along a camera path, each camera rendered once."""
+    """The frames of each modality along a camera path, each camera rendered once."""
     size = (cameras[0].width, cameras[0].height)
     with ExitStack() as stack:
-        add_rgb = stack.enter_context(frame_writer(folder, "rgb", size)) if scene.has_rgb else None
-        add_thermal = (
-            stack.enter_context(frame_writer(folder, "thermal", size))
-            if scene.has_thermal
-            else None
-        )
+        writers = {
+            modality: stack.enter_context(frame_writer(folder, modality.name, size))
+            for modality in scene.modalities
+            if modality in run.modalities
+        }
         for number, camera in enumerate(cameras, start=1):
-            rendering = run.render_cameras(
-                camera if add_rgb else None, camera if add_thermal else None
-            )
-            if add_rgb is not None and rendering.rgb is not None:
-                add_rgb(to_rgb8(rendering.rgb))
-            if add_thermal is not None and rendering.thermal is not None:
-                values, scale = thermal_values(rendering.thermal, run.temperature, palette)
-                add_thermal(colorize(values, scale.low, scale.high, scale.palette))
+            rendering = run.render(dict.fromkeys(writers, camera))
+            for modality, add in writers.items():
+                image = rendering[modality].image
+                add(to_picture(modality, image, run.temperature, palette))
             if progress is not None:
                 progress(number, len(cameras))

@@ -1,7 +1,20 @@
-"""A baked model into files that other programs open."""
+"""A baked model into files that other programs open.
 
-from mrgs.export.export import FORMATS, Format, export
-from mrgs.export.loss import BakingLoss, baking_loss_db
-from mrgs.export.page import write_page
+The names below are imported on first use, so that the command line can list the formats cheaply.
+"""
 
-__all__ = ["FORMATS", "BakingLoss", "Format", "baking_loss_db", "export", "write_page"]
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mrgs.system.lazy import lazy_imports
+
+if TYPE_CHECKING:
+    from mrgs.export.formats import FORMATS as FORMATS
+    from mrgs.export.formats import Format as Format
+    from mrgs.export.loss import BakingLoss as BakingLoss
+    from mrgs.export.loss import baking_loss_db as baking_loss_db
+    from mrgs.export.page import write_page as write_page
+    from mrgs.export.write import export as export
+
+__getattr__, __all__ = lazy_imports(__name__, __file__)

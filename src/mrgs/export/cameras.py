@@ -1,4 +1,5 @@
-"""The cameras with their images as a scene folder that nerfstudio, COLMAP and this program open.
+"""``cameras/``: the cameras with their images as a scene folder that nerfstudio, COLMAP and this
+program open.
 
 The cameras are pinholes, and belong to the undistorted and perhaps reduced images that the model
 was trained on; so those images are written beside them.
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float32, Float64
 from PIL import Image
 from torch import Tensor
 
@@ -25,25 +26,31 @@ from mrgs.data.transforms import (
     write_bounds,
     write_transforms,
 )
+from mrgs.export.job import Job
 from mrgs.export.splats import to_bytes
 from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
-from mrgs.scene import Camera, PosedImage, Scene, TemperatureRange, View
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene, TemperatureRange, View
 from mrgs.scene.rotations import quaternion_from_matrix
 from mrgs.system.atomic import replacing
 
-RGB_FOLDER, THERMAL_FOLDER = "images", "thermal"
 COLMAP_FOLDER = "sparse/0"
+
+
+def export(job: Job) -> list[Path]:
+    """Write the folder ``cameras``."""
+    return write_cameras(job.folder / "cameras", job.scene)
 
 
 def write_cameras(folder: Path, scene: Scene) -> list[Path]:
     """Write ``transforms.json``, ``sparse/0/*.txt``, the images and the start points into a folder;
     returns the paths.
 
-    ``images/NAME.png``; ``thermal/NAME.tiff`` in °C, float32 (``NAME.png`` with 16 bits where no °C
-    is known), with ``temperature_bounds.json``; masks where pixels are not valid. In
-    ``transforms.json`` poses are camera to world with OpenGL axes, in ``images.txt`` world to
-    camera with OpenCV axes. COLMAP's names are relative to ``images/``; where thermal cameras have
-    poses of their own, they are registered too and all names are relative to the folder.
+    RGB photos are ``images/NAME.png``, those of another modality ``MODALITY/NAME.png`` with 16
+    bits, but for thermal ones with known °C: ``thermal/NAME.tiff``, float32, with
+    ``temperature_bounds.json``. There are masks where pixels are not valid. In ``transforms.json``
+    poses are camera to world with OpenGL axes, in ``images.txt`` world to camera with OpenCV axes.
+    COLMAP's names are relative to ``images/``; where one view has several cameras, all are
+    registered and the names are relative to the folder.
 
     Raises:
         RunError: a file cannot be written.
@@ -54,7 +61,7 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
         for view in (*scene.train, *scene.eval)
         for path in _write_images(folder, view, scene.temperature)
     ]
-    if scene.temperature is not None and scene.has_thermal:
+    if scene.temperature is not None and THERMAL in scene.modalities:
         bounds = scene.temperature.min_c, scene.temperature.max_c
         paths.append(write_bounds(folder / BOUNDS, *bounds))
     colors = to_bytes(scene.points.colors.numpy())
@@ -70,31 +77,33 @@ def _write_transforms(path: Path, scene: Scene) -> Path:
     count = len(scene.train)
     facts = {"applied_transform": np.eye(4)[:3].tolist()}
     return write_transforms(
-        path, frames, points=POINTS, split=(names[:count], names[count:]), facts=facts
+        path,
+        frames,
+        points=POINTS,
+        split=(names[:count], names[count:]),
+        modalities=scene.modalities,
+        facts=facts,
     )
 
 
 def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
-    thermal_path = f"{THERMAL_FOLDER}/{view.name}.{_thermal_suffix(has_celsius)}"
-    if view.rgb is None:
-        assert view.thermal is not None
-        camera = view.thermal.camera
-        return frame_json(camera.viewmat, thermal_path, lens=pinhole_lens(camera))
-    rgb_path, lens = f"{RGB_FOLDER}/{view.name}.png", pinhole_lens(view.rgb.camera)
-    viewmat = view.rgb.camera.viewmat
-    if view.thermal is None:
-        return frame_json(viewmat, rgb_path, lens=lens)
-    if view.shares_camera:
-        return frame_json(viewmat, rgb_path, thermal_path, lens=lens)
-    camera = view.thermal.camera
+    first, *others = view.images
+    apart = [each for each in others if not view.shares_camera(first, each)]
+    camera, cameras = view.camera, view.cameras
     return frame_json(
-        viewmat,
-        rgb_path,
-        thermal_path,
-        lens=lens,
-        thermal_viewmat=camera.viewmat,
-        thermal_lens=pinhole_lens(camera),
+        camera.viewmat,
+        _image_path(view, first, has_celsius),
+        {each: _image_path(view, each, has_celsius) for each in others},
+        lens=pinhole_lens(camera),
+        viewmats={each: cameras[each].viewmat for each in apart},
+        lenses={each: pinhole_lens(cameras[each]) for each in apart},
     )
+
+
+def _image_path(view: View, modality: Modality, has_celsius: bool) -> str:
+    """Of a view's photo, relative to the folder."""
+    suffix = "tiff" if modality == THERMAL and has_celsius else "png"
+    return f"{'images' if modality == RGB else modality}/{view.name}.{suffix}"
 
 
 def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
@@ -137,48 +146,48 @@ def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
 
 def _registered(scene: Scene) -> list[tuple[str, Camera]]:
     """Names and cameras for COLMAP."""
-    views = (*scene.train, *scene.eval)
-    suffix = _thermal_suffix(scene.temperature is not None)
-    if all(len(view.cameras) == 1 or view.shares_camera for view in views):
-        return [
-            (f"{view.name}.png" if view.rgb else f"{view.name}.{suffix}", view.cameras[0])
-            for view in views
+    views, has_celsius = (*scene.train, *scene.eval), scene.temperature is not None
+    named = [
+        [
+            (_image_path(view, modality, has_celsius), camera)
+            for modality, camera in view.cameras.items()
         ]
-    found = []
-    for view in views:
-        if view.rgb is not None:
-            found.append((f"{RGB_FOLDER}/{view.name}.png", view.rgb.camera))
-        if view.thermal is not None:
-            found.append((f"{THERMAL_FOLDER}/{view.name}.{suffix}", view.thermal.camera))
-    return found
+        for view in views
+    ]
+    if all(_has_one_camera(view) for view in views):
+        return [(Path(path).name, camera) for (path, camera), *_ in named]
+    return [image for images in named for image in images]
 
 
-def _thermal_suffix(has_celsius: bool) -> str:
-    return "tiff" if has_celsius else "png"
+def _has_one_camera(view: View) -> bool:
+    first, *others = view.images
+    return all(view.shares_camera(first, each) for each in others)
 
 
 def _write_images(folder: Path, view: View, temperature: TemperatureRange | None) -> list[Path]:
     paths = []
-    if view.rgb is not None:
-        values, valid = _loaded(view.rgb)
-        paths.append(write_rgb_png(folder / RGB_FOLDER / f"{view.name}.png", values))
-        paths += _write_mask(folder / "masks" / f"{view.name}.png", valid)
-    if view.thermal is not None:
-        values, valid = _loaded(view.thermal)
-        path = folder / THERMAL_FOLDER / f"{view.name}.{_thermal_suffix(temperature is not None)}"
-        if temperature is not None:
-            celsius = to_array(temperature.to_celsius(values[..., 0]))
-            paths.append(write_float_tiff(path, celsius, "temperature, degrees Celsius"))
-        else:
-            grey = np.rint(to_array(values[..., 0]).clip(0, 1) * 65535).astype(np.uint16)
-            paths.append(write_png(path, Image.fromarray(grey)))
-        paths += _write_mask(folder / "thermal_masks" / f"{view.name}.png", valid)
+    for modality, image in view.images.items():
+        pixels = image.load()
+        path = folder / _image_path(view, modality, temperature is not None)
+        paths.append(_write_image(path, modality, pixels.values, temperature))
+        masks = "masks" if modality == RGB else f"{modality}_masks"
+        paths += _write_mask(folder / masks / f"{view.name}.png", pixels.valid)
     return paths
 
 
-def _loaded(image: PosedImage) -> tuple[Tensor, Bool[Tensor, "h w"] | None]:
-    pixels = image.load()
-    return pixels.values, pixels.valid
+def _write_image(
+    path: Path,
+    modality: Modality,
+    values: Float32[Tensor, "h w c"],
+    temperature: TemperatureRange | None,
+) -> Path:
+    if modality.channels == 3:
+        return write_rgb_png(path, values)
+    if modality == THERMAL and temperature is not None:
+        celsius = to_array(temperature.to_celsius(values[..., 0]))
+        return write_float_tiff(path, celsius, "temperature, degrees Celsius")
+    grey = np.rint(to_array(values[..., 0]).clip(0, 1) * 65535).astype(np.uint16)
+    return write_png(path, Image.fromarray(grey))
 
 
 def _write_mask(path: Path, valid: Bool[Tensor, "h w"] | None) -> list[Path]:

@@ -17,8 +17,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from mrgs.export.job import Job, described
 from mrgs.export.ply import SMALLEST_SCALE
-from mrgs.export.splats import Splats, to_bytes
+from mrgs.export.splats import Splats, base_values, to_bytes, value_names
+from mrgs.scene import RGB
 from mrgs.system.atomic import replacing
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -27,6 +29,26 @@ _FLOAT, _UNSIGNED_BYTE = 5126, 5121
 _ARRAY_BUFFER = 34962
 _POINTS = 0
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+
+
+def export(job: Job) -> list[Path]:
+    """Write a file for each modality, with its sidecar; each holds the temperatures and the values
+    of modalities other than RGB."""
+    properties = {
+        name: values
+        for modality in job.baked.modalities
+        if modality != RGB
+        for name, values in zip(
+            value_names(job.baked, modality), base_values(job.baked, modality).T, strict=True
+        )
+    }
+    paths = []
+    for modality, splats, facts in job.splats():
+        if job.up is not None:
+            facts["frame"] += "; the node turns its up direction to +y"
+        path = job.folder / f"{modality}.glb"
+        paths += described(write_glb(path, splats, job.up, facts, properties), facts)
+    return paths
 
 
 def write_glb(

@@ -1,4 +1,4 @@
-"""LAS 1.4 point clouds with the temperature as an extra dimension."""
+"""``points.las``: a LAS 1.4 point cloud with temperatures as an extra dimension."""
 
 from __future__ import annotations
 
@@ -9,20 +9,40 @@ from types import ModuleType
 import numpy as np
 
 from mrgs.errors import ConfigError
-from mrgs.export.points import TemperaturePoints
+from mrgs.export.job import Job, described
+from mrgs.export.rendered import COLORS
+from mrgs.export.surface_points import SurfacePoints
+from mrgs.scene import Scene
 from mrgs.system.atomic import replacing
 
 POINT_FORMAT = 7
 """The format of LAS 1.4 that holds RGB."""
+
+UNITS = {"temperature_c": "degrees Celsius", "opacity": "0 to 1"}
+"""Descriptions of the dimensions that have one."""
 
 FINEST_STEP = 1e-6
 """Coordinates are integers times a power of ten, this or as much larger as the points' spread
 needs."""
 
 
-def write_las(path: Path, points: TemperaturePoints) -> Path:
-    """Write coordinates, 16-bit RGB, and the dimensions ``temperature_c`` (or _normalised) and
-    ``opacity``, float32.
+def export(job: Job) -> list[Path]:
+    """Write ``points.las`` and its sidecar."""
+    return described(write_las(job.folder / "points.las", job.points), job.surface_facts)
+
+
+def require(scene: Scene) -> None:
+    """Check that the files can be written.
+
+    Raises:
+        ConfigError: laspy is not installed.
+    """
+    require_laspy()
+
+
+def write_las(path: Path, points: SurfacePoints) -> Path:
+    """Write coordinates, 16-bit RGB, and as float32 the dimensions ``temperature_c`` (or
+    _normalised), other modalities by name, and ``opacity``.
 
     There is no coordinate reference system: positions are in the scene's own frame.
 
@@ -33,14 +53,10 @@ def write_las(path: Path, points: TemperaturePoints) -> Path:
     laspy = require_laspy()
     header = laspy.LasHeader(point_format=POINT_FORMAT, version="1.4")
     header.generating_software = "mrgs"
-    in_celsius = points.temperature_name == "temperature_c"
+    columns = {**points.columns, "opacity": points.opacities}
+    colors = {name: columns.pop(name) for name in COLORS}
     header.add_extra_dims(
-        [
-            laspy.ExtraBytesParams(
-                points.temperature_name, np.float32, "degrees Celsius" if in_celsius else "no unit"
-            ),
-            laspy.ExtraBytesParams("opacity", np.float32, "0 to 1"),
-        ]
+        [laspy.ExtraBytesParams(name, np.float32, UNITS.get(name, "no unit")) for name in columns]
     )
     positions = points.positions.astype(np.float64)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -50,9 +66,10 @@ def write_las(path: Path, points: TemperaturePoints) -> Path:
     )
     las = laspy.LasData(header)
     las.x, las.y, las.z = positions.T
-    las.red, las.green, las.blue = points.colors.T.astype(np.uint16) * 257
-    las[points.temperature_name] = points.temperatures
-    las["opacity"] = points.opacities
+    for name, values in colors.items():
+        las[name] = values.astype(np.uint16) * 257
+    for name, values in columns.items():
+        las[name] = values
     with replacing(path) as temporary:
         las.write(temporary)
     return path

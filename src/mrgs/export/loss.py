@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TypeAlias
 
 from torch import Tensor
 
 from mrgs.evaluation.metrics import psnr
 from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import Run
-from mrgs.scene import PosedImage, Scene
+from mrgs.scene import Modality, PosedImage, Scene
 
+BakingLoss: TypeAlias = dict[Modality, float | None]
+"""Mean over the held-out views of PSNR(photo, trained model) − PSNR(photo, baked model) of each
+modality, dB; None without photos.
 
-class BakingLoss(NamedTuple):
-    """Mean over the held-out views of PSNR(photo, trained model) − PSNR(photo, baked model), dB;
-    None without photos.
-
-    Negative where the baked model is closer to the photos.
-    """
-
-    rgb_db: float | None
-    thermal_db: float | None
+Negative where the baked model is closer to the photos.
+"""
 
 
 def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
@@ -30,26 +26,17 @@ def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
     Raises:
         SceneError: a photo cannot be read.
     """
-    rgb, thermal = [], []
+    losses: dict[Modality, list[float]] = {modality: [] for modality in baked.modalities}
     for view in scene.eval:
-        camera = view.cameras[0]
-        rendering = run.photograph(run.render_view(view), camera)
-        if view.rgb is not None and rendering.rgb is not None:
-            rgb.append(
-                _loss(
-                    view.rgb,
-                    rendering.rgb,
-                    run.photograph(baked.render(view.rgb.camera), camera).rgb,
-                )
-            )
-        if view.thermal is not None and rendering.thermal is not None:
-            seen = run.photograph(baked.render(view.thermal.camera), camera)
-            thermal.append(_loss(view.thermal, rendering.thermal, seen.thermal))
-    return BakingLoss(_mean(rgb), _mean(thermal))
+        trained, plain = (
+            run.camera_response(model.render(view.cameras), view.camera) for model in (run, baked)
+        )
+        for modality, image in view.images.items():
+            losses[modality].append(_loss(image, trained[modality].image, plain[modality].image))
+    return {modality: _mean(each) for modality, each in losses.items()}
 
 
-def _loss(photo: PosedImage, trained: Tensor, baked: Tensor | None) -> float:
-    assert baked is not None
+def _loss(photo: PosedImage, trained: Tensor, baked: Tensor) -> float:
     pixels = photo.load()
     return psnr(trained, pixels.values, pixels.valid) - psnr(baked, pixels.values, pixels.valid)
 

@@ -1,8 +1,9 @@
-"""A triangle mesh with a colour and a temperature per vertex, from renderings of the model."""
+"""``mesh.ply``: triangles with a colour and a temperature per vertex, from renderings of the
+model."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from jaxtyping import Float, Float32, Int32, UInt8
 from mrgs.data.ply import table, write_ply
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
-from mrgs.export.rendered import carry_over, depth_maps
-from mrgs.export.splats import temperature_name, to_bytes
+from mrgs.export.job import Job, described
+from mrgs.export.rendered import carry_over, depth_maps, value_columns
+from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_nets import surface_nets
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
@@ -34,21 +36,28 @@ class ThermalMesh:
     Attributes:
         vertices: world coordinates (scene units), [V, 3].
         faces: rows of ``vertices``, counter-clockwise from outside, [F, 3].
-        colors: [V, 3].
-        temperatures: °C, or normalised where the scene has no °C, [V].
+        columns: colours, temperatures and other values by their names in files, see
+            ``value_columns``, [V] each.
     """
 
     vertices: Float32[np.ndarray, "v 3"]
     faces: Int32[np.ndarray, "f 3"]
-    colors: UInt8[np.ndarray, "v 3"]
-    temperatures: Float32[np.ndarray, " v"]
+    columns: Mapping[str, Float32[np.ndarray, " v"] | UInt8[np.ndarray, " v"]]
+
+
+def export(job: Job) -> list[Path]:
+    """Write ``mesh.ply`` and its sidecar."""
+    path, facts = job.folder / "mesh.ply", job.surface_facts
+    mesh = build_mesh(job.baked, job.scene)
+    write_mesh_ply(path, mesh, comment_lines(facts))
+    return described(path, {**facts, "vertices": len(mesh.vertices), "faces": len(mesh.faces)})
 
 
 def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) -> ThermalMesh:
-    """Render the training cameras, fuse their depths, and draw the surface; colours and °C are the
-    renderings' means.
+    """Render the training cameras, fuse their depths, and draw the surface; colours, °C and other
+    values are the renderings' means.
 
-    The depth is that of the RGB blend (of the thermal one where the scene has no RGB).
+    The depth is that of ``depth_maps``.
 
     Raises:
         RunError: the renderings show no surface.
@@ -63,21 +72,18 @@ def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) ->
         raise RunError(
             "the depths of the model's views agree nowhere, so there is no mesh: train it longer"
         )
-    return ThermalMesh(vertices, faces, to_bytes(values[:, :3]), values[:, 3])
+    return ThermalMesh(vertices, faces, value_columns(baked, values))
 
 
-def write_mesh_ply(
-    path: Path, mesh: ThermalMesh, baked: BakedModel, comments: Sequence[str] = ()
-) -> Path:
-    """Write vertices with colour and ``temperature_c`` (or ``temperature_normalised``), and faces;
-    returns the path.
+def write_mesh_ply(path: Path, mesh: ThermalMesh, comments: Sequence[str] = ()) -> Path:
+    """Write vertices with colour, ``temperature_c`` (or ``temperature_normalised``) and other
+    modalities, and faces; returns the path.
 
     Raises:
         RunError: the file cannot be written.
     """
     columns: dict[str, np.ndarray] = {axis: mesh.vertices[:, i] for i, axis in enumerate("xyz")}
-    columns |= {name: mesh.colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
-    columns[temperature_name(baked)] = mesh.temperatures
+    columns |= mesh.columns
     return write_ply(path, {"vertex": table(columns), "face": mesh.faces}, comments)
 
 

@@ -1,4 +1,4 @@
-"""Splats as PLY files in the layout of the 3DGS family."""
+"""``rgb.ply``, ``thermal.ply`` ...: splats as PLY files in the layout of the 3DGS family."""
 
 from __future__ import annotations
 
@@ -9,14 +9,28 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from mrgs.data.ply import table, write_ply
-from mrgs.export.splats import Splats, rgb_splats, shown_temperatures, temperature_name, to_float32
+from mrgs.export.job import Job, described
+from mrgs.export.sidecar import comment_lines
+from mrgs.export.splats import Splats, base_values, shaded_splats, to_float32, value_names
 from mrgs.runs.baked import BakedModel
+from mrgs.scene import RGB
 
 SMALLEST_SCALE = 1e-12
 """Scales are floored here, so that their logarithm is finite."""
 
 OPACITY_MARGIN = 1e-7
 """Opacities are kept this far from 0 and 1, so that their logit is finite."""
+
+
+def export(job: Job) -> list[Path]:
+    """Write a file for each modality, and ``rgb_thermal.ply``, with their sidecars."""
+    paths = []
+    for modality, splats, facts in job.splats():
+        path = job.folder / f"{modality}.ply"
+        paths += described(write_splat_ply(path, splats, comment_lines(facts)), facts)
+    path = job.folder / "rgb_thermal.ply"
+    combined = write_combined_ply(path, job.baked, comment_lines(job.facts))
+    return [*paths, *described(combined, job.facts)]
 
 
 def write_splat_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) -> Path:
@@ -28,19 +42,22 @@ def write_splat_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) ->
     return write_ply(path, {"vertex": table(splat_columns(splats))}, comments)
 
 
-def write_rgb_thermal_ply(path: Path, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
-    """Write the layout of 3DGS for RGB with ``opacity_thermal`` (a logit) and the temperature
-    behind it.
+def write_combined_ply(path: Path, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
+    """Write the layout of 3DGS for RGB, and behind it of each other modality ``opacity_NAME`` (a
+    logit) and its values, see ``value_names``.
 
-    The temperature is ``temperature_c``, or ``temperature_normalised`` where the scene has no °C.
-    Viewers that do not know the two show the colours.
+    Temperatures are ``temperature_c``, or ``temperature_normalised`` where the scene has no °C.
+    Viewers that do not know these properties show the colours.
 
     Raises:
         RunError: the file cannot be written.
     """
-    columns = splat_columns(rgb_splats(baked))
-    columns["opacity_thermal"] = logit(to_float32(baked.opacity_thermal))
-    columns[temperature_name(baked)] = shown_temperatures(baked)
+    columns = splat_columns(shaded_splats(baked, RGB))
+    for modality in baked.modalities:
+        if modality != RGB:
+            columns[f"opacity_{modality}"] = logit(to_float32(baked.opacities[modality]))
+            values = base_values(baked, modality)
+            columns |= dict(zip(value_names(baked, modality), values.T, strict=True))
     return write_ply(path, {"vertex": table(columns)}, comments)
 
 

@@ -1,5 +1,5 @@
-"""What the training cameras see of a model: depth, colour and temperature, carried over to points
-in space.
+"""What the training cameras see of a model: depths, colours, temperatures and other values, carried
+over to points in space.
 
 A splat's own temperature is what it adds to a blend, which may be far from any surface's. What a
 camera sees is what was compared with the photos.
@@ -10,13 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 
 from mrgs.errors import RunError
 from mrgs.export.fusion import DepthMap, visible
-from mrgs.export.splats import to_float32
+from mrgs.export.splats import to_bytes, to_float32, value_names
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera, Reach, Scene, spread
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Reach, Scene, spread
+
+COLORS = ("red", "green", "blue")
+"""What files call the channels of RGB."""
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -32,17 +35,17 @@ has no depth."""
 
 
 def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
-    """The renderings of the training cameras; the channels are red, green, blue, and °C (normalised
-    without °C).
+    """The renderings of the training cameras; the channels are those of the model's modalities, one
+    behind the other, temperatures in °C where known.
 
-    The depth is that of the RGB blend (of the thermal one where the scene has no RGB); infinite
-    where the sky is seen.
+    The depth is that of the first modality of which the scene has photos: of RGB if it has any.
+    It is infinite where the sky is seen.
 
     Raises:
         RunError: no pixel is opaque enough to have a depth.
     """
-    ball = scene.reach
-    maps = [_depth_map(baked, camera, scene.has_rgb, ball) for camera in _cameras(scene)]
+    ball, surface = scene.reach, scene.modalities[0]
+    maps = [_depth_map(baked, camera, surface, ball) for camera in _cameras(scene)]
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError(
             "no view of the model is opaque enough to show a surface: train the model longer"
@@ -79,25 +82,35 @@ def carry_over(
     return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
 
 
+def value_columns(
+    baked: BakedModel, values: Float32[np.ndarray, "n c"]
+) -> dict[str, Float32[np.ndarray, " n"] | UInt8[np.ndarray, " n"]]:
+    """The columns of a file for values that were carried over: ``red``, ``green`` and ``blue`` as
+    bytes, the other modalities by ``value_names``."""
+    columns: dict[str, np.ndarray] = {}
+    ends = np.cumsum([modality.channels for modality in baked.modalities])
+    for modality, part in zip(baked.modalities, np.split(values, ends[:-1], axis=1), strict=True):
+        names = COLORS if modality == RGB else value_names(baked, modality)
+        shown = to_bytes(part) if modality == RGB else part
+        columns |= {name: shown[:, channel] for channel, name in enumerate(names)}
+    return columns
+
+
 def _cameras(scene: Scene) -> list[Camera]:
     """Of the training views' first images, at most ``MAX_VIEWS``, at most ``MAX_WIDTH_PX`` wide."""
-    cameras = [scene.train[index].cameras[0] for index in spread(len(scene.train), MAX_VIEWS)]
+    cameras = [scene.train[index].camera for index in spread(len(scene.train), MAX_VIEWS)]
     return [
         camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
         for camera in cameras
     ]
 
 
-def _depth_map(baked: BakedModel, camera: Camera, by_color: bool, ball: Reach) -> DepthMap:
-    """The mean depth of what a pixel shows, and its colour and temperature."""
+def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: Reach) -> DepthMap:
+    """The mean depth of what a pixel of one modality shows, and the values of all."""
     rendering = baked.render(camera)
-    surface = rendering.surface_depth("rgb" if by_color else "thermal", MIN_ALPHA, MAX_STEP)
-    assert rendering.rgb is not None
-    assert rendering.thermal is not None
-    thermal = (
-        rendering.thermal
-        if baked.temperature is None
-        else baked.temperature.to_celsius(rendering.thermal)
-    )
-    image = np.concatenate([to_float32(rendering.rgb), to_float32(thermal)], axis=2)
-    return DepthMap(camera, to_float32(ball.without_background(camera, surface)), image)
+    depth = rendering[surface].surface_depth(MIN_ALPHA, MAX_STEP)
+    images = {modality: blend.image for modality, blend in rendering.items()}
+    if baked.temperature is not None:
+        images[THERMAL] = baked.temperature.to_celsius(images[THERMAL])
+    image = np.concatenate([to_float32(image) for image in images.values()], axis=2)
+    return DepthMap(camera, to_float32(ball.without_background(camera, depth)), image)

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from mrgs.export.loss import BakingLoss
-from mrgs.export.splats import ThermalScale, temperature_name
+from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Scene
+from mrgs.scene import RGB, THERMAL, Modality, Scene
 from mrgs.system.atomic import replacing
 
 MAX_TILT = 0.15
@@ -53,11 +53,10 @@ def facts_of(
         "up_from": "the cameras, taken to be level" if up is not None else "not known",
         "camera_axes": "OpenCV: x right, y down, z forward",
         "temperature": temperature,
+        **_other_facts(baked),
         "opacities": "for a viewer that adds 0.3 px² to the projected covariance and nothing else "
         "(3DGS)",
-        "baking_loss_db": None
-        if loss is None
-        else {"rgb": loss.rgb_db, "thermal": loss.thermal_db},
+        "baking_loss_db": None if loss is None else loss_facts(loss),
         "baking": "the view-dependent colour residual is folded into spherical harmonics of "
         "degree 3; what depends on "
         "the view in the temperatures is left out; baking_loss_db is the mean PSNR over the "
@@ -66,12 +65,22 @@ def facts_of(
     }
 
 
-def thermal_facts(scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
-    """What the colours of a colour-mapped export mean."""
-    unit = "normalised" if baked.temperature is None else "°C"
-    return {
-        "colors": {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": unit}
-    }
+def loss_facts(loss: BakingLoss) -> dict[str, float | None]:
+    """A baking loss by the names of the modalities."""
+    return {modality.name: value for modality, value in loss.items()}
+
+
+def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
+    """What the colours of an export of one modality mean; nothing of colours that are its own."""
+    if modality == THERMAL:
+        unit = "normalised" if baked.temperature is None else "°C"
+        shown = {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": unit}
+    elif modality.channels == 3:
+        return {}
+    else:
+        unit = modality.unit or "normalised"
+        shown = {"palette": "grey", "first": 0.0, "last": 1.0, "unit": unit}
+    return {"colors": shown}
 
 
 def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
@@ -80,7 +89,7 @@ def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
 
     None where those axes do not lie in one plane (tilted cameras), or are all parallel.
     """
-    cameras = [camera for view in scene.train for camera in view.cameras]
+    cameras = [camera for view in scene.train for camera in view.cameras.values()]
     rotations = np.stack([camera.viewmat[:3, :3].numpy() for camera in cameras])
     right, down, forward = rotations.transpose(1, 0, 2)
     variances, axes = np.linalg.eigh(right.T @ right / len(cameras))
@@ -111,3 +120,17 @@ def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
             json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False), encoding="utf-8"
         )
     return sidecar
+
+
+def _other_facts(baked: BakedModel) -> dict[str, Any]:
+    """Properties and unit of each modality beyond colours and temperatures, by its name."""
+    return {
+        modality.name: {
+            "property": ", ".join(value_names(baked, modality)),
+            "unit": modality.unit or "normalised",
+            "min": 0.0,
+            "max": 1.0,
+        }
+        for modality in baked.modalities
+        if modality not in (RGB, THERMAL)
+    }

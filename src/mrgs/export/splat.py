@@ -3,13 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from mrgs.export.splats import Splats, to_bytes
+from mrgs.export.job import Job, described
+from mrgs.export.loss import baking_loss_db
+from mrgs.export.sidecar import loss_facts
+from mrgs.export.splats import Splats, to_bytes, without_directions
+from mrgs.runs.baked import BakedModel
+from mrgs.scene import THERMAL
 from mrgs.system.atomic import replacing
 
 _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat", "u1", 4)]
+
+
+def export(job: Job) -> list[Path]:
+    """Write a file for each modality, with its sidecar."""
+    flat = without_directions(job.baked, job.scene.train_cameras)
+    lost = _lost(job, flat) if job.scene.modalities != (THERMAL,) else {}
+    paths = []
+    for modality, splats, facts in job.splats(flat):
+        if modality != THERMAL:
+            facts |= lost
+        paths += described(write_splat(job.folder / f"{modality}.splat", splats), facts)
+    return paths
+
+
+def _lost(job: Job, flat: BakedModel) -> dict[str, Any]:
+    """Facts about the values that had a view dependence."""
+    facts: dict[str, Any] = {"view_dependence": "left out"}
+    if job.run is not None:
+        facts["baking_loss_db"] = loss_facts(baking_loss_db(job.run, flat, job.scene))
+    return facts
 
 
 def write_splat(path: Path, splats: Splats) -> Path:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.field.spherical_harmonics import C0
 from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera, spread
+from mrgs.scene import THERMAL, Camera, Modality, spread
 
 MEAN_OVER = 32
 """Cameras over which a colour without direction is averaged."""
@@ -107,7 +107,7 @@ def require_exportable(baked: BakedModel) -> None:
         RunError: the model has no splats, or some hold NaN or infinity.
     """
     if len(baked) == 0:
-        raise RunError("the model has no splats, so there is nothing to export: train it anew")
+        raise RunError("the model has no splats, so there is nothing to export: retrain it")
     broken = torch.zeros(len(baked), dtype=torch.bool)
     for tensor in baked.tensors().values():
         broken |= ~tensor.reshape(len(baked), -1).isfinite().all(dim=1).cpu()
@@ -115,13 +115,28 @@ def require_exportable(baked: BakedModel) -> None:
         raise RunError(
             f"{int(broken.sum())} of {len(baked)} splats hold NaN or infinity, so the model "
             f"cannot be exported: "
-            "train it anew, or go on from an older checkpoint"
+            "retrain it, or go on from an older checkpoint"
         )
 
 
-def rgb_splats(baked: BakedModel) -> Splats:
-    """The colours with o_c, degrees 0 to 3."""
-    return _splats(baked, baked.opacity_rgb, to_float32(baked.sh))
+def modality_splats(baked: BakedModel, modality: Modality, scale: ThermalScale) -> Splats:
+    """What a viewer shows of a modality: temperatures in the colours of a palette, all others in
+    their own colours or grey."""
+    if modality == THERMAL:
+        return thermal_splats(baked, scale)
+    return shaded_splats(baked, modality)
+
+
+def shaded_splats(baked: BakedModel, modality: Modality) -> Splats:
+    """A modality's spherical harmonics with its opacity; the mean of the channels as grey if they
+    are not three.
+
+    Not for temperatures, which have no harmonics.
+    """
+    sh = baked.sh[modality]
+    if modality.channels != 3:
+        sh = sh.mean(dim=2, keepdim=True).expand(-1, -1, 3)
+    return _splats(baked, baked.opacities[modality], to_float32(sh))
 
 
 def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
@@ -133,27 +148,37 @@ def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
     position = (shown_temperatures(baked) - scale.low) / (scale.high - scale.low)
     colors = palette_table(scale.palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
     sh = ((colors / np.float32(255) - np.float32(0.5)) / np.float32(C0))[:, None]
-    return _splats(baked, baked.opacity_thermal, sh.astype(np.float32))
+    return _splats(baked, baked.opacities[THERMAL], sh.astype(np.float32))
 
 
-def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> Splats:
-    """The RGB splats with one colour each: its mean over the cameras that have it in their image,
-    in [0, 1].
+def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedModel:
+    """The same model with one value of each modality per splat: its mean over the cameras that have
+    the splat in their image, in [0, 1].
 
     Closer to the photos than leaving the higher degrees out, whose mean over the directions from
     which a splat was seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those
     given, are asked.
     """
-    total, weight = torch.zeros_like(baked.means), torch.zeros_like(baked.means[:, :1])
-    for index in spread(len(cameras), MEAN_OVER):
-        camera = cameras[index]
-        seen = torch.where(camera.contains(camera.project(baked.means)[0]), 1.0, UNSEEN_WEIGHT)[
-            :, None
-        ].to(total)
-        total += seen * baked.colors(camera.position.to(baked.means))
-        weight += seen
-    dc = ((total / weight).clamp(0, 1) - 0.5) / C0
-    return _splats(baked, baked.opacity_rgb, to_float32(dc[:, None]))
+    asked = [cameras[index] for index in spread(len(cameras), MEAN_OVER)]
+    means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh}
+    return replace(baked, sh={each: ((mean - 0.5) / C0)[:, None] for each, mean in means.items()})
+
+
+def base_values(baked: BakedModel, modality: Modality) -> Float32[np.ndarray, "n c"]:
+    """The part of each splat's values that does not depend on the view; temperatures as
+    ``shown_temperatures``."""
+    if modality == THERMAL:
+        return shown_temperatures(baked)[:, None]
+    return to_float32(0.5 + C0 * baked.sh[modality][:, 0])
+
+
+def value_names(baked: BakedModel, modality: Modality) -> list[str]:
+    """What files call the channels of a modality that is not a colour."""
+    if modality == THERMAL:
+        return [temperature_name(baked)]
+    if modality.channels == 1:
+        return [modality.name]
+    return [f"{modality}_{channel}" for channel in range(modality.channels)]
 
 
 def shown_temperatures(baked: BakedModel) -> Float32[np.ndarray, " n"]:
@@ -174,6 +199,20 @@ def to_bytes(values: Float32[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape
 def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
     """A tensor as a float32 array in main memory."""
     return tensor.detach().float().cpu().numpy()
+
+
+def _mean_values(
+    baked: BakedModel, modality: Modality, cameras: Sequence[Camera]
+) -> Float[Tensor, "n c"]:
+    """Each splat's values, averaged over the cameras that have it in their image, in [0, 1]."""
+    total = baked.means.new_zeros(len(baked), modality.channels)
+    weight = torch.zeros_like(total[:, :1])
+    for camera in cameras:
+        inside = camera.contains(camera.project(baked.means)[0])
+        seen = torch.where(inside, 1.0, UNSEEN_WEIGHT)[:, None].to(total)
+        total += seen * baked.values(modality, camera.position)
+        weight += seen
+    return (total / weight).clamp(0, 1)
 
 
 def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8, UInt32
 
 from mrgs.errors import RunError
+from mrgs.export.job import Job, described
 from mrgs.export.ply import log_of
 from mrgs.export.splats import Splats, to_bytes
 from mrgs.system.atomic import replacing
@@ -42,6 +43,15 @@ _TURN_QUAT = np.array([1, 1, -1, -1], dtype=np.float32)
 _TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], dtype=np.float32)
 """What 180° about x does to a position, a quaternion wxyz, and the coefficients of degrees 1 to 3
 (y and z odd: −)."""
+
+
+def export(job: Job) -> list[Path]:
+    """Write a file for each modality, with its sidecar."""
+    paths = []
+    for modality, splats, facts in job.splats():
+        facts["frame"] += ", turned by 180° about x, as SPZ's axes demand and its readers undo"
+        paths += described(write_spz(job.folder / f"{modality}.spz", splats), facts)
+    return paths
 
 
 def write_spz(path: Path, splats: Splats) -> Path:

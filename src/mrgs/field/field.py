@@ -20,7 +20,7 @@ from mrgs.field.encoding import fourier_embedding, position_frame
 from mrgs.field.heat import FourierHeatTransformation
 from mrgs.field.rows import take
 from mrgs.field.spherical_harmonics import C0, shade
-from mrgs.scene.gaussians import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians, Modality
 from mrgs.system.operation import operation
 
 MAX_NEIGHBOURS_N = 16
@@ -153,7 +153,8 @@ class RadianceField(nn.Module):
         """
         _check_indices("rows", rows, len(gaussians))
         means, camera_position = gaussians.means, camera_position.to(gaussians.means)
-        c = shade(means, gaussians.sh_dc, gaussians.sh_rest, camera_position, sh_degree, rows)
+        dc, rest = gaussians.sh_dc[RGB], gaussians.sh_rest[RGB]
+        c = shade(means, dc, rest, camera_position, sh_degree, rows)
         if not self.config.residuals:
             return c
         return c + color_residuals(
@@ -193,16 +194,41 @@ class RadianceField(nn.Module):
         """
         _check_indices("rows", rows, len(gaussians))
         means, camera_position = gaussians.means, camera_position.to(gaussians.means)
-        dc, rest = gaussians.temperature_dc, gaussians.temperature_rest
+        dc, rest = gaussians.sh_dc[THERMAL], gaussians.sh_rest[THERMAL]
         if not self.config.residuals:
             return shade(means, dc, rest, camera_position, sh_degree, rows)
-        if gaussians.temperature_depends_on_view:
+        if gaussians.depends_on_view(THERMAL):
             t = shade(means, dc, rest, camera_position, sh_degree, rows, floor=-math.inf)
         else:
             t = C0 * take(dc, rows)[:, 0] + 0.5
         if residuals is None:
             return t + self.temperature_residuals(gaussians, neighbours, rows)
         return t + take(residuals, rows)
+
+    def intensities(
+        self,
+        modality: Modality,
+        gaussians: Gaussians,
+        camera_position: Float[Tensor, "3"],
+        sh_degree: int,
+        rows: Int64[Tensor, " v"] | None = None,
+    ) -> Float[Tensor, "v c"]:
+        """Any other modality's values: its spherical harmonics, clamped at 0; not in the paper.
+
+        Args:
+            modality: one that the Gaussians have, of C channels.
+            gaussians: N Gaussians.
+            camera_position: centre of projection in world coordinates.
+            sh_degree: highest degree of the spherical harmonics in use.
+            rows: distinct Gaussians to evaluate; all if None (V = N).
+
+        Raises:
+            IndexError: rows on the CPU that do not exist.
+        """
+        _check_indices("rows", rows, len(gaussians))
+        dc, rest = gaussians.sh_dc[modality], gaussians.sh_rest[modality]
+        position = camera_position.to(gaussians.means)
+        return shade(gaussians.means, dc, rest, position, sh_degree, rows)
 
     @operation
     def temperature_residuals(
@@ -217,9 +243,9 @@ class RadianceField(nn.Module):
         Arguments and errors are those of ``temperatures``; the field must have residuals.
         """
         neighbours = self.checked_neighbours(neighbours, len(gaussians))
-        e_t = self.extraction(gaussians.embedding, gaussians.sh)
+        e_t = self.extraction(gaussians.embedding, gaussians.sh(RGB))
         features = self.thermal_head(e_t, self.normalised(gaussians.means))
-        refined = self.heat(features, gaussians.opacity_thermal, neighbours)
+        refined = self.heat(features, gaussians.opacity(THERMAL), neighbours)
         t_hat = self.config.residual_scale * self.temperature_output(refined)
         return take(t_hat, rows)
 

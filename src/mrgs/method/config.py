@@ -60,7 +60,7 @@ class TrainConfig:
             not in the paper.
         photo_temperatures: start with temperatures read off the thermal photos, not with one for
             all, and with a larger o_t there; not in the paper.
-        neighbours_every: steps after which the neighbours are searched anew, besides whenever N
+        neighbours_every: steps after which the neighbours are searched again, besides whenever N
             changes.
         checkpoint_every: steps between checkpoints.
         field: the radiance field.
@@ -138,7 +138,7 @@ def make_config(
     if method not in METHODS:
         raise ConfigError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     if preset not in PRESETS:
-        raise ConfigError(f"there is no preset {preset!r}: choose one of {', '.join(PRESETS)}")
+        raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
     config = _with_preset(TrainConfig(method=method, resolution=resolution, seed=seed), preset)
     config = _CHANGES[method](config)
     if max_steps is not None:

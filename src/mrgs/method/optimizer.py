@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.errors import ConfigError
-from mrgs.scene import Gaussians
+from mrgs.scene import THERMAL, Gaussians
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
@@ -28,9 +28,9 @@ class OptimizerConfig:
         means_final: at the last step, in scene extents.
         quats: of the rotations.
         log_scales: of the logarithms of the scales.
-        opacities: of both opacity logits.
-        sh_dc: of the colour coefficient of degree 0.
-        sh_rest: of the colour coefficients of higher degrees.
+        opacities: of the opacity logits of all modalities.
+        sh_dc: of the colour coefficient of degree 0, and of that of any further modality.
+        sh_rest: of their coefficients of higher degrees.
         temperature_dc: of the temperature.
         temperature_rest: of its higher degrees, where it has them.
         embedding: of e_m.
@@ -81,8 +81,14 @@ class OptimizerConfig:
         return self.slowdown_to ** ((progress - self.slowdown_from) / (1 - self.slowdown_from))
 
     def of(self, parameter: str) -> float:
-        """Learning rate of a field of ``Gaussians``."""
-        rate: float = getattr(self, "opacities" if parameter.startswith("opacity_") else parameter)
+        """Learning rate of a tensor of ``Gaussians``, by its name."""
+        group, _, modality = parameter.partition(".")
+        name = {
+            "opacity_logit": "opacities",
+            "sh_dc": "temperature_dc" if modality == THERMAL.name else "sh_dc",
+            "sh_rest": "temperature_rest" if modality == THERMAL.name else "sh_rest",
+        }.get(group, group)
+        rate: float = getattr(self, name)
         return rate
 
 
@@ -122,8 +128,8 @@ class GaussianOptimizer:
     def __init__(self, gaussians: Gaussians, config: OptimizerConfig, extent: float) -> None:
         self._config = config
         self._extent = extent
-        self.gaussians = Gaussians(
-            **{name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()}
+        self.gaussians = gaussians.with_tensors(
+            {name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()}
         )
         self._adam = torch.optim.Adam(
             [
@@ -174,8 +180,8 @@ class GaussianOptimizer:
             for name, addition in added.tensors().items()
         }
         for name, (new, moments) in built.items():
-            old = getattr(self.gaussians, name)
-            setattr(self.gaussians, name, new)
+            old = self.gaussians.tensors()[name]
+            self.gaussians.replace(name, new)
             if old.numel() == 0:
                 continue
             self._group(name)["params"] = [new]
@@ -187,7 +193,7 @@ class GaussianOptimizer:
         self, name: str, keep: Int64[Tensor, " k"], addition: Float[Tensor, "a ..."]
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """A parameter and its moments with the rows to keep and the new ones."""
-        old = getattr(self.gaussians, name)
+        old = self.gaussians.tensors()[name]
         state = self._adam.state.get(old, {})
         moments = {
             moment: torch.cat([state[moment][keep], torch.zeros_like(addition)])
@@ -200,8 +206,7 @@ class GaussianOptimizer:
     def limit_opacities(self, maximum: float) -> None:
         """3DGS's opacity reset: bring every opacity down to ``maximum`` and clear its moments."""
         limit = math.log(maximum / (1 - maximum))
-        for name in ("opacity_rgb_logit", "opacity_thermal_logit"):
-            logits = getattr(self.gaussians, name)
+        for logits in self.gaussians.opacity_logits.values():
             logits.clamp_(max=limit)
             for moment in _MOMENTS:
                 if moment in self._adam.state.get(logits, {}):

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from mrgs.pictures.drawing import PAPER, Scale, scale_bar
 from mrgs.pictures.palette import PaletteName, colorize, display_range
-from mrgs.render import Rendering
-from mrgs.scene import PosedImage, Reach, TemperatureRange, View
+from mrgs.scene import THERMAL, Modality, PosedImage, Reach, Rendering, TemperatureRange, View
 from mrgs.system.atomic import replacing
 
 _IMAGE_DESCRIPTION_TAG = 270
@@ -30,39 +29,35 @@ def write_rendering(
 ) -> list[Path]:
     """Write all images of one view; returns the paths.
 
-    ``rgb/NAME.png``; ``thermal/NAME.png`` with a scale bar over the scene's temperature range;
-    ``temperature_c/NAME.tiff`` in °C, or ``thermal_normalised/NAME.tiff`` for a scene without °C;
-    ``depth_rgb`` and ``depth_thermal`` as ``NAME.tiff`` (scene units) and ``NAME.png``, on whose
-    scale the background of ``ball`` does not count. What the rendering lacks is left out.
+    Each modality as ``MODALITY/NAME.png``; the thermal one with a scale bar over the scene's
+    temperature range, and its values as ``temperature_c/NAME.tiff`` in °C, or
+    ``thermal_normalised/NAME.tiff`` for a scene without °C. The depth of each as
+    ``depth_MODALITY/NAME.tiff`` (scene units) and ``NAME.png``, on whose scale the background of
+    ``ball`` does not count. What the rendering lacks is left out.
 
     Raises:
         RunError: a file cannot be written.
     """
     paths = []
     name = view.name
-    if rendering.rgb is not None:
-        paths.append(write_rgb_png(folder / "rgb" / f"{name}.png", rendering.rgb))
-    if rendering.thermal is not None:
-        values, scale = thermal_values(rendering.thermal, temperature, palette)
+    for modality, blend in rendering.items():
+        png = folder / modality.name / f"{name}.png"
+        if modality != THERMAL:
+            paths.append(write_rgb_png(png, blend.image))
+            continue
+        values, scale = thermal_values(blend.image, temperature, palette)
         kind, text = ("temperature_c", "temperature, degrees Celsius")
         if temperature is None:
             kind, text = ("thermal_normalised", "normalised thermal value, no unit")
         paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, text))
-        paths.append(write_scaled_png(folder / "thermal" / f"{name}.png", values, scale))
-    depths = (
-        ("depth_rgb", rendering.depth_rgb, view.rgb),
-        ("depth_thermal", rendering.depth_thermal, view.thermal),
-    )
-    for kind, depth, image in depths:
-        if depth is not None:
-            paths.append(
-                write_float_tiff(
-                    folder / kind / f"{name}.tiff", to_array(depth), "z-depth, scene units"
-                )
-            )
-            paths.append(
-                write_depth_png(folder / kind / f"{name}.png", shown_depth(depth, image, ball))
-            )
+        paths.append(write_scaled_png(png, values, scale))
+    for modality, blend in rendering.items():
+        if blend.has_depth:
+            place, image = folder / f"depth_{modality}", view.images.get(modality)
+            tiff, values = place / f"{name}.tiff", to_array(blend.depth)
+            paths.append(write_float_tiff(tiff, values, "z-depth, scene units"))
+            shown = shown_depth(blend.depth, image, ball)
+            paths.append(write_depth_png(place / f"{name}.png", shown))
     return paths
 
 
@@ -89,9 +84,29 @@ def to_array(tensor: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
     return tensor.detach().float().cpu().numpy()
 
 
-def to_rgb8(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Colours in [0, 1], clamped, as bytes; NaN turns black."""
-    return np.rint(np.nan_to_num(to_array(image)).clip(0, 1) * 255).astype(np.uint8)
+def to_rgb8(image: Float[Tensor, "h w c"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Intensities in [0, 1], clamped, as bytes; NaN turns black.
+
+    Three channels are colours; of any other number, the mean is shown as grey.
+    """
+    values = np.nan_to_num(to_array(image)).clip(0, 1)
+    if values.shape[2] != 3:
+        values = np.repeat(values.mean(axis=2, keepdims=True), 3, axis=2)
+    return np.rint(values * 255).astype(np.uint8)
+
+
+def to_picture(
+    modality: Modality,
+    image: Float[Tensor, "h w c"],
+    temperature: TemperatureRange | None,
+    palette: PaletteName,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """An image as people look at it: temperatures through the palette over the scene's range, all
+    else as it is."""
+    if modality != THERMAL:
+        return to_rgb8(image)
+    values, scale = thermal_values(image, temperature, palette)
+    return colorize(values, scale.low, scale.high, scale.palette)
 
 
 def thermal_values(
@@ -116,8 +131,8 @@ def write_png(path: Path, image: Image.Image | UInt8[np.ndarray, "h w 3"]) -> Pa
     return path
 
 
-def write_rgb_png(path: Path, image: Float[Tensor, "h w 3"]) -> Path:
-    """Write colours in [0, 1] (clamped) as an 8-bit PNG; returns the path."""
+def write_rgb_png(path: Path, image: Float[Tensor, "h w c"]) -> Path:
+    """Write intensities in [0, 1] (clamped) as an 8-bit RGB PNG; returns the path."""
     return write_png(path, to_rgb8(image))
 
 

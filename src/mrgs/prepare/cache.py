@@ -28,6 +28,7 @@ from torch import Tensor
 
 from mrgs.data.files import scene_error
 from mrgs.errors import MrgsError, RunError
+from mrgs.scene import Modality, modality_named
 from mrgs.system.atomic import replacing
 
 Result = TypeVar("Result")
@@ -35,7 +36,7 @@ Result = TypeVar("Result")
 CACHE_FOLDER = "prepare"
 """The cache's folder, inside the scene's folder."""
 
-FORMAT = 2
+FORMAT = 3
 """Raise it when results change their meaning: stored ones are then ignored."""
 
 _BLOCK_BYTES = 2**20
@@ -182,6 +183,8 @@ def _encode(value: Any, tensors: list[Tensor]) -> Any:
         return str(value)
     if isinstance(value, datetime):
         return value.isoformat()
+    if isinstance(value, Modality):
+        return value.name
     if dataclasses.is_dataclass(value):
         return {
             field.name: _encode(getattr(value, field.name), tensors)
@@ -204,7 +207,12 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
         hints = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else arguments
         return tuple(_decode(own, item, tensors) for own, item in zip(hints, value, strict=True))
     if origin is not None and origin is not Literal and issubclass(origin, Mapping):
-        return {key: _decode(arguments[1], item, tensors) for key, item in value.items()}
+        return {
+            _decode(arguments[0], key, tensors): _decode(arguments[1], item, tensors)
+            for key, item in value.items()
+        }
+    if hint is Modality:
+        return modality_named(value)
     if dataclasses.is_dataclass(hint):
         hints_of = typing.get_type_hints(hint)
         return hint(

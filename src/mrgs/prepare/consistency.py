@@ -127,6 +127,9 @@ def _line(
     return float(gain), float(mean_y - gain * mean_x)
 
 
-def luma(rgb: np.ndarray) -> Float[np.ndarray, "h w"]:
-    """Brightness of an 8-bit colour image, 0 to 1 (ITU-R BT.601, before linearisation)."""
-    return (torch.from_numpy(rgb).double() @ LUMINANCE.double() / 255).numpy()
+def brightness(pixels: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """Luma of 8-bit colours [H, W, 3], 0 to 1 (ITU-R BT.601, before linearisation); values [H, W]
+    as they are."""
+    if pixels.ndim == 2:
+        return pixels
+    return (torch.from_numpy(pixels).double() @ LUMINANCE.double() / 255).numpy()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from jaxtyping import Float64, Int64
 from torch import Tensor
@@ -13,7 +12,7 @@ from torch import Tensor
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
-from mrgs.scene import PointCloud
+from mrgs.scene import RGB, Modality, PointCloud
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, and how many of its parts are done and there are (0 of 0 where that is
@@ -87,40 +86,45 @@ class Pairing:
 
 
 @dataclass(frozen=True)
+class ConvertedImage:
+    """An image file in the scene's folder.
+
+    Attributes:
+        file: relative to the scene's folder.
+        size: width and height in pixels; None if not known.
+        sha256: of the file.
+    """
+
+    file: str
+    size: tuple[int, int] | None = None
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
 class ConvertedView:
     """A pair whose images lie in the scene's folder.
 
     Attributes:
         name: of the pair.
-        rgb: the RGB image, ``images/NAME.*``, relative to the scene's folder; None in a
-            thermal-only set.
-        thermal: the thermal image, ``thermal/NAME.*``: float32 TIFF in °C, NaN where there is no
-            temperature; an 8-bit grey PNG if the photos hold no temperatures.
+        images: by modality. ``images/NAME.*`` is the RGB image, missing in a thermal-only set.
+            ``thermal/NAME.*`` is a float32 TIFF in °C, NaN where there is no temperature; an 8-bit
+            grey PNG if the photos hold no temperatures.
         exif: of the RGB photo, completed from the thermal photo.
         facts: what the thermal camera recorded in its file: emissivity, reflected temperature,
             serial number, time and so on; without the embedded photo.
         range_c: lowest and highest temperature, °C; None if the photo holds none.
-        rgb_size: width and height in pixels; None without an RGB image.
-        thermal_size: width and height in pixels.
-        rgb_sha256: of the RGB image's file; empty without one.
-        thermal_sha256: of the thermal image's file.
     """
 
     name: str
-    rgb: str | None
-    thermal: str
+    images: Mapping[Modality, ConvertedImage]
     exif: ExifFacts
     facts: PhotoFacts = field(default_factory=lambda: PhotoFacts("image"))
     range_c: tuple[float, float] | None = None
-    rgb_size: tuple[int, int] | None = None
-    thermal_size: tuple[int, int] | None = None
-    rgb_sha256: str = ""
-    thermal_sha256: str = ""
 
     @property
     def files(self) -> tuple[str, ...]:
         """The images, relative to the scene's folder."""
-        return tuple(path for path in (self.rgb, self.thermal) if path is not None)
+        return tuple(image.file for image in self.images.values())
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,7 @@ class Reconstruction:
     failed: tuple[Skipped, ...]
     reprojection_px: float | None
     source: str
-    images: Literal["rgb", "thermal"] = "rgb"
+    images: Modality = RGB
     warnings: tuple[str, ...] = ()
 
 

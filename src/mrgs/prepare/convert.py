@@ -21,6 +21,7 @@ from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import SceneError
 from mrgs.prepare.cache import CACHE_FOLDER, Cache
 from mrgs.prepare.contract import (
+    ConvertedImage,
     ConvertedPhotos,
     ConvertedView,
     Pairing,
@@ -29,9 +30,12 @@ from mrgs.prepare.contract import (
     Skipped,
 )
 from mrgs.prepare.rgb_photo import RgbPhoto, read_embedded, read_rgb, upright
+from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.atomic import remove, replacing
 
-IMAGE_FOLDERS = ("images", "thermal")
+IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
+"""Of the scene's folder."""
+
 VIEWS = "photos"
 """The folder in the cache that holds a result for each view."""
 
@@ -151,30 +155,37 @@ def _convert(pair: PhotoPair, stamp: Stamp, settings: _Settings) -> ConvertedVie
         )
     image = upright(Image.fromarray(_pixels(thermal)), orientations.thermal)
     celsius = thermal.temperature_c
-    rgb_file = None if rgb is None else f"images/{pair.name}{rgb.suffix}"
-    thermal_file = f"thermal/{pair.name}{'.png' if celsius is None else '.tiff'}"
     _remove_transforms(scene)
-    if rgb is not None and rgb_file is not None:
-        with replacing(scene / rgb_file) as temporary:
-            temporary.write_bytes(rgb.content)
-    with replacing(scene / thermal_file) as temporary:
-        image.save(temporary)
-        thermal_sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
-    _remove_images(scene, pair.name, keep=(rgb_file, thermal_file))
+    images = {}
+    if rgb is not None:
+        images[RGB] = _written(scene, RGB, f"{pair.name}{rgb.suffix}", rgb.size, rgb.save)
+    file = f"{pair.name}{'.png' if celsius is None else '.tiff'}"
+    images[THERMAL] = _written(scene, THERMAL, file, image.size, image.save)
+    _remove_images(scene, pair.name, keep=[image.file for image in images.values()])
     notes = () if unit is None else (f"The numbers are taken for {unit}.",)
     facts = thermal.facts.adding(notes=notes, visible=None)
     return ConvertedView(
         pair.name,
-        rgb_file,
-        thermal_file,
+        images,
         _merged_exif(pair, facts),
         facts,
         None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius))),
-        None if rgb is None else rgb.size,
-        image.size,
-        "" if rgb is None else hashlib.sha256(rgb.content).hexdigest(),
-        thermal_sha256,
     )
+
+
+def _written(
+    scene: Path,
+    modality: Modality,
+    name: str,
+    size: tuple[int, int],
+    save: Callable[[Path], object],
+) -> ConvertedImage:
+    """An image of a modality, written into its folder of the scene."""
+    file = f"{IMAGE_FOLDERS[modality]}/{name}"
+    with replacing(scene / file) as temporary:
+        save(temporary)
+        sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
+    return ConvertedImage(file, size, sha256)
 
 
 def _read_rgb(
@@ -246,7 +257,7 @@ def _check_folders(pairing: Pairing, scene: Path) -> None:
     Raises:
         SceneError: one does.
     """
-    own = [(scene / name).resolve() for name in (*IMAGE_FOLDERS, CACHE_FOLDER)]
+    own = [(scene / name).resolve() for name in (*IMAGE_FOLDERS.values(), CACHE_FOLDER)]
     for path in (path for pair in pairing.pairs for path in (pair.rgb, pair.thermal) if path):
         if any(path.resolve().is_relative_to(folder) for folder in own):
             raise scene_error(
@@ -264,10 +275,10 @@ def _remove_other_views(scene: Path, cache: Cache, names: set[str]) -> None:
             remove(file)
 
 
-def _remove_images(scene: Path, name: str, keep: Iterable[str | None] = ()) -> None:
+def _remove_images(scene: Path, name: str, keep: Iterable[str] = ()) -> None:
     """Remove a view's images, in any format, except those to keep."""
-    kept = {scene / path for path in keep if path is not None}
-    for folder in IMAGE_FOLDERS:
+    kept = {scene / path for path in keep}
+    for folder in IMAGE_FOLDERS.values():
         for suffix in (".jpg", ".png", ".tiff"):
             path = scene / folder / f"{name}{suffix}"
             if path not in kept and path.is_file():
@@ -297,27 +308,21 @@ def _check_sizes(views: Sequence[ConvertedView], pairing: Pairing) -> None:
         SceneError: two photos of a kind have different sizes.
     """
     photos = {pair.name: pair for pair in pairing.pairs}
-    size_of: dict[str, Callable[[ConvertedView], tuple[int, int] | None]] = {
-        "RGB": lambda view: view.rgb_size,
-        "thermal": lambda view: view.thermal_size,
-    }
-    for kind, size in size_of.items():
-        groups: dict[tuple[int, int] | None, list[PhotoPair]] = {}
+    for modality in IMAGE_FOLDERS:
+        groups: dict[tuple[int, int] | None, list[Path]] = {}
         for view in views:
-            groups.setdefault(size(view), []).append(photos[view.name])
+            image, pair = view.images.get(modality), photos[view.name]
+            file = (pair.rgb or pair.thermal) if modality == RGB else pair.thermal
+            groups.setdefault(None if image is None else image.size, []).append(file)
         if len(groups) > 1:
-            (most_size, most), (size_b, other) = sorted(
+            (size, most), (other_size, other) = sorted(
                 groups.items(), key=lambda group: -len(group[1])
             )[:2]
-            first, second = (
-                (pair.rgb or pair.thermal) if kind == "RGB" else pair.thermal
-                for pair in (most[0], other[0])
-            )
             raise scene_error(
-                second,
-                f"its {kind} image has {_pixel_count(size_b)} pixels, while {len(most)} such as "
-                f"{first.name} have {_pixel_count(most_size)}; photos of two cameras cannot be one "
-                f"scene, remove those of one",
+                other[0],
+                f"its {modality.title} image has {_pixel_count(other_size)} pixels, while "
+                f"{len(most)} such as {most[0].name} have {_pixel_count(size)}; photos of two "
+                f"cameras cannot be one scene, remove those of one",
             )
 
 

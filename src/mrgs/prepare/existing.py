@@ -27,6 +27,7 @@ from mrgs.data.points import point_cloud
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import PointCloud
+from mrgs.scene.modality import in_order
 
 _ASPECT_TOLERANCE = 0.01
 
@@ -95,7 +96,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
             f"{MIN_VIEWS} are needed; "
             f"the names there are like {theirs}: give the poses of these photos",
         )
-    warnings = tuple(notes.mended)
+    warnings = tuple(notes.repaired)
     if points is None:
         points = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
         warnings += (
@@ -135,9 +136,8 @@ def _from_transforms(
     capture = read_transforms(root, file)
     poses = []
     for shot in capture.shots:
-        source = shot.rgb or shot.thermal
-        if source is not None:
-            poses.append(_Pose(_stem(shot.key), source.lens, source.viewmat))
+        source = shot.images[in_order(shot.images)[0]]
+        poses.append(_Pose(_stem(shot.key), source.lens, source.viewmat))
     return poses, capture.points, file.name, capture.notes
 
 

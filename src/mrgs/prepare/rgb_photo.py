@@ -47,6 +47,10 @@ class RgbPhoto:
     suffix: str
     size: tuple[int, int]
 
+    def save(self, path: Path) -> None:
+        """Write the file."""
+        path.write_bytes(self.content)
+
 
 def upright(image: Image.Image, orientation: int) -> Image.Image:
     """An image with the EXIF orientation ``orientation``, turned upright."""

@@ -26,7 +26,7 @@ from mrgs.errors import SceneError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
 from mrgs.prepare.work import Work
-from mrgs.scene import PointCloud
+from mrgs.scene import THERMAL, PointCloud
 from mrgs.system.atomic import remove
 
 
@@ -79,15 +79,15 @@ def _frame(
     view: ConvertedView, reconstruction: Reconstruction, rig: RigCalibration | None
 ) -> dict[str, Any]:
     """One view as nerfstudio describes it, with a thermal image."""
-    viewmat, thermal_viewmat = reconstruction.viewmats[view.name], None
+    viewmat, viewmats = reconstruction.viewmats[view.name], {}
     if rig is not None:
-        thermal_viewmat = rig.viewmat(_pair_index(rig, view.name), viewmat)
+        viewmats[THERMAL] = rig.viewmat(_pair_index(rig, view.name), viewmat)
     return frame_json(
         viewmat,
-        view.rgb if reconstruction.images == "rgb" else None,
-        view.thermal,
+        None if reconstruction.images == THERMAL else view.images[reconstruction.images].file,
+        {THERMAL: view.images[THERMAL].file},
         lens=None if _one_lens(reconstruction) else reconstruction.lenses[view.name],
-        thermal_viewmat=thermal_viewmat,
+        viewmats=viewmats,
     )
 
 
@@ -119,9 +119,9 @@ def _thermal_lens(
     """The thermal camera's intrinsics, if they differ from those of the posed images."""
     if rig is not None:
         return rig.lens
-    if reconstruction.images == "thermal":
+    if reconstruction.images == THERMAL:
         return None
-    info = probe(scene / views[0].thermal)
+    info = probe(scene / views[0].images[THERMAL].file)
     lens = reconstruction.lenses[views[0].name]
     if (info.width, info.height) == (lens.width, lens.height):
         return None
@@ -148,9 +148,7 @@ def _split(
     """Paths of the training and of the evaluation images."""
     paths: dict[bool, list[str]] = {False: [], True: []}
     for view in views:
-        path = view.rgb if reconstruction.images == "rgb" else view.thermal
-        assert path is not None  # it has a pose, and the poses are those of these images
-        paths[view.name in held_out].append(path)
+        paths[view.name in held_out].append(view.images[reconstruction.images].file)
     return paths[False], paths[True]
 
 

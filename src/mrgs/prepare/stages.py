@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
@@ -19,7 +18,6 @@ from mrgs.prepare.contract import (
     Georeference,
     Pairing,
     Reconstruction,
-    Skipped,
     StageReport,
     Summary,
     TooFewPosesError,
@@ -40,6 +38,8 @@ from mrgs.prepare.summary import (
 )
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, in_metres_of_target
 from mrgs.prepare.work import Work, stage
+from mrgs.scene import THERMAL
+from mrgs.scene.modality import in_order
 
 
 @stage("pairs")
@@ -78,21 +78,19 @@ def images(work: Work) -> Summary:
 def poses(work: Work) -> Summary:
     """Where the cameras were; follows from the content of the posed images, so that other
     temperatures do not matter."""
-    thermal_only = all(view.rgb is None for view in work.images.views)
-    if thermal_only:
-        posed = {view.name: (view.thermal, view.thermal_sha256) for view in work.images.views}
-    else:
-        posed = {view.name: (view.rgb, view.rgb_sha256) for view in work.images.views if view.rgb}
-    files = {name: work.scene / file for name, (file, _) in posed.items()}
+    views = work.images.views
+    modality = in_order(modality for view in views for modality in view.images)[0]
+    posed = {view.name: view.images[modality] for view in views if modality in view.images}
+    files = {name: work.scene / image.file for name, image in posed.items()}
     given = work.options.poses
 
     def find() -> Reconstruction:
         if given is None:
             cameras = dict.fromkeys(files, "one")  # sets of several cameras have been refused
             folder = work.scene / CACHE_FOLDER
-            return reconstruct(files, cameras, folder, work.progress, stretch=thermal_only)
+            return reconstruct(files, cameras, folder, work.progress, stretch=modality == THERMAL)
         found = poses_of_photos(given, work.pairing.pairs, files)
-        return replace(found, images="thermal" if thermal_only else "rgb")
+        return replace(found, images=modality)
 
     content = None
     if given is not None:
@@ -125,16 +123,16 @@ def thermal_camera(work: Work) -> Summary:
     file = options.thermal_camera
     content = None if file is None else digest(file)
     known = (options.one_camera, options.thermal_fov_deg, options.target, content)
-    digests = [(view.name, view.rgb_sha256, view.thermal_sha256) for view in work.images.views]
+    images = [(view.name, view.images) for view in work.images.views]
     found = work.cache.get(
         "thermal camera",
         RigCalibration | None,
-        (posed, metric, digests, known),
+        (posed, metric, images, known),
         lambda: calibrate_thermal_camera(work),
     )
     if work.georeference is not None:
         work.georeference, work.rig = in_metres_of_target(work.georeference, found)
-    return summarize_thermal_camera(found, posed.images == "thermal", metric)
+    return summarize_thermal_camera(found, posed.images == THERMAL, metric)
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ def page(work: Work) -> Summary:
         "page",
         str,
         (said, work.skipped, work.images, work.posed, work.rig, work.georeference),
-        lambda: _write_page(work).name,
+        lambda: write_page(work).name,
         lambda name: [work.scene / name],
     )
     return Summary((f"{work.scene / name}",))
@@ -201,20 +199,8 @@ def page_on_error(work: Work) -> Iterator[None]:
         with suppress(OSError):  # of an earlier call, with other photos or options
             (work.scene / TRANSFORMS).unlink(missing_ok=True)
         try:
-            shown = _write_page(work, error.failed if isinstance(error, TooFewPosesError) else ())
+            shown = write_page(work, error.failed if isinstance(error, TooFewPosesError) else ())
         except RunError:  # the disk is full
             raise error from None
         message = f"{error}; {shown} shows what was found so far"
         raise SceneError(message, options=error.options) from error
-
-
-def _write_page(work: Work, without_pose: tuple[Skipped, ...] = ()) -> Path:
-    return write_page(
-        work.scene,
-        work.reports,
-        work.images,
-        None if work.poses is None else work.posed,
-        work.rig,
-        work.georeference,
-        skipped=(*work.skipped, *without_pose),
-    )

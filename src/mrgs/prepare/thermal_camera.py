@@ -21,7 +21,7 @@ from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
 from mrgs.prepare.work import Work
-from mrgs.scene import Pixels
+from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform
 
 SHAPE_TOLERANCE = 0.01
@@ -90,7 +90,7 @@ def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
         ConfigError: an option on the thermal camera, for a set of thermal images only.
     """
     options, posed = work.options, work.posed
-    if posed.images == "thermal":
+    if posed.images == THERMAL:
         _check_unused(options)
         return None
     views = [view for view in work.images.views if view.name in posed.viewmats]
@@ -98,7 +98,7 @@ def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
         _check_same_shape(work.scene, views[0])
         return None
     pairs = [_rig_pair(view, work.scene, posed) for view in views]
-    known = _known(options, work.scene / views[0].thermal, work.metric)
+    known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
     return calibrate_rig(pairs, posed.points, known, work.progress)
 
 
@@ -124,8 +124,7 @@ def _check_same_shape(scene: Path, view: ConvertedView) -> None:
     Raises:
         SceneError: they do.
     """
-    assert view.rgb is not None  # it has a pose, and the poses are those of RGB images
-    rgb, thermal = probe(scene / view.rgb), probe(scene / view.thermal)
+    rgb, thermal = (probe(scene / view.images[modality].file) for modality in (RGB, THERMAL))
     if abs(rgb.width * thermal.height / (rgb.height * thermal.width) - 1) > SHAPE_TOLERANCE:
         raise scene_error(
             view.name,
@@ -137,15 +136,16 @@ def _check_same_shape(scene: Path, view: ConvertedView) -> None:
 
 
 def _rig_pair(view: ConvertedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
-    assert view.rgb is not None  # it has a pose, and the poses are those of RGB images
     source = ImageSource(
-        scene / view.rgb, reconstruction.lenses[view.name], reconstruction.viewmats[view.name]
+        scene / view.images[RGB].file,
+        reconstruction.lenses[view.name],
+        reconstruction.viewmats[view.name],
     )
     visible = None if reconstruction.visible is None else reconstruction.visible.get(view.name)
     return RigPair(
         view.name,
         posed_image(source, decode_rgb, None),
-        partial(_load, scene / view.thermal),
+        partial(_load, scene / view.images[THERMAL].file),
         visible,
     )
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from mrgs.rasterizer import reference
-from mrgs.rasterizer.contract import Blend, Layer, Raster
+from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.scene import Blend
 from mrgs.system.operation import operation
 
 __all__ = ["Blend", "Layer", "Raster", "rasterize"]

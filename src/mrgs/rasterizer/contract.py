@@ -1,4 +1,4 @@
-"""What every rasterizer of this room takes and returns.
+"""What every rasterizer takes and returns.
 
 The image model, for the Gaussian i, the pixel centre x' and a layer with opacities o:
 
@@ -18,6 +18,8 @@ from typing import NamedTuple, Protocol
 
 from jaxtyping import Float
 from torch import Tensor
+
+from mrgs.scene import Blend
 
 NEAR_PLANE = 0.01
 """Gaussians whose centre is closer to the image plane are left out (scene units)."""
@@ -46,15 +48,6 @@ class Layer(NamedTuple):
     opacities: Float[Tensor, " n"]
     features: Float[Tensor, "n c"]
     background: Float[Tensor, " c"]
-
-
-class Blend(NamedTuple):
-    """The images of one layer: image [H, W, C], z-depth [H, W] in scene units, accumulated alpha
-    [H, W]."""
-
-    image: Float[Tensor, "h w c"]
-    depth: Float[Tensor, "h w"]
-    alpha: Float[Tensor, "h w"]
 
 
 class Raster(NamedTuple):

@@ -28,8 +28,8 @@ HALF_WIDTH = 7
 
 DEPTH = 8
 
-RGB = 10
-THERMAL = 14
+COLOR = 10
+SCALAR = 14
 """Each layer's part of the record: its opacity, then its features."""
 
 SPLAT_FLOATS = 16
@@ -44,9 +44,9 @@ GRAD_DXDY = 3
 GRAD_DYDY = 4
 GRAD_DEPTH = 5
 
-GRAD_RGB = 6
-GRAD_THERMAL = 10
+GRAD_COLOR = 6
+GRAD_SCALAR = 10
 """Each layer's part: Σ α ∂L/∂α of that layer alone, then the gradients of its features."""
 
-GRAD_LAYERS = (GRAD_RGB, GRAD_THERMAL)
+GRAD_LAYERS = (GRAD_COLOR, GRAD_SCALAR)
 GRAD_FLOATS = 12

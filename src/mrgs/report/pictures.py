@@ -13,9 +13,8 @@ from PIL import Image, ImageDraw
 from mrgs.pictures.drawing import INK, Scale, draw_text, text_width
 from mrgs.pictures.files import to_array, to_rgb8
 from mrgs.pictures.palette import colorize
-from mrgs.render import Rendering
 from mrgs.report.spots import Renderer, Spot
-from mrgs.scene import Camera, View
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering, View
 
 OVERVIEW_PX = 720
 OVERVIEW_CANDIDATES = 24
@@ -53,7 +52,7 @@ def overview(
 
     At most ``OVERVIEW_CANDIDATES`` views are tried.
     """
-    thermal_views = [index for index, view in enumerate(views) if view.thermal is not None]
+    thermal_views = [index for index, view in enumerate(views) if THERMAL in view.images]
     step = -(-len(thermal_views) // OVERVIEW_CANDIDATES)
     candidates = thermal_views[::step]
     index, seen = max(
@@ -61,28 +60,21 @@ def overview(
         key=lambda pair: len(pair[1]),
     )
     view = views[index]
-    assert view.thermal is not None
-    thermal = _enlarged(_thermal_picture(render(view.thermal.camera), scale), OVERVIEW_PX)
-    photo = (
-        None
-        if view.rgb is None
-        else _enlarged(Image.fromarray(to_rgb8(view.rgb.load().values)), OVERVIEW_PX)
-    )
-    for name in seen:
-        _mark(thermal, view.thermal.camera, spots[name], name)
-        if photo is not None and view.rgb is not None:
-            _mark(photo, view.rgb.camera, spots[name], name)
-    return Marked(index, photo, thermal)
+    cameras, pictures = view.cameras, {}
+    for modality, picture in _pictures(view, render(cameras[THERMAL]), scale).items():
+        pictures[modality] = _enlarged(picture, OVERVIEW_PX)
+        for name in seen:
+            _mark(pictures[modality], cameras[modality], spots[name], name)
+    return Marked(index, pictures.get(RGB), pictures[THERMAL])
 
 
 def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale) -> Marked:
     """Crops around a spot from the photo and the thermal rendering of its best view."""
-    assert view.thermal is not None
-    thermal = _crop(_thermal_picture(rendering, scale), view.thermal.camera, spot)
-    photo = None
-    if view.rgb is not None:
-        photo = _crop(Image.fromarray(to_rgb8(view.rgb.load().values)), view.rgb.camera, spot)
-    return Marked(spot.view, photo, thermal)
+    pictures = {
+        modality: _crop(picture, view.images[modality].camera, spot)
+        for modality, picture in _pictures(view, rendering, scale).items()
+    }
+    return Marked(spot.view, pictures.get(RGB), pictures[THERMAL])
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
@@ -90,21 +82,20 @@ def photo_value(view: View, spot: Spot) -> float | None:
 
     None where the photo has no valid pixel.
     """
-    assert view.thermal is not None
-    pixels = view.thermal.load()
+    photo = view.images[THERMAL]
+    pixels = photo.load()
     values = to_array(pixels.values[..., 0])
     if pixels.valid is not None:
         values = np.where(pixels.valid.numpy(), values, np.nan)
-    column, row = (int(value) for value in _pixel(view.thermal.camera, spot))
+    column, row = (int(value) for value in _pixel(photo.camera, spot))
     patch = values[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
     return float(np.nanmean(patch)) if patch.size and np.isfinite(patch).any() else None
 
 
 def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
     """Names of the spots that the view's thermal camera sees: inside the image and not hidden."""
-    assert view.thermal is not None
-    camera = view.thermal.camera
-    surface = render(camera).surface_depth("thermal")
+    camera = view.images[THERMAL].camera
+    surface = render(camera)[THERMAL].surface_depth()
     seen = []
     for name, spot in spots.items():
         pixel, depth = camera.project(torch.from_numpy(spot.position))
@@ -121,10 +112,14 @@ def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
     return column, row
 
 
-def _thermal_picture(rendering: Rendering, scale: Scale) -> Image.Image:
-    assert rendering.thermal is not None
-    values = scale.low + to_array(rendering.thermal[..., 0]) * (scale.high - scale.low)
-    return Image.fromarray(colorize(values, scale.low, scale.high, scale.palette))
+def _pictures(view: View, rendering: Rendering, scale: Scale) -> dict[Modality, Image.Image]:
+    """The thermal rendering through the palette, and the RGB photo if the view has one."""
+    values = to_array(rendering[THERMAL].image[..., 0])
+    values = scale.low + values * (scale.high - scale.low)
+    pictures = {THERMAL: Image.fromarray(colorize(values, scale.low, scale.high, scale.palette))}
+    if RGB in view.images:
+        pictures[RGB] = Image.fromarray(to_rgb8(view.images[RGB].load().values))
+    return pictures
 
 
 def _enlarged(image: Image.Image, width: int) -> Image.Image:

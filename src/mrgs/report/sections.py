@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.evaluation.report import COLUMNS
+from mrgs.evaluation.figures import REPORTED
+from mrgs.evaluation.report import COLUMNS, heading
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName
 from mrgs.report.pictures import Marked, crops, overview, photo_value
 from mrgs.report.spots import Spot, find_spots
 from mrgs.runs.open import Run
-from mrgs.scene import Camera, Scene, TemperatureRange, View
+from mrgs.scene import (
+    THERMAL,
+    Camera,
+    Modality,
+    Rendering,
+    Scene,
+    TemperatureRange,
+    View,
+    in_order,
+)
 
 PALETTE: PaletteName = "inferno"
 JPEG_QUALITY = 88
@@ -82,8 +93,8 @@ def find_shown_spots(run: Run, scene: Scene) -> Spots | None:
     """The hottest and the coldest spots with an overview and crops; None if no surface is seen."""
     views = [*scene.train, *scene.eval]
 
-    def render(camera: Camera) -> Any:
-        return run.render(None, camera)
+    def render(camera: Camera) -> Rendering:
+        return run.render({THERMAL: camera})
 
     hottest, coldest = find_spots(views, render, ball=scene.reach)
     if not hottest:
@@ -105,13 +116,18 @@ def find_shown_spots(run: Run, scene: Scene) -> Spots | None:
 def capture_rows(scene: Scene) -> list[tuple[str, str]]:
     """Views, image sizes and temperature range of the capture."""
     views = [*scene.train, *scene.eval]
-    shared = all(view.shares_camera for view in views)
+    modalities = in_order((*REPORTED, *scene.modalities))
+    shared = all(
+        view.shares_camera(modality, other)
+        for view in views
+        for modality, other in pairwise(modalities)
+    )
+    every = "both" if len(modalities) == 2 else "all"
     temperature = scene.temperature
     return [
         ("Views", f"{len(scene.train)} training, {len(scene.eval)} evaluation"),
-        ("RGB photos", _sizes([view.rgb.camera for view in views if view.rgb])),
-        ("Thermal photos", _sizes([view.thermal.camera for view in views if view.thermal])),
-        ("Cameras", "one for both images" if shared else "each image has its own"),
+        *((f"{heading(each)} photos", _sizes(each, views)) for each in modalities),
+        ("Cameras", f"one for {every} images" if shared else "each image has its own"),
         (
             "Temperature range",
             "no °C known: relative values"
@@ -147,10 +163,14 @@ def read_scores(run: Run) -> Scores | None:
         return None
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
+        titles = {each.name: heading(each) for each in (*REPORTED, *run.modalities)}
         rows = [
-            (f"{label} {COLUMNS[name][0]}", f"{value:.{COLUMNS[name][1]}f}")
-            for group, label in (("thermal", "Thermal"), ("rgb", "RGB"))
-            for name, value in document["mean"][group].items()
+            (
+                f"{titles.get(group, group)} {COLUMNS[name][0]}",
+                f"{value:.{COLUMNS[name][1]}f}",
+            )
+            for group, figures in document["mean"].items()
+            for name, value in figures.items()
             if value is not None
         ]
         if not isinstance(document["steps"], int):
@@ -182,8 +202,7 @@ def read_contact_sheet(run: Run) -> InlineImage | None:
 
 def _shown(name: str, spot: Spot, views: Sequence[View], run: Run, scale: Scale) -> ShownSpot:
     view = views[spot.view]
-    assert view.thermal is not None
-    marked = crops(view, spot, run.render(None, view.thermal.camera), scale)
+    marked = crops(view, spot, run.render({THERMAL: view.images[THERMAL].camera}), scale)
     photo = photo_value(view, spot)
     x, y, z = spot.position
     return ShownSpot(
@@ -205,7 +224,9 @@ def _inline(marked: Marked, text: str) -> list[InlineImage]:
     return [inline_image(picture, text, quality=JPEG_QUALITY) for picture in pictures if picture]
 
 
-def _sizes(cameras: Sequence[Camera]) -> str:
+def _sizes(modality: Modality, views: Sequence[View]) -> str:
+    """How many photos of a modality there are, and how large they are."""
+    cameras = [view.images[modality].camera for view in views if modality in view.images]
     if not cameras:
         return "none"
     sizes = sorted({(camera.width, camera.height) for camera in cameras})

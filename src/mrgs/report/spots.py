@@ -26,8 +26,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 
-from mrgs.render import Rendering
-from mrgs.scene import Camera, Reach, View, spread
+from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, spread
 
 VIEWS = 60
 """Views that are surveyed, evenly spread over those given."""
@@ -129,7 +128,7 @@ def find_spots(
         count: how many.
         ball: how far the scene reaches; the sky is no spot. None if there is none.
     """
-    thermal = [index for index, view in enumerate(views) if view.thermal is not None]
+    thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
     chosen = [thermal[place] for place in spread(len(thermal), VIEWS)]
     points = _survey(views, chosen, render, ball)
     if points is None:
@@ -148,15 +147,13 @@ def _survey(
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts = []
     for index in chosen:
-        image = views[index].thermal
-        assert image is not None
-        camera = image.camera.with_width(min(WIDTH_PX, image.camera.width))
-        rendering = render(camera)
-        assert rendering.thermal is not None
-        surface = rendering.surface_depth("thermal", SURFACE_ALPHA, DEPTH_JUMP).double()
+        camera = views[index].images[THERMAL].camera
+        camera = camera.with_width(min(WIDTH_PX, camera.width))
+        thermal = render(camera)[THERMAL]
+        surface = thermal.surface_depth(SURFACE_ALPHA, DEPTH_JUMP).double()
         depth_map = (surface if ball is None else ball.without_background(camera, surface)).numpy()
         rows, columns = np.nonzero(np.isfinite(depth_map))
-        values, depth = rendering.thermal[..., 0].numpy()[rows, columns], depth_map[rows, columns]
+        values, depth = thermal.image[..., 0].numpy()[rows, columns], depth_map[rows, columns]
         border = 0.1 * min(camera.width, camera.height)
         central = (np.minimum(columns, camera.width - columns) > border) & (
             np.minimum(rows, camera.height - rows) > border

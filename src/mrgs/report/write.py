@@ -14,7 +14,7 @@ from mrgs.report.sections import (
     training_rows,
 )
 from mrgs.runs.open import Run
-from mrgs.scene import Scene
+from mrgs.scene import THERMAL, Scene
 
 
 def write_report(run: Run, scene: Scene, path: Path) -> Path:
@@ -35,6 +35,7 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
         RunError: ``metrics.json`` or the contact sheet cannot be read, or the file cannot be
             written.
     """
+    has_thermal = THERMAL in scene.modalities
     return write_html(
         path,
         "report/report.html",
@@ -44,11 +45,11 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
         styles=[PAGE_STYLE, "report/report.css"],
         run_folder=run.folder.path,
         step=run.facts.step,
-        has_thermal=scene.has_thermal,
+        has_thermal=has_thermal,
         temperature=scene.temperature,
-        spots=find_shown_spots(run, scene) if scene.has_thermal else None,
+        spots=find_shown_spots(run, scene) if has_thermal else None,
         has_thermal_gains=run.image_model.thermal_gain is not None,
-        depends_on_view=run.model.gaussians.temperature_depends_on_view,
+        depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=capture_rows(scene),
         notes=scene.notes,
         scores=read_scores(run),

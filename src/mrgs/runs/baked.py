@@ -7,18 +7,17 @@ directions from which the photos were taken.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.field.spherical_harmonics import MAX_DEGREE, evaluate_sh
+from mrgs.field.spherical_harmonics import MAX_DEGREE, evaluate_sh, shade
 from mrgs.rasterizer import Layer, rasterize
-from mrgs.render import Model, Rendering
-from mrgs.scene import Camera, TemperatureRange, spread
+from mrgs.render import Model, shared_passes
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering, TemperatureRange, spread
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
@@ -41,10 +40,9 @@ class BakedModel:
         means: centres in world coordinates (scene units), [N, 3].
         quats: rotations wxyz, unit length, [N, 4].
         scales: standard deviations along the rotated axes, [N, 3].
-        opacity_rgb: in (0, 1), [N].
-        opacity_thermal: in (0, 1), [N].
-        sh: colour coefficients of degrees 0 to 3 as 3DGS has them (colour = max(0, 0.5 + Σ)), [N,
-            16, 3].
+        opacities: of each modality, in (0, 1), [N].
+        sh: coefficients of each modality of C channels but the thermal one, as 3DGS has them (value
+            = max(0, 0.5 + Σ)), [N, B, C]; B is 16 where it depends on the view up to degree 3.
         temperatures: normalised, [N].
         temperature: the scale of the temperatures; None if the scene has no known °C.
     """
@@ -52,24 +50,45 @@ class BakedModel:
     means: Float[Tensor, "n 3"]
     quats: Float[Tensor, "n 4"]
     scales: Float[Tensor, "n 3"]
-    opacity_rgb: Float[Tensor, " n"]
-    opacity_thermal: Float[Tensor, " n"]
-    sh: Float[Tensor, "n 16 3"]
+    opacities: Mapping[Modality, Float[Tensor, " n"]]
+    sh: Mapping[Modality, Float[Tensor, "n _ _"]]
     temperatures: Float[Tensor, " n"]
     temperature: TemperatureRange | None
 
     def __len__(self) -> int:
         return self.means.shape[0]
 
+    @property
+    def modalities(self) -> tuple[Modality, ...]:
+        """Those that it renders, RGB first."""
+        return tuple(self.opacities)
+
     def tensors(self) -> dict[str, Tensor]:
         """What each splat has, by name, in the order of declaration (not copied)."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if isinstance(value, Tensor)}
+        return {
+            "means": self.means,
+            "quats": self.quats,
+            "scales": self.scales,
+            **{f"opacity.{modality}": each for modality, each in self.opacities.items()},
+            **{f"sh.{modality}": each for modality, each in self.sh.items()},
+            "temperatures": self.temperatures,
+        }
 
     def subset(self, rows: Int64[Tensor, " k"]) -> BakedModel:
         """Some of the splats, in the order of ``rows``."""
-        picked: dict[str, Any] = {name: tensor[rows] for name, tensor in self.tensors().items()}
-        return replace(self, **picked)
+        return self.map_tensors(lambda tensor: tensor[rows])
+
+    def map_tensors(self, function: Callable[[Tensor], Tensor]) -> BakedModel:
+        """The same model with a function applied to each of its tensors."""
+        return replace(
+            self,
+            means=function(self.means),
+            quats=function(self.quats),
+            scales=function(self.scales),
+            opacities={modality: function(each) for modality, each in self.opacities.items()},
+            sh={modality: function(each) for modality, each in self.sh.items()},
+            temperatures=function(self.temperatures),
+        )
 
     @property
     def temperatures_c(self) -> Float[Tensor, " n"]:
@@ -82,29 +101,53 @@ class BakedModel:
             raise ValueError("the scene has no temperature range, so there is no °C")
         return self.temperature.to_celsius(self.temperatures)
 
-    def colors(self, position: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
-        """Colour of each splat as seen from a position."""
-        directions = torch.nn.functional.normalize(self.means - position, dim=1)
-        return (
-            evaluate_sh(self.sh[:, :1], self.sh[:, 1:], directions, MAX_DEGREE) + 0.5
-        ).clamp_min(0)
+    def values(self, modality: Modality, position: Float[Tensor, "3"]) -> Float[Tensor, "n c"]:
+        """What is blended of a modality, as seen from a position: colours of RGB, normalised
+        temperatures of thermal."""
+        if modality == THERMAL:
+            return self.temperatures[:, None]
+        sh = self.sh[modality]
+        return shade(self.means, sh[:, :1], sh[:, 1:], position.to(self.means), MAX_DEGREE)
 
-    def render(self, camera: Camera) -> Rendering:
-        """Both modalities from one camera, without gradients."""
+    def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
+        """Render any camera, without gradients.
+
+        Args:
+            cameras: one for all modalities, or one for each modality to render.
+        """
+        if isinstance(cameras, Camera):
+            cameras = dict.fromkeys(self.modalities, cameras)
         with torch.no_grad():
-            colors = self.colors(camera.position.to(self.means))
+            return self.blend(
+                {each: self.values(each, camera.position) for each, camera in cameras.items()},
+                cameras,
+            )
+
+    def blend(
+        self,
+        values: Mapping[Modality, Float[Tensor, "n _"]],
+        cameras: Mapping[Modality, Camera],
+    ) -> Rendering:
+        """Blend any values of the splats with the modalities' opacities, before black.
+
+        Differentiable in the values.
+
+        Args:
+            values: of each modality, [N, C].
+            cameras: of the same modalities.
+        """
+        blends: dict[Modality, Blend] = {}
+        for camera, modalities in shared_passes(cameras):
             layers = [
-                Layer(self.opacity_rgb, colors, colors.new_zeros(3)),
-                Layer(self.opacity_thermal, self.temperatures[:, None], colors.new_zeros(1)),
+                Layer(self.opacities[each], values[each], values[each].new_zeros(each.channels))
+                for each in modalities
             ]
             raster = rasterize(
                 self.means, self.quats, self.scales, layers, camera.viewmat, camera.K,
                 camera.width, camera.height,
             )  # fmt: skip
-        rgb, thermal = raster.blends
-        return Rendering(
-            rgb.image, rgb.depth, thermal.image, thermal.depth, rgb.alpha, thermal.alpha
-        )
+            blends.update(zip(modalities, raster.blends, strict=True))
+        return Rendering({modality: blends[modality] for modality in cameras})
 
 
 @torch.no_grad()
@@ -127,14 +170,16 @@ def bake(
     positions = torch.stack(
         [cameras[index].position for index in spread(len(cameras), DIRECTIONS)]
     ).to(gaussians.means)
-    blocks = torch.arange(len(gaussians)).split(BLOCK_ROWS)
     return BakedModel(
         means=gaussians.means.detach(),
         quats=torch.nn.functional.normalize(gaussians.quats, dim=1),
         scales=gaussians.scales,
-        opacity_rgb=gaussians.opacity_rgb,
-        opacity_thermal=gaussians.opacity_thermal,
-        sh=torch.cat([_fit_colors(model, rows, positions) for rows in blocks]),
+        opacities={modality: gaussians.opacity(modality) for modality in gaussians.modalities},
+        sh={
+            modality: _harmonics(model, modality, positions)
+            for modality in gaussians.modalities
+            if modality != THERMAL
+        },
         temperatures=_temperatures(model),
         temperature=temperature,
     )
@@ -143,31 +188,36 @@ def bake(
 def _temperatures(model: Model) -> Float[Tensor, " n"]:
     """t of degree 0, plus t̂; of a model without t̂ clamped at 0, as it is rendered."""
     anywhere = model.gaussians.means.new_zeros(3)
-    return model.temperatures(anywhere, sh_degree=0)[:, 0]
+    return model.values(THERMAL, anywhere, sh_degree=0)[:, 0]
+
+
+def _harmonics(
+    model: Model, modality: Modality, positions: Float[Tensor, "m 3"]
+) -> Float[Tensor, "n b c"]:
+    """A modality's coefficients of the degrees in use, with the colour residual ĉ folded in."""
+    sh = model.gaussians.sh(modality).clone()
+    sh[:, (model.sh_degree + 1) ** 2 :] = 0
+    if modality != RGB or not model.field.config.residuals:
+        return sh
+    blocks = torch.arange(len(sh)).split(BLOCK_ROWS)
+    return torch.cat([_fit_colors(model, sh[rows], rows, positions) for rows in blocks])
 
 
 def _fit_colors(
-    model: Model, rows: Tensor, positions: Float[Tensor, "m 3"]
+    model: Model,
+    sh: Float[Tensor, "v 16 3"],
+    rows: Int64[Tensor, " v"],
+    positions: Float[Tensor, "m 3"],
 ) -> Float[Tensor, "v 16 3"]:
     """The coefficients whose colours come closest to c + ĉ as seen from the positions, and to the
     trained ones."""
-    sh, means = model.gaussians.sh[rows], model.gaussians.means[rows]
-    if model.sh_degree < MAX_DEGREE:
-        sh = torch.cat(
-            [
-                sh[:, : (model.sh_degree + 1) ** 2],
-                torch.zeros_like(sh[:, (model.sh_degree + 1) ** 2 :]),
-            ],
-            1,
-        )
-    if not model.field.config.residuals:
-        return sh
+    means = model.gaussians.means[rows]
     identity = torch.eye(COEFFICIENTS, dtype=sh.dtype).expand(len(rows), -1, -1)
     bases, missing = [], []
     for position in positions:
         directions = torch.nn.functional.normalize(means - position, dim=1)
         basis = evaluate_sh(identity[:, :1], identity[:, 1:], directions, MAX_DEGREE)
-        colors = model.field.colors(model.gaussians, position, model.sh_degree, rows)
+        colors = model.values(RGB, position, rows)
         bases.append(basis)
         missing.append(colors - 0.5 - torch.einsum("nb,nbc->nc", basis, sh))
     basis, residual = torch.stack(bases, dim=1), torch.stack(missing, dim=1)

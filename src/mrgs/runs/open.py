@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,9 +13,9 @@ import torch
 from mrgs.errors import ConfigError, DeviceError, RunError
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
-from mrgs.render import Model, Rendering, bake_temperature_residuals, render
+from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.runs.registry import Method, find_method
-from mrgs.scene import Camera
+from mrgs.scene import Camera, Modality, Rendering
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training.checkpoint import load_model
@@ -45,17 +46,21 @@ class Run(TrainedRun):
         """The model where it is rendered."""
         return self.model.to(self.device)
 
-    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:  # noqa: D102
+    @property
+    def modalities(self) -> tuple[Modality, ...]:  # noqa: D102
+        return self.model.gaussians.modalities
+
+    def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:  # noqa: D102
         try:
             with torch.no_grad():
-                return render(self._rendered, rgb_camera, thermal_camera)[0].cpu()
+                return render(self._rendered, cameras)[0].cpu()
         except torch.cuda.OutOfMemoryError:
             raise DeviceError(
                 f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: "
                 f"use --device cpu"
             ) from None
 
-    def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:  # noqa: D102
+    def camera_response(self, rendering: Rendering, camera: Camera) -> Rendering:  # noqa: D102
         return self.image_model.expected(rendering, camera)
 
     @property

@@ -2,21 +2,42 @@
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.gaussians import Gaussians
+from mrgs.scene.modality import (
+    RGB,
+    THERMAL,
+    Modality,
+    in_order,
+    known_modalities,
+    modality_named,
+    register_modality,
+)
 from mrgs.scene.reach import Reach, reach
+from mrgs.scene.rendering import Blend, CameraResponse, Rendering, ideal_cameras
 from mrgs.scene.scene import PointCloud, Scene
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import Pixels, PosedImage, View, spread
 
 __all__ = [
+    "RGB",
+    "THERMAL",
+    "Blend",
     "Camera",
+    "CameraResponse",
     "Gaussians",
+    "Modality",
     "Pixels",
     "PointCloud",
     "PosedImage",
     "Reach",
+    "Rendering",
     "Scene",
     "TemperatureRange",
     "View",
+    "ideal_cameras",
+    "in_order",
+    "known_modalities",
+    "modality_named",
     "reach",
+    "register_modality",
     "spread",
 ]

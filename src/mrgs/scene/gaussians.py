@@ -1,12 +1,15 @@
-"""The shared Gaussians: one geometry, one opacity per modality."""
+"""The shared Gaussians: one geometry; an opacity and an appearance of each modality."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from mrgs.scene.modality import Modality, known_modalities
 
 
 @dataclass
@@ -17,63 +20,124 @@ class Gaussians:
         means: centres μ in world coordinates, [N, 3].
         quats: rotations as quaternions wxyz, not necessarily normalised, [N, 4].
         log_scales: natural logarithm of the standard deviations along the rotated axes, [N, 3].
-        opacity_rgb_logit: logit of o_c, [N, 1].
-        opacity_thermal_logit: logit of o_t, [N, 1]; [N, 0] if both modalities share o_c
-            (3DGS_RGB-T).
-        sh_dc: spherical-harmonics coefficient of degree 0 per colour channel, [N, 1, 3].
-        sh_rest: coefficients of degrees 1 to 3, [N, 15, 3].
-        temperature_dc: the same for the normalised temperature t_i, degree 0, [N, 1, 1].
-        temperature_rest: the higher degrees of the temperature; [N, 15, 1] for 3DGS_RGB-T, [N, 0,
-            1] for MrGS as published, whose t_i does not depend on the view.
-        embedding: the multi-modal embedding e_m, [N, C]; C = 0 for 3DGS_RGB-T.
+        opacity_logits: logit of each modality's opacity (o_c of RGB, o_t of thermal), [N, 1]. A
+            modality that has none shares that of the first (3DGS_RGB-T blends both with o_c).
+        sh_dc: spherical-harmonics coefficient of degree 0 of each modality of C channels,
+            [N, 1, C]; of thermal that of the normalised temperature t_i.
+        sh_rest: coefficients of the higher degrees, [N, 15, C]; [N, 0, C] for a modality that does
+            not depend on the view, as t_i of MrGS as published.
+        embedding: the multi-modal embedding e_m, [N, E]; E = 0 for 3DGS_RGB-T.
     """
 
     means: Float[Tensor, "n 3"]
     quats: Float[Tensor, "n 4"]
     log_scales: Float[Tensor, "n 3"]
-    opacity_rgb_logit: Float[Tensor, "n 1"]
-    opacity_thermal_logit: Float[Tensor, "n s"]
-    sh_dc: Float[Tensor, "n 1 3"]
-    sh_rest: Float[Tensor, "n 15 3"]
-    temperature_dc: Float[Tensor, "n 1 1"]
-    temperature_rest: Float[Tensor, "n b 1"]
-    embedding: Float[Tensor, "n c"]
+    opacity_logits: dict[Modality, Float[Tensor, "n 1"]]
+    sh_dc: dict[Modality, Float[Tensor, "n 1 _"]]
+    sh_rest: dict[Modality, Float[Tensor, "n _ _"]]
+    embedding: Float[Tensor, "n e"]
 
     def __len__(self) -> int:
         return self.means.shape[0]
+
+    @property
+    def modalities(self) -> tuple[Modality, ...]:
+        """Those that have an appearance."""
+        return tuple(self.sh_dc)
 
     @property
     def scales(self) -> Float[Tensor, "n 3"]:
         """Standard deviations along the rotated axes, in scene units."""
         return self.log_scales.exp()
 
-    @property
-    def opacity_rgb(self) -> Float[Tensor, " n"]:
-        """o_c in (0, 1)."""
-        return self.opacity_rgb_logit[:, 0].sigmoid()
+    def opacity(self, modality: Modality) -> Float[Tensor, " n"]:
+        """o in (0, 1) of a modality: its own, or the first modality's if it shares that."""
+        logits = self.opacity_logits
+        own = logits[modality] if modality in logits else next(iter(logits.values()))
+        return own[:, 0].sigmoid()
 
-    @property
-    def temperature_depends_on_view(self) -> bool:
-        """Whether there are harmonics above degree 0."""
-        return self.temperature_rest.shape[1] > 0
+    def depends_on_view(self, modality: Modality) -> bool:
+        """Whether a modality has harmonics above degree 0."""
+        return self.sh_rest[modality].shape[1] > 0
 
-    @property
-    def opacity_thermal(self) -> Float[Tensor, " n"]:
-        """o_t in (0, 1)."""
-        shares_opacity = self.opacity_thermal_logit.shape[1] == 0
-        return self.opacity_rgb if shares_opacity else self.opacity_thermal_logit[:, 0].sigmoid()
-
-    @property
-    def sh(self) -> Float[Tensor, "n 16 3"]:
-        """All colour coefficients."""
-        return torch.cat([self.sh_dc, self.sh_rest], dim=1)
+    def sh(self, modality: Modality) -> Float[Tensor, "n b c"]:
+        """All coefficients of a modality."""
+        return torch.cat([self.sh_dc[modality], self.sh_rest[modality]], dim=1)
 
     def to(self, device: torch.device) -> Gaussians:
         """Copies on a device, without gradients."""
-        return Gaussians(
-            **{name: tensor.detach().to(device) for name, tensor in self.tensors().items()}
+        return self.with_tensors(
+            {name: tensor.detach().to(device) for name, tensor in self.tensors().items()}
         )
 
     def tensors(self) -> dict[str, Tensor]:
-        """The parameters by name, in the order of declaration (not copied)."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """The parameters by name (not copied): ``means``, ``quats``, ``log_scales``,
+        ``opacity_logit.NAME``, ``sh_dc.NAME``, ``sh_rest.NAME`` of each modality, ``embedding``."""
+        tensors = {"means": self.means, "quats": self.quats, "log_scales": self.log_scales}
+        for group, by_modality in (
+            ("opacity_logit", self.opacity_logits),
+            ("sh_dc", self.sh_dc),
+            ("sh_rest", self.sh_rest),
+        ):
+            tensors |= {f"{group}.{modality}": tensor for modality, tensor in by_modality.items()}
+        return tensors | {"embedding": self.embedding}
+
+    def replace(self, name: str, tensor: Tensor) -> None:
+        """Put another tensor in the place of one of ``tensors``.
+
+        Raises:
+            KeyError: there is none of this name.
+        """
+        if name not in self.tensors():
+            raise KeyError(name)
+        group, _, modality = name.partition(".")
+        if not modality:
+            setattr(self, name, tensor)
+            return
+        by_modality = self.opacity_logits if group == "opacity_logit" else getattr(self, group)
+        by_modality[self._modality(modality)] = tensor
+
+    def with_tensors(self, tensors: Mapping[str, Tensor]) -> Gaussians:
+        """Gaussians of the same modalities, with other ``tensors``."""
+        return Gaussians.from_tensors(tensors, self.modalities)
+
+    def _modality(self, name: str) -> Modality:
+        return next(modality for modality in self.modalities if modality.name == name)
+
+    @classmethod
+    def from_tensors(
+        cls, tensors: Mapping[str, Tensor], modalities: Iterable[Modality] | None = None
+    ) -> Gaussians:
+        """The Gaussians whose ``tensors`` these are.
+
+        Args:
+            tensors: by name.
+            modalities: those that the names speak of, and perhaps others, in the order that the
+                Gaussians' are to have; None for all that are known.
+
+        Raises:
+            KeyError: a tensor that all Gaussians have is missing.
+            ValueError: a modality that is not among ``modalities``.
+        """
+        by_name = {each.name: each for each in modalities or known_modalities()}
+
+        def group(name: str) -> dict[Modality, Tensor]:
+            prefix = f"{name}."
+            names = {
+                full.removeprefix(prefix): tensor
+                for full, tensor in tensors.items()
+                if full.startswith(prefix)
+            }
+            if unknown := names.keys() - by_name.keys():
+                raise ValueError(f"unknown modalities: {', '.join(sorted(unknown))}")
+            return {each: names[each.name] for each in by_name.values() if each.name in names}
+
+        return cls(
+            tensors["means"],
+            tensors["quats"],
+            tensors["log_scales"],
+            group("opacity_logit"),
+            group("sh_dc"),
+            group("sh_rest"),
+            tensors["embedding"],
+        )

@@ -9,6 +9,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from mrgs.scene.camera import Camera
+from mrgs.scene.modality import Modality, in_order
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import View
@@ -36,7 +37,7 @@ class Scene:
         eval: views held out; may be empty.
         points: start points.
         temperature: scale of the thermal values; None if the capture has no known °C.
-        notes: what the reader mended or decided, one sentence each, for the user and the report.
+        notes: repairs and decisions of the reader, one sentence each, for the user and the report.
     """
 
     name: str
@@ -54,7 +55,9 @@ class Scene:
         Cameras that hardly move (a tripod, a single view) tell nothing of the scene's size: then
         the median distance of the start points stands in.
         """
-        positions = torch.stack([camera.position for view in self.train for camera in view.cameras])
+        positions = torch.stack(
+            [camera.position for view in self.train for camera in view.cameras.values()]
+        )
         centre = positions.mean(dim=0)
         extent = 1.1 * (positions - centre).norm(dim=1).max().item()
         distance = (self.points.positions.double() - centre).norm(dim=1).median().item()
@@ -68,14 +71,9 @@ class Scene:
     @property
     def train_cameras(self) -> list[Camera]:
         """One camera of each training view: the RGB camera, where it has one."""
-        return [view.cameras[0] for view in self.train]
+        return [view.camera for view in self.train]
 
     @property
-    def has_rgb(self) -> bool:
-        """Whether any training view has a colour image."""
-        return any(view.rgb is not None for view in self.train)
-
-    @property
-    def has_thermal(self) -> bool:
-        """Whether any training view has a thermal image."""
-        return any(view.thermal is not None for view in self.train)
+    def modalities(self) -> tuple[Modality, ...]:
+        """Those of the training images, RGB first, thermal second, others by name."""
+        return in_order(modality for view in self.train for modality in view.images)

@@ -1,8 +1,8 @@
-"""A view: one shot, an RGB image and a thermal image, each with its own camera."""
+"""A view: the images of one moment, each with its own camera."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from mrgs.scene.camera import Camera
+from mrgs.scene.modality import Modality
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +18,7 @@ class Pixels:
     """A decoded image.
 
     Attributes:
-        values: [H, W, C]; RGB in [0, 1] (C = 3), or normalised temperature (C = 1).
+        values: [H, W, C]; colours in [0, 1], normalised temperatures, or another modality's.
         valid: [H, W], False where a pixel must be ignored (masked, or not seen by the lens); None
             if all count.
     """
@@ -42,35 +43,38 @@ class PosedImage:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One shot. At least one of the two images is there.
+    """One moment of a capture: an image of each modality that was photographed, each with its own
+    camera.
 
     Attributes:
         name: unique in the scene, usable as a file stem.
-        rgb: the colour image, None for thermal-only views.
-        thermal: the thermal image, None for RGB-only views.
+        images: by modality, RGB first where it is there; never empty.
+
+    Raises:
+        ValueError: no image.
     """
 
     name: str
-    rgb: PosedImage | None
-    thermal: PosedImage | None
+    images: Mapping[Modality, PosedImage]
 
     def __post_init__(self) -> None:
-        if self.rgb is None and self.thermal is None:
-            raise ValueError(f"view {self.name} has neither an RGB nor a thermal image")
+        if not self.images:
+            raise ValueError(f"view {self.name} has no image")
 
     @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The cameras of the images that are there: RGB first."""
-        return tuple(image.camera for image in (self.rgb, self.thermal) if image is not None)
+    def cameras(self) -> dict[Modality, Camera]:
+        """The camera of each image."""
+        return {modality: image.camera for modality, image in self.images.items()}
 
     @property
-    def shares_camera(self) -> bool:
+    def camera(self) -> Camera:
+        """The camera of the first image: RGB where it is there."""
+        return next(iter(self.images.values())).camera
+
+    def shares_camera(self, one: Modality, other: Modality) -> bool:
         """Whether both images are there and one camera serves both."""
-        return (
-            self.rgb is not None
-            and self.thermal is not None
-            and self.rgb.camera.coincides_with(self.thermal.camera)
-        )
+        cameras = self.cameras
+        return one in cameras and other in cameras and cameras[one].coincides_with(cameras[other])
 
 
 def spread(count: int, most: int = 5) -> list[int]:

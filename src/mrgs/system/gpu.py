@@ -89,7 +89,7 @@ def device_title(device: torch.device) -> str:
 
 
 def _obstacle() -> str | None:
-    """Why the GPU cannot be used, and what would mend it; None if it can."""
+    """Why the GPU cannot be used, and the remedy; None if it can."""
     if sys.platform == "darwin":
         return "there is no CUDA for macOS"
     if torch.version.cuda is None:
@@ -105,7 +105,7 @@ def _obstacle() -> str | None:
 
 def _driver_obstacle() -> str | None:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # torch's own words on an old driver, which are told below
+        warnings.simplefilter("ignore")  # torch's own warning about an old driver; ours is below
         if torch.cuda.is_available():
             return None
         try:
@@ -176,10 +176,10 @@ def _header_folders() -> list[Path]:
         scheme == "posix_local"
     ):  # Debian's, which names a folder below /usr/local that holds no headers
         scheme = "posix_prefix"
-    told = [os.environ.get(name, "").split(os.pathsep) for name in ("CPATH", "C_INCLUDE_PATH")]
+    searched = [os.environ.get(name, "").split(os.pathsep) for name in ("CPATH", "C_INCLUDE_PATH")]
     return [
         Path(sysconfig.get_paths(scheme)["include"]),
-        *(Path(folder) for each in told for folder in each if folder),
+        *(Path(folder) for each in searched for folder in each if folder),
     ]
 
 

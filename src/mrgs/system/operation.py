@@ -34,7 +34,7 @@ Q = ParamSpec("Q")
 
 Device = Literal["cpu", "gpu"]
 
-KERNELS = "mrgs.kernels"
+KERNEL_TABLE = "mrgs.kernels"
 """Module whose ``TABLE`` lists all kernels. Named by a string and imported at the first call of
 an operation, because kernels stand above the definitions that they replace."""
 
@@ -202,7 +202,7 @@ _rejected_by_check: ContextVar[set[str] | None] = ContextVar("mrgs_rejected", de
 
 @cache
 def _table() -> dict[tuple[str, Device], Kernel]:
-    kernels: Sequence[Kernel] = importlib.import_module(KERNELS).TABLE
+    kernels: Sequence[Kernel] = importlib.import_module(KERNEL_TABLE).TABLE
     return {(kernel.replaces, kernel.device): kernel for kernel in kernels}
 
 

@@ -21,13 +21,14 @@ from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
+from mrgs.method.start.start_points import model_modalities
 from mrgs.render import Model
-from mrgs.scene import Gaussians, Scene, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Gaussians, Modality, Scene, TemperatureRange
 from mrgs.system.atomic import replacing
 from mrgs.system.gpu import HOST
 from mrgs.training.state import TrainingState, layer_parameters, learned_layers
 
-FORMAT = 4
+FORMAT = 5
 """Raised whenever older files can no longer be read."""
 
 
@@ -44,6 +45,7 @@ class CheckpointFacts(NamedTuple):
             that of its tensors there.
         skipped_steps: steps skipped so far because of values that were not finite.
         device: that of the last step: a GPU's name, or "cpu".
+        modalities: of the scene's images.
     """
 
     step: int
@@ -54,6 +56,7 @@ class CheckpointFacts(NamedTuple):
     peak_memory_bytes: int
     skipped_steps: int
     device: str = "cpu"
+    modalities: tuple[Modality, ...] = (RGB, THERMAL)
 
     @classmethod
     def at_start(cls, scene: Scene, path: str | Path) -> CheckpointFacts:
@@ -64,7 +67,8 @@ class CheckpointFacts(NamedTuple):
             path: of its folder.
         """
         place = str(Path(path).resolve())
-        return cls(0, place, Capture.of(scene), scene.temperature, 0.0, 0, 0)
+        capture, modalities = Capture.of(scene), scene.modalities
+        return cls(0, place, capture, scene.temperature, 0.0, 0, 0, modalities=modalities)
 
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:
         """The same with the place where the scene is now, if that is given."""
@@ -72,7 +76,7 @@ class CheckpointFacts(NamedTuple):
 
 
 def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
-    """Write everything that training needs to go on exactly, in one file that is either whole or
+    """Write everything needed to resume exactly, in one file that is either whole or
     not there.
 
     Raises:
@@ -122,6 +126,7 @@ def write(
         **facts._asdict(),
         "format": FORMAT,
         "capture": facts.capture._asdict(),
+        "modalities": [modality.to_json() for modality in facts.modalities],
         "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
         "skipped_in_a_row": skipped_in_a_row,
         **(more or {}),
@@ -154,7 +159,7 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     if facts.temperature != scene.temperature:
         raise RunError(
             f"{scene.name} has another temperature range than the run was trained with: "
-            f"bring back the one that stood in {facts.scene}, or train anew"
+            f"bring back the one that stood in {facts.scene}, or retrain"
         )
 
 
@@ -162,10 +167,13 @@ def facts_to_resume(path: Path, scene: Scene, scene_path: str | Path) -> Checkpo
     """The facts of a checkpoint that is trained on, with the place where its scene is now.
 
     Raises:
-        RunError: not a whole checkpoint of this format, or of another scene.
+        RunError: not a whole checkpoint of this format, of another scene, or of fewer modalities.
     """
     facts = load_facts(path)
     require_same_scene(facts, scene)
+    if untrained := set(scene.modalities) - set(model_modalities(facts.modalities)):
+        names = ", ".join(sorted(each.name for each in untrained))
+        raise RunError(f"{scene.name} has images that the run began without ({names}): retrain")
     return facts.moved_to(scene_path)._replace(capture=Capture.of(scene))
 
 
@@ -200,7 +208,7 @@ def load_state(
     """The whole state of a checkpoint, to train on.
 
     Args:
-        path: the checkpoint, written on whatever device.
+        path: the checkpoint, written on any device.
         config: the run's configuration.
         device: where to train on.
         strategy: density control, if the run was given one.
@@ -213,10 +221,13 @@ def load_state(
     tensors, header = _read(path)
     facts = _facts(path, header)
     strategy = config.densification if strategy is None else strategy
-    all_terms = configured_terms(config, terms)
-    _require_made_with(path, header, _made_with(strategy, all_terms))
     try:
         model = _model(tensors, config, facts).to(device)
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise _mismatch(path) from error
+    all_terms = configured_terms(config, terms, model.gaussians.modalities)
+    _require_made_with(path, header, _made_with(strategy, all_terms))
+    try:
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
         for term, layers in learned_layers(all_terms).items():
@@ -242,7 +253,7 @@ def _made_with(strategy: Strategy, terms: Sequence[Term]) -> dict[str, Any]:
 
 
 def _require_made_with(path: Path, header: dict[str, Any], made_with: dict[str, Any]) -> None:
-    """A run goes on with the strategy and the terms that it began with.
+    """A run resumes with the strategy and the terms that it started with.
 
     Raises:
         RunError: they are others.
@@ -266,7 +277,7 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dic
     if header.get("format") != FORMAT:
         raise RunError(
             f"{path} has checkpoint format {header.get('format')}, this program reads {FORMAT}: "
-            f"train anew"
+            f"retrain"
         )
     return tensors, header
 
@@ -280,6 +291,7 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
             raise TypeError("the scene is a path, the device a name")
         values["temperature"] = None if bounds is None else TemperatureRange(*bounds)
         values["capture"] = Capture.from_json(values["capture"])
+        values["modalities"] = tuple(map(Modality.from_json, values["modalities"]))
         return CheckpointFacts(**values)
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path) from error
@@ -287,13 +299,15 @@ def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
 
 def _model(tensors: dict[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
     parameters = _below(tensors, "gaussians.")
-    gaussians = Gaussians(
-        **{name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")}
+    gaussians = Gaussians.from_tensors(
+        {name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")},
+        model_modalities(facts.modalities),
     )
+    _check_modalities(gaussians, facts)
     neighbours = tensors.get("neighbours")
     _check_rows(gaussians, neighbours)
     if (
-        gaussians.temperature_rest.shape[1]
+        gaussians.sh_rest[THERMAL].shape[1]
         != (config.temperature_sh_degree_of(facts.capture) + 1) ** 2 - 1
     ):
         raise ValueError("the temperatures are of another degree")
@@ -305,6 +319,24 @@ def _model(tensors: dict[str, Tensor], config: TrainConfig, facts: CheckpointFac
         neighbours=neighbours,
         sh_degree=config.sh_degree_at(facts.step),
     )
+
+
+def _check_modalities(gaussians: Gaussians, facts: CheckpointFacts) -> None:
+    """The Gaussians must have the appearance of all modalities, and the opacity of all or of the
+    first.
+
+    Raises:
+        ValueError: one is missing, or has another number of channels.
+    """
+    modalities = model_modalities(facts.modalities)
+    has = [tuple(group) for group in (gaussians.sh_dc, gaussians.sh_rest)]
+    opacities = tuple(gaussians.opacity_logits)
+    if has != [modalities, modalities] or opacities not in (modalities, modalities[:1]):
+        raise ValueError("a modality is missing")
+    for modality in modalities:
+        dc, rest = gaussians.sh_dc[modality], gaussians.sh_rest[modality]
+        if dc.shape[1:] != (1, modality.channels) or rest.shape[2:] != (modality.channels,):
+            raise ValueError(f"{modality} has another number of channels")
 
 
 def _check_rows(gaussians: Gaussians, neighbours: Tensor | None) -> None:
@@ -354,7 +386,7 @@ def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor])
 def _damaged(path: Path) -> RunError:
     return RunError(
         f"{path} is not a whole checkpoint: delete it, and the one before it is used; without "
-        f"one, train anew"
+        f"one, retrain"
     )
 
 

@@ -100,7 +100,7 @@ class Driver(ABC, Generic[S]):
 
     @abstractmethod
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
-        """Write everything that training needs to go on exactly."""
+        """Write everything needed to resume exactly."""
 
     def run(self, stop_at: int | None, on_step: Callable[[S], bool | None] | None) -> None:
         """Step until the end of the schedule, or until somebody asks to stop; the last step is
@@ -139,7 +139,7 @@ class Driver(ABC, Generic[S]):
                 if found
                 else "there is no checkpoint yet"
             )
-            again = "Resume" if found else "Train anew"
+            again = "Resume" if found else "Retrain"
             raise TrainingError(
                 f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step "
                 f"{statistics.step}; "

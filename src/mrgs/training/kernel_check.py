@@ -11,10 +11,10 @@ from torch import Tensor
 
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.term import LossContext, Photos, SceneScale
+from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
 from mrgs.render import Model, render, rows_in_view
-from mrgs.scene import Camera, Gaussians, Pixels, PosedImage, Scene, View
+from mrgs.scene import THERMAL, Camera, Gaussians, Pixels, Scene, View
 from mrgs.system.operation import checking
 from mrgs.training.state import TrainingState
 
@@ -43,48 +43,41 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
     with checking(), torch.enable_grad():
         for number in _chosen(scene.train):
             view = scene.train[number]
-            rgb, thermal = (_small_camera(image) for image in (view.rgb, view.thermal))
-            model = _sampled(state.model, config, rgb or thermal)
-            rendering, _ = render(
-                model,
-                rgb,
-                thermal,
-                temperature_sh_degree=config.temperature_sh_degree_at(config.max_steps),
-            )
-            photos = Photos(
-                _random_photo(rgb, 3, generator, state.device),
-                _random_photo(thermal, 1, generator, state.device),
-                view.shares_camera,
-            )
+            cameras = {
+                modality: camera.with_width(WIDTH_PX) for modality, camera in view.cameras.items()
+            }
+            model = _sampled(state.model, config, next(iter(cameras.values())))
+            degrees = {THERMAL: config.temperature_sh_degree_at(config.max_steps)}
+            rendering, _ = render(model, cameras, degrees)
+            photos = {
+                modality: _random_photo(camera, modality.channels, generator, state.device)
+                for modality, camera in cameras.items()
+            }
             observed = state.image_model(rendering, number)
             scale = SceneScale(scene.extent, scene.temperature)
-            context = LossContext(rendering, observed, photos, model.gaussians, scale)
+            context = LossContext(rendering, observed, photos, cameras, model.gaussians, scale)
             term_values(state.terms, context)
 
 
 def _chosen(views: Sequence[View]) -> list[int]:
-    """One view with both images, or else one of each modality."""
-    most_first = sorted(range(len(views)), key=lambda number: -len(views[number].cameras))
-    chosen = [
-        next((number for number in most_first if has(views[number])), None)
-        for has in (lambda view: view.rgb is not None, lambda view: view.thermal is not None)
-    ]
-    return [number for number in dict.fromkeys(chosen) if number is not None]
+    """Few views that together have all modalities: those with most images first."""
+    missing = {modality for view in views for modality in view.images}
+    chosen = []
+    for number in sorted(range(len(views)), key=lambda number: -len(views[number].images)):
+        if missing & set(views[number].images):
+            chosen.append(number)
+            missing -= set(views[number].images)
+    return chosen
 
 
-def _small_camera(image: PosedImage | None) -> Camera | None:
-    return None if image is None else image.camera.with_width(WIDTH_PX)
-
-
-def _sampled(model: Model, config: TrainConfig, camera: Camera | None) -> Model:
+def _sampled(model: Model, config: TrainConfig, camera: Camera) -> Model:
     """Copies of some Gaussians that the camera sees, under the model's own layers."""
-    assert camera is not None
     rows = _some_rows(model.gaussians, camera)
     copies = {
         name: tensor.detach().index_select(0, rows).requires_grad_()
         for name, tensor in model.gaussians.tensors().items()
     }
-    gaussians = Gaussians(**copies)
+    gaussians = model.gaussians.with_tensors(copies)
     k = config.field.neighbours_k
     return replace(
         model,
@@ -103,10 +96,8 @@ def _some_rows(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " m"]:
 
 
 def _random_photo(
-    camera: Camera | None, channels: int, generator: torch.Generator, device: torch.device
-) -> Pixels | None:
-    if camera is None:
-        return None
+    camera: Camera, channels: int, generator: torch.Generator, device: torch.device
+) -> Pixels:
     values = torch.rand(camera.height, camera.width, channels, generator=generator)
     valid = torch.rand(camera.height, camera.width, generator=generator) >= INVALID
     return Pixels(values.to(device), valid.to(device))

@@ -39,10 +39,13 @@ def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
         activations = 3 * field.hidden_width + 4 * field.neighbours_k
     per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
     pixels = max(
-        sum(camera.width * camera.height for camera in view.cameras) for view in scene.train
+        sum(camera.width * camera.height for camera in view.cameras.values())
+        for view in scene.train
     )
     photos = sum(
-        4 * _FLOAT * camera.width * camera.height for view in scene.train for camera in view.cameras
+        4 * _FLOAT * camera.width * camera.height
+        for view in scene.train
+        for camera in view.cameras.values()
     )
     return (
         _BASE_BYTES

@@ -83,11 +83,7 @@ class RunFolder:
         Raises:
             RunError: the folder is not a run, or has no checkpoint yet.
         """
-        if not self.config_file.is_file():
-            raise RunError(
-                f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs "
-                f"train` wrote"
-            )
+        self._require_config()
         found = self.checkpoints()
         if not found:
             raise RunError(f"{self.path} has no checkpoint yet: train it first, without --resume")
@@ -142,7 +138,10 @@ class RunFolder:
         """
         values = self.read_config(parse_yaml)
         if not isinstance(values, dict) or not isinstance(values.get("method"), str):
-            raise RunError(f"{self.path} is not a run: its config.yaml names no method")
+            raise RunError(
+                f"{self.path} is not a run: its config.yaml names no method; fix the file or "
+                f"retrain"
+            )
         name: str = values["method"]
         return name
 
@@ -160,7 +159,15 @@ class RunFolder:
         except ConfigError as error:
             raise RunError(f"{error}; fix the file or retrain") from error
 
+    def _require_config(self) -> None:
+        if not self.config_file.is_file():
+            raise RunError(
+                f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs "
+                f"train` wrote"
+            )
+
     def _config_text(self) -> str:
+        self._require_config()
         try:
             return self.config_file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:

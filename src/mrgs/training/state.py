@@ -17,9 +17,9 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
 from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import start_points
+from mrgs.method.start.start_points import model_modalities, start_points
 from mrgs.render import Model
-from mrgs.scene import Scene
+from mrgs.scene import RGB, THERMAL, Scene
 from mrgs.system.gpu import HOST
 from mrgs.training.views import ViewSampler
 
@@ -138,7 +138,7 @@ def initial_state(
     """The state at step 0, from the scene's start points.
 
     Every random choice follows from the seed, and torch's own generators are left alone. It is
-    made on the CPU, and so the same whatever the device.
+    made on the CPU, and so the same for every device.
 
     Args:
         scene: to train on.
@@ -151,12 +151,12 @@ def initial_state(
     strategy = config.densification if strategy is None else strategy
     # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian
     # from being pruned.
-    shares_opacity = config.shares_opacity or not (scene.has_rgb and scene.has_thermal)
+    shares_opacity = config.shares_opacity or not {RGB, THERMAL} <= set(scene.modalities)
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(config.seed)
         field = RadianceField(config.field)
-        all_terms = configured_terms(config, terms)
+        all_terms = configured_terms(config, terms, model_modalities(scene.modalities))
         field.set_frame(scene.points.positions)
         gaussians = initial_gaussians(
             start_points(scene, config),

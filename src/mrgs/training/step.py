@@ -13,10 +13,10 @@ from torch import Tensor
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import DensityStep
 from mrgs.method.losses.photometric import total_loss
-from mrgs.method.losses.term import LossContext, Photos, SceneScale
+from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
-from mrgs.render import Rendering, ScreenPoints, render
-from mrgs.scene import View
+from mrgs.render import ScreenPoints, render
+from mrgs.scene import THERMAL, Modality, Pixels, Rendering, View
 from mrgs.training.state import TrainingState
 
 
@@ -104,7 +104,7 @@ def training_step(
     state: TrainingState,
     view: View,
     number: int,
-    photos: Photos,
+    photos: Mapping[Modality, Pixels],
     config: TrainConfig,
     scale: SceneScale,
 ) -> StepResult:
@@ -117,7 +117,7 @@ def training_step(
         state: changed in place.
         view: a training view.
         number: its place among the training views.
-        photos: of the view.
+        photos: of the view, by modality.
         config: of the run.
         scale: of the scene.
     """
@@ -125,14 +125,10 @@ def training_step(
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)
 
-    rendering, passes = render(
-        state.model,
-        view.rgb.camera if view.rgb else None,
-        view.thermal.camera if view.thermal else None,
-        config.temperature_sh_degree_at(state.step),
-    )
+    degrees = {THERMAL: config.temperature_sh_degree_at(state.step)}
+    rendering, passes = render(state.model, view.cameras, degrees)
     observed = state.image_model(rendering, number)
-    context = LossContext(rendering, observed, photos, state.model.gaussians, scale)
+    context = LossContext(rendering, observed, photos, view.cameras, state.model.gaussians, scale)
     values = term_values(state.terms, context)
     loss = total_loss(values, {term.name: term.weight(state.step) for term in state.terms})
     loss.backward()
@@ -190,13 +186,15 @@ def _only_if(finite: Bool[Tensor, ""], points: ScreenPoints) -> ScreenPoints:
     return points._replace(offset=offset, radii=torch.where(finite, points.radii, 0))
 
 
-def _thermal_error(rendering: Rendering, photos: Photos) -> Float[Tensor, ""] | None:
+def _thermal_error(
+    rendering: Rendering, photos: Mapping[Modality, Pixels]
+) -> Float[Tensor, ""] | None:
     """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are
     none."""
-    if rendering.thermal is None or photos.thermal is None:
+    if THERMAL not in photos:
         return None
-    error = (rendering.thermal.detach() - photos.thermal.values).abs()
-    valid = photos.thermal.valid
+    error = (rendering[THERMAL].image.detach() - photos[THERMAL].values).abs()
+    valid = photos[THERMAL].valid
     return (
         error.mean()
         if valid is None

@@ -1,8 +1,9 @@
-"""What a trained run offers, whatever its method."""
+"""The interface of a trained run of any method."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,15 +12,14 @@ from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.render import Rendering
-from mrgs.scene import Camera, Scene, TemperatureRange, View
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering, Scene, TemperatureRange, View
 from mrgs.training.checkpoint import CheckpointFacts, require_same_scene
 from mrgs.training.run_folder import RunConfig, RunFolder
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedRun(ABC):
-    """A run's newest checkpoint, whatever its method; what scoring and rendering need.
+    """A run's newest checkpoint, of any method: what scoring and rendering need.
 
     Attributes:
         folder: the run's folder.
@@ -32,8 +32,13 @@ class TrainedRun(ABC):
     facts: CheckpointFacts
 
     @abstractmethod
-    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:
-        """Render the modalities that have a camera, without gradients."""
+    def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
+        """Render each modality from its camera, without gradients."""
+
+    @property
+    def modalities(self) -> tuple[Modality, ...]:
+        """Those that the model renders."""
+        return (RGB, THERMAL)
 
     @property
     @abstractmethod
@@ -45,25 +50,26 @@ class TrainedRun(ABC):
         """The scale of the thermal values; None if the scene has no known °C."""
         return self.facts.temperature
 
-    def render(self, camera: Camera | None, thermal_camera: Camera | None = None) -> Rendering:
-        """Render any camera, without gradients: both modalities from ``camera``, or thermal from a
-        camera of its own.
+    def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
+        """Render any camera, without gradients.
 
         Args:
-            camera: of the RGB image, and of the thermal image unless that has its own; None leaves
-                RGB out.
-            thermal_camera: of the thermal image.
+            cameras: one for all modalities of the model, or one for each modality to render:
+                ``{RGB: ..., THERMAL: ...}``.
         """
-        return self.render_cameras(camera, thermal_camera if thermal_camera is not None else camera)
+        if isinstance(cameras, Camera):
+            cameras = dict.fromkeys(self.modalities, cameras)
+        return self.render_cameras(cameras)
 
     def render_view(self, view: View) -> Rendering:
-        """Render a view from its own cameras, without gradients."""
+        """Render a view from its own cameras, without gradients; the modalities that both have."""
+        cameras = view.cameras
         return self.render_cameras(
-            view.rgb.camera if view.rgb else None, view.thermal.camera if view.thermal else None
+            {each: cameras[each] for each in cameras if each in self.modalities}
         )
 
-    def photograph(self, rendering: Rendering, camera: Camera) -> Rendering:
-        """The rendering of a camera as the scene's cameras would have written it there, to be
+    def camera_response(self, rendering: Rendering, camera: Camera) -> Rendering:
+        """The rendering of a camera as the scene's cameras would have recorded it there, to be
         compared with photos.
 
         The same, unless the method has learned what the cameras do to the images.
@@ -76,11 +82,11 @@ class TrainedRun(ABC):
         Raises:
             ValueError: the scene has no known °C, or the rendering no thermal image.
         """
-        if self.temperature is None or rendering.thermal is None:
+        if self.temperature is None or THERMAL not in rendering:
             raise ValueError(
                 "no °C: the scene has no temperature range, or the rendering has no thermal image"
             )
-        return self.temperature.to_celsius(rendering.thermal[..., 0])
+        return self.temperature.to_celsius(rendering[THERMAL].image[..., 0])
 
     def load_scene(self) -> Scene:
         """The scene that the run was trained on, at the run's resolution.

@@ -14,9 +14,9 @@ from mrgs.errors import TrainingError
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
-from mrgs.method.losses.term import Photos, SceneScale, Term
-from mrgs.render import Model, Photograph
-from mrgs.scene import PosedImage, Scene, View
+from mrgs.method.losses.term import SceneScale, Term
+from mrgs.render import Model
+from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.operation import plainly
@@ -50,7 +50,7 @@ def train(
     terms: Sequence[Term] = (),
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
-    on_model: Callable[[Model, Photograph], None] | None = None,
+    on_model: Callable[[Model, CameraResponse], None] | None = None,
 ) -> RunFolder:
     """Train a model of a scene folder into a run folder.
 
@@ -107,13 +107,13 @@ def train(
         if on_start is not None:
             on_start(loaded, config)
         if on_model is not None:
-            on_model(state.model, _photograph_with(state.image_model, chosen))
+            on_model(state.model, _response_of(state.image_model, chosen))
         check_kernels(state, loaded, config)
         trainer.run(stop_at, on_step)
     return folder
 
 
-def _photograph_with(image_model: ImageModel, device: torch.device) -> Photograph:
+def _response_of(image_model: ImageModel, device: torch.device) -> CameraResponse:
     """Turns a rendering in the host's memory into what the cameras write, as far as is learned when
     it is called."""
     if device == HOST:
@@ -149,11 +149,7 @@ class _Trainer(Driver[StepStatistics]):
     def _step_on_next_view(self) -> StepResult:
         number = self._state.sampler.next()
         view = self._scene.train[number]
-        rgb, thermal = (
-            None if image is None else self._photos.load(image)
-            for image in (view.rgb, view.thermal)
-        )
-        photos = Photos(rgb, thermal, view.shares_camera)
+        photos = {modality: self._photos.load(image) for modality, image in view.images.items()}
         return training_step(self._state, view, number, photos, self._config, self._scale)
 
     def _control_density(self, result: StepResult) -> None:
@@ -175,7 +171,7 @@ class _Trainer(Driver[StepStatistics]):
         if following is None:
             return
         try:
-            self._photos.fetch(_images(self._scene.train[following]))
+            self._photos.fetch(list(self._scene.train[following].images.values()))
         except torch.cuda.OutOfMemoryError:
             self._photos.release()
 
@@ -212,7 +208,7 @@ class _Trainer(Driver[StepStatistics]):
         kept = (
             f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
         )
-        go_on = "go on with --resume --device cpu, or train anew" if found else "train anew"
+        go_on = "resume on the CPU, or retrain" if found else "retrain"
         return TrainingError(
             f"the GPU's memory does not suffice for step {state.step + 1:,} with "
             f"{len(state.model.gaussians):,} "
@@ -225,7 +221,3 @@ class _Trainer(Driver[StepStatistics]):
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         checkpoint.save(path, self._state, facts)
-
-
-def _images(view: View) -> list[PosedImage]:
-    return [image for image in (view.rgb, view.thermal) if image is not None]

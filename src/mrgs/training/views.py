@@ -100,7 +100,7 @@ class PhotoSource(Protocol):
         """The pixels of an image, on the training's device."""
 
     def fetch(self, images: Sequence[PosedImage]) -> None:
-        """Told which images will be loaded next."""
+        """Start loading the images that come next."""
 
     def release(self) -> None:
         """Give back the memory of a GPU, which is needed for something else."""

@@ -12,7 +12,7 @@ import numpy as np
 import viser
 
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.scene import Camera
+from mrgs.scene import RGB, THERMAL, Camera
 from mrgs.viewer import texts
 from mrgs.viewer.cameras import Pose, pinhole, pose_at, rotation_wxyz, vertical_fov
 from mrgs.viewer.inspection import Inspection
@@ -72,7 +72,7 @@ class Browser:
         return self._scheduler.busy
 
     def refresh(self) -> None:
-        """Draw anew, because the model has changed."""
+        """Redraw, because the model has changed."""
         if not self.drawing:
             self._scheduler.refresh()
 
@@ -181,7 +181,7 @@ class Browser:
             )
         self._say("Sending the model to the browser ...")
         baked = self._splats.baked()
-        opacities = baked.opacity_thermal if mode == "temperature" else baked.opacity_rgb
+        opacities = baked.opacities[THERMAL if mode == "temperature" else RGB]
         self._splat_node = self._client.scene.add_gaussian_splats(
             "/splats",
             centers=baked.means.numpy(),
@@ -275,7 +275,7 @@ class Browser:
         if not wanted or scene is None:
             return
         for index, view in enumerate(self._subject.views):
-            camera = view.cameras[0]
+            camera = view.camera
             frustum = self._client.scene.add_camera_frustum(
                 f"/cameras/{index}", vertical_fov(camera), camera.width / camera.height,
                 scale=FRUSTUM_SCALE * scene.extent, color=(255, 170, 0), thickness=1.5,

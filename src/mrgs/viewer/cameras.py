@@ -89,8 +89,8 @@ def pose_at(view: View, views: Sequence[View]) -> Pose:
     The target lies on the camera's own axis; upright is the mean of all cameras, so that orbiting
     stays level.
     """
-    cameras = [each.cameras[0] for each in views]
-    camera = view.cameras[0]
+    cameras = [each.camera for each in views]
+    camera = view.camera
     position, forward = camera.position.numpy(), camera.forward.numpy()
     centre = focus_point(cameras)
     distance = float((centre - position) @ forward)
@@ -130,7 +130,7 @@ def nearest_view(
     """
     costs = []
     for index, view in enumerate(views):
-        other = view.cameras[0]
+        other = view.camera
         way = (other.position - camera.position).norm().item() / extent
         turn = 1 - (other.forward @ camera.forward).item()
         costs.append(way + turn - (1e-3 if index == preferred else 0.0))

@@ -4,6 +4,7 @@ or from a photo."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 import torch
@@ -11,8 +12,8 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from mrgs.pictures.files import to_array, to_rgb8
-from mrgs.render import Model, Rendering, render
-from mrgs.scene import Camera, PosedImage, TemperatureRange
+from mrgs.render import Model, render
+from mrgs.scene import RGB, THERMAL, Camera, PosedImage, Rendering, TemperatureRange
 from mrgs.viewer.settings import Subject
 
 SOLID_ALPHA = 0.5
@@ -52,17 +53,15 @@ def render_pane(
             written; None to show what is there.
     """
     with torch.no_grad():
-        rendering, _ = render(
-            model, camera if subject.has_rgb else None, camera if subject.has_thermal else None
-        )
+        rendering, _ = render(model, subject.cameras(camera))
     depth = to_array(surface_depth(rendering))
     if as_photo_of is not None:
-        rendering = subject.photograph(rendering, as_photo_of)
+        rendering = subject.camera_response(rendering, as_photo_of)
     return Fields(
-        rgb=None if rendering.rgb is None else to_rgb8(rendering.rgb),
-        values=None
-        if rendering.thermal is None
-        else thermal_array(rendering.thermal, subject.temperature),
+        rgb=to_rgb8(rendering[RGB].image) if RGB in rendering else None,
+        values=thermal_array(rendering[THERMAL].image, subject.temperature)
+        if THERMAL in rendering
+        else None,
         depth=depth,
         solid=np.isfinite(depth),
     )
@@ -75,12 +74,12 @@ def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
     The thermal blend's where it covers the pixel, else the colour blend's: over a black background
     the coldest things may well be transparent in the thermal blend.
     """
-    if rendering.thermal is None:
-        return rendering.surface_depth("rgb", SOLID_ALPHA)
-    depth = rendering.surface_depth("thermal", SOLID_ALPHA)
-    if rendering.rgb is None:
-        return depth
-    return torch.where(depth.isnan(), rendering.surface_depth("rgb", SOLID_ALPHA), depth)
+    depths = [
+        rendering[modality].surface_depth(SOLID_ALPHA)
+        for modality in (THERMAL, RGB)
+        if modality in rendering
+    ]
+    return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
 
 
 def photo_fields(photo: PosedImage, temperature: TemperatureRange | None) -> Fields:
@@ -99,7 +98,7 @@ def photo_fields(photo: PosedImage, temperature: TemperatureRange | None) -> Fie
 
 
 def difference(rendered: Fields, photo: Fields) -> Fields:
-    """Rendered minus photographed temperature; NaN where the photo is masked or the model empty."""
+    """Rendered minus measured temperature; NaN where the photo is masked or the model empty."""
     assert rendered.values is not None
     assert photo.values is not None
     solid = rendered.solid & photo.solid

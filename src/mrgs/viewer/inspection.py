@@ -140,7 +140,7 @@ class Inspection:
         if pane.content == "difference":
             assert pane.photo is not None
             assert self.view is not None
-            camera, compared_with = pane.photo.camera, self.view.cameras[0]
+            camera, compared_with = pane.photo.camera, self.view.camera
         elif scale < 1:
             camera = camera.resized(
                 max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
@@ -275,7 +275,7 @@ class Inspection:
 
         Args:
             seconds: length of the video.
-            progress: told the number of frames done and of all.
+            progress: called with the number of frames done and of all.
 
         Raises:
             ConfigError: fewer than two keyframes, or a mode that is bound to photos.

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import torch
 
-from mrgs.scene import Camera, PosedImage, View
+from mrgs.scene import RGB, THERMAL, Camera, Modality, PosedImage, View
 from mrgs.viewer.settings import Mode
 
 Content = Literal[
@@ -71,11 +71,12 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
         return _photo_panes(view, camera.width, camera.height)
     if mode == "difference":
         assert view is not None
-        if view.thermal is None:
+        photo = view.images.get(THERMAL)
+        if photo is None:
             return ()
         box = (0, 0, camera.width, camera.height)
         title = f"model - thermal photo {view.name}"
-        return (_fitted("difference", view.thermal.camera, box, title, view.thermal),)
+        return (_fitted("difference", photo.camera, box, title, photo),)
     return (Pane(mode, camera),)
 
 
@@ -90,11 +91,11 @@ def place_at(panes: Sequence[Pane], x: float, y: float) -> Place | None:
 
 def _photo_panes(view: View, width: int, height: int) -> tuple[Pane, ...]:
     """A row for each modality of the view: the photo, and the model from the same camera."""
-    rows: list[tuple[PosedImage, Content, Content, str]] = []
-    if view.rgb is not None:
-        rows.append((view.rgb, "rgb_photo", "rgb", "colour"))
-    if view.thermal is not None:
-        rows.append((view.thermal, "thermal_photo", "temperature", "thermal"))
+    shown_as: dict[Modality, tuple[Content, Content, str]] = {
+        RGB: ("rgb_photo", "rgb", "colour"),
+        THERMAL: ("thermal_photo", "temperature", "thermal"),
+    }
+    rows = [(view.images[each], *how) for each, how in shown_as.items() if each in view.images]
     panes = []
     row_height = (height - _GAP_PX * (len(rows) - 1)) // len(rows)
     half = (width - _GAP_PX) // 2

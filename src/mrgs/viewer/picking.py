@@ -12,8 +12,8 @@ from torch import Tensor
 
 from mrgs.pictures.files import to_array
 from mrgs.rasterizer import Layer, rasterize
-from mrgs.render import Model, Rendering, render
-from mrgs.scene import Camera
+from mrgs.render import Model, render
+from mrgs.scene import RGB, THERMAL, Camera, Rendering
 from mrgs.viewer.fields import SOLID_ALPHA, surface_depth
 from mrgs.viewer.settings import Subject
 
@@ -94,22 +94,19 @@ def read_point(
         min(int(v * camera.height), camera.height - 1),
     )
     with torch.no_grad():
-        rendering, _ = render(
-            model, camera if subject.has_rgb else None, camera if subject.has_thermal else None
-        )
+        rendering, _ = render(model, subject.cameras(camera))
         depth = surface_depth(rendering)[row, column].item()
         if not math.isfinite(depth):
             return None
         depth_spread = _depth_spread(model, camera, rendering, depth, column, row)
         value = spread = None
-        if rendering.thermal is not None:
-            value = rendering.thermal[row, column, 0].item()
-            own = model.temperatures(camera.position.to(model.gaussians.means))[:, 0]
+        if THERMAL in rendering:
+            value = rendering[THERMAL].image[row, column, 0].item()
+            own = model.values(THERMAL, camera.position.to(model.gaussians.means))[:, 0]
             squares = (own - value).square()
             beyond = value**2
-            spread = math.sqrt(
-                _blend(model, camera, model.gaussians.opacity_thermal, squares, beyond)[row, column]
-            )
+            opacities = model.gaussians.opacity(THERMAL)
+            spread = math.sqrt(_blend(model, camera, opacities, squares, beyond)[row, column])
     if value is not None and spread is not None and subject.temperature is not None:
         value, spread = subject.temperature.to_celsius(value), spread * subject.temperature.span_c
     pixel = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64)
@@ -123,10 +120,13 @@ def _depth_spread(
     """Weighted standard deviation of the depths of a pixel's splats, in the blend that gives the
     pixel its depth."""
     gaussians, viewmat = model.gaussians, camera.viewmat.to(model.gaussians.means)
-    alpha, opacities = rendering.alpha_thermal, gaussians.opacity_thermal
-    if alpha is None or alpha[row, column] < SOLID_ALPHA:
-        alpha, opacities = rendering.alpha_rgb, gaussians.opacity_rgb
-    assert alpha is not None
+    covering = [
+        modality
+        for modality in (THERMAL, RGB)
+        if modality in rendering and rendering[modality].alpha[row, column] >= SOLID_ALPHA
+    ]
+    modality = covering[0]  # the pixel has a depth, so one of them covers it
+    alpha, opacities = rendering[modality].alpha, gaussians.opacity(modality)
     squares = (gaussians.means @ viewmat[2, :3] + viewmat[2, 3] - depth).square()
     total = _blend(model, camera, opacities, squares, 0.0)[row, column]
     return math.sqrt(total / alpha[row, column].item())

@@ -22,7 +22,7 @@ class RenderScheduler:
     Args:
         draw: draws and shows a picture; called with True for a coarse one. What it raises is passed
             to ``on_error``.
-        on_error: told of every exception of ``draw``.
+        on_error: called with every exception of ``draw``.
         rest_s: time without a change before the sharp picture.
     """
 
@@ -95,4 +95,4 @@ class RenderScheduler:
             try:
                 self._on_error(error)
             except Exception:
-                _log.debug("the browser could not be told", exc_info=True)
+                _log.debug("the browser could not be notified", exc_info=True)

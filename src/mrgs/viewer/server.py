@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mrgs.render import Model, Photograph
+from mrgs.render import Model
 from mrgs.runs.open import Run
-from mrgs.scene import Scene
+from mrgs.scene import CameraResponse, Scene
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.address import require_free, require_viser
 from mrgs.viewer.settings import Subject
@@ -46,7 +46,7 @@ def view(
             to.
         host: the address to listen on.
         port: TCP port; 0 takes a free one.
-        on_ready: told the address to open.
+        on_ready: called with the address to open.
         stop: ends the serving when it is set.
 
     Raises:
@@ -73,13 +73,13 @@ class LiveView:
     """Shows a model while it trains; pass its methods to ``mrgs.training.train``.
 
     It takes at most 5 % of the training's time, and none while no browser is open. Whatever fails
-    in it is logged, and the training goes on.
+    in it is logged, and the training continues.
 
     Args:
         output: the run's folder.
         host: the address to listen on.
         port: TCP port; 0 takes a free one.
-        on_ready: told the address to open.
+        on_ready: called with the address to open.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class LiveView:
         """Remember what is trained; for ``train(on_start=...)``."""
         self._scene, self._max_steps = scene, config.max_steps
 
-    def on_model(self, model: Model, photograph: Photograph) -> None:
-        """Begin to serve the model, compared with photos through ``photograph``; for
+    def on_model(self, model: Model, response: CameraResponse) -> None:
+        """Begin to serve the model, compared with photos through ``response``; for
         ``train(on_model=...)``."""
         self._model = model
         try:
@@ -121,7 +121,7 @@ class LiveView:
             temperature = None if scene is None else scene.temperature
             name = self._output.resolve().name
             subject = Subject(
-                name, self._source, temperature, scene, self._output, "Training begins.", photograph
+                name, self._source, temperature, scene, self._output, "Training begins.", response
             )
             self._viewer = self._served = Viewer(
                 subject, start_pose(scene, model), self._host, self._port
@@ -129,7 +129,7 @@ class LiveView:
             if self._on_ready is not None:
                 self._on_ready(self._viewer.url)
         except Exception as error:
-            _log.warning("the training goes on without its view: %s", error)
+            _log.warning("training continues without its viewer: %s", error)
 
     def on_step(self, statistics: StepStatistics) -> None:
         """Draw, if somebody looks and the share of time allows; for ``train(on_step=...)``. Raises
@@ -145,7 +145,7 @@ class LiveView:
                 self._last_refresh = time.perf_counter()
                 viewer.refresh(f"Training: step {statistics.step:,} of {self._max_steps:,}.")
         except Exception as error:
-            _log.warning("the training goes on without its view: %s", error)
+            _log.warning("training continues without its viewer: %s", error)
             self._viewer = None
 
     def close(self) -> None:

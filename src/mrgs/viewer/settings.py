@@ -7,8 +7,17 @@ from pathlib import Path
 from typing import Literal
 
 from mrgs.pictures.palette import PaletteName
-from mrgs.render import Photograph, as_it_is
-from mrgs.scene import Scene, TemperatureRange, View
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Camera,
+    CameraResponse,
+    Modality,
+    Scene,
+    TemperatureRange,
+    View,
+    ideal_cameras,
+)
 from mrgs.viewer.source import Source
 
 Mode = Literal[
@@ -62,8 +71,8 @@ class Subject:
         scene: the capture, for its cameras and photos; None where it cannot be had.
         folder: the run's folder; screenshots and videos go into its ``renders``.
         note: a sentence for the user at the top of the panel; may be empty.
-        photograph: what the captured cameras do to the images; used where the model is compared
-            with photos.
+        camera_response: what the captured cameras do to the images; used where the model is
+            compared with photos.
     """
 
     name: str
@@ -72,7 +81,7 @@ class Subject:
     scene: Scene | None
     folder: Path
     note: str = ""
-    photograph: Photograph = as_it_is
+    camera_response: CameraResponse = ideal_cameras
 
     @property
     def unit(self) -> str:
@@ -80,16 +89,21 @@ class Subject:
         return "normalised" if self.temperature is None else "°C"
 
     @property
-    def has_rgb(self) -> bool:
-        """Whether the model was trained on colour photos; assumed where the scene is not at
-        hand."""
-        return self.scene is None or self.scene.has_rgb
+    def modalities(self) -> tuple[Modality, ...]:
+        """Those that are shown: colour and temperature, as far as there were training photos of
+        them; both are assumed where the scene is not at hand."""
+        if self.scene is None:
+            return (RGB, THERMAL)
+        return tuple(each for each in self.scene.modalities if each in (RGB, THERMAL))
 
     @property
     def has_thermal(self) -> bool:
-        """Whether the model was trained on thermal photos; assumed where the scene is not at
-        hand."""
-        return self.scene is None or self.scene.has_thermal
+        """Whether the model has temperatures."""
+        return THERMAL in self.modalities
+
+    def cameras(self, camera: Camera) -> dict[Modality, Camera]:
+        """One camera for every modality that is shown."""
+        return dict.fromkeys(self.modalities, camera)
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -99,14 +113,15 @@ class Subject:
     @property
     def modes(self) -> tuple[Mode, ...]:
         """The modes that the run's modalities and photos allow, in the panel's order."""
-        needs_thermal = {"temperature", "side_by_side", "blend", "split", "difference"}
-        needs_rgb = {"rgb", "side_by_side", "blend", "split"}
+        needs = {
+            RGB: {"rgb", "side_by_side", "blend", "split"},
+            THERMAL: {"temperature", "side_by_side", "blend", "split", "difference"},
+        }
         needs_photos = {"photos", "difference"}
         return tuple(
             mode
             for mode in MODE_LABELS
-            if (self.has_thermal or mode not in needs_thermal)
-            and (self.has_rgb or mode not in needs_rgb)
+            if all(mode not in modes or each in self.modalities for each, modes in needs.items())
             and (self.views or mode not in needs_photos)
         )
 

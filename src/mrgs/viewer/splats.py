@@ -14,6 +14,7 @@ from torch import Tensor
 from mrgs.field.spherical_harmonics import C0
 from mrgs.pictures.palette import colorize
 from mrgs.runs.baked import BakedModel
+from mrgs.scene import RGB
 from mrgs.viewer.painting import Scales, isotherm_color
 from mrgs.viewer.settings import Settings
 
@@ -42,7 +43,7 @@ def splat_colors(baked: BakedModel, settings: Settings, scales: Scales) -> UInt8
     """One colour per splat: of its temperature by the palette, or its mean colour over all
     directions."""
     if settings.mode != "temperature":
-        return np.rint((baked.sh[:, 0] * C0 + 0.5).clamp(0, 1).numpy() * 255).astype(np.uint8)
+        return np.rint((baked.sh[RGB][:, 0] * C0 + 0.5).clamp(0, 1).numpy() * 255).astype(np.uint8)
     values = (baked.temperatures if baked.temperature is None else baked.temperatures_c).numpy()
     low, high = (0.0, 1.0) if scales.thermal is None else (scales.thermal.low, scales.thermal.high)
     colors = colorize(values[None], low, high, settings.palette)[0]

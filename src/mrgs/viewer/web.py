@@ -65,7 +65,7 @@ class Viewer:
         self.url = f"http://{host}:{self._server.get_port()}"
 
     def refresh(self, note: str) -> None:
-        """Let every browser at rest draw anew, with a new note at the top of its panel."""
+        """Redraw every idle browser, with a new note at the top of its panel."""
         self.note = note
         for browser in self.browsers:
             browser.set_note(note)
@@ -119,7 +119,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         scene,
         run.folder.path,
         note,
-        run.photograph,
+        run.camera_response,
     )
     splats = None
     if scene is not None:
@@ -149,7 +149,7 @@ def is_training(folder: Path) -> bool:
 def _require_gaussians(model: Model, path: Path) -> None:
     if len(model.gaussians) == 0:
         raise RunError(
-            f"{path}: the model has no Gaussians, so there is nothing to see; train it anew"
+            f"{path}: the model has no Gaussians, so there is nothing to see; retrain it"
         )
 
 

@@ -59,6 +59,6 @@ def test_a_preset_sets_steps_and_rays():
     assert make_config("fast", max_steps=7).max_steps == 7
     assert make_config() == ThermoNerfConfig()
     with pytest.raises(
-        ConfigError, match="there is no preset 'slow': choose one of fast, default, paper"
+        ConfigError, match="unknown preset 'slow'; choose one of fast, default, paper"
     ):
         make_config("slow")

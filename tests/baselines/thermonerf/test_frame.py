@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from mrgs.baselines.thermonerf.frame import contract, frame_of
 from mrgs.data import load_scene
+from mrgs.scene import RGB
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
@@ -40,6 +41,6 @@ def test_the_frame_lies_about_the_start_points(small_scene):
     frame = frame_of(scene)
     inside = frame.normalised(scene.points.positions.double()).abs().amax(dim=1) <= 1
     assert 0.4 <= inside.double().mean() <= 0.6
-    distance = scene.train[0].rgb.camera.position.norm().item()
+    distance = scene.train[0].images[RGB].camera.position.norm().item()
     assert frame.middle * frame.radius == pytest.approx(distance, rel=0.1)
     assert 0 < frame.near < frame.middle < frame.far

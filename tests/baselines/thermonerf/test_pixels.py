@@ -7,7 +7,7 @@ import torch
 from mrgs.baselines.thermonerf.frame import frame_of
 from mrgs.baselines.thermonerf.pixels import PixelPool
 from mrgs.data import load_scene
-from mrgs.scene import Pixels, PosedImage
+from mrgs.scene import RGB, THERMAL, Pixels, PosedImage
 from tests.helpers.scenes import write_scene
 
 
@@ -19,16 +19,19 @@ def test_one_ray_serves_both_modalities_of_a_shared_camera(small_scene):
     scene = load_scene(small_scene)
     batch = drawn(scene)
     assert batch.rays.origins.shape == (64, 3)
-    assert (batch.rgb.rows, batch.thermal.rows) == (slice(0, 64), slice(0, 64))
-    assert (batch.rgb.values.shape, batch.thermal.values.shape) == ((64, 3), (64, 1))
-    assert batch.rgb.valid is None
+    assert (batch.targets[RGB].rows, batch.targets[THERMAL].rows) == (slice(0, 64), slice(0, 64))
+    assert (batch.targets[RGB].values.shape, batch.targets[THERMAL].values.shape) == (
+        (64, 3),
+        (64, 1),
+    )
+    assert batch.targets[RGB].valid is None
 
 
 def test_values_are_those_of_the_pixels_that_the_rays_pass_through(small_scene):
     scene = load_scene(small_scene)
     frame = frame_of(scene)
     batch = drawn(scene)
-    cameras = [view.rgb.camera for view in scene.train]
+    cameras = [view.images[RGB].camera for view in scene.train]
     origins = torch.stack([frame.normalised(camera.position).float() for camera in cameras])
     for ray in range(64):
         image = int((origins - batch.rays.origins[ray]).norm(dim=1).argmin())
@@ -36,29 +39,34 @@ def test_values_are_those_of_the_pixels_that_the_rays_pass_through(small_scene):
         x, y, z = camera.K @ camera.viewmat[:3, :3] @ batch.rays.directions[ray].double()
         row, column = int(y / z), int(x / z)
         view = scene.train[image]
-        assert torch.equal(batch.rgb.values[ray], view.rgb.load().values[row, column])
-        assert torch.equal(batch.thermal.values[ray], view.thermal.load().values[row, column])
+        assert torch.equal(
+            batch.targets[RGB].values[ray], view.images[RGB].load().values[row, column]
+        )
+        assert torch.equal(
+            batch.targets[THERMAL].values[ray], view.images[THERMAL].load().values[row, column]
+        )
 
 
 def test_two_cameras_share_the_batch(tmp_path):
     batch = drawn(load_scene(write_scene(tmp_path / "scene", two_cameras=True)), count=10)
-    assert (batch.rgb.rows, batch.thermal.rows) == (slice(0, 5), slice(5, 10))
+    assert (batch.targets[RGB].rows, batch.targets[THERMAL].rows) == (slice(0, 5), slice(5, 10))
     assert len(batch.rays.directions) == 10
 
 
 def test_a_scene_may_have_one_modality(tmp_path):
     batch = drawn(load_scene(write_scene(tmp_path / "scene", rgb=False)), count=10)
-    assert batch.rgb is None
-    assert batch.thermal.rows == slice(0, 10)
+    assert RGB not in batch.targets
+    assert batch.targets[THERMAL].rows == slice(0, 10)
 
 
 def test_masks_come_with_the_pixels(small_scene):
     scene = load_scene(small_scene)
     first = scene.train[0]
-    pixels = first.thermal.load()
+    pixels = first.images[THERMAL].load()
     masked = Pixels(pixels.values * 0 - 1, torch.zeros(pixels.values.shape[:2], dtype=torch.bool))
-    view = replace(first, thermal=PosedImage(first.thermal.camera, lambda: masked))
+    photo = PosedImage(first.images[THERMAL].camera, lambda: masked)
+    view = replace(first, images={**first.images, THERMAL: photo})
     batch = drawn(replace(scene, train=(view, *scene.train[1:])), count=500)
-    assert batch.rgb.valid is None
-    assert torch.equal(batch.thermal.valid, batch.thermal.values[:, 0] >= 0)
-    assert not batch.thermal.valid.all()
+    assert batch.targets[RGB].valid is None
+    assert torch.equal(batch.targets[THERMAL].valid, batch.targets[THERMAL].values[:, 0] >= 0)
+    assert not batch.targets[THERMAL].valid.all()

@@ -13,6 +13,7 @@ from mrgs.baselines.thermonerf import step as step_module
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.runs.open import load_run, open_run
+from mrgs.scene import RGB, THERMAL
 from mrgs.training import make_config, train
 from mrgs.training.checkpoint import load_facts, write
 from mrgs.training.run_folder import RunFolder
@@ -91,8 +92,8 @@ def test_other_kinds_of_scenes_train_too(tmp_path, options):
     )
     run = open_run(folder.path)
     rendering = run.render_view(run.load_scene().eval[0])
-    assert (rendering.rgb is None) == (options.get("rgb") is False)
-    assert (rendering.thermal is None) == (options.get("thermal") is False)
+    assert (RGB not in rendering) == (options.get("rgb") is False)
+    assert (THERMAL not in rendering) == (options.get("thermal") is False)
 
 
 def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
 
 
 def look_at_origin(angle: float, height: float = 0.8, width: int = 96, rows: int = 64) -> Camera:
@@ -48,9 +48,8 @@ def baked() -> BakedModel:
         means,
         quats,
         scales,
-        opacity[:, 0],
-        opacity[:, 1],
-        sh,
+        {RGB: opacity[:, 0], THERMAL: opacity[:, 1]},
+        {RGB: sh},
         temperatures,
         TemperatureRange(-10.0, 90.0),
     )

@@ -15,7 +15,7 @@ from PIL import Image
 from mrgs.export.page import write_page
 from mrgs.pictures.palette import colorize
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera
+from mrgs.scene import RGB, THERMAL, Camera, Modality
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
 SETTLED = "#view[data-settled=true]"
@@ -50,7 +50,7 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
     def open_it(
         shown: BakedModel = baked,
         *,
-        modalities: tuple[str, ...] = ("rgb", "thermal"),
+        modalities: tuple[Modality, ...] = (RGB, THERMAL),
         **options: Any,
     ) -> Any:
         write_page(
@@ -114,16 +114,16 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     colours = picture(page)
     height, width = colours.shape[:2]
     expected = baked.render(fitted(cameras["view 3"], width, height))
-    assert psnr(colours, 255 * expected.rgb.clamp(0, 1).numpy()) > 45
+    assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
 
     page.click("#thermal")
     page.wait_for_selector(SETTLED)
     heat = picture(page)
-    celsius = baked.temperature.to_celsius(expected.thermal[..., 0]).numpy()
-    seen = expected.alpha_thermal.numpy() >= 0.5
+    celsius = baked.temperature.to_celsius(expected[THERMAL].image[..., 0]).numpy()
+    seen = expected[THERMAL].alpha.numpy() >= 0.5
     assert psnr(heat[seen], colorize(celsius, 0.0, 80.0, "inferno")[seen]) > 40
 
-    depth = (expected.depth_thermal / expected.alpha_thermal).numpy()
+    depth = (expected[THERMAL].depth / expected[THERMAL].alpha).numpy()
     for x, y in [(int(share_x * width), int(share_y * height)) for share_x, share_y in PIXELS]:
         assert seen[y, x]
         told_c, told_depth = read(page, x, y)
@@ -183,10 +183,10 @@ def test_a_tap_on_a_phone_reads_a_temperature(open_page):
 
 
 def test_a_page_of_one_modality_shows_that_alone(open_page):
-    thermal = open_page(modalities=("thermal",), viewport={"width": 800, "height": 420})
+    thermal = open_page(modalities=(THERMAL,), viewport={"width": 800, "height": 420})
     assert not thermal.locator("#rgb").is_visible()
     assert thermal.locator("#value").is_visible()
-    colour = open_page(modalities=("rgb",), viewport={"width": 800, "height": 420})
+    colour = open_page(modalities=(RGB,), viewport={"width": 800, "height": 420})
     assert not any(colour.locator(name).is_visible() for name in ("#thermal", "#value", "#palette"))
     assert psnr(picture(colour), picture(thermal)) < 20
     colour.mouse.click(200, 200)

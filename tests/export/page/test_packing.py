@@ -14,6 +14,7 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.export.page.packing import PackedModel, morton_order, pack, smallest_three
 from mrgs.runs.baked import BakedModel
+from mrgs.scene import RGB, THERMAL
 
 
 def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
@@ -39,10 +40,10 @@ def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
         "means": low + (high - low) * planes["positions"].reshape(3, count).T / 65535,
         "scales": np.exp(between(ten_bits(planes["scales"]), *limits["scales"], 1023)),
         "quats": quaternions(planes["rotations"]),
-        "opacity_rgb": planes["opacity_rgb"] / 255,
-        "opacity_thermal": planes["opacity_thermal"] / 65535,
+        "opacity.rgb": planes["opacity_rgb"] / 255,
+        "opacity.thermal": planes["opacity_thermal"] / 65535,
         "temperatures": between(planes["temperature"], *limits["temperature"], 65535),
-        "sh": np.concatenate(bands, axis=1),
+        "sh.rgb": np.concatenate(bands, axis=1),
     }
 
 
@@ -60,9 +61,13 @@ def quaternions(codes: np.ndarray) -> np.ndarray:
 
 def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
     tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in content.items()}
-    sh = tensors.pop("sh")
-    tensors["sh"] = torch.cat([sh, sh.new_zeros(len(sh), 16 - sh.shape[1], 3)], dim=1)
-    return replace(like, **tensors)
+    sh = tensors.pop("sh.rgb")
+    return replace(
+        like,
+        opacities={each: tensors.pop(f"opacity.{each}") for each in (RGB, THERMAL)},
+        sh={RGB: torch.cat([sh, sh.new_zeros(len(sh), 16 - sh.shape[1], 3)], dim=1)},
+        **tensors,
+    )
 
 
 def test_every_parameter_comes_back_within_half_a_step(baked):
@@ -72,14 +77,14 @@ def test_every_parameter_comes_back_within_half_a_step(baked):
         np.linalg.norm(content["means"][:, None] - baked.means.numpy(), axis=2), axis=1
     )
     assert sorted(rows) == list(range(600))
-    expected = {name: getattr(baked, name).numpy()[rows] for name in content}
+    expected = {name: baked.tensors()[name].numpy()[rows] for name in content}
     np.testing.assert_allclose(content["means"], expected["means"], atol=5 / 65535)
     np.testing.assert_allclose(content["scales"], expected["scales"], rtol=0.003)
     alike = np.abs((content["quats"] * expected["quats"]).sum(axis=1))
     assert np.degrees(2 * np.arccos(alike.clip(0, 1))).max() < 0.25
-    np.testing.assert_allclose(content["opacity_rgb"], expected["opacity_rgb"], atol=0.51 / 255)
+    np.testing.assert_allclose(content["opacity.rgb"], expected["opacity.rgb"], atol=0.51 / 255)
     np.testing.assert_allclose(
-        content["opacity_thermal"], expected["opacity_thermal"], atol=0.51 / 65535
+        content["opacity.thermal"], expected["opacity.thermal"], atol=0.51 / 65535
     )
     np.testing.assert_allclose(content["temperatures"], expected["temperatures"], atol=1e-5)
     steps = [
@@ -90,7 +95,7 @@ def test_every_parameter_comes_back_within_half_a_step(baked):
     ]
     tolerance = 0.51 * np.repeat(steps, [1, 3, 5, 7])[:, None]
     assert (
-        np.abs(content["sh"] - expected["sh"]) <= tolerance
+        np.abs(content["sh.rgb"] - expected["sh.rgb"]) <= tolerance
     ).mean() > 0.999  # all but the clipped ones
 
 
@@ -98,24 +103,26 @@ def test_the_packed_model_renders_as_the_baked_one(baked, cameras):
     packed = as_model(unpack(pack(baked)), baked)
     for camera in cameras.values():
         before, after = baked.render(camera), packed.render(camera)
-        error = (before.rgb.clamp(0, 1) - after.rgb.clamp(0, 1)).square().mean()
+        error = (before[RGB].image.clamp(0, 1) - after[RGB].image.clamp(0, 1)).square().mean()
         assert -10 * error.log10() > 45
-        error_c = (before.thermal - after.thermal).abs() * baked.temperature.span_c
+        error_c = (before[THERMAL].image - after[THERMAL].image).abs() * baked.temperature.span_c
         assert error_c.mean() < 0.03
         assert error_c.max() < 0.5  # one pixel at the steepest edge of a range of 100 °C
 
 
 def test_fewer_degrees_leave_the_higher_harmonics_out(baked):
     full, flat = pack(baked), pack(baked, sh_degree=0)
-    np.testing.assert_array_equal(unpack(full)["sh"][:, :1], unpack(flat)["sh"])
+    np.testing.assert_array_equal(unpack(full)["sh.rgb"][:, :1], unpack(flat)["sh.rgb"])
     assert len(flat.data) < 0.6 * len(full.data)
 
 
 def test_splats_that_no_pixel_can_show_are_left_out(baked):
-    opacity = torch.full_like(baked.opacity_rgb, 0.5)
+    opacity = torch.full_like(baked.opacities[RGB], 0.5)
     opacity[:100] = 0.003
-    assert pack(replace(baked, opacity_rgb=opacity, opacity_thermal=opacity)).header["count"] == 500
-    assert pack(replace(baked, opacity_rgb=opacity)).header["count"] > 500
+    both = replace(baked, opacities=dict.fromkeys((RGB, THERMAL), opacity))
+    assert pack(both).header["count"] == 500
+    one = replace(baked, opacities={**baked.opacities, RGB: opacity})
+    assert pack(one).header["count"] > 500
 
 
 def test_a_splat_far_away_costs_only_its_chunk_precision(baked):
@@ -131,11 +138,11 @@ def test_packing_is_deterministic(baked):
 
 
 def test_an_invisible_model_is_named(baked):
-    nothing = torch.zeros_like(baked.opacity_rgb)
+    nothing = torch.zeros_like(baked.opacities[RGB])
     with pytest.raises(
         ConfigError, match="no splat that can be seen, so there is nothing to show; train it longer"
     ):
-        pack(replace(baked, opacity_rgb=nothing, opacity_thermal=nothing))
+        pack(replace(baked, opacities=dict.fromkeys((RGB, THERMAL), nothing)))
 
 
 def test_the_degree_is_checked(baked):

@@ -5,14 +5,15 @@ from dataclasses import replace
 import torch
 
 from mrgs.export.page.visibility import blending_weights, most_visible
+from mrgs.scene import RGB, THERMAL
 
 
 def test_weights_add_up_to_the_accumulated_alpha(baked, cameras):
     camera = next(iter(cameras.values())).resized(320, 213)
-    equal = replace(baked, opacity_thermal=baked.opacity_rgb)
+    equal = replace(baked, opacities=dict.fromkeys((RGB, THERMAL), baked.opacities[RGB]))
     weights = blending_weights(equal, [camera])
     torch.testing.assert_close(
-        weights.sum(), equal.render(camera).alpha_rgb.sum(), rtol=1e-3, atol=0
+        weights.sum(), equal.render(camera)[RGB].alpha.sum(), rtol=1e-3, atol=0
     )
 
 
@@ -20,9 +21,8 @@ def test_what_is_hidden_goes_first(baked, cameras):
     hidden = torch.zeros(600, dtype=torch.bool)
     hidden[::3] = True
     opacity = torch.where(hidden, 0.01, 0.9)
-    kept = most_visible(
-        replace(baked, opacity_rgb=opacity, opacity_thermal=opacity), list(cameras.values()), 200
-    )
+    model = replace(baked, opacities=dict.fromkeys((RGB, THERMAL), opacity))
+    kept = most_visible(model, list(cameras.values()), 200)
     assert len(kept) == 200
     assert not hidden[kept].any()
 

@@ -12,7 +12,7 @@ import torch
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.kernels.dense.layers import SHARES, slots
 from mrgs.kernels.harmonics.cpu import shade
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
 
 CAMERA = torch.tensor([0.3, -0.2, -4.0])
 
@@ -28,10 +28,10 @@ def make_case(
     k = field.config.neighbours_k
     gaussians = Gaussians(
         means=means, quats=torch.randn(count, 4), log_scales=torch.randn(count, 3),
-        opacity_rgb_logit=torch.randn(count, 1), opacity_thermal_logit=torch.randn(count, 1),
-        sh_dc=torch.randn(count, 1, 3), sh_rest=0.3 * torch.randn(count, 15, 3),
-        temperature_dc=torch.randn(count, 1, 1),
-        temperature_rest=0.3 * torch.randn(count, bands, 1),
+        opacity_logits={RGB: torch.randn(count, 1), THERMAL: torch.randn(count, 1)},
+        sh_dc={RGB: torch.randn(count, 1, 3), THERMAL: torch.randn(count, 1, 1)},
+        sh_rest={RGB: 0.3 * torch.randn(count, 15, 3),
+                 THERMAL: 0.3 * torch.randn(count, bands, 1)},
         embedding=field.initial_embedding(means),
     )  # fmt: skip
     return field, gaussians, nearest_neighbours(means, k) if k else None
@@ -40,8 +40,8 @@ def make_case(
 def values_and_gradients(field, gaussians, neighbours, rows, degree=3) -> dict[str, torch.Tensor]:
     """Colours, temperatures, and the gradient of everything that they depend on, by name."""
     dtype = gaussians.means.dtype
-    gaussians = Gaussians(
-        **{name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
+    gaussians = Gaussians.from_tensors(
+        {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
     )
     camera = CAMERA.to(dtype, copy=True).requires_grad_()
     colors = field.colors(gaussians, camera, degree, rows)
@@ -56,7 +56,7 @@ def values_and_gradients(field, gaussians, neighbours, rows, degree=3) -> dict[s
 
 def in_float64(field: RadianceField, gaussians: Gaussians) -> tuple[RadianceField, Gaussians]:
     tensors = {name: tensor.double() for name, tensor in gaussians.tensors().items()}
-    return copy.deepcopy(field).double(), Gaussians(**tensors)
+    return copy.deepcopy(field).double(), Gaussians.from_tensors(tensors)
 
 
 def assert_same(case, rows, degree=3):
@@ -146,10 +146,10 @@ def test_passes_do_not_share_what_they_keep():
     assert torch.equal(second, expected)
 
 
-@pytest.mark.parametrize("name", ["embedding", "sh_dc", "means", "opacity_thermal_logit"])
+@pytest.mark.parametrize("name", ["embedding", "sh_dc.rgb", "means", "opacity_logit.thermal"])
 def test_what_is_not_finite_is_not_hidden(name):
     field, gaussians, neighbours = make_case()
-    getattr(gaussians, name)[7] = torch.nan
+    gaussians.tensors()[name][7] = torch.nan
     found = values_and_gradients(field, gaussians, neighbours, None)
     assert any(
         not value.isfinite().all()

@@ -3,75 +3,64 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import torch
 
 from mrgs.data.nerfstudio import read_transforms
-from mrgs.data.radiometric import ExifFacts, PhotoFacts
+from mrgs.data.radiometric import PhotoFacts
 from mrgs.prepare.contract import (
     ConvertedPhotos,
-    ConvertedView,
     Georeference,
+    Pairing,
     Reconstruction,
     Skipped,
     StageReport,
 )
+from mrgs.prepare.convert import IMAGE_FOLDERS
 from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
-from mrgs.scene import PointCloud
+from mrgs.scene import RGB, THERMAL, PointCloud
+from tests.helpers.converted import converted_view
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
 HOSTILE = "<img src=x onerror=alert(1)>&'\""
 """A name that would be markup if it were not escaped; the last view's."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """What ``write_page`` takes."""
-
-    scene: Path
-    stages: list[StageReport]
-    photos: ConvertedPhotos
-    reconstruction: Reconstruction
-    rig: RigCalibration
-    georeference: Georeference
-
-
 @pytest.fixture(scope="session")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
     """Only to be read."""
     scene = tmp_path_factory.mktemp("prepared") / "table & chairs"
     capture = read_transforms(TABLETOP, TABLETOP / "transforms.json")
     shots = capture.shots[::8]
     views = []
-    for folder in ("images", "thermal"):
+    for folder in IMAGE_FOLDERS.values():
         (scene / folder).mkdir(parents=True)
     for index, shot in enumerate(shots):
         stem = f"view {index}"
-        files = []
-        for source, folder in ((shot.rgb, "images"), (shot.thermal, "thermal")):
-            files.append(f"{folder}/{stem}{source.path.suffix}")
-            shutil.copy(source.path, scene / files[-1])
+        files = {}
+        for modality, folder in IMAGE_FOLDERS.items():
+            source = shot.images[modality].path
+            files[modality] = f"{folder}/{stem}{source.suffix}"
+            shutil.copy(source, scene / files[modality])
         notes = ("Emissivity 0.95, as the file says.",)
         name = HOSTILE if index == len(shots) - 1 else stem
         views.append(
-            ConvertedView(
+            converted_view(
                 name,
-                *files,
-                ExifFacts(),
-                PhotoFacts("", camera="FLIR E60", notes=notes),
-                (-0.5, 82.5),
+                files,
+                facts=PhotoFacts("", camera="FLIR E60", notes=notes),
+                range_c=(-0.5, 82.5),
             )
         )
     names = [view.name for view in views[:-1]]
     points = PointCloud(capture.points.positions[::4], capture.points.colors[::4])
     reconstruction = Reconstruction(
-        {name: shot.rgb.viewmat for name, shot in zip(names, shots, strict=False)},
-        dict.fromkeys(names, shots[0].rgb.lens),
+        {name: shot.images[RGB].viewmat for name, shot in zip(names, shots, strict=False)},
+        dict.fromkeys(names, shots[0].images[RGB].lens),
         points, None, (Skipped(HOSTILE, "too few features "
                                         "<b>match</b>"),), 0.61, "Structure from motion.",
     )  # fmt: skip
@@ -79,7 +68,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
     offset[0, 3] = -0.031
     still = torch.eye(4, dtype=torch.float64)
     rig = RigCalibration(
-        shots[0].thermal.lens, offset, tuple(RigView(name, still, 80, 0.5, 0.4) for name in names),
+        shots[0].images[THERMAL].lens,
+        offset, tuple(RigView(name, still, 80, 0.5, 0.4) for name in names),
         (0.6, 1.4), 0.4, 0.2, (), TargetFit(4, 0, (0.31, 0.7), None),
     )  # fmt: skip
     georeference = Georeference(
@@ -91,7 +81,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
         StageReport("poses", ("5 of 6 images have a pose.",), (), 312.0),
         StageReport("thermal camera", ("55.0° wide.",), (), 4.0, True),
     ]
-    work = Work(scene, scene, images=photos, poses=reconstruction, rig=rig)
+    work = Work(scene, scene, images=photos, poses=reconstruction, rig=rig, reports=stages)
+    work.pairing = Pairing((), (Skipped("notes <script>alert(1)</script>.txt", "is no photo"),), "")
     work.georeference = georeference
     write_scene(work)
-    return Prepared(scene, stages, photos, reconstruction, rig, georeference)
+    return work

@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from mrgs.data.lens import Lens
-from mrgs.pictures.html import InlineImage
 from mrgs.prepare.page.cameras import lens_text
 from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_on_rgb
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
-from mrgs.prepare.page.previews import Preview, views_text
+from mrgs.prepare.page.previews import Preview, PreviewImage, views_text
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
 from mrgs.prepare.page.world import orbit_facts, plans, round_length, world_of
-from mrgs.scene import Camera, PointCloud
+from mrgs.scene import RGB, THERMAL, Camera, PointCloud
 
 
 def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:
@@ -41,10 +40,11 @@ def wall(depth: float) -> PointCloud:
 def preview_of(
     thermal: np.ndarray, rgb_camera: Camera | None, thermal_camera: Camera | None
 ) -> Preview:
-    rgb = np.full((48, 64, 3), 90, dtype=np.uint8)
-    return Preview(
-        "view", "training", True, rgb, rgb_camera, thermal.astype(np.float32), thermal_camera
-    )
+    images = {
+        RGB: PreviewImage(np.full((48, 64, 3), 90, dtype=np.uint8), rgb_camera),
+        THERMAL: PreviewImage(thermal.astype(np.float32), thermal_camera),
+    }
+    return Preview("view", "training", True, images)
 
 
 def test_the_thermal_image_lands_where_the_photo_shows_the_same_thing():
@@ -186,13 +186,17 @@ def test_a_hundred_pairs_stay_under_six_megabytes():
         thermal = np.kron(rng.uniform(10, 40, (9, 12)), np.ones((20, 20))) + rng.normal(
             0, 0.1, (180, 240)
         )
-        previews.append(
-            Preview(f"v{index}", "training", True, rgb, None, thermal.astype(np.float32), None)
-        )
+        images = {
+            RGB: PreviewImage(rgb, None),
+            THERMAL: PreviewImage(thermal.astype(np.float32), None),
+        }
+        previews.append(Preview(f"v{index}", "training", True, images))
         overlays[f"v{index}"] = thermal.astype(np.float32)
     assert rgb.shape[1] == width
     cards = pairs(previews, overlays, "°C", 10).cards
-    pictures = [part for card in cards for part in card if isinstance(part, InlineImage)]
+    pictures = [
+        image for card in cards for image in (*card.images.values(), card.warped, card.edges)
+    ]
     assert len(pictures) == 4 * len(cards)
     assert 10 * sum(len(picture.source) for picture in pictures) < 6e6
     assert MOST_SHOWN <= 120

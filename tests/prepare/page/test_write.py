@@ -4,14 +4,19 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.prepare.contract import Skipped
 from mrgs.prepare.page import write_page
+from mrgs.prepare.work import Work
 
-LEFT_OUT = [Skipped("notes <script>alert(1)</script>.txt", "is no photo")]
+
+def changed(prepared: Work, scene: Path, **found: Any) -> Work:
+    """The same work in another folder, with these results alone."""
+    nothing = {"poses": None, "rig": None, "georeference": None}
+    return replace(prepared, scene=scene, **{**nothing, **found})
 
 
 class Page(HTMLParser):
@@ -43,11 +48,8 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(prepared) -> Page:
-    p = prepared
-    path = write_page(
-        p.scene, p.stages, p.photos, p.reconstruction, p.rig, p.georeference, skipped=LEFT_OUT
-    )
-    assert path == p.scene / "prepare.html"
+    path = write_page(prepared)
+    assert path == prepared.scene / "prepare.html"
     return Page(path)
 
 
@@ -95,8 +97,7 @@ def test_each_view_is_shown_with_its_thermal_image_on_its_photo(page):
 def test_a_set_without_poses_is_shown_too(prepared, tmp_path):
     for folder in ("images", "thermal"):
         (tmp_path / folder).symlink_to(prepared.scene / folder)
-    (stage, *_), photos = prepared.stages, prepared.photos
-    page = Page(write_page(tmp_path, [stage], photos, None, None, None))
+    page = Page(write_page(changed(prepared, tmp_path, reports=prepared.reports[:1])))
     assert "There is no scene yet; the stages below say why." in page.text
     assert "mrgs train" not in page.text
     assert page.source.count('class="card failed"') == 6
@@ -106,8 +107,18 @@ def test_a_set_without_poses_is_shown_too(prepared, tmp_path):
 def test_poses_without_a_thermal_camera_are_shown_and_can_be_measured(prepared, tmp_path):
     for folder in ("images", "thermal"):
         (tmp_path / folder).symlink_to(prepared.scene / folder)
-    found, place = prepared.reconstruction, prepared.georeference
-    page = Page(write_page(tmp_path, prepared.stages[:2], prepared.photos, found, None, place))
+    found = prepared.poses
+    page = Page(
+        write_page(
+            changed(
+                prepared,
+                tmp_path,
+                reports=prepared.reports[:2],
+                poses=found,
+                georeference=prepared.georeference,
+            )
+        )
+    )
     assert "There is no scene yet; the stages below say why." in page.text
     assert f"{len(found.points.positions):,}" in page.text
     assert "By GPS." in page.text
@@ -118,12 +129,13 @@ def test_poses_without_a_thermal_camera_are_shown_and_can_be_measured(prepared, 
 
 def test_an_image_that_has_gone_is_told_beside_its_view(prepared, tmp_path):
     (tmp_path / "images").symlink_to(prepared.scene / "images")
-    photos = replace(prepared.photos, views=prepared.photos.views[:1])
-    assert "cannot be decoded" in Page(write_page(tmp_path, [], photos, None, None, None)).text
+    images = replace(prepared.images, views=prepared.images.views[:1])
+    work = changed(prepared, tmp_path, reports=[], images=images)
+    assert "cannot be decoded" in Page(write_page(work)).text
 
 
 def test_a_page_that_cannot_be_written_is_told(prepared, tmp_path):
     (tmp_path / "prepare.html").mkdir()
-    photos = replace(prepared.photos, views=())
+    work = changed(prepared, tmp_path, reports=[], images=replace(prepared.images, views=()))
     with pytest.raises(RunError, match=r"prepare\.html cannot be written"):
-        write_page(tmp_path, [], photos, None, None, None)
+        write_page(work)

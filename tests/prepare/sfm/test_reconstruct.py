@@ -34,7 +34,7 @@ def noise(path: Path, seed: int) -> Path:
 def test_poses_of_the_table_top_after_an_interruption(tmp_path):
     """Stopped after the features, continued with the matches; one photo belongs to something
     else."""
-    truth = {view.name: view.rgb.camera.viewmat for view in load_scene(TABLETOP).train[:6]}
+    truth = {view.name: view.camera.viewmat for view in load_scene(TABLETOP).train[:6]}
     images = {name: TABLETOP / "images" / f"{name}.jpg" for name in truth}
     images["elsewhere"] = noise(tmp_path / "elsewhere.png", 1)
     cameras = {name: "another" if name == "elsewhere" else "one" for name in images}

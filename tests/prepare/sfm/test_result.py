@@ -8,6 +8,7 @@ import pytest
 
 from mrgs.errors import SceneError
 from mrgs.prepare.sfm.result import read_result
+from mrgs.scene import RGB, THERMAL
 
 
 def image(group: int | None, features: int | None = 900, matches: int = 200) -> dict:
@@ -56,7 +57,7 @@ def write(folder, images: list[dict], groups: list[int], reprojection_px: float 
 
 def test_poses_points_and_what_each_view_sees(tmp_path):
     write(tmp_path, [image(0), image(0), image(None, matches=12), image(0)], [3])
-    found = read_result(tmp_path, "rgb")
+    found = read_result(tmp_path, RGB)
     assert list(found.viewmats) == list(found.lenses) == ["a", "b", "d"]
     assert found.viewmats["d"][0, 3] == pytest.approx(0.3)
     assert found.lenses["a"].radial[0] == 0.01
@@ -67,7 +68,7 @@ def test_poses_points_and_what_each_view_sees(tmp_path):
         "b": [1],
         "d": [0],
     }
-    assert (found.reprojection_px, found.images, found.warnings) == (0.5, "rgb", ())
+    assert (found.reprojection_px, found.images, found.warnings) == (0.5, RGB, ())
     assert found.source == "Structure from motion with COLMAP: 3 of 4 photos, 3 points."
     assert [(left.name, left.reason) for left in found.failed] == [
         ("c", "little in common with any other photo (12 matches at most, with a)")
@@ -86,13 +87,13 @@ def test_poses_points_and_what_each_view_sees(tmp_path):
 )
 def test_why_an_image_has_no_pose(tmp_path, own, reason):
     write(tmp_path, [image(0), image(0), image(0), own], [3, 2])
-    (failed,) = read_result(tmp_path, "rgb").failed
+    (failed,) = read_result(tmp_path, RGB).failed
     assert (failed.name, failed.reason) == ("d", reason)
 
 
 def test_groups_that_are_not_connected_are_told(tmp_path):
     write(tmp_path, [image(0)] * 5 + [image(1)] * 3, [5, 3])
-    assert read_result(tmp_path, "thermal").warnings == (
+    assert read_result(tmp_path, THERMAL).warnings == (
         "The photos fall into 2 groups that are not connected (5, 3 photos); the largest is used. "
         "Photos that overlap "
         "both would join them.",
@@ -101,7 +102,7 @@ def test_groups_that_are_not_connected_are_told(tmp_path):
 
 def test_rough_poses_are_told(tmp_path):
     write(tmp_path, [image(0)] * 4, [4], reprojection_px=1.34)
-    assert read_result(tmp_path, "thermal").warnings == (
+    assert read_result(tmp_path, THERMAL).warnings == (
         "The poses are rough: points lie 1.3 px from where they were seen (mean). Sharper photos "
         "with more texture "
         "would help.",
@@ -115,7 +116,7 @@ def test_too_few_views(tmp_path):
         [2],
     )
     with pytest.raises(SceneError) as error:
-        read_result(tmp_path, "rgb")
+        read_result(tmp_path, RGB)
     assert str(error.value) == (
         "only 2 of 11 photos could be placed, and 3 are needed (c, d, e, f, g, h and 2 more: too "
         "little texture, or "
@@ -128,4 +129,4 @@ def test_too_few_views(tmp_path):
 def test_no_model_at_all(tmp_path):
     write(tmp_path, [image(None, matches=0)] * 4, [])
     with pytest.raises(SceneError, match="only 0 of 4 photos could be placed"):
-        read_result(tmp_path, "rgb")
+        read_result(tmp_path, RGB)

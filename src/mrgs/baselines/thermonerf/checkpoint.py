@@ -20,7 +20,7 @@ from mrgs.training.checkpoint import CheckpointFacts, load_facts, write
 
 
 def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
-    """Write everything that training needs to go on exactly, in one file that is either whole or
+    """Write everything needed to resume exactly, in one file that is either whole or
     not there.
 
     Raises:
@@ -83,7 +83,7 @@ def _read(path: Path) -> dict[str, Tensor]:
     except (SafetensorError, OSError, ValueError) as error:
         raise RunError(
             f"{path} is not a whole checkpoint: delete it, and the one before it is used; without "
-            f"one, train anew"
+            f"one, retrain"
         ) from error
     return tensors
 

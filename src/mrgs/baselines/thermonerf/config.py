@@ -83,7 +83,7 @@ def make_config(
         ConfigError: an unknown preset, or a value that is not allowed.
     """
     if preset not in PRESETS:
-        raise ConfigError(f"there is no preset {preset!r}: choose one of {', '.join(PRESETS)}")
+        raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
     steps, rays = PRESETS[preset]
     steps = steps if max_steps is None else max_steps
     return ThermoNerfConfig(max_steps=steps, rays_per_batch=rays, resolution=resolution, seed=seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -14,13 +15,11 @@ from mrgs.baselines.thermonerf.frame import Frame
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays
 from mrgs.baselines.thermonerf.sampling import Spacing, even_edges, resample
 from mrgs.baselines.thermonerf.volume import composite, median_distance, render_weights
-from mrgs.render import Rendering
-from mrgs.scene import Camera
+from mrgs.scene import RGB, Blend, Camera, Modality, Rendering
 
 CHUNK_RAYS = 8_192
 """Rays that are rendered together, which takes about 170 MB of memory."""
 
-NO_ROWS = slice(0, 0)
 ALL_ROWS = slice(None)
 
 
@@ -44,16 +43,15 @@ class Traced(NamedTuple):
     """What rays see.
 
     Attributes:
-        rgb: colours of the rays that were asked for it, [R', 3].
-        thermal: normalised temperatures, [R'', 1].
+        values: colours or normalised temperatures of the rays that were asked for them, by
+            modality, [R', C].
         depth: z-depth in scene units up to which half of the weight lies, times alpha, [R]; without
             gradient.
         alpha: sum of the weights, [R].
         samples: the weights.
     """
 
-    rgb: Float[Tensor, "r1 3"]
-    thermal: Float[Tensor, "r2 1"]
+    values: dict[Modality, Float[Tensor, "_ c"]]
     depth: Float[Tensor, " r"]
     alpha: Float[Tensor, " r"]
     samples: Samples
@@ -78,16 +76,14 @@ class ThermoNerf(nn.Module):
     def trace(
         self,
         rays: Rays,
-        rgb_rows: slice,
-        thermal_rows: slice,
+        rows: Mapping[Modality, slice],
         generator: torch.Generator | None = None,
     ) -> Traced:
         """Follow rays; differentiable in the parameters.
 
         Args:
             rays: any number.
-            rgb_rows: the rays whose colour is wanted.
-            thermal_rows: the rays whose temperature is wanted.
+            rows: of each modality that is wanted, the rays to follow for it.
             generator: of the random places of the samples, for training; None takes even ones.
         """
         proposal_edges = even_edges(
@@ -108,48 +104,42 @@ class ThermoNerf(nn.Module):
             * rays.cosines
             * (self.frame.radius * alphas.detach())
         )
-        return Traced(
-            self._color(weights[rgb_rows], features[rgb_rows], rays.directions[rgb_rows]),
-            self._temperature(weights[thermal_rows], features[thermal_rows]),
-            depth,
-            alphas,
-            Samples(edges, weights, proposal_edges, proposal_weights),
-        )
+        values = {
+            modality: self._values(modality, weights[some], features[some], rays.directions[some])
+            for modality, some in rows.items()
+        }
+        samples = Samples(edges, weights, proposal_edges, proposal_weights)
+        return Traced(values, depth, alphas, samples)
 
-    def render(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:
-        """Render the modalities that have a camera, without gradients; one pass serves both if the
+    def render(self, cameras: Mapping[Modality, Camera]) -> Rendering:
+        """Render the modalities that have a camera, without gradients; one pass serves all if the
         cameras coincide."""
-        if (
-            rgb_camera is not None
-            and thermal_camera is not None
-            and rgb_camera.coincides_with(thermal_camera)
-        ):
-            rgb, thermal, depth, alpha = self._image(rgb_camera, ALL_ROWS, ALL_ROWS)
-            return Rendering(rgb, depth, thermal, depth, alpha, alpha)
-        rendering = Rendering()
-        if rgb_camera is not None:
-            rgb, _, depth, alpha = self._image(rgb_camera, ALL_ROWS, NO_ROWS)
-            rendering = rendering._replace(rgb=rgb, depth_rgb=depth, alpha_rgb=alpha)
-        if thermal_camera is not None:
-            _, thermal, depth, alpha = self._image(thermal_camera, NO_ROWS, ALL_ROWS)
-            rendering = rendering._replace(
-                thermal=thermal, depth_thermal=depth, alpha_thermal=alpha
-            )
-        return rendering
+        used = list(cameras.values())
+        is_shared = bool(used) and all(camera.coincides_with(used[0]) for camera in used)
+        passes = [list(cameras)] if is_shared else [[modality] for modality in cameras]
+        blends: dict[Modality, Blend] = {}
+        for modalities in passes:
+            blends |= self._images(cameras[modalities[0]], modalities)
+        return Rendering(blends)
 
     @torch.no_grad()
-    def _image(self, camera: Camera, rgb_rows: slice, thermal_rows: slice) -> list[Tensor]:
-        """Colours, temperatures, z-depths and alphas of a camera's pixels, each [H, W, ...]."""
+    def _images(self, camera: Camera, modalities: list[Modality]) -> dict[Modality, Blend]:
+        """The modalities' images, which have one depth and one alpha."""
         rays = CameraRays([camera], self.frame)
-        parts = []
-        for pixels in torch.arange(len(rays)).split(CHUNK_RAYS):
-            traced = self.trace(rays.through(pixels), rgb_rows, thermal_rows)
-            parts.append((traced.rgb, traced.thermal, traced.depth, traced.alpha))
-        images = [torch.cat(part) for part in zip(*parts, strict=True)]
-        return [
-            image.reshape(camera.height, -1, *image.shape[1:]) if len(image) else image
-            for image in images
+        rows = dict.fromkeys(modalities, ALL_ROWS)
+        parts = [
+            self.trace(rays.through(pixels), rows)
+            for pixels in torch.arange(len(rays)).split(CHUNK_RAYS)
         ]
+
+        def image(values: list[Tensor]) -> Tensor:
+            return torch.cat(values).reshape(camera.height, camera.width, *values[0].shape[1:])
+
+        depth, alpha = image([part.depth for part in parts]), image([part.alpha for part in parts])
+        return {
+            modality: Blend(image([part.values[modality] for part in parts]), depth, alpha)
+            for modality in modalities
+        }
 
     def _intervals(
         self, rays: Rays, edges: Float[Tensor, "r e"]
@@ -160,18 +150,17 @@ class ThermoNerf(nn.Module):
         positions = rays.origins[:, None] + middles[..., None] * rays.directions[:, None]
         return positions, distances[:, 1:] - distances[:, :-1], distances
 
-    def _color(
+    def _values(
         self,
+        modality: Modality,
         weights: Float[Tensor, "r s"],
         features: Float[Tensor, "r s f"],
         directions: Float[Tensor, "r 3"],
-    ) -> Float[Tensor, "r 3"]:
-        harmonics = harmonics_of(directions)[:, None].expand(-1, weights.shape[1], -1)
-        colors = self.field.color(features.flatten(0, 1), harmonics.flatten(0, 1))
-        return composite(weights, colors.view(*weights.shape, 3))
-
-    def _temperature(
-        self, weights: Float[Tensor, "r s"], features: Float[Tensor, "r s f"]
-    ) -> Float[Tensor, "r 1"]:
-        temperatures = self.field.temperature(features.flatten(0, 1))
-        return composite(weights, temperatures.view(*weights.shape, 1))
+    ) -> Float[Tensor, "r c"]:
+        """Colours as seen along the rays, or temperatures."""
+        if modality == RGB:
+            harmonics = harmonics_of(directions)[:, None].expand(-1, weights.shape[1], -1)
+            values = self.field.color(features.flatten(0, 1), harmonics.flatten(0, 1))
+        else:
+            values = self.field.temperature(features.flatten(0, 1))
+        return composite(weights, values.view(*weights.shape, modality.channels))

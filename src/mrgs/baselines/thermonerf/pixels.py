@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -10,7 +11,10 @@ from torch import Tensor
 
 from mrgs.baselines.thermonerf.frame import Frame
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays
-from mrgs.scene import PosedImage, Scene
+from mrgs.scene import RGB, THERMAL, Modality, PosedImage, Scene
+
+MODALITIES = (RGB, THERMAL)
+"""Those that there are heads for."""
 
 
 class Target(NamedTuple):
@@ -28,18 +32,18 @@ class Target(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Rays and what they should see; None for a modality that the scene lacks."""
+    """Rays and what they should see, of the modalities that the scene has."""
 
     rays: Rays
-    rgb: Target | None
-    thermal: Target | None
+    targets: Mapping[Modality, Target]
 
 
 class _Photos:
-    """The pixels of one modality, in the order of ``CameraRays``."""
+    """The pixels of one modality and their rays, in the order of ``CameraRays``."""
 
-    def __init__(self, images: list[PosedImage]) -> None:
+    def __init__(self, images: list[PosedImage], frame: Frame) -> None:
         loaded = [image.load() for image in images]
+        self.rays = CameraRays([image.camera for image in images], frame)
         self.values = torch.cat([pixels.values.flatten(0, 1) for pixels in loaded])
         self.valid = None
         if any(pixels.valid is not None for pixels in loaded):
@@ -60,8 +64,8 @@ class _Photos:
 class PixelPool:
     """Draws rays at random over all training views.
 
-    Where each view's two images share a camera, a ray serves both modalities; else half of the rays
-    are RGB's.
+    Where the images of each view share a camera, a ray serves all modalities; else each modality
+    has an equal share of the rays.
 
     Args:
         scene: its training photos are read and kept.
@@ -72,36 +76,27 @@ class PixelPool:
     """
 
     def __init__(self, scene: Scene, frame: Frame) -> None:
-        rgb = [view.rgb for view in scene.train if view.rgb is not None]
-        thermal = [view.thermal for view in scene.train if view.thermal is not None]
-        self._rgb = _Photos(rgb) if rgb else None
-        self._thermal = _Photos(thermal) if thermal else None
-        self._rgb_rays = CameraRays([image.camera for image in rgb], frame) if rgb else None
-        self._thermal_rays = (
-            CameraRays([image.camera for image in thermal], frame) if thermal else None
-        )
-        self._is_shared = all(view.shares_camera for view in scene.train)
+        views = [view.images for view in scene.train]
+        self._photos = {
+            modality: _Photos([images[modality] for images in views if modality in images], frame)
+            for modality in MODALITIES
+            if modality in scene.modalities
+        }
+        self._is_shared = all(view.shares_camera(*MODALITIES) for view in scene.train)
 
     def draw(self, count: int, generator: torch.Generator) -> Batch:
-        """A batch of ``count`` rays (one more if it must be halved and is odd)."""
+        """A batch of ``count`` rays (a few more if they cannot be shared out evenly)."""
+        targets: dict[Modality, Target] = {}
         if self._is_shared:
-            assert self._rgb is not None
-            assert self._thermal is not None
-            assert self._rgb_rays is not None
-            pixels = torch.randint(len(self._rgb_rays), (count,), generator=generator)
-            return Batch(
-                self._rgb_rays.through(pixels),
-                self._rgb.target(pixels, 0),
-                self._thermal.target(pixels, 0),
-            )
+            rays = next(iter(self._photos.values())).rays
+            pixels = torch.randint(len(rays), (count,), generator=generator)
+            for modality, photos in self._photos.items():
+                targets[modality] = photos.target(pixels, 0)
+            return Batch(rays.through(pixels), targets)
         parts: list[Rays] = []
-        targets: list[Target | None] = []
-        each = count if self._rgb is None or self._thermal is None else -(-count // 2)
-        for photos, rays in ((self._rgb, self._rgb_rays), (self._thermal, self._thermal_rays)):
-            if photos is None or rays is None:
-                targets.append(None)
-                continue
-            pixels = torch.randint(len(rays), (each,), generator=generator)
-            targets.append(photos.target(pixels, each * len(parts)))
-            parts.append(rays.through(pixels))
-        return Batch(Rays(*(torch.cat(tensors) for tensors in zip(*parts, strict=True))), *targets)
+        each = -(-count // len(self._photos))
+        for modality, photos in self._photos.items():
+            pixels = torch.randint(len(photos.rays), (each,), generator=generator)
+            targets[modality] = photos.target(pixels, each * len(parts))
+            parts.append(photos.rays.through(pixels))
+        return Batch(Rays(*(torch.cat(tensors) for tensors in zip(*parts, strict=True))), targets)

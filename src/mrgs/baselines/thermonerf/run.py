@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +10,7 @@ from mrgs.baselines.thermonerf.checkpoint import load_model
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig, from_yaml
 from mrgs.baselines.thermonerf.model import ThermoNerf
 from mrgs.errors import DeviceError
-from mrgs.render import Rendering
-from mrgs.scene import Camera
+from mrgs.scene import Camera, Modality, Rendering
 from mrgs.system.gpu import DeviceName
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.trained_run import TrainedRun
@@ -27,8 +27,8 @@ class ThermoNerfRun(TrainedRun):
     config: ThermoNerfConfig
     model: ThermoNerf
 
-    def render_cameras(self, rgb_camera: Camera | None, thermal_camera: Camera | None) -> Rendering:  # noqa: D102
-        return self.model.render(rgb_camera, thermal_camera)
+    def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:  # noqa: D102
+        return self.model.render(cameras)
 
     @property
     def gaussian_count(self) -> None:  # noqa: D102

@@ -11,9 +11,9 @@ from torch import Tensor
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
 from mrgs.baselines.thermonerf.frame import Frame, frame_of
 from mrgs.baselines.thermonerf.losses import distortion_loss, interlevel_loss, squared_error
-from mrgs.baselines.thermonerf.model import NO_ROWS, ThermoNerf, Traced
-from mrgs.baselines.thermonerf.pixels import Batch, PixelPool, Target
-from mrgs.scene import Scene
+from mrgs.baselines.thermonerf.model import ThermoNerf, Traced
+from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
+from mrgs.scene import THERMAL, Scene
 
 ADAM_EPSILON = 1e-15
 """Entries of the hash tables get rare and tiny gradients (Müller et al. 2022, Section 4)."""
@@ -45,7 +45,8 @@ class ThermoNerfStatistics(NamedTuple):
     Attributes:
         step: its number, from 1.
         loss: the weighted sum of the terms; not finite if the step was skipped.
-        terms: squared errors ("rgb", "thermal"), "interlevel" and "distortion", unweighted.
+        terms: squared error of each modality by its name, "interlevel" and "distortion",
+            unweighted.
         thermal_error: mean absolute error of the normalised temperature over the batch; None
             without one.
         skipped: the loss or a gradient was not finite, so nothing was changed.
@@ -92,7 +93,8 @@ def training_step(
     in place."""
     state.step += 1
     batch = pool.draw(config.rays_per_batch, state.generator)
-    traced = state.model.trace(batch.rays, _rows(batch.rgb), _rows(batch.thermal), state.generator)
+    rows = {modality: target.rows for modality, target in batch.targets.items()}
+    traced = state.model.trace(batch.rays, rows, state.generator)
     terms = loss_terms(traced, batch)
     weights = {"interlevel": config.loss.interlevel, "distortion": config.loss.distortion}
     loss = torch.stack([weights.get(name, 1.0) * term for name, term in terms.items()]).sum()
@@ -111,26 +113,20 @@ def training_step(
         step=state.step,
         loss=loss.item(),
         terms={name: term.item() for name, term in terms.items()},
-        thermal_error=_thermal_error(traced, batch.thermal),
+        thermal_error=_thermal_error(traced, batch),
         skipped=skipped,
     )
 
 
 def loss_terms(traced: Traced, batch: Batch) -> dict[str, Tensor]:
-    """Both squared errors, as far as the batch has the modality, and the two terms on the
-    weights."""
-    terms: dict[str, Tensor] = {}
-    if batch.rgb is not None:
-        terms["rgb"] = squared_error(traced.rgb, batch.rgb.values, batch.rgb.valid)
-    if batch.thermal is not None:
-        terms["thermal"] = squared_error(traced.thermal, batch.thermal.values, batch.thermal.valid)
+    """The squared error of each modality of the batch, and the two terms on the weights."""
+    terms = {
+        modality.name: squared_error(traced.values[modality], target.values, target.valid)
+        for modality, target in batch.targets.items()
+    }
     terms["interlevel"] = interlevel_loss(*traced.samples)
     terms["distortion"] = distortion_loss(traced.samples.edges, traced.samples.weights)
     return terms
-
-
-def _rows(target: Target | None) -> slice:
-    return NO_ROWS if target is None else target.rows
 
 
 def _gradients_are_finite(model: ThermoNerf) -> bool:
@@ -143,10 +139,11 @@ def _gradients_are_finite(model: ThermoNerf) -> bool:
     )
 
 
-def _thermal_error(traced: Traced, target: Target | None) -> float | None:
+def _thermal_error(traced: Traced, batch: Batch) -> float | None:
     """Mean absolute error of the normalised temperature over the valid rays."""
-    if target is None:
+    if THERMAL not in batch.targets:
         return None
-    error = (traced.thermal.detach() - target.values).abs()
+    target = batch.targets[THERMAL]
+    error = (traced.values[THERMAL].detach() - target.values).abs()
     counted = error if target.valid is None else error[target.valid]
     return counted.mean().item() if counted.numel() > 0 else None

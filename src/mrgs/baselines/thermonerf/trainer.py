@@ -10,7 +10,7 @@ import torch
 from mrgs.baselines.thermonerf import checkpoint
 from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml
 from mrgs.baselines.thermonerf.model import ALL_ROWS
-from mrgs.baselines.thermonerf.pixels import PixelPool
+from mrgs.baselines.thermonerf.pixels import MODALITIES, PixelPool
 from mrgs.baselines.thermonerf.run import require_cpu
 from mrgs.baselines.thermonerf.step import (
     ThermoNerfStatistics,
@@ -119,7 +119,7 @@ class _Trainer(Driver[ThermoNerfStatistics]):
         generator = torch.Generator().manual_seed(0)
         batch = self._pool.draw(CHECKED_RAYS, generator)
         with checking():
-            model.trace(batch.rays, ALL_ROWS, ALL_ROWS, generator)
+            model.trace(batch.rays, dict.fromkeys(MODALITIES, ALL_ROWS), generator)
 
     def _take_step(self) -> ThermoNerfStatistics:
         return training_step(self._state, self._pool, self._config)

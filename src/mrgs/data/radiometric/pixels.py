@@ -1,4 +1,4 @@
-"""Decoding a stranger's image with Pillow: bounded in size, and every failure a message."""
+"""Decoding untrusted images with Pillow: bounded in size; every failure is a SceneError."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.radiometric import fff, jpeg
@@ -21,16 +21,25 @@ _RASTERS = (jpeg.SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", 
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 
+Kind = Literal["signal", "numbers", "table", "image", "dji"]
+"""What a file holds: a camera's raw signal; bare numbers, or floats in an image; a table of
+temperatures; any other image; a DJI R-JPEG, which must be converted first."""
+
+
 class Reader(NamedTuple):
     """A kind of file.
 
     Attributes:
-        recognises: whether a file is of this kind, from its content and path.
+        recognises: whether a file is of this kind, from its beginning and path. Of a JPEG with
+            FLIR's record the whole file is needed, else ``SceneError`` is raised.
         read: its photo; raises ``SceneError`` if it cannot be read.
+        kind: what it holds, by which ``mrgs prepare`` finds thermal photos among others. An image
+            may turn out to hold numbers, or to be a photo in visible light.
     """
 
     recognises: Callable[[bytes, Path], bool]
     read: Callable[[bytes, Path, Overrides], ThermalPhoto]
+    kind: Kind = "image"
 
 
 def _is_flir_jpeg(data: bytes, path: Path) -> bool:
@@ -75,15 +84,24 @@ def _is_bare_numbers(data: bytes, path: Path) -> bool:
     return path.suffix.lower() == ".raw"
 
 
-READERS = (
-    Reader(_is_flir_jpeg, _read_flir_jpeg),
-    Reader(_is_dji_jpeg, _refuse_dji_jpeg),
-    Reader(_is_fff, _read_fff),
+READERS = [
+    Reader(_is_flir_jpeg, _read_flir_jpeg, "signal"),
+    Reader(_is_dji_jpeg, _refuse_dji_jpeg, "dji"),
+    Reader(_is_fff, _read_fff, "signal"),
     Reader(_is_raster, _read_raster),
-    Reader(_is_table, read_table),
-    Reader(_is_bare_numbers, read_bare_numbers),
-)
+    Reader(_is_table, read_table, "table"),
+    Reader(_is_bare_numbers, read_bare_numbers, "numbers"),
+]
 """All kinds of files; the first that recognises a file reads it."""
+
+
+def reader_of(data: bytes, path: Path) -> Reader | None:
+    """The first of ``READERS`` that recognises a file; None if it is of no known kind.
+
+    Raises:
+        SceneError: FLIR's record in a JPEG is damaged.
+    """
+    return next((reader for reader in READERS if reader.recognises(data, path)), None)
 
 
 def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> ThermalPhoto:
@@ -107,9 +125,9 @@ def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> Therma
 def _read(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     if not data:
         raise scene_error(path, "is empty; copy the photo from the camera again")
-    for reader in READERS:
-        if reader.recognises(data, path):
-            return reader.read(data, path, overrides)
+    reader = reader_of(data, path)
+    if reader is not None:
+        return reader.read(data, path, overrides)
     raise scene_error(
         path, "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)"
     )

@@ -22,6 +22,7 @@ from jaxtyping import Float, Float32, Int64, UInt8, UInt16, UInt32
 from mrgs.errors import ConfigError
 from mrgs.rasterizer.contract import ALPHA_MIN
 from mrgs.runs.baked import BakedModel
+from mrgs.scene import RGB, THERMAL
 
 CHUNK = 256
 """Splats that share the bounds of their positions."""
@@ -65,9 +66,10 @@ def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
     """
     if sh_degree not in range(4):
         raise ValueError(f"sh_degree must be from 0 to 3, not {sh_degree}")
-    opacities = np.stack([_array(baked.opacity_rgb), _array(baked.opacity_thermal)])
+    opacity_rgb, opacity_thermal = (_array(baked.opacities[each]) for each in (RGB, THERMAL))
     means = _array(baked.means)
-    rows = np.flatnonzero((opacities >= ALPHA_MIN).any(axis=0) & np.isfinite(means).all(axis=1))
+    visible = np.maximum(opacity_rgb, opacity_thermal) >= ALPHA_MIN
+    rows = np.flatnonzero(visible & np.isfinite(means).all(axis=1))
     if not rows.size:
         raise ConfigError(
             "the model has no splat that can be seen, so there is nothing to show; train it longer"
@@ -76,7 +78,7 @@ def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
     low, high, positions = _chunked_positions(means[rows])
     scales, scale_limits = _quantise(np.log(_array(baked.scales)[rows]), 1023)
     temperature, temperature_limits = _quantise(_array(baked.temperatures)[rows], 65535)
-    sh = _array(baked.sh)[rows]
+    sh = _array(baked.sh[RGB])[rows]
     bands = [
         _quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(sh_degree + 1)
     ]
@@ -87,8 +89,8 @@ def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
         "scales": _three_in_one(scales),
         "positions": positions.T,
         "temperature": temperature.astype(np.uint16),
-        "opacity_thermal": np.rint(opacities[1, rows] * 65535).astype(np.uint16),
-        "opacity_rgb": np.rint(opacities[0, rows] * 255).astype(np.uint8),
+        "opacity_thermal": np.rint(opacity_thermal[rows] * 65535).astype(np.uint16),
+        "opacity_rgb": np.rint(opacity_rgb[rows] * 255).astype(np.uint8),
         "sh": np.concatenate([codes for codes, _ in bands], axis=1).reshape(len(rows), -1).T,
     }
     header = {

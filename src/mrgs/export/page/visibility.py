@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.rasterizer import Layer, rasterize
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, spread
 
@@ -25,20 +24,16 @@ def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tens
     An image is linear in the features that it blends, so its gradient in them is the sum of the
     weights.
     """
-    weights = torch.zeros(2, len(baked))
+    weights = torch.zeros(len(baked.modalities), len(baked))
     for index in spread(len(cameras), VIEWS):
         small = cameras[index].with_width(WIDTH_PX)
-        features = [torch.zeros(len(baked), channels, requires_grad=True) for channels in (3, 1)]
-        opacities = (baked.opacity_rgb, baked.opacity_thermal)
-        layers = [
-            Layer(o, f, f.new_zeros(f.shape[1])) for o, f in zip(opacities, features, strict=True)
-        ]
-        raster = rasterize(
-            baked.means, baked.quats, baked.scales, layers, small.viewmat, small.K, small.width,
-            small.height,
-        )  # fmt: skip
-        total = torch.stack([blend.image[..., 0].sum() for blend in raster.blends]).sum()
-        gradients = torch.autograd.grad(total, features)
+        features = {
+            modality: torch.zeros(len(baked), modality.channels, requires_grad=True)
+            for modality in baked.modalities
+        }
+        rendering = baked.blend(features, dict.fromkeys(baked.modalities, small))
+        total = torch.stack([blend.image[..., 0].sum() for blend in rendering.values()]).sum()
+        gradients = torch.autograd.grad(total, list(features.values()))
         weights += torch.stack([gradient[:, 0] for gradient in gradients])
     return weights.max(dim=0).values
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,14 +18,14 @@ from mrgs.pictures.files import to_array
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range, palette_table
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera, TemperatureRange, spread
+from mrgs.scene import RGB, THERMAL, Camera, Modality, TemperatureRange, spread
 from mrgs.scene.camera_paths import focus_point
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
 
-Modality = Literal["rgb", "thermal"]
-MODALITIES: tuple[Modality, ...] = get_args(Modality)
+SHOWN = (RGB, THERMAL)
+"""The modalities that the page can show."""
 
 RANGE_VIEWS = 8
 RANGE_WIDTH_PX = 160
@@ -44,7 +44,7 @@ def write_page(
     max_splats: int | None = None,
     sh_degree: int = 3,
     notes: Sequence[str] = (),
-    modalities: Sequence[Modality] = MODALITIES,
+    modalities: Sequence[Modality] = SHOWN,
 ) -> Path:
     """Write the model as one self-contained HTML page; returns its path.
 
@@ -63,7 +63,8 @@ def write_page(
         max_splats: keep only so many, those that paint most of the photos.
         sh_degree: 0 to 3; fewer degrees make a smaller file, whose colours depend less on the view.
         notes: sentences to add to what the page says about its temperatures.
-        modalities: those of which the scene has photos; the page shows no other.
+        modalities: those of which the scene has photos; the page shows those of them that are in
+            ``SHOWN``.
 
     Raises:
         ConfigError: there are no cameras or no splats, or an option is out of its range.
@@ -74,7 +75,7 @@ def write_page(
     if max_splats is not None:
         baked = baked.subset(most_visible(baked, shown, max_splats))
     packed = pack(baked, sh_degree)
-    kinds = [name for name in MODALITIES if name in modalities]
+    kinds = [modality.name for modality in SHOWN if modality in modalities]
     facts = {
         "model": packed.header,
         "cameras": [_camera(camera) for camera in shown],
@@ -112,14 +113,22 @@ def visible_range(baked: BakedModel, cameras: Sequence[Camera]) -> tuple[float, 
     seen = []
     for index in spread(len(cameras), RANGE_VIEWS):
         small = cameras[index].with_width(RANGE_WIDTH_PX)
-        rendering = baked.render(small)
-        assert rendering.thermal is not None
-        assert rendering.alpha_thermal is not None
-        seen.append(to_array(rendering.thermal[..., 0][rendering.alpha_thermal >= SURFACE_ALPHA]))
+        thermal = baked.render({THERMAL: small})[THERMAL]
+        seen.append(to_array(thermal.image[..., 0][thermal.alpha >= SURFACE_ALPHA]))
     low, high = display_range(np.concatenate(seen))
     if baked.temperature is None:
         return low, high
     return baked.temperature.to_celsius(low), baked.temperature.to_celsius(high)
+
+
+def require_shown(modalities: Collection[Modality]) -> None:
+    """Check that the page can show one of the modalities.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    if not set(modalities) & set(SHOWN):
+        raise ConfigError(f"the page needs {' or '.join(map(str, SHOWN))} to show")
 
 
 def _check(
@@ -130,8 +139,7 @@ def _check(
     max_splats: int | None,
     sh_degree: int,
 ) -> None:
-    if not set(modalities) & set(MODALITIES):
-        raise ConfigError("the page needs rgb or thermal to show")
+    require_shown(modalities)
     if not cameras:
         raise ConfigError("the page needs at least one camera to open on")
     if palette not in PALETTES:

@@ -1,7 +1,7 @@
 """Matrix products of one block of rows, small enough to stay in the cache: what the heads spend
 their time on.
 
-A library's product starts its threads anew for each call, and may sum in another order when their
+A library's product starts its threads for each call, and may sum in another order when their
 number changes. Here each thread multiplies blocks of its own, so that a whole network passes over a
 block without leaving the cache.
 """

@@ -13,7 +13,7 @@ from mrgs.kernels.heat.exchange import exchange, with_neighbours
 from mrgs.kernels.heat.readout import readout_constants, readout_rows
 from mrgs.kernels.heat.thermal_head import project_features
 from mrgs.kernels.rows import listed
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
 
 
 def temperature_residuals(
@@ -28,7 +28,7 @@ def temperature_residuals(
     if rows is not None:
         needed = torch.from_numpy(with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
     projected = _projected_features(field, gaussians, listed(needed, len(gaussians)))
-    opacity = take(gaussians.opacity_thermal, rows)
+    opacity = take(gaussians.opacity(THERMAL), rows)
     anchors = listed(rows, len(gaussians))
     heat, output = field.heat, field.temperature_output
     if heat.k == 0:
@@ -47,8 +47,8 @@ def _projected_features(
     phi_sh = field.extraction.phi_sh
     return project_features(
         gaussians.embedding,
-        gaussians.sh_dc,
-        gaussians.sh_rest,
+        gaussians.sh_dc[RGB],
+        gaussians.sh_rest[RGB],
         (phi_sh.weight, phi_sh.bias, *layers),
         field.normalised(gaussians.means.detach()),
         field.thermal_head.frequencies,

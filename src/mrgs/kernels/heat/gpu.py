@@ -13,7 +13,7 @@ from torch import Tensor
 from mrgs.field import RadianceField
 from mrgs.field.rows import take
 from mrgs.kernels.heat.readout import readout_constants, readout_rows
-from mrgs.scene import Gaussians
+from mrgs.scene import RGB, THERMAL, Gaussians
 
 
 def temperature_residuals(
@@ -25,14 +25,14 @@ def temperature_residuals(
     """``RadianceField.temperature_residuals`` for float32 on a GPU."""
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
     heat, output, scale = field.heat, field.temperature_output, field.config.residual_scale
-    e_t = field.extraction(gaussians.embedding, gaussians.sh)
+    e_t = field.extraction(gaussians.embedding, gaussians.sh(RGB))
     features = field.thermal_head(e_t, field.normalised(gaussians.means))
     projected = features @ readout_rows(heat, output, torch.matmul).T
     if heat.k == 0:
         return scale * (take(projected, rows) + output.bias)
     refined = exchange(
         projected,
-        take(gaussians.opacity_thermal, rows),
+        take(gaussians.opacity(THERMAL), rows),
         readout_constants(heat, output, torch.matmul),
         take(neighbours, rows),
         take(projected, rows),

@@ -133,7 +133,7 @@ def _backward(inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums
 def _backward_share(
     share, inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums, grad_inputs
 ):
-    """The hidden values are computed anew: that costs less than to keep them."""
+    """The hidden values are recomputed, which costs less than keeping them."""
     units = hidden_layer.bias.size
     x = np.zeros((BLOCK_ROWS, hidden_layer.no_bias.size), np.float32)
     h, g_h = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)

@@ -39,7 +39,7 @@ TAPS = tl.constexpr(2 * RADIUS_PX + 1)
 WINDOW = tuple(WEIGHTS.tolist())
 
 SIZES = ("height", "width", "channels", "weights_pitch")
-"""Numbers that Triton need not compile anew for."""
+"""Arguments that do not trigger a recompilation in Triton."""
 
 SCALARS = ("dssim", "l1", "c1", "c2")
 

@@ -18,8 +18,7 @@ from torch import Tensor, nn
 from mrgs.errors import ConfigError
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
-from mrgs.render import Rendering
-from mrgs.scene import Camera, Scene
+from mrgs.scene import THERMAL, Camera, Rendering, Scene
 
 INITIAL_POINT_SPREAD_PX = 0.8
 SMALLEST_POINT_SPREAD_PX = 0.2
@@ -69,7 +68,7 @@ class Capture(NamedTuple):
         extent = scene.extent
         return cls(
             tuple(
-                Viewpoint.of(camera, extent) if view.thermal else None
+                Viewpoint.of(camera, extent) if THERMAL in view.images else None
                 for camera, view in zip(scene.train_cameras, scene.train, strict=True)
             ),
             extent,
@@ -140,13 +139,14 @@ class ImageModel(nn.Module):
         return self._written(rendering, lambda gains: gains.expected(viewpoint))
 
     def _written(self, rendering: Rendering, gain: Callable[[PhotoGain], Gain]) -> Rendering:
-        thermal = rendering.thermal
-        if thermal is not None:
-            if self.point_spread is not None:
-                thermal = self.point_spread(thermal)
-            if self.thermal_gain is not None:
-                thermal = gain(self.thermal_gain).apply(thermal)
-        return rendering._replace(thermal=thermal)
+        if THERMAL not in rendering:
+            return rendering
+        thermal = rendering[THERMAL].image
+        if self.point_spread is not None:
+            thermal = self.point_spread(thermal)
+        if self.thermal_gain is not None:
+            thermal = gain(self.thermal_gain).apply(thermal)
+        return rendering.with_images({THERMAL: thermal})
 
     def parameter_groups(self) -> list[dict]:
         """Groups for an optimizer, each with its learning rate."""

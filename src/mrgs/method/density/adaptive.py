@@ -221,10 +221,9 @@ def _within_budget(
 def _is_superfluous(
     gaussians: Gaussians, config: AdaptiveDensityControl, extent: float, prunes_large: bool
 ) -> Bool[Tensor, " n"]:
-    """Transparent in both modalities, or too large."""
-    superfluous = (
-        torch.maximum(gaussians.opacity_rgb, gaussians.opacity_thermal) < config.prune_opacity
-    )
+    """Transparent in all modalities, or too large."""
+    opacities = [gaussians.opacity(modality) for modality in gaussians.modalities]
+    superfluous = torch.stack(opacities).amax(dim=0) < config.prune_opacity
     if prunes_large:
         superfluous |= gaussians.scales.max(dim=1).values > config.prune_above * extent
     return superfluous
@@ -232,8 +231,8 @@ def _is_superfluous(
 
 def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
     """Two smaller Gaussians for each, at places drawn from it."""
-    halves = Gaussians(
-        **{
+    halves = gaussians.with_tensors(
+        {
             name: tensor.repeat_interleave(SPLIT_INTO, 0)
             for name, tensor in gaussians.tensors().items()
         }
@@ -263,13 +262,13 @@ def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float
 
 
 def _rows(gaussians: Gaussians, rows: Int64[Tensor, " k"]) -> Gaussians:
-    return Gaussians(
-        **{name: tensor.detach()[rows] for name, tensor in gaussians.tensors().items()}
+    return gaussians.with_tensors(
+        {name: tensor.detach()[rows] for name, tensor in gaussians.tensors().items()}
     )
 
 
 def _concatenate(first: Gaussians, second: Gaussians) -> Gaussians:
     others = second.tensors()
-    return Gaussians(
-        **{name: torch.cat([tensor, others[name]]) for name, tensor in first.tensors().items()}
+    return first.with_tensors(
+        {name: torch.cat([tensor, others[name]]) for name, tensor in first.tensors().items()}
     )

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError
 from mrgs.method.losses.ssim import ssim_map
+from mrgs.scene import THERMAL, Modality
 from mrgs.system.operation import operation
 
 HALF_COVERED = 0.5
@@ -38,6 +39,11 @@ class LossConfig:
     smooth_thermal: float = 1.0
     smooth_depth: float = 1.0
     opaque: float = 0.0
+
+    def smooth_image(self, modality: Modality) -> float:
+        """Weight of a modality's image in Eq. 18: temperatures have their own, all others that of
+        the colours."""
+        return self.smooth_thermal if modality == THERMAL else self.smooth_rgb
 
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:

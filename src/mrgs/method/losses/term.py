@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mrgs.render import Rendering
-from mrgs.scene import Gaussians, Pixels, TemperatureRange
-
-
-class Photos(NamedTuple):
-    """A view's photos.
-
-    Attributes:
-        rgb: None if the view has no colour image.
-        thermal: None if it has no thermal image.
-        shares_camera: whether one camera took both, so that a pixel of the one is the same pixel of
-            the other.
-    """
-
-    rgb: Pixels | None
-    thermal: Pixels | None
-    shares_camera: bool = False
+from mrgs.scene import Camera, Gaussians, Modality, Pixels, Rendering, TemperatureRange
 
 
 class SceneScale(NamedTuple):
@@ -46,14 +31,17 @@ class LossContext(NamedTuple):
         rendering: what the model shows from the view's cameras.
         observed: the rendering as the cameras would have recorded it: what photos are compared
             with.
-        photos: of the view.
+        photos: of the view, by modality.
+        cameras: of the photos: where two coincide, a pixel of the one image is the same pixel of
+            the other.
         gaussians: of the model.
         scale: of the scene.
     """
 
     rendering: Rendering
     observed: Rendering
-    photos: Photos
+    photos: Mapping[Modality, Pixels]
+    cameras: Mapping[Modality, Camera]
     gaussians: Gaussians
     scale: SceneScale
 

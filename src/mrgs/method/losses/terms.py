@@ -24,19 +24,23 @@ from mrgs.method.losses.radiation import (
 )
 from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
+from mrgs.scene import RGB, THERMAL, Modality
 
-MODALITIES = ("rgb", "thermal")
 
-
-def configured_terms(config: TrainConfig, extra: Sequence[Term] = ()) -> tuple[Term, ...]:
+def configured_terms(
+    config: TrainConfig,
+    extra: Sequence[Term] = (),
+    modalities: Sequence[Modality] = (RGB, THERMAL),
+) -> tuple[Term, ...]:
     """The terms of a training.
 
     Args:
         config: says which of the paper's terms there are.
         extra: more terms; one with the name of a configured term takes its place.
+        modalities: each has a photometric term of its own.
     """
     loss, radiation = config.loss, config.radiation
-    terms: list[Term] = [Photometric(name, loss.dssim) for name in MODALITIES]
+    terms: list[Term] = [Photometric(modality, loss.dssim) for modality in modalities]
     if loss.smooth > 0:
         terms.append(Smoothness(loss))
     if loss.opaque > 0:
@@ -54,21 +58,23 @@ def term_values(terms: Sequence[Term], context: LossContext) -> dict[str, Float[
 
 
 class Photometric(Term):
-    """L_c or L_t, Eq. 17 (L_m).
+    """L_c, L_t, or the same of another modality: Eq. 17 (L_m).
 
     Args:
         modality: which; also the term's name.
         dssim: λ of Eq. 17.
     """
 
-    def __init__(self, modality: str, dssim: float) -> None:
-        self.name = modality
+    def __init__(self, modality: Modality, dssim: float) -> None:
+        self.name = modality.name
+        self._modality = modality
         self._dssim = dssim
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        image, photo = getattr(context.observed, self.name), getattr(context.photos, self.name)
-        if image is None or photo is None:
+        photo = context.photos.get(self._modality)
+        if photo is None:
             return None
+        image = context.observed[self._modality].image
         return photometric_loss(image, photo.values, photo.valid, self._dssim)
 
 
@@ -88,22 +94,17 @@ class Smoothness(Term):
         return self._config.smooth
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        parts = [
-            self._of(name, context)
-            for name in MODALITIES
-            if getattr(context.rendering, name) is not None
-            and getattr(context.photos, name) is not None
-        ]
+        parts = [self._of(modality, context) for modality in context.photos]
         return torch.stack(parts).sum() if parts else None
 
-    def _of(self, modality: str, context: LossContext) -> Float[Tensor, ""]:
-        photo = getattr(context.photos, modality)
+    def _of(self, modality: Modality, context: LossContext) -> Float[Tensor, ""]:
+        blend = context.rendering[modality]
         return smoothness_loss(
-            getattr(context.rendering, modality),
-            getattr(context.rendering, f"depth_{modality}"),
-            photo.valid,
+            blend.image,
+            blend.depth,
+            context.photos[modality].valid,
             context.scale.extent,
-            getattr(self._config, f"smooth_{modality}"),
+            self._config.smooth_image(modality),
             self._config,
         )
 
@@ -124,15 +125,12 @@ class Opaqueness(Term):
         return self._weight
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        if not context.photos.shares_camera:
+        cameras, rendering = context.cameras, context.rendering
+        both = RGB in cameras and THERMAL in cameras
+        if not (both and cameras[RGB].coincides_with(cameras[THERMAL])):
             return None
-        rgb_depth, thermal_depth = context.rendering.depth_rgb, context.rendering.depth_thermal
-        rgb_alpha, thermal_alpha = context.rendering.alpha_rgb, context.rendering.alpha_thermal
-        assert rgb_depth is not None
-        assert thermal_depth is not None
-        assert rgb_alpha is not None
-        assert thermal_alpha is not None
-        return opaqueness_loss(thermal_alpha, rgb_alpha, thermal_depth, rgb_depth)
+        rgb, thermal = rendering[RGB], rendering[THERMAL]
+        return opaqueness_loss(thermal.alpha, rgb.alpha, thermal.depth, rgb.depth)
 
 
 class Boltzmann(Term):
@@ -155,10 +153,10 @@ class Boltzmann(Term):
         return boltzmann_weight(step, self._config)
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        photo, depth = context.photos.thermal, context.observed.depth_thermal
-        image, scale = context.observed.thermal, context.scale
-        if photo is None or depth is None or image is None:
+        photo, scale = context.photos.get(THERMAL), context.scale
+        if photo is None:
             return None
+        image, depth, _ = context.observed[THERMAL]
         radiation = thermal_radiation(photo.values[..., 0], depth, scale.extent, scale.temperature)
         radiation = normalise_radiation(radiation, photo.valid)
         uncertainty = self._uncertainty(depth, scale.extent)

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
-from mrgs.field.spherical_harmonics import C0
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
 from mrgs.method.start.start_points import StartPoints
-from mrgs.scene import Gaussians
+from mrgs.scene import THERMAL, Gaussians
 
 INITIAL_SCALE_NEIGHBOURS = 3
 SMALLEST_DISTANCE = 1e-7
@@ -33,7 +33,7 @@ def initial_gaussians(
     Args:
         points: start points; a random subset if there are more than ``max_gaussians``.
         field: gives e_m its start; its frame must be set.
-        shares_opacity: whether both modalities are blended with o_c.
+        shares_opacity: whether all modalities are blended with o_c.
         temperature_sh_degree: degree of the temperature's spherical harmonics, 0 to 3.
         max_gaussians: the cap.
         generator: of the subset.
@@ -45,19 +45,18 @@ def initial_gaussians(
         )
         count = max_gaussians
     means = points.positions.clone()
-    opacity_rgb, opacity_thermal = (
-        o.logit()[:, None] for o in (points.opacities_rgb, points.opacities_thermal)
-    )
+    degrees = dict.fromkeys(points.values, MAX_DEGREE) | {THERMAL: temperature_sh_degree}
+    blended = list(points.opacities)[: 1 if shares_opacity else None]
     return Gaussians(
         means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         log_scales=torch.minimum(_spacing(means), points.max_scales).log()[:, None].repeat(1, 3),
-        opacity_rgb_logit=opacity_rgb,
-        opacity_thermal_logit=opacity_thermal[:, :0] if shares_opacity else opacity_thermal,
-        sh_dc=((points.colors - 0.5) / C0)[:, None],
-        sh_rest=torch.zeros(count, 15, 3),
-        temperature_dc=((points.temperatures - 0.5) / C0)[:, None, None],
-        temperature_rest=torch.zeros(count, (temperature_sh_degree + 1) ** 2 - 1, 1),
+        opacity_logits={each: points.opacities[each].logit()[:, None] for each in blended},
+        sh_dc={each: ((values - 0.5) / C0)[:, None] for each, values in points.values.items()},
+        sh_rest={
+            each: torch.zeros(count, (degrees[each] + 1) ** 2 - 1, each.channels)
+            for each in points.values
+        },
         embedding=field.initial_embedding(means),
     )
 

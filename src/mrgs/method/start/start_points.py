@@ -8,6 +8,7 @@ surfaces whose temperature is the background's never become opaque to the therma
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import torch
@@ -17,7 +18,7 @@ from torch import Tensor
 from mrgs.method.config import TrainConfig
 from mrgs.method.start.distant_points import distant_points
 from mrgs.method.start.photo_values import photo_values
-from mrgs.scene import PointCloud, PosedImage, Scene
+from mrgs.scene import RGB, THERMAL, Modality, PointCloud, PosedImage, Scene, in_order
 
 OPACITY = 0.1
 """3DGS's."""
@@ -45,70 +46,103 @@ class StartPoints(NamedTuple):
 
     Attributes:
         positions: in world coordinates, [N, 3].
-        colors: RGB in [0, 1], [N, 3].
-        temperatures: normalised, [N].
-        opacities_rgb: o_c, [N].
-        opacities_thermal: o_t, [N].
+        values: of each modality of C channels, in [0, 1], [N, C]: colours, normalised temperatures.
+        opacities: of each modality, [N].
         max_scales: no Gaussian starts larger than this, scene units, [N]; infinite where the
             spacing alone decides.
     """
 
     positions: Float[Tensor, "n 3"]
-    colors: Float[Tensor, "n 3"]
-    temperatures: Float[Tensor, " n"]
-    opacities_rgb: Float[Tensor, " n"]
-    opacities_thermal: Float[Tensor, " n"]
+    values: dict[Modality, Float[Tensor, "n _"]]
+    opacities: dict[Modality, Float[Tensor, " n"]]
     max_scales: Float[Tensor, " n"]
 
     def rows(self, chosen: Tensor) -> StartPoints:
         """Some of the points."""
-        return StartPoints(*(values[chosen] for values in self))
+        return StartPoints(
+            self.positions[chosen],
+            {modality: values[chosen] for modality, values in self.values.items()},
+            {modality: opacities[chosen] for modality, opacities in self.opacities.items()},
+            self.max_scales[chosen],
+        )
+
+    def followed_by(self, others: StartPoints) -> StartPoints:
+        """These points and then others with the same modalities."""
+        return StartPoints(
+            torch.cat([self.positions, others.positions]),
+            {each: torch.cat([v, others.values[each]]) for each, v in self.values.items()},
+            {each: torch.cat([o, others.opacities[each]]) for each, o in self.opacities.items()},
+            torch.cat([self.max_scales, others.max_scales]),
+        )
 
 
 def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
     """The scene's points first, then those far away, as far as the configuration asks for them and
-    for temperatures."""
-    points = _as_published(scene.points)
+    for the values that the photos show."""
+    modalities = model_modalities(scene.modalities)
+    points = _as_published(scene.points, modalities)
     if config.distant_points:
         points = _with_distant(points, scene)
-    return _with_temperatures(points, scene) if config.photo_temperatures else points
+    if not config.photo_temperatures:
+        return points
+    for modality in modalities:
+        if modality != RGB:
+            points = _with_photo_values(points, scene, modality)
+    return points
 
 
-def _as_published(cloud: PointCloud) -> StartPoints:
-    """The scene's points as 3DGS starts from them."""
+def model_modalities(photographed: Iterable[Modality]) -> tuple[Modality, ...]:
+    """What a model renders: RGB and thermal always, others where there are photos.
+
+    Args:
+        photographed: the scene's modalities.
+    """
+    return in_order((RGB, THERMAL, *photographed))
+
+
+def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartPoints:
+    """The scene's points as 3DGS starts from them: only their colours are known."""
     like = cloud.positions[:, 0]
-    opacities = torch.full_like(like, OPACITY)
-    unknown, unlimited = torch.full_like(like, UNSEEN), torch.full_like(like, torch.inf)
-    return StartPoints(cloud.positions, cloud.colors, unknown, opacities, opacities, unlimited)
+    return StartPoints(
+        cloud.positions,
+        _unseen(modalities, len(like)) | {RGB: cloud.colors},
+        {modality: torch.full_like(like, OPACITY) for modality in modalities},
+        torch.full_like(like, torch.inf),
+    )
 
 
 def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
-    """Those far away behind them, in the photos' colours."""
+    """Points far away behind them, in the photos' colours."""
     distant = distant_points(points.positions, scene.train_cameras)
-    if len(distant.positions) == 0:
+    count = len(distant.positions)
+    if count == 0:
         return points
     positions = torch.cat([points.positions, distant.positions])
-    colors = photo_values(positions, _photos(scene, "rgb"), 3)[len(points.positions) :].nan_to_num(
-        nan=UNSEEN
-    )
+    colors = photo_values(positions, _photos(scene, RGB), RGB.channels)[-count:]
     like = distant.positions[:, 0]
-    opacities, unknown = torch.full_like(like, DISTANT_OPACITY), torch.full_like(like, UNSEEN)
-    sizes = torch.full_like(like, DISTANT_SIZE * distant.spacing)
-    added = StartPoints(distant.positions, colors, unknown, opacities, opacities, sizes)
-    return StartPoints(*(torch.cat(columns) for columns in zip(points, added, strict=True)))
+    added = StartPoints(
+        distant.positions,
+        _unseen(tuple(points.values), count) | {RGB: colors.nan_to_num(nan=UNSEEN)},
+        {modality: torch.full_like(like, DISTANT_OPACITY) for modality in points.opacities},
+        torch.full_like(like, DISTANT_SIZE * distant.spacing),
+    )
+    return points.followed_by(added)
 
 
-def _with_temperatures(points: StartPoints, scene: Scene) -> StartPoints:
-    """The same where no thermal photo shows a point; where one does, its temperature, and more
-    opaque to heat."""
-    temperatures = photo_values(points.positions, _photos(scene, "thermal"), 1)[:, 0]
-    opaque = points.opacities_thermal.clamp_min(THERMAL_OPACITY)
+def _with_photo_values(points: StartPoints, scene: Scene, modality: Modality) -> StartPoints:
+    """Points that photos of a modality show get its value there, and are more opaque to it."""
+    values = photo_values(points.positions, _photos(scene, modality), modality.channels)
+    unseen, opacities = values.isnan().any(dim=1), points.opacities[modality]
+    opaque = opacities.clamp_min(THERMAL_OPACITY)
     return points._replace(
-        temperatures=temperatures.nan_to_num(nan=UNSEEN),
-        opacities_thermal=torch.where(temperatures.isnan(), points.opacities_thermal, opaque),
+        values=points.values | {modality: values.nan_to_num(nan=UNSEEN)},
+        opacities=points.opacities | {modality: torch.where(unseen, opacities, opaque)},
     )
 
 
-def _photos(scene: Scene, modality: str) -> list[PosedImage]:
-    photos = [getattr(view, modality) for view in scene.train]
-    return [photo for photo in photos if photo is not None]
+def _unseen(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Tensor]:
+    return {each: torch.full((count, each.channels), UNSEEN) for each in modalities}
+
+
+def _photos(scene: Scene, modality: Modality) -> list[PosedImage]:
+    return [view.images[modality] for view in scene.train if modality in view.images]

@@ -14,6 +14,7 @@ from mrgs.data.undistort import resize
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.prepare.contract import ConvertedView
+from mrgs.scene import RGB
 from mrgs.scene.view import spread
 
 MOST_PHOTOS = 6
@@ -50,8 +51,7 @@ def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[Measure
 
 
 def _photo(scene: Path, view: ConvertedView) -> MeasuredPhoto:
-    assert view.rgb is not None
-    values, _ = decode_rgb(scene / view.rgb)
+    values, _ = decode_rgb(scene / view.images[RGB].file)
     height, width = values.shape[:2]
     if width > WIDTH_PX:
         values, _ = resize(

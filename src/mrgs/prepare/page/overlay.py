@@ -13,7 +13,7 @@ from torch import Tensor
 from mrgs.prepare.page.previews import Preview
 from mrgs.prepare.rig.depth import STEP_PX, inverse_depth
 from mrgs.prepare.rig.images import sampled
-from mrgs.scene import Camera, PointCloud
+from mrgs.scene import RGB, THERMAL, Camera, PointCloud
 
 EDGE_COLOR = (0, 240, 255)
 _EDGE_LEVELS = 16
@@ -38,18 +38,19 @@ def thermal_on_rgb(
     Returns:
         The image; None if the view lacks a pose or one of its images.
     """
-    camera, thermal_camera = preview.rgb_camera, preview.thermal_camera
-    if camera is None or thermal_camera is None or preview.thermal is None:
+    photo, thermal = preview.images.get(RGB), preview.images.get(THERMAL)
+    if photo is None or thermal is None or photo.camera is None or thermal.camera is None:
         return None
+    camera = photo.camera
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     depth = _depth(camera, columns, rows, points, visible)
     world = camera.unproject(
         torch.from_numpy(np.stack([columns, rows], axis=-1)), torch.from_numpy(depth)
     )
-    pixels, _ = thermal_camera.project(world)
-    inside = thermal_camera.contains(pixels).numpy()
+    pixels, _ = thermal.camera.project(world)
+    inside = thermal.camera.contains(pixels).numpy()
     x, y = np.nan_to_num(pixels.numpy()).transpose(2, 0, 1)
-    values = sampled(preview.thermal, np.where(inside, x, 0.0), np.where(inside, y, 0.0))
+    values = sampled(thermal.pixels, np.where(inside, x, 0.0), np.where(inside, y, 0.0))
     return np.where(inside, values, np.nan).astype(np.float32)
 
 

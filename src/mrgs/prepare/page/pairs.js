@@ -3,7 +3,7 @@
 function setUpPairs() {
   for (const card of document.querySelectorAll(".card")) {
     const base = card.querySelector(".base");
-    if (base) base.src = card.querySelector(".photo").src;
+    if (base) base.src = card.querySelector(".rgb").src;
   }
   const cards = document.querySelector(".cards");
   const buttons = [...document.querySelectorAll("button[data-mode]")];

@@ -1,4 +1,4 @@
-"""The pictures of each view: photo, thermal image, and one laid over the other."""
+"""The pictures of each view: its images, and one laid over the other."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import colorize, display_range
 from mrgs.prepare.page.overlay import edge_layer
 from mrgs.prepare.page.previews import Preview
+from mrgs.scene import THERMAL, Modality
 
 THUMBNAIL_PX, SMALL_THUMBNAIL_PX = 320, 240
 LARGE_UP_TO = 60
@@ -32,8 +33,7 @@ class Card(NamedTuple):
         name: of the view.
         status: "training" or "held out", or why the view is not in the scene.
         registered: whether it has a pose.
-        photo: None without an RGB image.
-        thermal: the thermal image in colours; None without one.
+        images: by modality.
         warped: the thermal image warped onto the photo; None without poses.
         edges: its steepest edges; None without poses.
     """
@@ -41,8 +41,7 @@ class Card(NamedTuple):
     name: str
     status: str
     registered: bool
-    photo: InlineImage | None
-    thermal: InlineImage | None
+    images: dict[Modality, InlineImage]
     warped: InlineImage | None
     edges: InlineImage | None
 
@@ -93,14 +92,18 @@ def pairs(
         inline_image(
             scale_bar(scale, _BAR_PX, "horizontal"), "scale of the thermal images", png=True
         )
-        if any(preview.thermal is not None for preview in previews)
+        if any(THERMAL in preview.images for preview in previews)
         else None,
     )
 
 
 def _common_range(previews: Sequence[Preview]) -> tuple[float, float]:
     """Limits of the colours of all thermal images."""
-    images = [preview.thermal.ravel()[::7] for preview in previews if preview.thermal is not None]
+    images = [
+        preview.images[THERMAL].pixels.ravel()[::7]
+        for preview in previews
+        if THERMAL in preview.images
+    ]
     return display_range(np.concatenate(images)) if images else (0.0, 1.0)
 
 
@@ -110,15 +113,26 @@ def _card(preview: Preview, overlay: Float32[np.ndarray, "h w"] | None, scale: S
         name,
         preview.status,
         preview.registered,
-        photo=None
-        if preview.rgb is None
-        else inline_image(Image.fromarray(preview.rgb), f"photo {name}", quality=78),
-        thermal=None
-        if preview.thermal is None
-        else inline_image(_colored(preview.thermal, scale), f"thermal image {name}", quality=78),
+        images={
+            modality: inline_image(
+                _picture(modality, image.pixels, scale),
+                f"{modality.title} image {name}",
+                quality=78,
+            )
+            for modality, image in preview.images.items()
+        },
         warped=None if overlay is None else inline_image(_colored(overlay, scale), "", quality=72),
         edges=None if overlay is None else inline_image(edge_layer(overlay), "", png=True),
     )
+
+
+def _picture(modality: Modality, pixels: np.ndarray, scale: Scale) -> Image.Image:
+    """Colours as they are, temperatures on the common scale, other intensities in grey."""
+    if modality == THERMAL:
+        return _colored(pixels, scale)
+    if pixels.ndim == 2:
+        pixels = np.rint(255 * np.nan_to_num(pixels).clip(0, 1)).astype(np.uint8)
+    return Image.fromarray(pixels)
 
 
 def _colored(values: Float32[np.ndarray, "h w"], scale: Scale) -> Image.Image:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +11,26 @@ import torch
 from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
 
-from mrgs.data.images import decode
-from mrgs.data.posed import decode_rgb
-from mrgs.data.thermal import LUMINANCE
+from mrgs.data.images import decode, with_channels
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.pictures.files import to_rgb8
 from mrgs.prepare.contract import ConvertedView
-from mrgs.scene import Camera, Pixels, TemperatureRange, View
+from mrgs.scene import THERMAL, Camera, Modality, Pixels, TemperatureRange, View
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewImage:
+    """An image at the size in which the page shows it.
+
+    Attributes:
+        pixels: 8-bit colours of an image of three channels. Of others the mean of the channels, in
+            °C where these are known, NaN where not valid.
+        camera: None without a pose.
+    """
+
+    pixels: UInt8[np.ndarray, "h w 3"] | Float32[np.ndarray, "h w"]
+    camera: Camera | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,20 +41,13 @@ class Preview:
         name: the view's.
         status: "training" or "held out", or why the view is not in the scene.
         registered: whether it has a pose.
-        rgb: None for a view without a colour image.
-        rgb_camera: of ``rgb``; None without a pose.
-        thermal: °C, or normalised values where °C are not known; NaN where not valid; None without
-            a thermal image.
-        thermal_camera: of ``thermal``; None without a pose.
+        images: by modality, RGB first; without those that are missing.
     """
 
     name: str
     status: str
     registered: bool
-    rgb: UInt8[np.ndarray, "h w 3"] | None
-    rgb_camera: Camera | None
-    thermal: Float32[np.ndarray, "y x"] | None
-    thermal_camera: Camera | None
+    images: Mapping[Modality, PreviewImage]
 
 
 def preview_of_view(
@@ -53,9 +58,8 @@ def preview_of_view(
     Raises:
         SceneError: an image cannot be read.
     """
-    rgb = None if view.rgb is None else view.rgb.load()
-    thermal = None if view.thermal is None else view.thermal.load()
-    return preview_of_pixels(view, status, temperature, width, rgb, thermal)
+    pixels = {modality: image.load() for modality, image in view.images.items()}
+    return preview_of_pixels(view, status, temperature, width, pixels)
 
 
 def preview_of_pixels(
@@ -63,42 +67,33 @@ def preview_of_pixels(
     status: str,
     temperature: TemperatureRange | None,
     width: int,
-    rgb: Pixels | None,
-    thermal: Pixels | None,
+    pixels: Mapping[Modality, Pixels],
 ) -> Preview:
-    """Preview of a view whose images have been read; None stands for a missing image."""
-    return Preview(
-        name=view.name,
-        status=status,
-        registered=True,
-        rgb=None if rgb is None else to_rgb8(_reduced(rgb.values, None, width)[0]),
-        rgb_camera=None if rgb is None or view.rgb is None else _camera(view.rgb.camera, width),
-        thermal=None
-        if thermal is None
-        else _temperatures(thermal.values, thermal.valid, temperature, width),
-        thermal_camera=None
-        if thermal is None or view.thermal is None
-        else _camera(view.thermal.camera, width),
-    )
+    """Preview of a view whose images have been read; missing ones are left out."""
+    images = {
+        modality: PreviewImage(
+            _shown(modality, found.values, found.valid, temperature, width),
+            _camera(view.images[modality].camera, width),
+        )
+        for modality, found in pixels.items()
+    }
+    return Preview(view.name, status, True, images)
 
 
 def preview_of_files(
     scene: Path, view: ConvertedView, status: str, temperature: TemperatureRange | None, width: int
 ) -> Preview:
     """Preview of a view without a pose, from its files; unreadable images are left out."""
-    rgb = thermal = None
+    images = {}
     try:
-        if view.rgb is not None:
-            values, _ = decode_rgb(scene / view.rgb)
-            rgb = to_rgb8(_reduced(values, None, width)[0])
-        decoded = decode(scene / view.thermal)
-        values = decoded.values if decoded.kind != "colour" else decoded.values @ LUMINANCE[:, None]
-        thermal = _temperatures(
-            values, decoded.valid, None if decoded.kind == "float" else temperature, width
-        )
-    except SceneError as error:
+        for modality, image in view.images.items():
+            values, valid, kind = decode(scene / image.file)
+            own = None if kind == "float" else temperature
+            values = with_channels(values, modality.channels)
+            images[modality] = PreviewImage(_shown(modality, values, valid, own, width), None)
+    except (SceneError, ValueError) as error:
         status = f"{status}; {error}"
-    return Preview(view.name, status, False, rgb, None, thermal, None)
+    return Preview(view.name, status, False, images)
 
 
 def views_text(names: Sequence[str], most: int = 5) -> str:
@@ -112,15 +107,20 @@ def _camera(camera: Camera, width: int) -> Camera:
     return camera.with_width(width) if camera.width > width else camera
 
 
-def _temperatures(
-    values: Float32[Tensor, "h w 1"],
+def _shown(
+    modality: Modality,
+    values: Float32[Tensor, "h w c"],
     valid: Bool[Tensor, "h w"] | None,
     temperature: TemperatureRange | None,
     width: int,
-) -> Float32[np.ndarray, "y x"]:
-    """Values in °C where they are known, NaN where they are not valid."""
+) -> UInt8[np.ndarray, "y x 3"] | Float32[np.ndarray, "y x"]:
+    """Pixels of a :class:`PreviewImage`."""
+    if modality.channels == 3:
+        return to_rgb8(_reduced(values, None, width)[0])
     values, valid = _reduced(values, valid, width)
-    shown = values[..., 0] if temperature is None else temperature.to_celsius(values[..., 0])
+    shown = values.mean(dim=-1)
+    if modality == THERMAL and temperature is not None:
+        shown = temperature.to_celsius(shown)
     if valid is not None:
         shown = torch.where(valid, shown, torch.nan)
     return shown.numpy()

@@ -14,6 +14,7 @@ from markupsafe import Markup
 from mrgs.pictures.html import render
 from mrgs.pictures.palette import display_range, palette_table, round_ticks, tick_labels
 from mrgs.prepare.page.previews import Preview
+from mrgs.scene import THERMAL
 
 _BINS = 90
 _TEMPLATE = "prepare/page/chart.svg"
@@ -107,7 +108,7 @@ def temperatures(
         facts: rows of the table.
         notes: sentences from the thermal files, each with the number of photos that say it.
     """
-    images = {view.name: view.thermal for view in previews if view.thermal is not None}
+    images = {view.name: view.images[THERMAL].pixels for view in previews if THERMAL in view.images}
     found = [temperature_spread(name, image) for name, image in images.items()]
     spreads = [spread for spread in found if spread is not None]
     if not spreads:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from mrgs.data import load_scene
+from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.prepare.consistency import Agreement, agreements
 from mrgs.prepare.contract import (
@@ -22,77 +23,61 @@ from mrgs.prepare.contract import (
     Skipped,
     StageReport,
 )
-from mrgs.prepare.page.cameras import lens_rows, rig_facts
+from mrgs.prepare.page.cameras import capitalised, lens_rows, rig_facts
 from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
 from mrgs.prepare.page.overlay import thermal_on_rgb
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
 from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view, views_text
 from mrgs.prepare.page.temperatures import Temperatures, counted, temperatures
 from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
-from mrgs.prepare.rig import RigCalibration
-from mrgs.scene import Scene, View
+from mrgs.prepare.work import Work
+from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.scene.view import spread
 
 PAGE = "prepare.html"
 SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
 
 
-def write_page(
-    scene: Path,
-    stages: Sequence[StageReport],
-    photos: ConvertedPhotos,
-    reconstruction: Reconstruction | None,
-    rig: RigCalibration | None,
-    georeference: Georeference | None,
-    *,
-    skipped: Sequence[Skipped] = (),
-) -> Path:
+def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
     """Write ``prepare.html`` into the scene's folder; returns its path.
 
     One file that needs nothing from the network: warnings, stages with their times, cameras and
     points, each view's photo and thermal image and their overlay, temperatures, lenses, and what
-    was left out. Its views are what ``load_scene`` reads, so that it shows what training will see.
+    was skipped. Its views are what ``load_scene`` reads, so that it shows what training will see.
 
     Args:
-        scene: the folder of the scene, written by ``write_scene`` if there are poses.
-        stages: what was done, in order.
-        photos: the images.
-        reconstruction: poses in the scene's world; None if there are none. The scene itself may be
-            missing still.
-        rig: the thermal camera; None if it is not a camera of its own.
-        georeference: scale and north; None if nothing is known of them.
-        skipped: files that are in no view, to be listed with the views that have no pose.
+        work: a scene in preparation; what its stages have not found yet is left out. If there are
+            poses, but no scene files, the views are shown without them.
+        without_pose: views to be listed with the skipped ones.
 
     Raises:
         SceneError: the scene or an image in it cannot be read.
         RunError: the page cannot be written.
     """
-    content = _content(scene, photos, reconstruction)
-    metric = georeference is not None and georeference.metric
-    world = _world(content, photos, georeference)
+    content = _content(work)
+    world = _world(content, work)
+    posed = content.posed
     return write_scene_page(
-        scene / PAGE,
+        work.scene / PAGE,
         "prepare/page/prepare.html",
-        f"Prepared scene: {scene.resolve().name}",
+        f"Prepared scene: {work.scene.resolve().name}",
         world,
         views=content.counts,
         has_celsius=bool(content.unit),
-        folder=shlex.quote(str(scene)),
-        warnings=_warnings(content, stages),
-        stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in stages],
+        folder=shlex.quote(str(work.scene)),
+        warnings=_warnings(content, work.reports),
+        stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
         north=world is not None and world.north,
-        pairs=pairs(
-            content.previews, _overlays(content, reconstruction), content.unit, content.total
+        pairs=pairs(content.previews, _overlays(content), content.unit, content.total),
+        temperatures=_temperatures(content, work.images),
+        lenses=_lenses(posed, work.georeference),
+        rig=None if work.rig is None else rig_facts(work.rig, work.georeference),
+        one_camera=content.scene is not None and posed is not None and posed.images == RGB,
+        photos=_measured(work, posed),
+        metric=work.metric,
+        skipped=list(
+            dict.fromkeys((item.name, item.reason) for item in (*work.skipped, *without_pose))
         ),
-        temperatures=_temperatures(content, photos),
-        lenses=_lenses(reconstruction, georeference),
-        rig=None if rig is None else rig_facts(rig, georeference),
-        one_camera=content.scene is not None
-        and reconstruction is not None
-        and reconstruction.images == "rgb",
-        photos=_measured(scene, photos, reconstruction),
-        metric=metric,
-        skipped=_skipped(photos, reconstruction, skipped),
     )
 
 
@@ -129,7 +114,8 @@ class _Content:
     """What several sections show.
 
     Attributes:
-        total: number of developed views.
+        total: number of converted views.
+        posed: poses in the scene's world; None if there are none.
         scene: as it will be read; None without poses.
         previews: the views that are shown.
         agreements: how each preview's thermal image agrees with the others.
@@ -137,6 +123,7 @@ class _Content:
     """
 
     total: int
+    posed: Reconstruction | None
     scene: Scene | None
     previews: list[Preview]
     agreements: list[Agreement | None]
@@ -151,20 +138,16 @@ class _Content:
         return {"training": training, "held_out": held_out, "total": self.total}
 
 
-def _content(
-    scene: Path, photos: ConvertedPhotos, reconstruction: Reconstruction | None
-) -> _Content:
+def _content(work: Work) -> _Content:
+    scene, photos = work.scene, work.images
+    posed = None if work.poses is None else work.posed
     shown = [photos.views[index] for index in spread(len(photos.views), MOST_SHOWN)]
     width = thumbnail_width(len(shown))
-    written = reconstruction is not None and (scene / "transforms.json").is_file()
+    written = posed is not None and (scene / TRANSFORMS).is_file()
     loaded = load_scene(scene, resolution=width) if written else None
     temperature = None if loaded is None else loaded.temperature
     views = {} if loaded is None else _with_status(loaded)
-    failed = (
-        {item.name: item.reason for item in reconstruction.failed}
-        if reconstruction is not None
-        else {}
-    )
+    failed = {} if posed is None else {item.name: item.reason for item in posed.failed}
     previews = []
     for view in shown:
         if view.name in views:
@@ -177,13 +160,16 @@ def _content(
             )
             previews.append(preview_of_files(scene, view, reason, temperature, width))
     found: list[Agreement | None] = [None] * len(previews)
-    if reconstruction is not None and written:
-        images = [view.thermal if view.registered else None for view in previews]
+    if posed is not None and written:
+        images = [view.images.get(THERMAL) if view.registered else None for view in previews]
         found = agreements(
-            images, [view.thermal_camera for view in previews], reconstruction.points
+            [None if image is None else image.pixels for image in images],
+            [None if image is None else image.camera for image in images],
+            posed.points,
         )
     known = temperature is not None or any(view.range_c is not None for view in photos.views)
-    return _Content(len(photos.views), loaded, previews, found, "°C" if known else "")
+    unit = "°C" if known else ""
+    return _Content(len(photos.views), posed, loaded, previews, found, unit)
 
 
 def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
@@ -192,31 +178,26 @@ def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
     return views | {view.name: (view, "held out") for view in scene.eval}
 
 
-def _world(
-    content: _Content, photos: ConvertedPhotos, georeference: Georeference | None
-) -> World | None:
+def _world(content: _Content, work: Work) -> World | None:
     """Cameras in the order of the views, and points."""
     if content.scene is None:
         return None
     views = _with_status(content.scene)
     cameras = {
-        view.name: views[view.name][0].cameras[0] for view in photos.views if view.name in views
+        view.name: views[view.name][0].camera for view in work.images.views if view.name in views
     }
     held_out = frozenset(view.name for view in content.scene.eval)
-    metric = georeference is not None and georeference.metric
-    north = georeference is not None and georeference.north
-    return world_of(cameras, held_out, content.scene.points, metric, north)
+    north = work.georeference is not None and work.georeference.north
+    return world_of(cameras, held_out, content.scene.points, work.metric, north)
 
 
-def _overlays(
-    content: _Content, reconstruction: Reconstruction | None
-) -> dict[str, Float32[np.ndarray, "h w"]]:
+def _overlays(content: _Content) -> dict[str, Float32[np.ndarray, "h w"]]:
     """By the view's name, the thermal image warped onto the photo."""
-    if reconstruction is None or content.scene is None:
+    if content.posed is None or content.scene is None:
         return {}
-    visible = reconstruction.visible or {}
+    visible = content.posed.visible or {}
     found = {
-        view.name: thermal_on_rgb(view, reconstruction.points, visible.get(view.name))
+        view.name: thermal_on_rgb(view, content.posed.points, visible.get(view.name))
         for view in content.previews
     }
     return {name: image for name, image in found.items() if image is not None}
@@ -269,7 +250,7 @@ def _lenses(
         rows.append(("Reprojection error", f"{reconstruction.reprojection_px:.2f} px (mean)"))
     rows.append(("Points", f"{len(reconstruction.points.positions):,}"))
     lenses = {name: reconstruction.lenses[name] for name in reconstruction.viewmats}
-    rows += lens_rows(lenses, "RGB lens" if reconstruction.images == "rgb" else "Thermal lens")
+    rows += lens_rows(lenses, f"{capitalised(reconstruction.images.title)} lens")
     if georeference is not None:
         rows.append(("Scale and north", georeference.text))
         if georeference.residual_m is not None:
@@ -278,21 +259,10 @@ def _lenses(
     return rows
 
 
-def _measured(
-    scene: Path, photos: ConvertedPhotos, reconstruction: Reconstruction | None
-) -> list[MeasuredPhoto]:
+def _measured(work: Work, posed: Reconstruction | None) -> list[MeasuredPhoto]:
     """RGB photos with a pose, to measure a known distance in."""
-    if reconstruction is None or reconstruction.images != "rgb":
+    if posed is None or posed.images != RGB:
         return []
-    posed = reconstruction.viewmats
-    views = [view for view in photos.views if view.name in posed and view.rgb is not None]
-    return measured_photos(scene, views)
-
-
-def _skipped(
-    photos: ConvertedPhotos, reconstruction: Reconstruction | None, more: Sequence[Skipped]
-) -> list[tuple[str, str]]:
-    """Every file and view that is not in the scene, once, with the reason."""
-    failed = reconstruction.failed if reconstruction is not None else ()
-    items = (*more, *photos.skipped, *failed)
-    return list(dict.fromkeys((item.name, item.reason) for item in items))
+    return measured_photos(
+        work.scene, [view for view in work.images.views if view.name in posed.viewmats]
+    )

@@ -5,29 +5,23 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Literal
 
 from PIL import Image
 
 from mrgs.data.files import read_bytes
 from mrgs.data.radiometric import ExifFacts, dji, fff, jpeg, read_exif
-from mrgs.data.radiometric.read import MAX_BYTES
+from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.errors import SceneError
 
-Kind = Literal["signal", "numbers", "table", "image", "dji"]
-"""A FLIR photo with the camera's raw signal; temperatures in an image file or in DJI's bare
-numbers; a table of temperatures; any other image; a DJI R-JPEG. In this order one is preferred
-where several show the same."""
-
 PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image", "dji")
+"""In this order one file is preferred where several show the same."""
 
 _HEAD_BYTES = 2**20
 """The header of a JPEG without a thermal record rarely takes more."""
 
-_RASTERS = (jpeg.SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_TABLES = {".csv", ".txt", ".tsv"}
 _TABLE_COLUMNS = 8
 """A table of temperatures has a line of at least so many cells."""
 
@@ -82,51 +76,71 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
 
 def _inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     suffix, origin = path.suffix.lower(), relative.with_suffix("")
-    start = _start(path, _HEAD_BYTES)
-    if not start:
+    data = _head(path)
+    if not data:
         return "is empty; copy it again"
-    if start.startswith(jpeg.SIGNATURE):
-        return _jpeg(path, origin, start)
-    if start.startswith(fff.SIGNATURES):
-        records = fff.Records(read_bytes(path, MAX_BYTES), path)
-        return Photo(path, origin, "signal", embedded=records.get(fff.EMBEDDED_IMAGE) is not None)
-    if start.startswith(_RASTERS):
-        return _raster(path, origin, read_bytes(path, MAX_BYTES))
-    if suffix in _TABLES and _is_wide(start):
-        return Photo(path, origin, "table")
-    if suffix == ".raw" and path.stat().st_size in {
-        width * height * n for width, height in dji.SIZES for n in (2, 4)
-    }:
-        return Photo(path, origin, "numbers")
-    if suffix in _UNSUPPORTED:
+    reader = reader_of(data, path)
+    if reader is None and suffix in _UNSUPPORTED:
         return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
-    return "is no photo"
+    if reader is None:
+        return "is no photo"
+    return _PHOTOS[reader.kind](path, origin, data)
 
 
-def _start(path: Path, count: int) -> bytes:
+def _head(path: Path) -> bytes:
+    """The beginning of a file, which tells its kind; of a JPEG with FLIR's record the whole file,
+    because the record may be longer."""
     try:
         with path.open("rb") as file:
-            return file.read(count)
+            start = file.read(_HEAD_BYTES)
     except OSError as error:
         raise SceneError(
             f"cannot be read ({error.strerror}); check that it is there and readable"
         ) from None
+    has_record = start.startswith(jpeg.SIGNATURE) and jpeg.FLIR in start
+    return read_bytes(path, MAX_BYTES) if has_record else start
 
 
-def _jpeg(path: Path, origin: PurePosixPath, start: bytes) -> Photo | str:
-    """A JPEG: only a thermal record, or an unusually long header, makes it worth reading the whole
-    file."""
-    if jpeg.FLIR in start:
-        data = read_bytes(path, MAX_BYTES)
-        record = jpeg.flir_record(data, path)
-        records = None if record is None else fff.Records(record, path)
-        # A whole record without a raw image belongs to a photo in visible light.
-        if records is not None and records.get(fff.RAW_DATA) is not None:
-            embedded = records.get(fff.EMBEDDED_IMAGE) is not None
-            return Photo(path, origin, "signal", None, embedded, read_exif(data))
-        return _raster(path, origin, data)
-    photo = _raster(path, origin, start)
+def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
+    """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is looked into."""
+    is_jpeg = data.startswith(jpeg.SIGNATURE)
+    record = jpeg.flir_record(data, path) if is_jpeg else None
+    if data.startswith(fff.SIGNATURES):
+        record = read_bytes(path, MAX_BYTES)
+    exif = read_exif(data) if is_jpeg else ExifFacts()
+    if record is None:  # another maker's
+        return Photo(path, origin, "signal", exif=exif)
+    records = fff.Records(record, path)
+    if is_jpeg and records.get(fff.RAW_DATA) is None:  # a photo in visible light
+        return _image(path, origin, data)
+    embedded = records.get(fff.EMBEDDED_IMAGE) is not None
+    return Photo(path, origin, "signal", embedded=embedded, exif=exif)
+
+
+def _image(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
+    """An image file. Only an unusually long header makes a JPEG worth reading to its end."""
+    photo = _raster(path, origin, data) if data.startswith(jpeg.SIGNATURE) else ""
     return _raster(path, origin, read_bytes(path, MAX_BYTES)) if isinstance(photo, str) else photo
+
+
+def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
+    return Photo(path, origin, "table") if _is_wide(data) else "is no photo"
+
+
+def _bare_numbers(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
+    sizes = {width * height * n for width, height in dji.SIZES for n in (2, 4)}
+    is_whole = path.suffix.lower() != ".raw" or path.stat().st_size in sizes
+    return Photo(path, origin, "numbers") if is_whole else "is no photo"
+
+
+_PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
+    "signal": _signal,
+    "numbers": _bare_numbers,
+    "table": _table,
+    "image": _image,
+    "dji": _image,
+}
+"""What inspects a file of each kind."""
 
 
 def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:

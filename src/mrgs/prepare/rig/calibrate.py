@@ -152,13 +152,11 @@ def _guess(
     if found.best.score < max(_CLEAR * found.chance, _LEAST_CORRELATION / np.sqrt(len(chosen))):
         raise SceneError(
             "the thermal camera cannot be placed: the edges in the thermal images agree with "
-            "those in the photos no "
-            f"better than by chance (correlation {found.best.score:.2f}, by chance "
-            f"{found.chance:.2f}). Check that the "
-            "pairs belong together, and give the thermal camera's field of view (--thermal-fov), "
-            "its lens and offset "
-            "(--thermal-camera), or a target in sight (--target); if both images show the same, "
-            "say so (--one-camera)"
+            "those in the photos no better than by chance (correlation "
+            f"{found.best.score:.2f}, by chance {found.chance:.2f}). Check that the pairs belong "
+            "together, and give the thermal camera's field of view, its lens and offset, or a "
+            "target in sight; if both images show the same, say that there is one camera",
+            options=("thermal_fov_deg", "thermal_camera", "target", "one_camera"),
         )
     return found.best
 
@@ -220,10 +218,9 @@ def _result(
     if not uncertainty_px <= options.max_uncertainty_px:
         raise SceneError(
             f"the thermal camera cannot be placed: the photos leave {uncertainty_px:.1f} px open "
-            f"(one standard "
-            f"deviation), and {options.max_uncertainty_px:g} px is the limit; give its field of "
-            f"view (--thermal-fov), "
-            "its lens or offset (--thermal-camera), or more pairs"
+            f"(one standard deviation), and {options.max_uncertainty_px:g} px is the limit; give "
+            f"its field of view, its lens or offset, or more pairs",
+            options=("thermal_fov_deg", "thermal_camera"),
         )
     residuals = adjusted.residual_px[adjusted.inlier].numpy()
     motion_px = float(np.median(_motion_px(adjusted.cameras, observations, len(reduced))))

@@ -57,15 +57,15 @@ class ChessboardTarget:
         if not all(FEWEST_CORNERS <= count <= _MOST_CORNERS for count in self.inner):
             raise ConfigError(
                 f"a chessboard of {self.inner[0]}×{self.inner[1]} inner corners cannot be used as "
-                f"a target: give how "
-                f"many corners, where four squares meet, are in a row and in a column, "
-                f"{FEWEST_CORNERS} to "
-                f"{_MOST_CORNERS} each; a board of 7×6 squares has 6×5"
+                f"a target: give how many corners, where four squares meet, are in a row and in a "
+                f"column, {FEWEST_CORNERS} to {_MOST_CORNERS} each; a board of 7×6 squares has 6×5",
+                options=("target",),
             )
         if self.square_m is not None and not 0 < self.square_m < math.inf:
             raise ConfigError(
                 f"the target's squares cannot be {self.square_m:g} m wide: give their width in "
-                f"metres"
+                f"metres",
+                options=("target",),
             )
 
 

@@ -110,8 +110,8 @@ def too_few_points(names: list[str]) -> SceneError:
     """That too few photos see enough sparse points."""
     return SceneError(
         f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or "
-        f"more sparse points; "
-        "take more overlapping photos, or say that both images show the same (--one-camera)"
+        "more sparse points; take more overlapping photos, or say that one camera took both images",
+        options=("one_camera",),
     )
 
 

@@ -80,8 +80,8 @@ def refine(
         if len(observations.views) < FEWEST_MATCHES:
             raise SceneError(
                 "the thermal camera cannot be placed: hardly any patch of the photos is found in "
-                "the thermal images; "
-                "give the thermal camera's lens and offset (--thermal-camera)"
+                "the thermal images; give the thermal camera's lens and offset",
+                options=("thermal_camera",),
             )
         adjusted = adjust(observations, prior, cameras)
         cameras = adjusted.cameras

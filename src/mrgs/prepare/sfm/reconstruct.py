@@ -10,6 +10,7 @@ from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction
 from mrgs.prepare.sfm.job import set_up
 from mrgs.prepare.sfm.process import run_colmap
 from mrgs.prepare.sfm.result import read_result
+from mrgs.scene import RGB, THERMAL
 
 
 def reconstruct(
@@ -46,4 +47,4 @@ def reconstruct(
     folder = work / "sfm"
     set_up(folder, images, cameras, stretch, progress)
     run_colmap(folder, progress)
-    return read_result(folder, "thermal" if stretch else "rgb")
+    return read_result(folder, THERMAL if stretch else RGB)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ import torch
 from mrgs.data.colmap_model import ColmapModel, read_images
 from mrgs.prepare.colmap.job import JOB_FILE, MODEL_FOLDER, POINTS_FILE, REPORT_FILE
 from mrgs.prepare.contract import MIN_VIEWS, Reconstruction, Skipped, TooFewPosesError
-from mrgs.scene import PointCloud
+from mrgs.scene import Modality, PointCloud
 
 FEW_FEATURES = 100
 FEW_MATCHES = 30
@@ -21,7 +21,7 @@ ROUGH_PX = 1.0
 _NAMED = 6
 
 
-def read_result(folder: Path, images: Literal["rgb", "thermal"]) -> Reconstruction:
+def read_result(folder: Path, images: Modality) -> Reconstruction:
     """The largest model, with the reason for each image that is not in it.
 
     Args:

@@ -58,8 +58,8 @@ DEPTH = TILE_PIXELS
 FEATURES = 2 * TILE_PIXELS
 """Offsets of the planes within a layer."""
 
-_RGB = 0
-_THERMAL = 5 * TILE_PIXELS
+_COLOR = 0
+_SCALAR = 5 * TILE_PIXELS
 TILE_FLOATS = 8 * TILE_PIXELS
 """Offsets of the layers within a tile, and the size of all."""
 
@@ -156,11 +156,13 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
                 continue
             gaussian = exp2(exponent)
             at = vector * LANES
-            behind_rgb = _blend_layer(planes, _RGB + at, splats, record, splat.RGB, 3, gaussian)
-            behind_thermal = _blend_layer(
-                planes, _THERMAL + at, splats, record, splat.THERMAL, 1, gaussian
+            behind_color = _blend_layer(
+                planes, _COLOR + at, splats, record, splat.COLOR, 3, gaussian
             )
-            if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
+            behind_scalar = _blend_layer(
+                planes, _SCALAR + at, splats, record, splat.SCALAR, 1, gaussian
+            )
+            if not any_lane((behind_color >= nearly_opaque) | (behind_scalar >= nearly_opaque)):
                 live_vectors &= ~(1 << vector)
         if live_vectors == 0:
             break
@@ -189,35 +191,35 @@ def _write_layer(
 
 @strict_parallel_kernel()
 def blend(
-    splats, tile_splats, tile_starts, background_rgb, background_thermal, rgb, depth_rgb,
-    transmittance_rgb,
-    thermal, depth_thermal, transmittance_thermal,
+    splats, tile_splats, tile_starts, background_color, background_scalar, color, depth_color,
+    transmittance_color,
+    scalar, depth_scalar, transmittance_scalar,
 ):  # fmt: skip
-    """Fill the images of both layers: rgb [H, W, 3] and thermal [H, W, 1], their depths and T_end
+    """Fill the images of both layers: color [H, W, 3] and scalar [H, W, 1], their depths and T_end
     [H, W].
 
     Args:
         splats: records in depth order, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
-        background_rgb, background_thermal: [3] and [1].
+        background_color, background_scalar: [3] and [1].
     """
-    height, width = transmittance_rgb.shape
+    height, width = transmittance_color.shape
     tiles_x = (width + TILE_WIDTH - 1) // TILE_WIDTH
     tiles = tile_starts.size - 1
     for index in prange(tiles):
         tile = interleaved(index, tiles)
         x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
         planes = stack_floats(TILE_FLOATS)
-        open_transmittance(planes, _RGB, x0, y0, width, height)
-        open_transmittance(planes, _THERMAL, x0, y0, width, height)
+        open_transmittance(planes, _COLOR, x0, y0, width, height)
+        open_transmittance(planes, _SCALAR, x0, y0, width, height)
         _blend_tile(
             planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0
         )
         _write_layer(
-            planes, _RGB, 3, pointer(background_rgb), x0, y0, width, height,
-            pointer(rgb), pointer(depth_rgb), pointer(transmittance_rgb),
+            planes, _COLOR, 3, pointer(background_color), x0, y0, width, height,
+            pointer(color), pointer(depth_color), pointer(transmittance_color),
         )  # fmt: skip
         _write_layer(
-            planes, _THERMAL, 1, pointer(background_thermal), x0, y0, width, height,
-            pointer(thermal), pointer(depth_thermal), pointer(transmittance_thermal),
+            planes, _SCALAR, 1, pointer(background_scalar), x0, y0, width, height,
+            pointer(scalar), pointer(depth_scalar), pointer(transmittance_scalar),
         )  # fmt: skip

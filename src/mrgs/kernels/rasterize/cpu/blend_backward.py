@@ -54,10 +54,10 @@ from mrgs.rasterizer import splat
 
 # A layer's planes: T, then the gradients of depth and features where ``blend`` keeps depth and
 # features, then R.
-_RGB = 0
-_BEHIND_RGB = 5 * TILE_PIXELS
-_THERMAL = 6 * TILE_PIXELS
-_BEHIND_THERMAL = 3 * TILE_PIXELS
+_COLOR = 0
+_BEHIND_COLOR = 5 * TILE_PIXELS
+_SCALAR = 6 * TILE_PIXELS
+_BEHIND_SCALAR = 3 * TILE_PIXELS
 TILE_FLOATS = 10 * TILE_PIXELS
 
 
@@ -152,8 +152,8 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
         record = tile_splats[position] * splat.SPLAT_FLOATS
         prefetch(splats, tile_splats[min(position + PREFETCH_AHEAD, last - 1)] * splat.SPLAT_FLOATS)
         geometry = (zero, zero, zero, zero, zero)
-        rgb = (zero, zero, zero, zero, zero)
-        thermal = (zero, zero, zero, zero, zero)
+        color = (zero, zero, zero, zero, zero)
+        scalar = (zero, zero, zero, zero, zero)
         dx = centres_x - broadcast(read(splats, record + splat.MEAN_X))
         first_dy = centres_y - broadcast(read(splats, record + splat.MEAN_Y))
         threshold = broadcast(read(splats, record + splat.THRESHOLD))
@@ -167,32 +167,32 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
                 continue
             gaussian = exp2(exponent)
             at = vector * LANES
-            grad_rgb, behind_rgb, rgb = _backward_layer(
-                planes, _RGB + at, _BEHIND_RGB, splats, record, splat.RGB, 3, gaussian, rgb
+            grad_color, behind_color, color = _backward_layer(
+                planes, _COLOR + at, _BEHIND_COLOR, splats, record, splat.COLOR, 3, gaussian, color
             )
-            grad_thermal, behind_thermal, thermal = _backward_layer(
+            grad_scalar, behind_scalar, scalar = _backward_layer(
                 planes,
-                _THERMAL + at,
-                _BEHIND_THERMAL,
+                _SCALAR + at,
+                _BEHIND_SCALAR,
                 splats,
                 record,
-                splat.THERMAL,
+                splat.SCALAR,
                 1,
                 gaussian,
-                thermal,
+                scalar,
             )
-            geometry = _add_geometry(geometry, grad_rgb + grad_thermal, dx, dy)
-            if not any_lane((behind_rgb >= nearly_opaque) | (behind_thermal >= nearly_opaque)):
+            geometry = _add_geometry(geometry, grad_color + grad_scalar, dx, dy)
+            if not any_lane((behind_color >= nearly_opaque) | (behind_scalar >= nearly_opaque)):
                 live_vectors &= ~(1 << vector)
         sums = (
             *geometry,
-            rgb[1] + thermal[1],
-            rgb[0],
-            rgb[2],
-            rgb[3],
-            rgb[4],
-            thermal[0],
-            thermal[2],
+            color[1] + scalar[1],
+            color[0],
+            color[2],
+            color[3],
+            color[4],
+            scalar[0],
+            scalar[2],
         )
         store_sums(pair_grads, position * splat.GRAD_FLOATS, sums)
         if live_vectors == 0:
@@ -203,37 +203,37 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
 
 @strict_parallel_kernel()
 def blend_backward(
-    splats, tile_splats, tile_starts, rgb, depth_rgb, transmittance_rgb, thermal, depth_thermal,
-    transmittance_thermal, grad_rgb, grad_depth_rgb, grad_transmittance_rgb, grad_thermal,
-    grad_depth_thermal,
-    grad_transmittance_thermal, pair_grads,
+    splats, tile_splats, tile_starts, color, depth_color, transmittance_color, scalar, depth_scalar,
+    transmittance_scalar, grad_color, grad_depth_color, grad_transmittance_color, grad_scalar,
+    grad_depth_scalar,
+    grad_transmittance_scalar, pair_grads,
 ):  # fmt: skip
     """Fill ``pair_grads`` [P, 12], the gradient moments of every (tile, splat) pair.
 
     Args:
         splats: records in depth order, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
-        rgb, depth_rgb, ..., transmittance_thermal: what ``blend`` wrote.
+        color, depth_color, ..., transmittance_scalar: what ``blend`` wrote.
         grad_*: the gradients of these.
     """
-    height, width = transmittance_rgb.shape
+    height, width = transmittance_color.shape
     tiles_x = (width + TILE_WIDTH - 1) // TILE_WIDTH
     tiles = tile_starts.size - 1
     for index in prange(tiles):
         tile = interleaved(index, tiles)
         x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
         planes = stack_floats(TILE_FLOATS)
-        open_transmittance(planes, _RGB, x0, y0, width, height)
-        open_transmittance(planes, _THERMAL, x0, y0, width, height)
+        open_transmittance(planes, _COLOR, x0, y0, width, height)
+        open_transmittance(planes, _SCALAR, x0, y0, width, height)
         _read_layer(
-            planes, _RGB, _BEHIND_RGB, 3, x0, y0, width, height,
-            pointer(rgb), pointer(depth_rgb), pointer(transmittance_rgb),
-            pointer(grad_rgb), pointer(grad_depth_rgb), pointer(grad_transmittance_rgb),
+            planes, _COLOR, _BEHIND_COLOR, 3, x0, y0, width, height,
+            pointer(color), pointer(depth_color), pointer(transmittance_color),
+            pointer(grad_color), pointer(grad_depth_color), pointer(grad_transmittance_color),
         )  # fmt: skip
         _read_layer(
-            planes, _THERMAL, _BEHIND_THERMAL, 1, x0, y0, width, height,
-            pointer(thermal), pointer(depth_thermal), pointer(transmittance_thermal),
-            pointer(grad_thermal), pointer(grad_depth_thermal), pointer(grad_transmittance_thermal),
+            planes, _SCALAR, _BEHIND_SCALAR, 1, x0, y0, width, height,
+            pointer(scalar), pointer(depth_scalar), pointer(transmittance_scalar),
+            pointer(grad_scalar), pointer(grad_depth_scalar), pointer(grad_transmittance_scalar),
         )  # fmt: skip
         _backward_tile(
             planes,

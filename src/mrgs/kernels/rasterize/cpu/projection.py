@@ -156,11 +156,11 @@ def project(
         splats[i, splat.ALONG] = -0.5 * LOG2_E / yy
         splats[i, splat.THRESHOLD] = -0.5 * LOG2_E * reach
         splats[i, splat.DEPTH] = point[2]
-        splats[i, splat.RGB] = opacities[i, 0]
+        splats[i, splat.COLOR] = opacities[i, 0]
         for channel in range(3):
-            splats[i, splat.RGB + 1 + channel] = features[i, channel]
-        splats[i, splat.THERMAL] = opacities[i, 1]
-        splats[i, splat.THERMAL + 1] = features[i, 3]
+            splats[i, splat.COLOR + 1 + channel] = features[i, channel]
+        splats[i, splat.SCALAR] = opacities[i, 1]
+        splats[i, splat.SCALAR + 1] = features[i, 3]
         splats[i, splat.EXTENT_Y] = extent_y
         splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
 
@@ -361,8 +361,8 @@ def project_backward(
                     g[splat.GRAD_LAYERS[layer]] / opacity if opacity > 0.0 else 0.0
                 )
             for channel in range(3):
-                grad_features[i, channel] = g[splat.GRAD_RGB + 1 + channel]
-            grad_features[i, 3] = g[splat.GRAD_THERMAL + 1]
+                grad_features[i, channel] = g[splat.GRAD_COLOR + 1 + channel]
+            grad_features[i, 3] = g[splat.GRAD_SCALAR + 1]
             _geometry_gradient(
                 i, g, means, quats, scales, viewmat, K, width, height,
                 grad_means, grad_quats, grad_scales, grad_means2d,

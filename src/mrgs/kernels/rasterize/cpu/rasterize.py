@@ -16,7 +16,8 @@ from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 from mrgs.kernels.rasterize.cpu.projection import project, project_backward
 from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
 from mrgs.rasterizer import splat
-from mrgs.rasterizer.contract import Blend, Layer, Raster
+from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.scene import Blend
 
 _SLOT_CHANNELS = (3, 1)
 """The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of

@@ -19,13 +19,13 @@ from mrgs.kernels.rasterize.gpu.constants import (
     ALONG,
     ALPHA_MAX,
     ALPHA_MIN,
+    COLOR,
     DEPTH,
     MEAN_X,
     MEAN_Y,
-    RGB,
+    SCALAR,
     SHEAR,
     SPLAT_FLOATS,
-    THERMAL,
     TILE_HEIGHT,
     TILE_PIXELS,
     TILE_WIDTH,
@@ -50,7 +50,7 @@ def tile_pixels(tile, width, height):
 
 
 @device_function
-def load_splat(splats, index, exists, HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr):
+def load_splat(splats, index, exists, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr):
     """The record of a splat: geometry and depth, and of each layer opacity and features (0 for one
     that is not there).
 
@@ -62,19 +62,19 @@ def load_splat(splats, index, exists, HAS_RGB: tl.constexpr, HAS_THERMAL: tl.con
         tl.load(record + ACROSS), tl.load(record + SHEAR), tl.load(record + ALONG),
         tl.load(record + DEPTH),
     )  # fmt: skip
-    rgb = (0.0, 0.0, 0.0, 0.0)
-    thermal = (0.0, 0.0)
-    if HAS_RGB:
-        opacity = tl.where(exists, tl.load(record + RGB), 0.0)
-        rgb = (
+    color = (0.0, 0.0, 0.0, 0.0)
+    scalar = (0.0, 0.0)
+    if HAS_COLOR:
+        opacity = tl.where(exists, tl.load(record + COLOR), 0.0)
+        color = (
             opacity,
-            tl.load(record + RGB + 1),
-            tl.load(record + RGB + 2),
-            tl.load(record + RGB + 3),
+            tl.load(record + COLOR + 1),
+            tl.load(record + COLOR + 2),
+            tl.load(record + COLOR + 3),
         )
-    if HAS_THERMAL:
-        thermal = (tl.where(exists, tl.load(record + THERMAL), 0.0), tl.load(record + THERMAL + 1))
-    return geometry, rgb, thermal
+    if HAS_SCALAR:
+        scalar = (tl.where(exists, tl.load(record + SCALAR), 0.0), tl.load(record + SCALAR + 1))
+    return geometry, color, scalar
 
 
 @device_function
@@ -93,18 +93,18 @@ def blended_alpha(gaussian, opacity, transmittance):
 
 
 @device_function
-def any_unfinished(transmittance_rgb, transmittance_thermal):
+def any_unfinished(transmittance_color, transmittance_scalar):
     """Whether some pixel of the tile lets light through in some layer."""
-    largest = tl.maximum(transmittance_rgb, transmittance_thermal)
+    largest = tl.maximum(transmittance_color, transmittance_scalar)
     return tl.max((largest >= TRANSMITTANCE_MIN).to(tl.int32), axis=0) > 0
 
 
 @triton.jit(do_not_specialize=["width", "height"])
 def blend(
-    splats, tile_splats, tile_starts, background_rgb, background_thermal,
-    image_rgb, depth_rgb, alpha_rgb, transmittance_rgb,
-    image_thermal, depth_thermal, alpha_thermal, transmittance_thermal, width, height,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr,
+    splats, tile_splats, tile_starts, background_color, background_scalar,
+    image_color, depth_color, alpha_color, transmittance_color,
+    image_scalar, depth_scalar, alpha_scalar, transmittance_scalar, width, height,
+    HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr,
 ):  # fmt: skip
     """Fill the images of the layers: features [H, W, C], depth, alpha and T_end [H, W].
 
@@ -112,67 +112,75 @@ def blend(
         splats: records, [N, 16].
         tile_splats, tile_starts: splats of all tiles, int32 [P], and where each tile's begin, int32
             [tiles + 1].
-        background_rgb, background_thermal: [3] and [1].
+        background_color, background_scalar: [3] and [1].
     """
     tile = tl.program_id(0)
     position, last = tl.load(tile_starts + tile), tl.load(tile_starts + tile + 1)
     column, row, inside = tile_pixels(tile, width, height)
     centre_x, centre_y = column.to(tl.float32) + 0.5, row.to(tl.float32) + 0.5
     zero = tl.zeros([TILE_PIXELS], tl.float32)
-    passed_rgb, red, green, blue, z_rgb = zero, zero, zero, zero, zero
-    passed_thermal, heat, z_thermal = zero, zero, zero
-    if HAS_RGB:
-        passed_rgb = tl.where(inside, 1.0, zero)
-    if HAS_THERMAL:
-        passed_thermal = tl.where(inside, 1.0, zero)
+    passed_color, red, green, blue, z_color = zero, zero, zero, zero, zero
+    passed_scalar, heat, z_scalar = zero, zero, zero
+    if HAS_COLOR:
+        passed_color = tl.where(inside, 1.0, zero)
+    if HAS_SCALAR:
+        passed_scalar = tl.where(inside, 1.0, zero)
     unfinished = position < last
     following = tl.load(tile_splats + position, mask=unfinished, other=0)
-    splat = load_splat(splats, following, unfinished, HAS_RGB, HAS_THERMAL)
+    splat = load_splat(splats, following, unfinished, HAS_COLOR, HAS_SCALAR)
     following = tl.load(tile_splats + tl.minimum(position + 1, last - 1), mask=unfinished, other=0)
     while unfinished:
         for _ in tl.static_range(TURNS):
-            geometry, rgb, thermal = splat
+            geometry, color, scalar = splat
             position += 1
-            splat = load_splat(splats, following, position < last, HAS_RGB, HAS_THERMAL)
+            splat = load_splat(splats, following, position < last, HAS_COLOR, HAS_SCALAR)
             following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
             gaussian = gaussian_at(geometry, centre_x - geometry[0], centre_y - geometry[1])
-            if HAS_RGB:
-                _, alpha = blended_alpha(gaussian, rgb[0], passed_rgb)
-                weight = alpha * passed_rgb
-                passed_rgb -= weight
-                z_rgb += weight * geometry[5]
-                red += weight * rgb[1]
-                green += weight * rgb[2]
-                blue += weight * rgb[3]
-            if HAS_THERMAL:
-                _, alpha = blended_alpha(gaussian, thermal[0], passed_thermal)
-                weight = alpha * passed_thermal
-                passed_thermal -= weight
-                z_thermal += weight * geometry[5]
-                heat += weight * thermal[1]
-        unfinished = (position < last) & any_unfinished(passed_rgb, passed_thermal)
+            if HAS_COLOR:
+                _, alpha = blended_alpha(gaussian, color[0], passed_color)
+                weight = alpha * passed_color
+                passed_color -= weight
+                z_color += weight * geometry[5]
+                red += weight * color[1]
+                green += weight * color[2]
+                blue += weight * color[3]
+            if HAS_SCALAR:
+                _, alpha = blended_alpha(gaussian, scalar[0], passed_scalar)
+                weight = alpha * passed_scalar
+                passed_scalar -= weight
+                z_scalar += weight * geometry[5]
+                heat += weight * scalar[1]
+        unfinished = (position < last) & any_unfinished(passed_color, passed_scalar)
     pixel = row * width + column
-    if HAS_RGB:
-        tl.store(image_rgb + 3 * pixel, red + passed_rgb * tl.load(background_rgb), mask=inside)
+    if HAS_COLOR:
         tl.store(
-            image_rgb + 3 * pixel + 1, green + passed_rgb * tl.load(background_rgb + 1), mask=inside
+            image_color + 3 * pixel, red + passed_color * tl.load(background_color), mask=inside
         )
         tl.store(
-            image_rgb + 3 * pixel + 2, blue + passed_rgb * tl.load(background_rgb + 2), mask=inside
+            image_color + 3 * pixel + 1,
+            green + passed_color * tl.load(background_color + 1),
+            mask=inside,
         )
-        _store_coverage(depth_rgb, alpha_rgb, transmittance_rgb, pixel, inside, z_rgb, passed_rgb)
-    if HAS_THERMAL:
         tl.store(
-            image_thermal + pixel, heat + passed_thermal * tl.load(background_thermal), mask=inside
+            image_color + 3 * pixel + 2,
+            blue + passed_color * tl.load(background_color + 2),
+            mask=inside,
         )
         _store_coverage(
-            depth_thermal,
-            alpha_thermal,
-            transmittance_thermal,
+            depth_color, alpha_color, transmittance_color, pixel, inside, z_color, passed_color
+        )
+    if HAS_SCALAR:
+        tl.store(
+            image_scalar + pixel, heat + passed_scalar * tl.load(background_scalar), mask=inside
+        )
+        _store_coverage(
+            depth_scalar,
+            alpha_scalar,
+            transmittance_scalar,
             pixel,
             inside,
-            z_thermal,
-            passed_thermal,
+            z_scalar,
+            passed_scalar,
         )
 
 

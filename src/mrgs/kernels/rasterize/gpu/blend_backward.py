@@ -24,6 +24,7 @@ from mrgs.kernels.rasterize.gpu.blend import (
 )
 from mrgs.kernels.rasterize.gpu.constants import (
     ALPHA_MAX,
+    GRAD_COLOR,
     GRAD_DEPTH,
     GRAD_DX,
     GRAD_DXDX,
@@ -31,8 +32,7 @@ from mrgs.kernels.rasterize.gpu.constants import (
     GRAD_DY,
     GRAD_DYDY,
     GRAD_FLOATS,
-    GRAD_RGB,
-    GRAD_THERMAL,
+    GRAD_SCALAR,
     TILE_PIXELS,
 )
 from mrgs.kernels.rasterize.gpu.jit import device_function
@@ -89,11 +89,11 @@ def _sum_geometry(sums, grad, dx, dy):
 @triton.jit(do_not_specialize=["tiles", "width", "height"])
 def blend_backward(
     splats, tile_splats, tile_starts, tile_pairs,
-    image_rgb, depth_rgb, transmittance_rgb, image_thermal, depth_thermal, transmittance_thermal,
-    grad_image_rgb, grad_depth_rgb, grad_alpha_rgb, grad_image_thermal, grad_depth_thermal,
-    grad_alpha_thermal,
-    pair_grads, grad_backgrounds, tiles, width, height, HAS_RGB: tl.constexpr,
-    HAS_THERMAL: tl.constexpr,
+    image_color, depth_color, transmittance_color, image_scalar, depth_scalar, transmittance_scalar,
+    grad_image_color, grad_depth_color, grad_alpha_color, grad_image_scalar, grad_depth_scalar,
+    grad_alpha_scalar,
+    pair_grads, grad_backgrounds, tiles, width, height, HAS_COLOR: tl.constexpr,
+    HAS_SCALAR: tl.constexpr,
 ):  # fmt: skip
     """Write the gradient moments of every pair that blends; the others' must be 0 beforehand.
 
@@ -101,7 +101,7 @@ def blend_backward(
         splats: records, [N, 16].
         tile_splats, tile_pairs, tile_starts: splats of all tiles, int32 [P], the numbers of their
             pairs, int64 [P], and where each tile's begin, int32 [tiles + 1].
-        image_rgb, ..., transmittance_thermal: what ``blend`` wrote.
+        image_color, ..., transmittance_scalar: what ``blend`` wrote.
         grad_*: the gradients of its images.
         pair_grads: written, [P, 12].
         grad_backgrounds: filled, [4, tiles]: red, green, blue and temperature of each tile.
@@ -113,83 +113,87 @@ def blend_backward(
     pixel = row * width + column
     fields = tl.arange(0, PADDED_FLOATS)
     zero = tl.zeros([TILE_PIXELS], tl.float32)
-    passed_rgb, passed_thermal = zero, zero
-    if HAS_RGB:
-        passed_rgb, gz_rgb, behind_rgb = _load_coverage(
-            depth_rgb, transmittance_rgb, grad_depth_rgb, grad_alpha_rgb, pixel, inside
+    passed_color, passed_scalar = zero, zero
+    if HAS_COLOR:
+        passed_color, gz_color, behind_color = _load_coverage(
+            depth_color, transmittance_color, grad_depth_color, grad_alpha_color, pixel, inside
         )
-        grads, image = grad_backgrounds + tile, grad_image_rgb
-        gr, more = _load_channel(image_rgb, image, grads, 3 * pixel, inside, passed_rgb, 0)
-        behind_rgb += more
-        gg, more = _load_channel(image_rgb, image, grads, 3 * pixel + 1, inside, passed_rgb, tiles)
-        behind_rgb += more
+        grads, image = grad_backgrounds + tile, grad_image_color
+        gr, more = _load_channel(image_color, image, grads, 3 * pixel, inside, passed_color, 0)
+        behind_color += more
+        gg, more = _load_channel(
+            image_color, image, grads, 3 * pixel + 1, inside, passed_color, tiles
+        )
+        behind_color += more
         gb, more = _load_channel(
-            image_rgb, image, grads, 3 * pixel + 2, inside, passed_rgb, 2 * tiles
+            image_color, image, grads, 3 * pixel + 2, inside, passed_color, 2 * tiles
         )
-        behind_rgb += more
-        passed_rgb = tl.where(inside, 1.0, zero)
-    if HAS_THERMAL:
-        passed_thermal, gz_thermal, behind_thermal = _load_coverage(
-            depth_thermal,
-            transmittance_thermal,
-            grad_depth_thermal,
-            grad_alpha_thermal,
+        behind_color += more
+        passed_color = tl.where(inside, 1.0, zero)
+    if HAS_SCALAR:
+        passed_scalar, gz_scalar, behind_scalar = _load_coverage(
+            depth_scalar,
+            transmittance_scalar,
+            grad_depth_scalar,
+            grad_alpha_scalar,
             pixel,
             inside,
         )
         gt, more = _load_channel(
-            image_thermal,
-            grad_image_thermal,
+            image_scalar,
+            grad_image_scalar,
             grad_backgrounds + tile,
             pixel,
             inside,
-            passed_thermal,
+            passed_scalar,
             3 * tiles,
         )
-        behind_thermal += more
-        passed_thermal = tl.where(inside, 1.0, zero)
+        behind_scalar += more
+        passed_scalar = tl.where(inside, 1.0, zero)
     unfinished = position < last
     following = tl.load(tile_splats + position, mask=unfinished, other=0)
-    splat = load_splat(splats, following, unfinished, HAS_RGB, HAS_THERMAL)
+    splat = load_splat(splats, following, unfinished, HAS_COLOR, HAS_SCALAR)
     following = tl.load(tile_splats + tl.minimum(position + 1, last - 1), mask=unfinished, other=0)
     while unfinished:
         for _ in tl.static_range(TURNS):
-            geometry, rgb, thermal = splat
+            geometry, color, scalar = splat
             pair = tl.load(tile_pairs + position, mask=position < last, other=0)
             is_field = fields < tl.where(position < last, GRAD_FLOATS, 0)
             position += 1
-            splat = load_splat(splats, following, position < last, HAS_RGB, HAS_THERMAL)
+            splat = load_splat(splats, following, position < last, HAS_COLOR, HAS_SCALAR)
             following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
             dx, dy = centre_x - geometry[0], centre_y - geometry[1]
             gaussian = gaussian_at(geometry, dx, dy)
             sums = tl.zeros([PADDED_FLOATS], tl.float32)
             grad, grad_z = zero, zero
-            if HAS_RGB:
-                unclamped, alpha = blended_alpha(gaussian, rgb[0], passed_rgb)
-                weight = alpha * passed_rgb
-                passed_rgb -= weight
-                own = weight * (gz_rgb * geometry[5] + gr * rgb[1] + gg * rgb[2] + gb * rgb[3])
-                behind_rgb -= own
-                grad = _grad_log_alpha(unclamped, alpha, own, behind_rgb)
-                grad_z = weight * gz_rgb
-                sums = _with_sum(sums, GRAD_RGB, grad)
-                sums = _with_sum(sums, GRAD_RGB + 1, weight * gr)
-                sums = _with_sum(sums, GRAD_RGB + 2, weight * gg)
-                sums = _with_sum(sums, GRAD_RGB + 3, weight * gb)
-            if HAS_THERMAL:
-                unclamped, alpha = blended_alpha(gaussian, thermal[0], passed_thermal)
-                weight = alpha * passed_thermal
-                passed_thermal -= weight
-                own = weight * (gz_thermal * geometry[5] + gt * thermal[1])
-                behind_thermal -= own
-                grad_thermal = _grad_log_alpha(unclamped, alpha, own, behind_thermal)
-                grad += grad_thermal
-                grad_z += weight * gz_thermal
-                sums = _with_sum(sums, GRAD_THERMAL, grad_thermal)
-                sums = _with_sum(sums, GRAD_THERMAL + 1, weight * gt)
+            if HAS_COLOR:
+                unclamped, alpha = blended_alpha(gaussian, color[0], passed_color)
+                weight = alpha * passed_color
+                passed_color -= weight
+                own = weight * (
+                    gz_color * geometry[5] + gr * color[1] + gg * color[2] + gb * color[3]
+                )
+                behind_color -= own
+                grad = _grad_log_alpha(unclamped, alpha, own, behind_color)
+                grad_z = weight * gz_color
+                sums = _with_sum(sums, GRAD_COLOR, grad)
+                sums = _with_sum(sums, GRAD_COLOR + 1, weight * gr)
+                sums = _with_sum(sums, GRAD_COLOR + 2, weight * gg)
+                sums = _with_sum(sums, GRAD_COLOR + 3, weight * gb)
+            if HAS_SCALAR:
+                unclamped, alpha = blended_alpha(gaussian, scalar[0], passed_scalar)
+                weight = alpha * passed_scalar
+                passed_scalar -= weight
+                own = weight * (gz_scalar * geometry[5] + gt * scalar[1])
+                behind_scalar -= own
+                grad_scalar = _grad_log_alpha(unclamped, alpha, own, behind_scalar)
+                grad += grad_scalar
+                grad_z += weight * gz_scalar
+                sums = _with_sum(sums, GRAD_SCALAR, grad_scalar)
+                sums = _with_sum(sums, GRAD_SCALAR + 1, weight * gt)
             sums = _with_sum(_sum_geometry(sums, grad, dx, dy), GRAD_DEPTH, grad_z)
             tl.store(pair_grads + pair * GRAD_FLOATS + fields, sums, mask=is_field)
-        unfinished = (position < last) & any_unfinished(passed_rgb, passed_thermal)
+        unfinished = (position < last) & any_unfinished(passed_color, passed_scalar)
 
 
 @triton.jit(do_not_specialize=["count"])

@@ -16,7 +16,7 @@ from mrgs.kernels.rasterize.gpu.projection import project
 from mrgs.kernels.rasterize.gpu.projection_backward import project_backward
 from mrgs.kernels.rasterize.gpu.tiles import list_pairs
 
-LEFT_OUT = {"fused": None, "rgb": "thermal", "thermal": "rgb"}
+LEFT_OUT = {"fused": None, "color": "scalar", "scalar": "color"}
 """The layers that a pass may have, and which layer it then lacks."""
 
 BLOCK = 128
@@ -52,7 +52,7 @@ def _layer_constants(kernel: Any, layers: str) -> dict[str, Any]:
     tensors = {
         name: None for name in kernel.arg_names if left_out and name.endswith(f"_{left_out}")
     }
-    return {"HAS_RGB": left_out != "rgb", "HAS_THERMAL": left_out != "thermal", **tensors}
+    return {"HAS_COLOR": left_out != "color", "HAS_SCALAR": left_out != "scalar", **tensors}
 
 
 def _blends(kernel: Any) -> dict[str, KernelSpec]:

@@ -18,6 +18,7 @@ from mrgs.kernels.rasterize.gpu.constants import (
     ACROSS,
     ALONG,
     ALPHA_MIN,
+    COLOR,
     DEPTH,
     DILATION,
     EXPONENT,
@@ -28,10 +29,9 @@ from mrgs.kernels.rasterize.gpu.constants import (
     MEAN_X,
     MEAN_Y,
     NEAR_PLANE,
-    RGB,
+    SCALAR,
     SHEAR,
     SPLAT_FLOATS,
-    THERMAL,
 )
 from mrgs.kernels.rasterize.gpu.jit import device_function
 from mrgs.kernels.rasterize.gpu.tiles import count_pairs
@@ -155,37 +155,35 @@ def covariance(n0, n1):
 
 @device_function
 def _store_layers(
-    record, i, mask, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr,
+    record, i, mask, opacities_color, features_color, opacities_scalar, features_scalar,
+    HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr,
 ):  # fmt: skip
     """The layers' parts of the records."""
-    if HAS_RGB:
-        red, green, blue = load_three(features_rgb, i, mask)
-        tl.store(record + RGB, tl.load(opacities_rgb + i, mask=mask, other=0.0), mask=mask)
-        tl.store(record + RGB + 1, red, mask=mask)
-        tl.store(record + RGB + 2, green, mask=mask)
-        tl.store(record + RGB + 3, blue, mask=mask)
-    if HAS_THERMAL:
-        tl.store(record + THERMAL, tl.load(opacities_thermal + i, mask=mask, other=0.0), mask=mask)
-        tl.store(
-            record + THERMAL + 1, tl.load(features_thermal + i, mask=mask, other=0.0), mask=mask
-        )
+    if HAS_COLOR:
+        red, green, blue = load_three(features_color, i, mask)
+        tl.store(record + COLOR, tl.load(opacities_color + i, mask=mask, other=0.0), mask=mask)
+        tl.store(record + COLOR + 1, red, mask=mask)
+        tl.store(record + COLOR + 2, green, mask=mask)
+        tl.store(record + COLOR + 3, blue, mask=mask)
+    if HAS_SCALAR:
+        tl.store(record + SCALAR, tl.load(opacities_scalar + i, mask=mask, other=0.0), mask=mask)
+        tl.store(record + SCALAR + 1, tl.load(features_scalar + i, mask=mask, other=0.0), mask=mask)
 
 
 @triton.jit(do_not_specialize=["count", "width", "height"])
 def project(
-    means, quats, scales, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
+    means, quats, scales, opacities_color, features_color, opacities_scalar, features_scalar,
     means2d_offset, viewmat, K,
     splats, radii, depths, pair_counts, count, width, height,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, BLOCK: tl.constexpr,
+    HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Fill the records [N, 16], radii [N], depths [N] (infinite if left out) and the numbers of
     tiles reached [N].
 
     Args:
         means, quats, scales: [N, 3], [N, 4], [N, 3].
-        opacities_rgb, features_rgb: [N] and [N, 3], not read without HAS_RGB.
-        opacities_thermal, features_thermal: [N] and [N, 1], not read without HAS_THERMAL.
+        opacities_color, features_color: [N] and [N, 3], not read without HAS_COLOR.
+        opacities_scalar, features_scalar: [N] and [N, 1], not read without HAS_SCALAR.
         means2d_offset: pixels, [N, 2].
         viewmat, K: [4, 4] and [3, 3].
         count, width, height: N and the size of the image.
@@ -193,10 +191,10 @@ def project(
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     opacity = tl.zeros([BLOCK], tl.float32)
-    if HAS_RGB:
-        opacity = tl.maximum(opacity, tl.load(opacities_rgb + i, mask=inside, other=0.0))
-    if HAS_THERMAL:
-        opacity = tl.maximum(opacity, tl.load(opacities_thermal + i, mask=inside, other=0.0))
+    if HAS_COLOR:
+        opacity = tl.maximum(opacity, tl.load(opacities_color + i, mask=inside, other=0.0))
+    if HAS_SCALAR:
+        opacity = tl.maximum(opacity, tl.load(opacities_scalar + i, mask=inside, other=0.0))
     x, y, z, visible = to_camera(load_three(means, i, inside), viewmat)
     fx, fy, cx, cy = load_intrinsics(K)
     m0 = jacobian_row(viewmat, 0, fx / z, clamped_slope(x / z, fx, cx, width))
@@ -239,6 +237,6 @@ def project(
     tl.store(record + HALF_WIDTH, half_width, mask=visible)
     tl.store(record + DEPTH, z, mask=visible)
     _store_layers(
-        record, i, visible, opacities_rgb, features_rgb, opacities_thermal, features_thermal,
-        HAS_RGB, HAS_THERMAL,
+        record, i, visible, opacities_color, features_color, opacities_scalar, features_scalar,
+        HAS_COLOR, HAS_SCALAR,
     )  # fmt: skip

@@ -7,6 +7,7 @@ import triton
 import triton.language as tl
 
 from mrgs.kernels.rasterize.gpu.constants import (
+    GRAD_COLOR,
     GRAD_DEPTH,
     GRAD_DX,
     GRAD_DXDX,
@@ -14,8 +15,7 @@ from mrgs.kernels.rasterize.gpu.constants import (
     GRAD_DY,
     GRAD_DYDY,
     GRAD_FLOATS,
-    GRAD_RGB,
-    GRAD_THERMAL,
+    GRAD_SCALAR,
 )
 from mrgs.kernels.rasterize.gpu.jit import device_function
 from mrgs.kernels.rasterize.gpu.projection import (
@@ -120,15 +120,15 @@ def _store_layer_gradients(
 
 @triton.jit(do_not_specialize=["count", "width", "height"])
 def project_backward(
-    means, quats, scales, opacities_rgb, opacities_thermal, viewmat, K, radii, gaussian_grads,
-    grad_means, grad_quats, grad_scales, grad_opacities_rgb, grad_features_rgb,
-    grad_opacities_thermal, grad_features_thermal, grad_means2d_offset, count, width, height,
-    HAS_RGB: tl.constexpr, HAS_THERMAL: tl.constexpr, BLOCK: tl.constexpr,
+    means, quats, scales, opacities_color, opacities_scalar, viewmat, K, radii, gaussian_grads,
+    grad_means, grad_quats, grad_scales, grad_opacities_color, grad_features_color,
+    grad_opacities_scalar, grad_features_scalar, grad_means2d_offset, count, width, height,
+    HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Chain the moments of each Gaussian back to its parameters.
 
     Args:
-        means, ..., opacities_thermal, viewmat, K, count, width, height: as in
+        means, ..., opacities_scalar, viewmat, K, count, width, height: as in
             ``projection.project``.
         radii: what that wrote.
         gaussian_grads: moments per Gaussian, [N, 12].
@@ -137,19 +137,26 @@ def project_backward(
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
     moments = gaussian_grads + i * GRAD_FLOATS
-    if HAS_RGB:
-        _store_layer_gradients(
-            i, inside, moments, opacities_rgb, grad_opacities_rgb, grad_features_rgb, GRAD_RGB, 3
-        )
-    if HAS_THERMAL:
+    if HAS_COLOR:
         _store_layer_gradients(
             i,
             inside,
             moments,
-            opacities_thermal,
-            grad_opacities_thermal,
-            grad_features_thermal,
-            GRAD_THERMAL,
+            opacities_color,
+            grad_opacities_color,
+            grad_features_color,
+            GRAD_COLOR,
+            3,
+        )
+    if HAS_SCALAR:
+        _store_layer_gradients(
+            i,
+            inside,
+            moments,
+            opacities_scalar,
+            grad_opacities_scalar,
+            grad_features_scalar,
+            GRAD_SCALAR,
             1,
         )
     drawn = tl.load(radii + i, mask=inside, other=0.0) > 0.0

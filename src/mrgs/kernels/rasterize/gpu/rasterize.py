@@ -18,9 +18,10 @@ from mrgs.errors import MrgsError
 from mrgs.kernels.gpu_spec import Arguments
 from mrgs.kernels.rasterize.gpu import kernels
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
-from mrgs.rasterizer.contract import Blend, Layer, Raster
+from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.scene import Blend
 
-_MODALITIES = {3: "rgb", 1: "thermal"}
+_SLOTS = {3: "color", 1: "scalar"}
 """What the kernels call a layer, by its channels."""
 
 _GEOMETRY = {"means": 3, "quats": 4, "scales": 3, "means2d_offset": 2}
@@ -179,10 +180,10 @@ def _blend_backward(what: _Pass, buffers: Arguments) -> None:
     grad_backgrounds = means.new_empty(4, what.tiles)
     given = buffers | {"pair_grads": pair_grads, "grad_backgrounds": grad_backgrounds}
     kernels.BLEND_BACKWARD[what.layers].launch((what.tiles,), given)
-    if "rgb" in what.channels:
-        buffers["grad_background_rgb"] = grad_backgrounds[:3].sum(dim=1)
-    if "thermal" in what.channels:
-        buffers["grad_background_thermal"] = grad_backgrounds[3:].sum(dim=1)
+    if "color" in what.channels:
+        buffers["grad_background_color"] = grad_backgrounds[:3].sum(dim=1)
+    if "scalar" in what.channels:
+        buffers["grad_background_scalar"] = grad_backgrounds[3:].sum(dim=1)
     buffers["gaussian_grads"] = means.new_empty(buffers["count"], GRAD_FLOATS.value)
     kernels.SUM_PAIRS.launch(
         _programs(buffers["count"], kernels.RANKS), buffers | {"pair_grads": pair_grads}
@@ -220,15 +221,11 @@ def rasterize(
         MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
     """
     channels = [layer.features.shape[1] for layer in layers]
-    if (
-        not channels
-        or not set(channels) <= _MODALITIES.keys()
-        or len(set(channels)) != len(channels)
-    ):
+    if not channels or not set(channels) <= _SLOTS.keys() or len(set(channels)) != len(channels):
         raise ValueError(
             f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
         )
-    what = _Pass({_MODALITIES[c]: c for c in channels}, width, height)
+    what = _Pass({_SLOTS[c]: c for c in channels}, width, height)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
     _check(inputs, channels)

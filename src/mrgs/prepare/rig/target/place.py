@@ -105,10 +105,9 @@ def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
     if board is None and square is None:
         raise SceneError(
             "the target cannot be used: its distance is not known. Let it stand still while it is "
-            "photographed from 3 "
-            "or more places; or, if it is moved, give the width of its squares and a distance in "
-            "the scene "
-            "(--known-distance); or leave --target out"
+            "photographed from 3 or more places; or, if it is moved, give the width of its squares "
+            "and a known distance in the scene; or give no target",
+            options=("target", "known_distance"),
         )
     width = square if board is None else board.square
     assert width is not None

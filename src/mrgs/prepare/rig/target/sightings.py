@@ -73,10 +73,10 @@ def find_sightings(
         columns, rows = target.inner
         raise SceneError(
             f"no pair shows the chessboard of {columns}×{rows} inner corners in both images (it "
-            f"was found in "
-            f"{len(found)} photos and {in_thermal} thermal images of {len(pairs)}): check the "
-            f"counts, which are of the "
-            "corners where four squares meet and not of the squares, or leave --target out"
+            f"was found in {len(found)} photos and {in_thermal} thermal images of {len(pairs)}): "
+            f"check the counts, which are of the corners where four squares meet and not of the "
+            f"squares, or give no target",
+            options=("target",),
         )
     return found
 

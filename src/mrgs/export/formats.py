@@ -1,0 +1,53 @@
+"""The formats of an export, by name.
+
+To add one, write a module with a function ``export(job: Job) -> list[Path]`` and add a line to
+``_FORMATS``. Nothing is imported for a format before it is used, so that the command line can list
+them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mrgs.runs.registry import imported
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Attributes:
+        name: as ``--format`` says it.
+        files: what is written, one line for the help.
+        export: writes the files of a ``Job``; returns their paths.
+        require: raises ConfigError if the format cannot be written of a scene, before anything is
+            done.
+    """
+
+    name: str
+    files: str
+    export: Callable[..., Any]
+    require: Callable[..., Any] = lambda scene: None
+
+
+def _format(name: str, files: str, **options: Any) -> Format:
+    """The format whose writer is the module of its name."""
+    return Format(name, files, imported(f"mrgs.export.{name}", "export"), **options)
+
+
+_FORMATS = (
+    _format("ply", "splats as 3DGS writes them, and all modalities in one file"),
+    _format("spz", "splats, compressed"),
+    _format("glb", "splats as glTF with KHR_gaussian_splatting"),
+    _format("splat", "splats without view dependence"),
+    _format("points", "the opaque splats as points with colour and temperature"),
+    _format("las", "the same points", require=imported("mrgs.export.las", "require")),
+    _format("mesh", "triangles with colour and temperature"),
+    _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
+    _format("page", "one HTML file", require=imported("mrgs.export.page", "require")),
+)
+
+FORMATS: dict[str, Format] = {each.name: each for each in _FORMATS}
+"""By name, in the order of the help."""

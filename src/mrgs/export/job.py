@@ -1,0 +1,80 @@
+"""What the writers of all formats share: the baked model, its scene, and the facts about both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.export.loss import BakingLoss
+from mrgs.export.sidecar import color_facts, write_sidecar
+from mrgs.export.splats import Splats, ThermalScale, modality_splats
+from mrgs.export.surface_points import SurfacePoints, surface_points
+from mrgs.pictures.palette import PaletteName
+from mrgs.runs.baked import BakedModel
+from mrgs.runs.open import Run
+from mrgs.scene import Modality, Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One export.
+
+    Attributes:
+        baked: what is exported.
+        scene: what it was trained on.
+        folder: of the files.
+        scale: colours of the temperatures.
+        up: what is up in the scene's frame, unit length; None if not known.
+        facts: what holds for every file, see ``facts_of``.
+        run: that was baked; None if only the baked model is at hand.
+        loss: what baking costs; None without a run.
+        palette: of the temperatures.
+        limits_c: °C of the palette's first and last colour, as the caller gave them.
+    """
+
+    baked: BakedModel
+    scene: Scene
+    folder: Path
+    scale: ThermalScale
+    up: Float64[np.ndarray, "3"] | None
+    facts: dict[str, Any]
+    run: Run | None
+    loss: BakingLoss | None
+    palette: PaletteName
+    limits_c: tuple[float, float] | None
+
+    @cached_property
+    def points(self) -> SurfacePoints:
+        """The splats on surfaces."""
+        return surface_points(self.baked, self.scene)
+
+    @property
+    def surface_facts(self) -> dict[str, Any]:
+        """What holds for files whose temperatures are not those of single splats."""
+        return self.facts | {
+            "temperature": self.facts["temperature"] | {"of": "the surface, as the cameras see it"}
+        }
+
+    def splats(
+        self, baked: BakedModel | None = None
+    ) -> Iterator[tuple[Modality, Splats, dict[str, Any]]]:
+        """Each modality that the scene has photos of, its splats, and the facts about their file.
+
+        Args:
+            baked: the model to take them from; the job's if None.
+        """
+        baked = baked or self.baked
+        for modality in self.scene.modalities:
+            facts = self.facts | color_facts(modality, self.scale, baked)
+            yield modality, modality_splats(baked, modality, self.scale), facts
+
+
+def described(path: Path, facts: Mapping[str, Any]) -> list[Path]:
+    """Write the facts about a file beside it; returns both paths."""
+    return [path, write_sidecar(path, facts)]

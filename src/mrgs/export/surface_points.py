@@ -1,0 +1,66 @@
+"""The splats on surfaces as points with colours, temperatures and other values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+
+from mrgs.errors import RunError
+from mrgs.export.rendered import carry_over, depth_maps, value_columns
+from mrgs.export.splats import to_float32
+from mrgs.runs.baked import BakedModel
+from mrgs.scene import Scene
+
+MIN_OPACITY = 0.3
+"""A splat becomes a point if one of its opacities reaches this: fainter ones fill gaps and haze,
+and lie off the surfaces."""
+
+SURFACE_DEPTH = 0.03
+"""A splat lies on a surface that a camera sees if the two depths differ by less than this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """M points with what they carry into a file.
+
+    Attributes:
+        positions: world coordinates (scene units), [M, 3].
+        columns: colours, temperatures and other values by their names in files, see
+            ``value_columns``, [M] each.
+        opacities: the largest of all modalities, [M].
+    """
+
+    positions: Float32[np.ndarray, "m 3"]
+    columns: Mapping[str, Float32[np.ndarray, " m"] | UInt8[np.ndarray, " m"]]
+    opacities: Float32[np.ndarray, " m"]
+
+
+def surface_points(baked: BakedModel, scene: Scene) -> SurfacePoints:
+    """The centres of the splats that are opaque in any modality and lie on a surface that a
+    training camera sees.
+
+    Colours, temperatures and other values are those that the cameras see there, see ``rendered``.
+
+    Raises:
+        RunError: there is no such splat.
+    """
+    opacities = to_float32(torch.stack(list(baked.opacities.values())).amax(dim=0))
+    rows = np.flatnonzero(opacities >= MIN_OPACITY)
+    if not len(rows):
+        raise RunError(
+            f"no splat has an opacity of {MIN_OPACITY} or more, so there are no points: train it "
+            f"longer"
+        )
+    positions = to_float32(baked.means)[rows]
+    values, seen = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
+    if not seen.any():
+        raise RunError(
+            "no opaque splat lies on a surface that a camera sees, so there are no points: train "
+            "it longer"
+        )
+    columns = value_columns(baked, values[seen])
+    return SurfacePoints(positions[seen], columns, opacities[rows[seen]])

@@ -1,0 +1,101 @@
+"""A trained run, or its baked model, into a folder of files for other programs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+from mrgs.errors import ConfigError, MrgsWarning
+from mrgs.export.formats import FORMATS, Format
+from mrgs.export.job import Job
+from mrgs.export.loss import BakingLoss, baking_loss_db
+from mrgs.export.sidecar import facts_of, up_direction
+from mrgs.export.splats import require_exportable, thermal_scale
+from mrgs.pictures.palette import PaletteName
+from mrgs.runs.baked import BakedModel, bake
+from mrgs.runs.open import Run
+from mrgs.scene import Scene
+
+
+def export(
+    model: Run | BakedModel,
+    scene: Scene,
+    format: str,
+    folder: Path,
+    palette: PaletteName = "inferno",
+    limits_c: tuple[float, float] | None = None,
+    on_baked: Callable[[BakingLoss], None] | None = None,
+) -> list[Path]:
+    """Write a model in one format, or in all, into a folder; returns the paths.
+
+    Splat formats write one file for each modality that the scene has photos of: ``rgb.ply``,
+    ``thermal.ply`` in the colours of the palette, any other in grey under its own name.
+
+    Beside each file but those of ``cameras`` and ``page``, ``NAME.SUFFIX.json`` says units, axes,
+    temperature range and baking loss.
+
+    Args:
+        model: a run, which is baked here, or a model that is baked already (its baking loss is then
+            not measured).
+        scene: what it was trained on.
+        format: the name of one of ``FORMATS``, or ``all``: every format that can be written here.
+        folder: made if need be; files of these names are replaced.
+        palette: colours of the colour-mapped files.
+        limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
+        on_baked: called with what the baking of a run costs.
+
+    Raises:
+        ConfigError: an unknown format, limits that cannot be used, or an extra that is not
+            installed.
+        RunError: the model cannot be exported, or a file cannot be written.
+        SceneError: a photo cannot be read.
+    """
+    if format == "all":
+        chosen = [each for each in FORMATS.values() if _is_writable(each, scene)]
+    else:
+        chosen = [_required(format, scene)]
+    job = _job(model, scene, folder, palette, limits_c)
+    if job.loss is not None and on_baked is not None:
+        on_baked(job.loss)
+    return [path for each in chosen for path in each.export(job)]
+
+
+def _required(name: str, scene: Scene) -> Format:
+    """The format of a name, if it can be written."""
+    if name not in FORMATS:
+        raise ConfigError(
+            f"unknown export format {name!r}: choose one of {', '.join(FORMATS)}, or all"
+        )
+    FORMATS[name].require(scene)
+    return FORMATS[name]
+
+
+def _is_writable(format: Format, scene: Scene) -> bool:
+    """Whether a format can be written; warns if not."""
+    try:
+        format.require(scene)
+    except ConfigError as error:
+        warnings.warn(f"{format.name} is left out: {error}", MrgsWarning, stacklevel=4)
+        return False
+    return True
+
+
+def _job(
+    model: Run | BakedModel,
+    scene: Scene,
+    folder: Path,
+    palette: PaletteName,
+    limits_c: tuple[float, float] | None,
+) -> Job:
+    run = model if isinstance(model, Run) else None
+    baked = (
+        model
+        if isinstance(model, BakedModel)
+        else bake(model.model, scene.train_cameras, model.temperature)
+    )
+    require_exportable(baked)
+    scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
+    loss = None if run is None else baking_loss_db(run, baked, scene)
+    facts = facts_of(baked, scene, up, loss)
+    return Job(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c)

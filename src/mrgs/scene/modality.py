@@ -1,0 +1,136 @@
+"""What a model renders images of: colours, temperatures, or any other kind of radiation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
+LONGEST_TEXT = 40
+"""Characters of a name, a unit or a title."""
+
+
+@dataclass(frozen=True, order=True)
+class Modality:
+    """One kind of image. All modalities share the Gaussians' geometry; each has its own opacity and
+    its own appearance.
+
+    Views, photos, renderings, opacities and metrics are indexed by it. Two with the same name and
+    channels are equal: unit and title only say how it is shown.
+
+    Attributes:
+        name: a lower-case identifier, unique; it stands in files, logs and the names of tensors.
+        channels: values per pixel, at least 1.
+        unit: of the values once they are no longer normalised ("°C"); None for plain intensities in
+            [0, 1].
+        title: what headings and legends call it; the name if empty.
+
+    Raises:
+        ValueError: a name that is no lower-case identifier, no channel, or a text that is too long
+            or cannot be printed.
+    """
+
+    name: str
+    channels: int
+    unit: str | None = field(default=None, compare=False)
+    title: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(
+                f"a modality's name must be a lower-case identifier: {self.name[:LONGEST_TEXT]!r}"
+            )
+        if self.channels < 1:
+            raise ValueError(f"modality {self.name} needs at least one channel")
+        if not self.title:
+            object.__setattr__(self, "title", self.name)
+        for text in (self.name, self.unit or "", self.title):
+            if len(text) > LONGEST_TEXT or not text.isprintable():
+                raise ValueError(
+                    f"texts of modality {self.name[:LONGEST_TEXT]} must be printable and of at "
+                    f"most {LONGEST_TEXT} characters: {text[:LONGEST_TEXT]!r}"
+                )
+
+    def __str__(self) -> str:
+        return self.name
+
+    def to_json(self) -> dict[str, Any]:
+        """What ``from_json`` reads."""
+        return {
+            "name": self.name,
+            "channels": self.channels,
+            "unit": self.unit,
+            "title": self.title,
+        }
+
+    @classmethod
+    def from_json(cls, value: object) -> Modality:
+        """A modality from a JSON object with ``name`` and ``channels``; ``unit`` and ``title`` may
+        be left out.
+
+        Raises:
+            ValueError: the value is none.
+        """
+        if not isinstance(value, dict):
+            raise ValueError("a modality is an object with a name and a number of channels")
+        name, channels = value.get("name"), value.get("channels")
+        unit, title = value.get("unit"), value.get("title", "")
+        if not isinstance(name, str) or not isinstance(title, str):
+            raise ValueError("a modality's name and title must be texts")
+        if unit is not None and not isinstance(unit, str):
+            raise ValueError(f"the unit of modality {name!r:.60} must be a text")
+        if isinstance(channels, bool) or not isinstance(channels, int):
+            raise ValueError(f"the channels of modality {name!r:.60} must be a whole number")
+        return cls(name, channels, unit, title)
+
+
+RGB = Modality("rgb", 3, title="RGB")
+"""Colours in [0, 1]."""
+
+THERMAL = Modality("thermal", 1, unit="°C")
+"""Temperatures, normalised by the scene's :class:`TemperatureRange`."""
+
+_known: dict[str, Modality] = {modality.name: modality for modality in (RGB, THERMAL)}
+
+
+def register_modality(modality: Modality) -> Modality:
+    """Make a modality known to the readers of all scenes; returns it.
+
+    Frames of ``transforms.json`` may then have ``NAME_file_path``, and its images are trained,
+    scored, rendered and exported like all others. Not needed where ``transforms.json`` lists it
+    under ``modalities``. Registering the same modality twice is allowed.
+
+    Raises:
+        ValueError: a modality of this name has another number of channels.
+    """
+    known = _known.setdefault(modality.name, modality)
+    if known != modality:
+        raise ValueError(
+            f"there is another modality {modality.name!r}, of {known.channels} channels"
+        )
+    return modality
+
+
+def known_modalities() -> tuple[Modality, ...]:
+    """RGB, thermal, and all registered ones in the order of their registration."""
+    return tuple(_known.values())
+
+
+def in_order(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
+    """Each once: RGB first, thermal second, the others by name."""
+    found = set(modalities)
+    built_in = [modality for modality in (RGB, THERMAL) if modality in found]
+    return (*built_in, *sorted(found - set(built_in)))
+
+
+def modality_named(name: str) -> Modality:
+    """The known modality of a name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name not in _known:
+        raise ValueError(f"unknown modality {name!r}; known are {', '.join(_known)}")
+    return _known[name]

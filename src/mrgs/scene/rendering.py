@@ -1,0 +1,126 @@
+"""What a model shows from one view: an image, a depth and an alpha of each modality."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple, TypeAlias
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mrgs.scene.camera import Camera
+from mrgs.scene.modality import Modality
+
+
+class Blend(NamedTuple):
+    """One modality alpha-blended from one camera.
+
+    Attributes:
+        image: colours, normalised temperatures or another modality's values, not clamped,
+            [H, W, C].
+        depth: z-depth blended with the same weights, scene units, not divided by alpha, [H, W]; NaN
+            everywhere if it is not known.
+        alpha: accumulated alpha, [H, W]; NaN everywhere if it is not known.
+    """
+
+    image: Float[Tensor, "h w c"]
+    depth: Float[Tensor, "h w"]
+    alpha: Float[Tensor, "h w"]
+
+    @classmethod
+    def of_image(cls, image: Float[Tensor, "h w c"]) -> Blend:
+        """An image alone, without a known depth and alpha."""
+        unknown = torch.full(image.shape[:2], torch.nan, device=image.device)
+        return cls(image, unknown, unknown)
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether the depth is known."""
+        return not bool(self.depth.isnan().all())
+
+    def surface_depth(
+        self, min_alpha: float = 0.5, max_step: float | None = None
+    ) -> Float[Tensor, "h w"]:
+        """z-depth of the surface that a pixel shows, D / A: the blended depth without the share of
+        the background.
+
+        Args:
+            min_alpha: a pixel that is covered less shows no surface.
+            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
+                of more lies on an outline, where the mean depth is that of neither surface. None to
+                keep outlines.
+
+        Returns:
+            Scene units, NaN where there is no surface, [H, W].
+        """
+        covered = self.alpha >= min_alpha
+        surface = torch.where(covered, self.depth / self.alpha.clamp_min(min_alpha), torch.nan)
+        if max_step is None:
+            return surface
+        return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
+
+
+class Rendering(Mapping[Modality, Blend]):
+    """What a model shows from one view: a :class:`Blend` for each modality that has a camera.
+
+    Args:
+        blends: by modality.
+    """
+
+    def __init__(self, blends: Mapping[Modality, Blend]) -> None:
+        self._blends = dict(blends)
+
+    def __getitem__(self, modality: Modality) -> Blend:
+        return self._blends[modality]
+
+    def __iter__(self) -> Iterator[Modality]:
+        return iter(self._blends)
+
+    def __len__(self) -> int:
+        return len(self._blends)
+
+    def with_depth(self, first: Modality) -> Modality | None:
+        """The modality whose depth is shown or scored: ``first`` if its depth is known, or else
+        another one; None if there is no depth."""
+        known = [modality for modality, blend in self.items() if blend.has_depth]
+        return first if first in known else next(iter(known), None)
+
+    def cpu(self) -> Rendering:
+        """The same images in the host's memory."""
+        return Rendering(
+            {
+                modality: Blend(*(tensor.cpu() for tensor in blend))
+                for modality, blend in self.items()
+            }
+        )
+
+    def with_images(self, images: Mapping[Modality, Float[Tensor, "h w c"]]) -> Rendering:
+        """The same rendering with other images of some modalities; depths and alphas are kept."""
+        return Rendering(
+            {
+                modality: blend._replace(image=images.get(modality, blend.image))
+                for modality, blend in self.items()
+            }
+        )
+
+
+CameraResponse: TypeAlias = Callable[[Rendering, Camera], Rendering]
+"""From a rendering, and the camera that it is seen from, to what the scene's cameras would have
+recorded there."""
+
+
+def ideal_cameras(rendering: Rendering, camera: Camera) -> Rendering:
+    """A camera response that changes nothing."""
+    return rendering
+
+
+def _depth_range(depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    """Largest minus smallest depth within 3×3 pixels; NaN does not count."""
+    far, minus_near = (
+        torch.nn.functional.max_pool2d(
+            signed.nan_to_num(nan=-torch.inf)[None], 3, stride=1, padding=1
+        )[0]
+        for signed in (depth, -depth)
+    )
+    return far + minus_near
