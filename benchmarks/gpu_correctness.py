@@ -22,9 +22,9 @@ from mrgs.method.losses.photometric import (
     LossConfig,
     masked_mean,
     photometric_loss,
-    smoothness_loss,
 )
 from mrgs.method.losses.radiation import boltzmann_loss
+from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.ssim import ssim_map, structural_similarity
 from mrgs.training.step import training_step
 
@@ -172,7 +172,7 @@ def loss_cases(width: int, height: int, masked: bool) -> Iterator[LossCase]:
         ),
         (
             "total variation",
-            lambda x, d, v: smoothness_loss(x, d, x.detach(), v, EXTENT, 1.0, config),
+            lambda x, d, v: smoothness_loss(x, d, v, EXTENT, 1.0, config),
             smoothness_truth,
             [rgb, depth],
         ),
