@@ -42,7 +42,12 @@ contents = st.tuples(
 def pairing_of(content) -> Pairing:
     pairs, skipped, rule = content
     return Pairing(
-        tuple(PhotoPair(*pair) for pair in pairs),
+        tuple(
+            PhotoPair(
+                name, {THERMAL: thermal} if rgb is None else {RGB: rgb, THERMAL: thermal}, used
+            )
+            for name, rgb, thermal, used in pairs
+        ),
         tuple(Skipped(*item) for item in skipped),
         rule,
         (rule,),

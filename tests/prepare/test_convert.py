@@ -475,7 +475,7 @@ def test_a_photo_that_says_it_holds_another(photos, scene):
         SceneError,
         match=r"a\.jpg: holds no visible photo, while others do; leave it out, or add its RGB",
     ):
-        converted(Pairing((PhotoPair("a", None, root / "a.jpg", True),), (), ""), scene)
+        converted(Pairing((PhotoPair("a", {THERMAL: root / "a.jpg"}, True),), (), ""), scene)
 
 
 def test_progress_is_told(photos, scene):

@@ -51,11 +51,11 @@ class Fakes:
     failed: tuple[Skipped, ...] = ()
     fails: str = ""
 
-    def reconstruct(self, images, cameras, work, progress, *, stretch=False) -> Reconstruction:
+    def reconstruct(self, images, cameras, work, progress, *, modality) -> Reconstruction:
         assert cameras.keys() == images.keys()
-        self.calls.append("thermal poses" if stretch else "poses")
+        self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
-        return replace(existing_poses(self.poses, images), images=THERMAL if stretch else RGB)
+        return replace(existing_poses(self.poses, images), images=modality)
 
     def calibrate(self, pairs, points, options, progress) -> RigCalibration:
         self.calls.append("thermal camera")

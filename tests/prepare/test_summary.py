@@ -33,7 +33,7 @@ VIEW = converted_view(
 
 
 def test_pairs_are_counted(tmp_path):
-    pairs = (PhotoPair("a", None, tmp_path / "a.jpg"),)
+    pairs = (PhotoPair("a", {THERMAL: tmp_path / "a.jpg"}),)
     summary = summarize_pairs(
         Pairing(pairs, (Skipped("b", "is cut off"),), "By their names.", ("The clocks differ.",))
     )

@@ -24,23 +24,20 @@ MIN_VIEWS = 3
 
 @dataclass(frozen=True)
 class PhotoPair:
-    """The RGB photo and the thermal photo of one moment.
+    """The photos of one moment.
 
     Attributes:
         name: of the future view; unique, a valid file stem on every system.
-        rgb: the RGB photo; None if it is embedded in the thermal photo's file, or missing.
-        thermal: the thermal photo.
+        photos: files by modality, RGB first. An RGB photo that is embedded in the thermal photo's
+            file, or missing, is not among them.
         embedded: whether the RGB photo embedded in the thermal photo's file is used.
-        rgb_exif: EXIF of the RGB photo's own file.
-        thermal_exif: EXIF of the thermal photo's file.
+        exif: of each file.
     """
 
     name: str
-    rgb: Path | None
-    thermal: Path
+    photos: Mapping[Modality, Path]
     embedded: bool = False
-    rgb_exif: ExifFacts = field(default_factory=ExifFacts)
-    thermal_exif: ExifFacts = field(default_factory=ExifFacts)
+    exif: Mapping[Modality, ExifFacts] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

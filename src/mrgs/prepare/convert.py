@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,11 +47,8 @@ Stamp = list[tuple[str, int, int]]
 """Path, size in bytes and time of change (ns) of a pair's files."""
 
 
-class _Orientations(NamedTuple):
-    """The EXIF orientation of all RGB photos, and of all thermal photos."""
-
-    rgb: int
-    thermal: int
+Orientations = Mapping[Modality, int]
+"""The EXIF orientation of all photos of a modality."""
 
 
 class _Settings(NamedTuple):
@@ -61,7 +58,7 @@ class _Settings(NamedTuple):
     scene: Path
     overrides: Overrides
     unit: str | None
-    orientations: _Orientations
+    orientations: Orientations
 
 
 def convert_photos(
@@ -96,14 +93,15 @@ def convert_photos(
             whole, and the next call resumes.
     """
     _check_folders(pairing, scene)
-    orientations = _common_orientations(pairing.pairs) if turn else _Orientations(1, 1)
+    orientations = _common_orientations(pairing.pairs) if turn else dict.fromkeys(IMAGE_FOLDERS, 1)
     _remove_other_views(scene, cache, {pair.name for pair in pairing.pairs})
     units: dict[str, str] = {}  # by suffix, guessed for the first photo
     views: list[ConvertedView] = []
     skipped: list[Skipped] = []
     for index, pair in enumerate(pairing.pairs):
         progress("reading and writing", index, len(pairing.pairs))
-        unit = units.get(pair.thermal.suffix.lower())
+        suffix = pair.photos[THERMAL].suffix.lower()
+        unit = units.get(suffix)
         try:
             view = _cached(pair, _Settings(scene, overrides, unit, orientations), cache)
         except SceneError as error:
@@ -111,7 +109,7 @@ def convert_photos(
             continue
         views.append(view)
         if view.facts.unit is not None and overrides.unit is None and overrides.bounds_c is None:
-            units.setdefault(pair.thermal.suffix.lower(), view.facts.unit)
+            units.setdefault(suffix, view.facts.unit)
     progress("reading and writing", len(pairing.pairs), len(pairing.pairs))
     if not views:
         first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
@@ -144,16 +142,17 @@ def _convert(pair: PhotoPair, stamp: Stamp, settings: _Settings) -> ConvertedVie
         RunError: the scene's folder cannot be written.
     """
     scene, overrides, unit, orientations = settings
+    source = pair.photos[THERMAL]
     if unit is not None:
         overrides = dataclasses.replace(overrides, unit=unit)
-    thermal = read_thermal_photo(pair.thermal, overrides)
+    thermal = read_thermal_photo(source, overrides)
     rgb = _read_rgb(pair, thermal, orientations)
     if _stamp(pair) != stamp:
         raise scene_error(
-            pair.thermal,
+            source,
             "this photo or its RGB photo changed while it was read; wait until it is copied",
         )
-    image = upright(Image.fromarray(_pixels(thermal)), orientations.thermal)
+    image = upright(Image.fromarray(_pixels(thermal)), orientations[THERMAL])
     celsius = thermal.temperature_c
     _remove_transforms(scene)
     images = {}
@@ -189,18 +188,18 @@ def _written(
 
 
 def _read_rgb(
-    pair: PhotoPair, thermal: ThermalPhoto, orientations: _Orientations
+    pair: PhotoPair, thermal: ThermalPhoto, orientations: Orientations
 ) -> RgbPhoto | None:
-    if pair.rgb is not None:
-        return read_rgb(pair.rgb, orientations.rgb)
+    if RGB in pair.photos:
+        return read_rgb(pair.photos[RGB], orientations[RGB])
     if not pair.embedded:
         return None
     if thermal.facts.visible is None:
         raise scene_error(
-            pair.thermal,
+            pair.photos[THERMAL],
             "holds no visible photo, while others do; leave it out, or add its RGB photo",
         )
-    return read_embedded(thermal.facts.visible, orientations.thermal)
+    return read_embedded(thermal.facts.visible, orientations[THERMAL])
 
 
 def _pixels(thermal: ThermalPhoto) -> Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]:
@@ -215,16 +214,18 @@ def _pixels(thermal: ThermalPhoto) -> Float32[np.ndarray, "h w"] | UInt8[np.ndar
 def _merged_exif(pair: PhotoPair, facts: PhotoFacts) -> ExifFacts:
     """EXIF of the RGB photo, completed from the thermal photo; maker and model are of one
     camera."""
-    rgb, thermal = pair.rgb_exif, pair.thermal_exif
+    rgb, thermal = (pair.exif.get(modality, ExifFacts()) for modality in (RGB, THERMAL))
     camera = (rgb.make, rgb.model) if rgb.model else (thermal.make, thermal.model or facts.camera)
     return ExifFacts(*camera, rgb.taken or facts.taken, rgb.gps or facts.gps)
 
 
-def _common_orientations(pairs: Sequence[PhotoPair]) -> _Orientations:
-    return _Orientations(
-        _most_frequent(pair.rgb_exif.orientation for pair in pairs if pair.rgb is not None),
-        _most_frequent(pair.thermal_exif.orientation for pair in pairs),
-    )
+def _common_orientations(pairs: Sequence[PhotoPair]) -> Orientations:
+    return {
+        modality: _most_frequent(
+            pair.exif[modality].orientation for pair in pairs if modality in pair.exif
+        )
+        for modality in IMAGE_FOLDERS
+    }
 
 
 def _most_frequent(orientations: Iterable[int]) -> int:
@@ -240,7 +241,7 @@ def _stamp(pair: PhotoPair) -> Stamp:
         SceneError: one is gone.
     """
     found = []
-    for path in filter(None, (pair.rgb, pair.thermal)):
+    for path in pair.photos.values():
         try:
             status = path.stat()
         except OSError as error:
@@ -258,7 +259,7 @@ def _check_folders(pairing: Pairing, scene: Path) -> None:
         SceneError: one does.
     """
     own = [(scene / name).resolve() for name in (*IMAGE_FOLDERS.values(), CACHE_FOLDER)]
-    for path in (path for pair in pairing.pairs for path in (pair.rgb, pair.thermal) if path):
+    for path in (path for pair in pairing.pairs for path in pair.photos.values()):
         if any(path.resolve().is_relative_to(folder) for folder in own):
             raise scene_error(
                 path,
@@ -307,12 +308,12 @@ def _check_sizes(views: Sequence[ConvertedView], pairing: Pairing) -> None:
     Raises:
         SceneError: two photos of a kind have different sizes.
     """
-    photos = {pair.name: pair for pair in pairing.pairs}
+    photos = {pair.name: pair.photos for pair in pairing.pairs}
     for modality in IMAGE_FOLDERS:
         groups: dict[tuple[int, int] | None, list[Path]] = {}
         for view in views:
-            image, pair = view.images.get(modality), photos[view.name]
-            file = (pair.rgb or pair.thermal) if modality == RGB else pair.thermal
+            image, files = view.images.get(modality), photos[view.name]
+            file = files.get(modality, files[THERMAL])  # an RGB photo may be embedded
             groups.setdefault(None if image is None else image.size, []).append(file)
         if len(groups) > 1:
             (size, most), (other_size, other) = sorted(

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 import torch
 from jaxtyping import Float64
@@ -26,9 +27,10 @@ from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import point_cloud
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
-from mrgs.scene import PointCloud
+from mrgs.scene import Modality, PointCloud
 from mrgs.scene.modality import in_order
 
+Item = TypeVar("Item")
 _ASPECT_TOLERANCE = 0.01
 
 
@@ -54,7 +56,7 @@ def poses_of_photos(
     Raises:
         SceneError: as from :func:`existing_poses`.
     """
-    names = {(pair.rgb or pair.thermal).stem: pair.name for pair in pairs if pair.name in images}
+    names = {_first(pair.photos).stem: pair.name for pair in pairs if pair.name in images}
     if len(names) < len(images):  # photos of several folders share a name
         names = {name: name for name in images}
     found = existing_poses(folder, {photo: images[name] for photo, name in names.items()})
@@ -136,9 +138,14 @@ def _from_transforms(
     capture = read_transforms(root, file)
     poses = []
     for shot in capture.shots:
-        source = shot.images[in_order(shot.images)[0]]
+        source = _first(shot.images)
         poses.append(_Pose(_stem(shot.key), source.lens, source.viewmat))
     return poses, capture.points, file.name, capture.notes
+
+
+def _first(images: Mapping[Modality, Item]) -> Item:
+    """The image that the poses belong to: of RGB, where it is there."""
+    return images[in_order(images)[0]]
 
 
 def _model_itself(root: Path) -> ColmapModel | None:

@@ -88,7 +88,7 @@ def poses(work: Work) -> Summary:
         if given is None:
             cameras = dict.fromkeys(files, "one")  # sets of several cameras have been refused
             folder = work.scene / CACHE_FOLDER
-            return reconstruct(files, cameras, folder, work.progress, stretch=modality == THERMAL)
+            return reconstruct(files, cameras, folder, work.progress, modality=modality)
         found = poses_of_photos(given, work.pairing.pairs, files)
         return replace(found, images=modality)
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing
 from mrgs.prepare.pairs import find_pairs
+from mrgs.scene import RGB, THERMAL
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
 
@@ -23,8 +24,8 @@ def files(root: Path, found: Pairing) -> list[tuple[str | None, str]]:
     """The pairs by the paths of their files."""
     return [
         (
-            None if pair.rgb is None else pair.rgb.relative_to(root).as_posix(),
-            pair.thermal.relative_to(root).as_posix(),
+            None if RGB not in pair.photos else pair.photos[RGB].relative_to(root).as_posix(),
+            pair.photos[THERMAL].relative_to(root).as_posix(),
         )
         for pair in found.pairs
     ]
@@ -271,7 +272,7 @@ def test_one_lens_in_folders_too(photos):
     content |= {f"rgb/DJI_000{i}_W.JPG": "jpg" for i in (1, 2)} | {
         f"rgb/DJI_000{i}_Z.JPG": "jpg" for i in (1, 3)
     }
-    assert [pair.rgb.name for pair in find_pairs(photos(content)).pairs] == [
+    assert [pair.photos[RGB].name for pair in find_pairs(photos(content)).pairs] == [
         "DJI_0001_W.JPG",
         "DJI_0002_W.JPG",
     ]
@@ -291,7 +292,10 @@ def test_numbers_that_start_again(photos):
     root = photos({f"DJI_{stamp}_0001_{mark}.JPG": "jpg" for stamp in stamps for mark in "TW"})
     found = find_pairs(root)
     assert [pair.name for pair in found.pairs] == ["DJI_0001", "DJI_0001_2"]
-    assert all(pair.rgb.name == pair.thermal.name.replace("_T", "_W") for pair in found.pairs)
+    assert all(
+        pair.photos[RGB].name == pair.photos[THERMAL].name.replace("_T", "_W")
+        for pair in found.pairs
+    )
 
 
 @pytest.mark.parametrize("name", ["card", "thermal"])
@@ -344,7 +348,7 @@ def test_names_that_are_no_utf8_can_be_printed(photos):
     )
     root = photos({f"{odd[0]}.srt": b"x"})
     found = find_pairs(root)
-    assert sorted(pair.thermal.name for pair in found.pairs) == sorted(
+    assert sorted(pair.photos[THERMAL].name for pair in found.pairs) == sorted(
         f"{name}_thermal.jpg" for name in odd
     )
     assert found.rule.endswith(", such as K\ufffdche_wide.jpg and K\ufffdche_thermal.jpg.")
@@ -530,12 +534,12 @@ def test_every_file_is_in_one_pair_or_left_out(photo, names, data):
         used = [
             path.relative_to(root).as_posix()
             for pair in found.pairs
-            for path in (pair.rgb, pair.thermal)
+            for path in pair.photos.values()
             if path
         ]
         assert sorted([*used, *reasons(found)]) == sorted(names)
         assert len({pair.name.lower() for pair in found.pairs}) == len(found.pairs)
-        assert len({(pair.rgb is None, pair.embedded) for pair in found.pairs}) == 1
+        assert len({(RGB in pair.photos, pair.embedded) for pair in found.pairs}) == 1
         with pytest.MonkeyPatch.context() as patch:
             walk = os.walk
             patch.setattr(os, "walk", lambda *args, **more: shuffled(walk(*args, **more)))

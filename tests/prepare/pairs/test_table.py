@@ -6,6 +6,7 @@ import pytest
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.pairs import find_pairs
+from mrgs.scene import RGB, THERMAL
 
 FILES = {
     "eye/1.jpg": "jpg",
@@ -27,7 +28,10 @@ def paired(photos, tmp_path):
         found = find_pairs(root, table=table)
         assert found.rule == "The pairs are those of pairs.csv."
         return [
-            ("" if pair.rgb is None else pair.rgb.relative_to(root).as_posix(), pair.thermal.name)
+            (
+                "" if RGB not in pair.photos else pair.photos[RGB].relative_to(root).as_posix(),
+                pair.photos[THERMAL].name,
+            )
             for pair in found.pairs
         ]
 
@@ -69,7 +73,7 @@ def test_names_in_another_unicode_form(photos, tmp_path, in_table, on_disk):
         unicodedata.normalize(on_disk, name): "jpg" for name in ("Küche/ä.jpg", "Küche/ö.jpg")
     }
     found = find_pairs(photos(content), table=table)
-    assert [(pair.rgb.name, pair.thermal.name) for pair in found.pairs] == [
+    assert [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs] == [
         (unicodedata.normalize(on_disk, "ä.jpg"), unicodedata.normalize(on_disk, "ö.jpg"))
     ]
 

@@ -12,6 +12,7 @@ from PIL import Image
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
 from mrgs.prepare.sfm import reconstruct
+from mrgs.scene import RGB
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
 needs_pycolmap = pytest.mark.skipif(
@@ -46,10 +47,10 @@ def test_poses_of_the_table_top_after_an_interruption(tmp_path):
             raise StoppedError
 
     with pytest.raises(StoppedError):
-        reconstruct(images, cameras, tmp_path, stop_at_matching)
+        reconstruct(images, cameras, tmp_path, stop_at_matching, modality=RGB)
     assert steps[-2:] == [("features", 7, 7), ("matching", 0, 21)]
     steps.clear()
-    found = reconstruct(images, cameras, tmp_path, lambda *step: steps.append(step))
+    found = reconstruct(images, cameras, tmp_path, lambda *step: steps.append(step), modality=RGB)
     assert steps[0] == ("features", 7, 7)
     assert steps[-1] == ("mapping", 6, 7)
     assert [left.name for left in found.failed] == ["elsewhere"]
@@ -72,13 +73,13 @@ def test_photos_that_share_nothing(tmp_path):
     with pytest.raises(
         SceneError, match=r"^only 0 of 3 photos could be placed, and 3 are needed \(photo_0"
     ):
-        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
+        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None, modality=RGB)
 
 
 def test_two_photos_are_too_few(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
     with pytest.raises(SceneError) as error:
-        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None)
+        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None, modality=RGB)
     assert (
         str(error.value) == "poses need 3 photos at least, and 2 can be used; take more, all around"
     )

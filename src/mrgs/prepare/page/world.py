@@ -30,8 +30,7 @@ class World:
     """Cameras and points in axes for drawing.
 
     Attributes:
-        cameras: by the view's name, in order; the RGB camera, or the thermal one where there is no
-            other.
+        cameras: of the first image of each view, by the view's name, in order.
         held_out: names of the views that are not trained on.
         points: [N, 3], in scene units.
         colors: RGB in [0, 1], [N, 3].

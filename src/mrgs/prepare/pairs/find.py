@@ -25,6 +25,7 @@ from mrgs.prepare.pairs.rules import (
     roles,
 )
 from mrgs.prepare.pairs.table import by_table
+from mrgs.scene import RGB, THERMAL
 
 Rule = Literal["auto", "names", "folders", "time", "thermal"]
 
@@ -86,10 +87,13 @@ def find_pairs(
 
 
 def _photo_pair(name: str, pair: Pair) -> PhotoPair:
-    rgb, thermal, embedded = pair
-    if rgb is None:
-        return PhotoPair(name, None, thermal.path, embedded, thermal_exif=thermal.exif)
-    return PhotoPair(name, rgb.path, thermal.path, embedded, rgb.exif, thermal.exif)
+    photos = {THERMAL: pair.thermal} if pair.rgb is None else {RGB: pair.rgb, THERMAL: pair.thermal}
+    return PhotoPair(
+        name,
+        {modality: photo.path for modality, photo in photos.items()},
+        pair.embedded,
+        {modality: photo.exif for modality, photo in photos.items()},
+    )
 
 
 def _key(thermal: Photo) -> str:

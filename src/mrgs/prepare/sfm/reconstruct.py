@@ -10,7 +10,7 @@ from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction
 from mrgs.prepare.sfm.job import set_up
 from mrgs.prepare.sfm.process import run_colmap
 from mrgs.prepare.sfm.result import read_result
-from mrgs.scene import RGB, THERMAL
+from mrgs.scene import THERMAL, Modality
 
 
 def reconstruct(
@@ -19,7 +19,7 @@ def reconstruct(
     work: Path,
     progress: Progress,
     *,
-    stretch: bool = False,
+    modality: Modality,
 ) -> Reconstruction:
     """Poses and points from images that overlap (Schönberger and Frahm, 2016, by way of pycolmap).
 
@@ -30,9 +30,9 @@ def reconstruct(
         images: files by the views' names, in the order in which they were taken.
         cameras: which camera took each view; all images of one share a lens and a size.
         work: folder for what is made on the way.
-        progress: told of the steps "contrast" (with ``stretch``), "features", "matching" and
+        progress: told of the steps "contrast" (of thermal images), "features", "matching" and
             "mapping".
-        stretch: the images are thermal ones, and their contrast is stretched first.
+        modality: of the images; the contrast of thermal ones is stretched first.
 
     Raises:
         SceneError: fewer than three images can be placed, or an image cannot be read.
@@ -45,6 +45,6 @@ def reconstruct(
             f"all around"
         )
     folder = work / "sfm"
-    set_up(folder, images, cameras, stretch, progress)
+    set_up(folder, images, cameras, modality == THERMAL, progress)
     run_colmap(folder, progress)
-    return read_result(folder, THERMAL if stretch else RGB)
+    return read_result(folder, modality)
