@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,9 @@ from mrgs.method.optimizer import OptimizerConfig
 from mrgs.scene import Gaussians
 from mrgs.training.state import TrainingState, initial_state, learned_layers
 from tests.helpers.gaussians import random_gaussians
+from tests.helpers.threads import one_torch_thread
 
-
-@pytest.fixture(autouse=True, scope="module")
-def one_torch_thread() -> Iterator[None]:
-    """On tensors as small as these, starting threads costs more than it saves."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+__all__ = ["one_torch_thread"]
 
 
 def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> TrainConfig:

@@ -18,6 +18,7 @@ from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig
 from mrgs.rasterizer.reference import rotation_matrices
 from mrgs.render import ScreenPoints
 from mrgs.scene import RGB, THERMAL, Gaussians
+from tests.helpers.gaussians import random_gaussians
 
 EXTENT = 10.0
 CONFIG = AdaptiveDensityControl(
@@ -32,9 +33,9 @@ def logit(opacity: float) -> float:
 
 
 def build(
-    make_gaussians, sizes, opacities_rgb=None, opacities_thermal=None, shares_opacity=False
+    sizes, opacities_rgb=None, opacities_thermal=None, shares_opacity=False
 ) -> GaussianOptimizer:
-    gaussians = make_gaussians(len(sizes), shares_opacity)
+    gaussians = random_gaussians(len(sizes), shares_opacity)
     gaussians.log_scales = torch.tensor(sizes).log()[:, None] + torch.tensor([0.0, -0.5, -2.0])
     gaussians.opacity_logits[RGB] = torch.tensor(
         [logit(o) for o in opacities_rgb or [0.5] * len(sizes)]
@@ -56,8 +57,8 @@ def run(
     return change.counts, optimizer.gaussians
 
 
-def test_a_small_one_with_a_large_gradient_is_cloned(make_gaussians):
-    optimizer = build(make_gaussians, [SMALL, SMALL, SMALL])
+def test_a_small_one_with_a_large_gradient_is_cloned():
+    optimizer = build([SMALL, SMALL, SMALL])
     before = {
         name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()
     }
@@ -67,8 +68,8 @@ def test_a_small_one_with_a_large_gradient_is_cloned(make_gaussians):
         assert torch.equal(tensor, torch.cat([before[name], before[name][1:2]])), name
 
 
-def test_a_large_one_with_a_large_gradient_is_split_into_two_smaller_ones_within_it(make_gaussians):
-    optimizer = build(make_gaussians, [SMALL, LARGE, LARGE])
+def test_a_large_one_with_a_large_gradient_is_split_into_two_smaller_ones_within_it():
+    optimizer = build([SMALL, LARGE, LARGE])
     before = {
         name: tensor.detach().clone() for name, tensor in optimizer.gaussians.tensors().items()
     }
@@ -88,9 +89,9 @@ def test_a_large_one_with_a_large_gradient_is_split_into_two_smaller_ones_within
             assert torch.equal(tensor[2:], before[name][[1, 1]]), name
 
 
-def test_halves_are_drawn_from_the_rotated_gaussian(make_gaussians):
+def test_halves_are_drawn_from_the_rotated_gaussian():
     count = 20_000
-    optimizer = build(make_gaussians, [LARGE])
+    optimizer = build([LARGE])
     one = optimizer.gaussians
     optimizer = GaussianOptimizer(
         Gaussians.from_tensors(
@@ -111,10 +112,9 @@ def test_halves_are_drawn_from_the_rotated_gaussian(make_gaussians):
     assert places.mean(dim=0).norm() < 0.03 * LARGE
 
 
-def test_transparent_in_both_modalities_is_pruned(make_gaussians):
+def test_transparent_in_both_modalities_is_pruned():
     transparent, opaque = 0.004, 0.006
     optimizer = build(
-        make_gaussians,
         [SMALL] * 4,
         opacities_rgb=[transparent, transparent, opaque, opaque],
         opacities_thermal=[transparent, opaque, transparent, opaque],
@@ -125,9 +125,8 @@ def test_transparent_in_both_modalities_is_pruned(make_gaussians):
     assert torch.equal(after.means, before[1:])
 
 
-def test_a_shared_opacity_decides_alone(make_gaussians):
+def test_a_shared_opacity_decides_alone():
     optimizer = build(
-        make_gaussians,
         [SMALL, LARGE, SMALL],
         opacities_rgb=[0.004, 0.5, 0.006],
         shares_opacity=True,
@@ -140,22 +139,20 @@ def test_a_shared_opacity_decides_alone(make_gaussians):
 
 
 @pytest.mark.parametrize(("prunes_large", "left"), [(False, 3), (True, 2)])
-def test_huge_ones_are_pruned_once_that_is_asked_for(prunes_large, left, make_gaussians):
-    optimizer = build(make_gaussians, [SMALL, HUGE, LARGE])
+def test_huge_ones_are_pruned_once_that_is_asked_for(prunes_large, left):
+    optimizer = build([SMALL, HUGE, LARGE])
     counts, after = run(optimizer, [0.0] * 3, prunes_large=prunes_large)
     assert (counts.pruned, len(after)) == (3 - left, left)
 
 
-def test_transparent_clones_and_halves_do_not_stay(make_gaussians):
-    optimizer = build(
-        make_gaussians, [SMALL, LARGE, SMALL], [0.001, 0.001, 0.5], [0.001, 0.001, 0.5]
-    )
+def test_transparent_clones_and_halves_do_not_stay():
+    optimizer = build([SMALL, LARGE, SMALL], [0.001, 0.001, 0.5], [0.001, 0.001, 0.5])
     _, after = run(optimizer, [2.0, 2.0, 0.0])
     assert len(after) == 1
 
 
-def test_the_cap_lets_the_largest_gradients_go_first(make_gaussians):
-    optimizer = build(make_gaussians, [SMALL] * 5)
+def test_the_cap_lets_the_largest_gradients_go_first():
+    optimizer = build([SMALL] * 5)
     before = optimizer.gaussians.means.detach().clone()
     counts, after = run(optimizer, [1.1, 3.0, 1.2, 2.0, 0.1], replace(CONFIG, max_gaussians=7))
     assert counts.cloned == 2
@@ -163,15 +160,15 @@ def test_the_cap_lets_the_largest_gradients_go_first(make_gaussians):
 
 
 @pytest.mark.parametrize("cap", [1, 3, 4, 6])
-def test_the_cap_is_never_exceeded(cap, make_gaussians):
-    optimizer = build(make_gaussians, [SMALL, LARGE, LARGE])
+def test_the_cap_is_never_exceeded(cap):
+    optimizer = build([SMALL, LARGE, LARGE])
     _, after = run(optimizer, [5.0] * 3, replace(CONFIG, max_gaussians=cap))
     assert len(after) == max(min(cap, 6), 3)
 
 
-def test_the_generator_decides(make_gaussians):
+def test_the_generator_decides():
     def means(seed: int) -> torch.Tensor:
-        return run(build(make_gaussians, [LARGE] * 3), [2.0] * 3, seed=seed)[1].means
+        return run(build([LARGE] * 3), [2.0] * 3, seed=seed)[1].means
 
     assert torch.equal(means(1), means(1))
     assert not torch.equal(means(1), means(2))
@@ -183,8 +180,8 @@ def screen_points(gradient: list[list[float]], radii: list[float], size=(40, 30)
     return ScreenPoints(offset, torch.tensor(radii), size)
 
 
-def test_statistics_are_means_over_the_views_that_drew(make_gaussians):
-    state = CONFIG.initial_state(make_gaussians(3))
+def test_statistics_are_means_over_the_views_that_drew():
+    state = CONFIG.initial_state(random_gaussians(3))
     state = add_views(state, [screen_points([[0.3, 0.0], [0.0, 0.2], [0.0, 0.0]], [5.0, 2.0, 0.0])])
     state = add_views(state, [screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0])])
     assert state["views"].tolist() == [2, 1, 0]
@@ -194,8 +191,8 @@ def test_statistics_are_means_over_the_views_that_drew(make_gaussians):
     )
 
 
-def test_two_passes_of_a_view_add_up_and_count_once(make_gaussians):
-    state = CONFIG.initial_state(make_gaussians(2))
+def test_two_passes_of_a_view_add_up_and_count_once():
+    state = CONFIG.initial_state(random_gaussians(2))
     rgb = screen_points([[0.1, 0.0], [0.0, 0.0]], [5.0, 0.0])
     thermal = screen_points([[0.0, 0.1], [0.1, 0.0]], [5.0, 1.0], size=(20, 10))
     state = add_views(state, [rgb, thermal])
