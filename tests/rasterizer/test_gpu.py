@@ -18,13 +18,14 @@ import torch
 import mrgs.rasterizer
 from mrgs.errors import MrgsError
 from mrgs.rasterizer import Layer, reference
+from mrgs.system import operation
 
 
 @pytest.fixture
 def rasterize(gpu_device: str) -> Callable:
     """The kernels; tensors go to their device and images come back from it, as the comparison
     expects."""
-    from mrgs.rasterizer import gpu
+    from mrgs.kernels.rasterize import gpu
 
     def on_device(
         means,
@@ -290,18 +291,22 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) ->
         raster.blends[0].image.sum().backward()
 
 
-def test_the_room_hands_what_the_kernels_take_to_the_kernels(
-    gpu_device, random_scene, monkeypatch
-) -> None:
-    from mrgs.rasterizer import gpu
+def test_what_the_kernels_take_is_handed_to_them(gpu_device, random_scene, monkeypatch) -> None:
+    called, imported = [], operation._imported
 
-    called = []
-    monkeypatch.setattr(gpu, "rasterize", lambda *arguments: called.append(arguments) or "raster")
+    def noting(*arguments):
+        called.append(arguments)
+        return "raster"
+
+    name = "mrgs.kernels.rasterize.gpu.rasterize"
+    monkeypatch.setattr(
+        operation, "_imported", lambda each: noting if each == name else imported(each)
+    )
     scene = random_scene(0, 3, dtype=torch.float32)
     scene = replace(
         scene, tensors={name: tensor.to(gpu_device) for name, tensor in scene.tensors.items()}
     )
-    assert scene.render(inspect.unwrap(mrgs.rasterizer.rasterize)) == "raster"
+    assert scene.render(mrgs.rasterizer.rasterize) == "raster"
     scene = replace(
         scene, tensors={name: tensor.double() for name, tensor in scene.tensors.items()}
     )
