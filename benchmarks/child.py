@@ -13,6 +13,7 @@ import torch
 from benchmarks import memory
 from benchmarks.plan import GROUPS, Case, Effort
 from benchmarks.timing import SkippedError, Stages, measure
+from mrgs.kernels import TABLE
 from mrgs.system.child import read_request, send, when_asked_to_stop
 
 
@@ -26,7 +27,7 @@ def prepare(case: Case) -> Stages:
 def result_of(case: Case, effort: Effort, base_bytes: int) -> dict[str, Any]:
     """Times, peak memory above ``base_bytes`` and notes of a case; or the reason why there are
     none."""
-    from benchmarks.calibration import Calibration  # Numba counts as memory of the case
+    from benchmarks.calibration import Calibration
 
     calibration = Calibration()
     try:
@@ -53,12 +54,21 @@ def import_what_torch_imports_late() -> None:
     torch.optim.Adam([parameter], fused=True).step()
 
 
+def import_kernels() -> None:
+    """Numba and the kernels' modules, which operations import at their first call: memory that is
+    no case's either."""
+    for kernel in TABLE:
+        if kernel.device == "cpu":
+            importlib.import_module(kernel.function.rpartition(".")[0])
+
+
 def main() -> None:
     """Measure the cases of the request one after the other; the last one's result is sent."""
     when_asked_to_stop(lambda: os._exit(1))
     request = read_request()
     torch.set_num_threads(request["threads"])
     import_what_torch_imports_late()
+    import_kernels()
     memory.reset_peak()
     base_bytes = memory.resident_bytes()
     result: dict[str, Any] = {}

@@ -29,7 +29,7 @@ gradients, images."""
 
 STEP_BYTES = 165e6
 """Peak of a process that takes one MrGS step, 20,000 Gaussians, 640×480, above the interpreter with
-torch loaded."""
+torch and the kernels' modules loaded."""
 
 
 @pytest.fixture(scope="module")
