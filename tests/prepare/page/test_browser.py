@@ -17,8 +17,7 @@ pytestmark = [needs_chromium, pytest.mark.slow]
 @pytest.fixture(scope="module")
 def page(prepared) -> Iterator[Any]:
     """The page, opened; whatever it reports as an error fails the tests."""
-    p = prepared
-    path = write_page(p.scene, p.stages, p.photos, p.reconstruction, p.rig, p.georeference)
+    path = write_page(prepared)
     errors: list[str] = []
     with chromium() as browser:
         page = new_page(browser, offline=True, viewport={"width": 390, "height": 800})
