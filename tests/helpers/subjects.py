@@ -5,11 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 
 from mrgs.runs.open import Run
-from mrgs.scene import Scene
-from mrgs.viewer.settings import Subject
+from mrgs.scene import RGB, THERMAL, Scene
+from mrgs.viewer.settings import Mode, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
+
+MODES = {
+    "temperature": Mode("image", (THERMAL,)),
+    "colour": Mode("image", (RGB,)),
+    "depth": Mode("depth"),
+    "side_by_side": Mode("side_by_side", (RGB, THERMAL)),
+    "blend": Mode("blend", (RGB, THERMAL)),
+    "split": Mode("split", (RGB, THERMAL)),
+    "photos": Mode("photos", (RGB, THERMAL)),
+    "difference": Mode("difference", (THERMAL,)),
+}
+"""The modes of a run with RGB and thermal photos, in the panel's order."""
 
 
 def subject_of(run: Run, scene: Scene | None, folder: Path) -> Subject:
     """A run as the viewer's subject; what it writes goes into the folder."""
-    return Subject("balls", TrainedSource(run.model), run.temperature, scene, folder)
+    source, modalities = TrainedSource(run.model), shown_modalities(run.model, scene)
+    return Subject("balls", source, modalities, run.temperature, scene, folder)

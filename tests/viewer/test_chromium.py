@@ -14,7 +14,7 @@ from PIL import Image
 
 from mrgs.pictures.palette import palette_table
 from mrgs.runs.open import Run
-from mrgs.scene import Scene
+from mrgs.scene import THERMAL, Scene
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
 pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
@@ -131,7 +131,7 @@ def test_temperature_is_shown_and_read(viewer, page, small_run, pytestconfig):
     rendered = small_run.temperatures_c(small_run.render(camera))[row, column].item()
     assert shown == pytest.approx(rendered, abs=0.1)
 
-    scale = inspection.scales.thermal
+    scale = inspection.scales.values[THERMAL]
     drawn = np.abs(palette_table("inferno").astype(int) - before[y, x]).sum(axis=1).argmin() / 255
     assert scale.low + drawn * (scale.high - scale.low) == pytest.approx(
         shown, abs=0.05 * (scale.high - scale.low)

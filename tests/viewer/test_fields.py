@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mrgs.scene import THERMAL
+from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.fields import render_pane
 
 
@@ -19,7 +19,7 @@ def test_beside_a_photo_the_camera_is_imitated(subject, small_run, camera):
     )
     looked_at = render_pane(small_run.model, camera, colder)
     compared = render_pane(small_run.model, camera, colder, as_photo_of=camera)
-    expected = looked_at.values - 0.25 * small_run.temperature.span_c
-    np.testing.assert_allclose(compared.values, expected, atol=1e-4)
-    assert looked_at.rgb is not None
+    expected = looked_at.images[THERMAL] - 0.25 * small_run.temperature.span_c
+    np.testing.assert_allclose(compared.images[THERMAL], expected, atol=1e-4)
+    np.testing.assert_array_equal(compared.images[RGB], looked_at.images[RGB])
     np.testing.assert_array_equal(compared.depth, looked_at.depth)

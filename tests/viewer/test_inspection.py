@@ -15,9 +15,9 @@ from mrgs.scene import RGB, THERMAL, Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.settings import Settings
+from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.scenes import write_scene
-from tests.helpers.subjects import subject_of
+from tests.helpers.subjects import MODES, subject_of
 
 
 @pytest.fixture
@@ -25,12 +25,9 @@ def inspection(subject):
     return Inspection(subject)
 
 
-@pytest.mark.parametrize(
-    "mode",
-    ["rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"],
-)
+@pytest.mark.parametrize("mode", MODES)
 def test_every_mode_fills_the_picture(inspection, camera, mode):
-    inspection.settings = Settings(mode=mode)
+    inspection.settings = Settings(MODES[mode])
     coarse, sharp = (
         inspection.picture(camera, coarse=True),
         inspection.picture(camera, coarse=False),
@@ -45,7 +42,7 @@ def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera
     for radius in (1e3, 1e-3):  # nothing is background, then everything is
         monkeypatch.setattr(Scene, "reach", Reach(camera.position, radius))
         inspection = Inspection(subject)
-        inspection.settings = Settings(mode="depth")
+        inspection.settings = Settings(MODES["depth"])
         inspection.picture(camera, coarse=False)
         near_and_far.append((inspection.scales.depth.high, inspection.scales.depth.low))
     assert near_and_far[0][1] > 2
@@ -60,7 +57,7 @@ def test_a_click_reads_what_is_drawn(inspection, camera, small_run):
     inspection.picture(camera, coarse=False)
     shown = inspection.click(0.5, 0.5)
     expected = small_run.temperatures_c(small_run.render(camera))[60, 80].item()
-    assert shown.reading.value == pytest.approx(expected, abs=1e-3)
+    assert shown.value == pytest.approx(expected, abs=1e-3)
     assert shown.photo_value is None
     assert f"{expected:.1f} °C" in texts.point(inspection)
 
@@ -73,7 +70,7 @@ def test_a_click_into_the_void_says_so(inspection, camera):
 
 
 def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
-    inspection.settings = Settings(mode="difference")
+    inspection.settings = Settings(MODES["difference"])
     captured = balls.train[2].cameras[THERMAL]
     inspection.picture(captured.resized(160, 120), coarse=False)
     assert inspection.view is balls.train[2]
@@ -82,19 +79,19 @@ def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
     photo = small_run.temperature.to_celsius(
         balls.train[2].images[THERMAL].load().values[15, 20, 0].item()
     )
-    assert (shown.reading.value, shown.photo_value) == pytest.approx((model, photo), abs=1e-3)
+    assert (shown.value, shown.photo_value) == pytest.approx((model, photo), abs=1e-3)
     assert f"photo {photo:.1f} °C" in texts.point(inspection)
 
 
 def test_coarse_pictures_keep_the_colours_of_the_last_sharp_one(inspection, camera):
     inspection.picture(camera, coarse=False)
-    scale = inspection.scales.thermal
+    scale = inspection.scales.values[THERMAL]
     far = replace(camera, viewmat=camera.viewmat.clone())
     far.viewmat[2, 3] += 3
     inspection.picture(far, coarse=True)
-    assert inspection.scales.thermal == scale
+    assert inspection.scales.values[THERMAL] == scale
     inspection.picture(far, coarse=False)
-    assert inspection.scales.thermal != scale
+    assert inspection.scales.values[THERMAL] != scale
 
 
 def test_spots_are_numbered_and_removed(inspection, camera):
@@ -121,11 +118,13 @@ def test_boxes_read_what_is_in_them(inspection, camera, small_run):
     inside = small_run.temperatures_c(rendering)[42:78, 64:96][solid[42:78, 64:96]]
     assert reading.highest.value == pytest.approx(inside.max().item(), abs=1e-3)
     assert reading.mean == pytest.approx(inside.mean().item(), abs=1e-3)
-    assert f"{reading.mean:.1f}" in texts.boxes(inspection.box_readings, inspection.subject)
+    assert f"{reading.mean:.1f}" in texts.boxes(
+        inspection.box_readings, inspection.measured, inspection.subject
+    )
 
 
 def test_a_box_side_by_side_belongs_to_its_pane(inspection, camera):
-    inspection.settings = Settings(mode="side_by_side")
+    inspection.settings = Settings(MODES["side_by_side"])
     inspection.picture(camera, coarse=False)
     inspection.add_box(0.6, 0.25, 0.8, 0.75)
     (box,) = inspection.boxes
@@ -187,7 +186,7 @@ def test_a_video_needs_a_free_camera_and_two_keyframes(inspection, camera):
         inspection.add_keyframe()
     with pytest.raises(ConfigError, match="at least two keyframes"):
         inspection.render_video(1.0, lambda *_: None)
-    inspection.settings = Settings(mode="photos")
+    inspection.settings = Settings(MODES["photos"])
     with pytest.raises(ConfigError, match="a video needs a free camera"):
         inspection.render_video(1.0, lambda *_: None)
 
@@ -200,27 +199,23 @@ def test_without_celsius_values_are_called_normalised(small_run, balls, camera, 
     assert "(normalised)" in texts.point(inspection)
     assert "°C</" not in texts.point(inspection)
     assert "no known °C" in texts.header(inspection.subject, "")
-    assert inspection.scales.thermal.unit == "normalised"
+    assert inspection.scales.values[THERMAL].unit == "normalised"
 
 
 @pytest.mark.parametrize(
     ("options", "modes"),
     [
-        ({"thermal": False}, ("rgb", "depth", "photos")),
-        ({"rgb": False}, ("temperature", "depth", "photos", "difference")),
+        ({"thermal": False}, [Mode("image", (RGB,)), Mode("depth"), Mode("photos", (RGB,))]),
         (
-            {"two_cameras": True},
-            (
-                "temperature",
-                "rgb",
-                "depth",
-                "side_by_side",
-                "blend",
-                "split",
-                "photos",
-                "difference",
-            ),
+            {"rgb": False},
+            [
+                MODES["temperature"],
+                Mode("depth"),
+                Mode("photos", (THERMAL,)),
+                MODES["difference"],
+            ],
         ),
+        ({"two_cameras": True}, list(MODES.values())),
     ],
 )
 def test_other_captures(tmp_path, camera, options, modes):
@@ -231,10 +226,10 @@ def test_other_captures(tmp_path, camera, options, modes):
     )
     run = load_run(folder.path)
     subject = subject_of(run, run.load_scene(), tmp_path)
-    assert subject.modes == modes
+    assert list(subject.modes) == modes
     inspection = Inspection(subject)
     for mode in modes:
-        inspection.settings = Settings(mode=mode)
+        inspection.settings = Settings(mode)
         assert inspection.picture(camera, coarse=False).shape == (120, 160, 3)
         inspection.click(0.5, 0.5)
         assert texts.point(inspection)
@@ -242,7 +237,7 @@ def test_other_captures(tmp_path, camera, options, modes):
 
 def test_without_the_scene_there_are_no_photos(small_run, camera, tmp_path):
     inspection = Inspection(subject_of(small_run, None, tmp_path))
-    assert "photos" not in inspection.subject.modes
+    assert not any(mode.shows_photos for mode in inspection.subject.modes)
     assert inspection.picture(camera, coarse=False).shape == (120, 160, 3)
     assert inspection.view is None
 

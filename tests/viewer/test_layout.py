@@ -7,18 +7,21 @@ import torch
 from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.layout import panes_of, place_at
 from tests.helpers.scenes import write_scene
+from tests.helpers.subjects import MODES
 
 
-@pytest.mark.parametrize("mode", ["rgb", "temperature", "depth", "blend", "split"])
-def test_one_pane_fills_the_picture(mode, camera):
+@pytest.mark.parametrize("name", ["colour", "temperature", "depth", "blend", "split"])
+def test_one_pane_fills_the_picture(name, camera):
+    mode = MODES[name]
     (pane,) = panes_of(mode, camera, None)
-    assert (pane.content, pane.left, pane.top) == (mode, 0, 0)
+    assert (pane.kind, pane.modalities, pane.left, pane.top) == (mode.kind, mode.modalities, 0, 0)
     assert pane.camera is camera
 
 
 def test_side_by_side_shows_the_same_middle_twice(camera):
-    left, right = panes_of("side_by_side", camera, None)
-    assert (left.content, right.content) == ("rgb", "temperature")
+    left, right = panes_of(MODES["side_by_side"], camera, None)
+    assert (left.modalities, right.modalities) == ((RGB,), (THERMAL,))
+    assert (left.title, right.title) == ("Colour", "Temperature")
     assert (left.left, right.left, left.camera.width) == (0, 80, 80)
     whole, depth = camera.project(torch.tensor([0.0, 0.1, 0.2]))
     half, same_depth = right.camera.project(torch.tensor([0.0, 0.1, 0.2]))
@@ -28,8 +31,11 @@ def test_side_by_side_shows_the_same_middle_twice(camera):
 
 def test_photos_stand_beside_the_model(camera, balls):
     view = balls.train[0]
-    panes = panes_of("photos", camera, view)
-    assert [pane.content for pane in panes] == ["rgb_photo", "rgb", "thermal_photo", "temperature"]
+    panes = panes_of(MODES["photos"], camera, view)
+    kinds = ("photo", "image")
+    assert [(pane.modalities, pane.kind) for pane in panes] == [
+        ((modality,), kind) for modality in (RGB, THERMAL) for kind in kinds
+    ]
     for pane in panes:
         assert pane.left + pane.camera.width <= 160
         assert pane.top + pane.camera.height <= 120
@@ -40,7 +46,7 @@ def test_photos_stand_beside_the_model(camera, balls):
 def test_panes_do_not_overlap(camera, balls):
     for mode in ("side_by_side", "photos"):
         covered = np.zeros((120, 160), int)
-        for pane in panes_of(mode, camera, balls.train[0]):
+        for pane in panes_of(MODES[mode], camera, balls.train[0]):
             covered[
                 pane.top : pane.top + pane.camera.height, pane.left : pane.left + pane.camera.width
             ] += 1
@@ -51,16 +57,16 @@ def test_each_thermal_pane_has_the_thermal_camera(camera, tmp_path):
     from mrgs.data import load_scene
 
     view = load_scene(write_scene(tmp_path / "scene", two_cameras=True)).train[0]
-    panes = {pane.content: pane for pane in panes_of("photos", camera, view)}
-    torch.testing.assert_close(panes["temperature"].camera.viewmat, view.cameras[THERMAL].viewmat)
-    torch.testing.assert_close(panes["rgb"].camera.viewmat, view.cameras[RGB].viewmat)
+    for pane in panes_of(MODES["photos"], camera, view):
+        (modality,) = pane.modalities
+        torch.testing.assert_close(pane.camera.viewmat, view.cameras[modality].viewmat)
     assert not torch.equal(view.cameras[THERMAL].viewmat, view.cameras[RGB].viewmat)
-    (difference,) = panes_of("difference", camera, view)
+    (difference,) = panes_of(MODES["difference"], camera, view)
     torch.testing.assert_close(difference.camera.viewmat, view.cameras[THERMAL].viewmat)
 
 
 def test_places_are_found_in_their_panes(camera):
-    panes = panes_of("side_by_side", camera, None)
+    panes = panes_of(MODES["side_by_side"], camera, None)
     place = place_at(panes, 120, 30)
     assert place.pane is panes[1]
     assert (place.u, place.v) == (0.5, 0.25)
@@ -72,5 +78,9 @@ def test_a_view_without_thermal_has_no_difference(camera, tmp_path):
     from mrgs.data import load_scene
 
     view = load_scene(write_scene(tmp_path / "scene", thermal=False)).train[0]
-    assert panes_of("difference", camera, view) == ()
-    assert [pane.content for pane in panes_of("photos", camera, view)] == ["rgb_photo", "rgb"]
+    assert panes_of(MODES["difference"], camera, view) == ()
+    panes = panes_of(MODES["photos"], camera, view)
+    assert [(pane.modalities, pane.kind) for pane in panes] == [
+        ((RGB,), "photo"),
+        ((RGB,), "image"),
+    ]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mrgs.pictures.palette import INVALID_COLOR, palette_table
-from mrgs.scene import Reach
-from mrgs.viewer.fields import Fields, difference
+from mrgs.scene import RGB, THERMAL, Camera, Reach, TemperatureRange
+from mrgs.viewer.fields import PaneImages, difference
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
@@ -21,33 +21,37 @@ from mrgs.viewer.picking import Box, read_box
 from mrgs.viewer.settings import Settings
 
 SIZE = (160, 120)
+RANGE = TemperatureRange(0.0, 50.0)
 
 
-def heat(depth: float = 3.0) -> Fields:
+def heat(depth: float = 3.0) -> PaneImages:
     """A ramp from 10 to 30 °C, all at one depth, over grey."""
     values = np.tile(np.linspace(10, 30, 160, dtype=np.float32), (120, 1))
-    return Fields(
-        np.full((120, 160, 3), 100, np.uint8),
-        values,
+    return PaneImages(
+        {RGB: np.full((120, 160, 3), 100, np.uint8), THERMAL: values},
         np.full((120, 160), depth, np.float32),
         np.ones((120, 160), bool),
     )
 
 
-def painted(camera, content: str = "temperature", **choices) -> np.ndarray:
-    pane, settings = Pane(content, camera), Settings(**choices)
-    return paint(pane, heat(), measure_scales([pane], [heat()], settings, "°C"), settings)
+def thermal_pane(camera: Camera, kind: str = "image") -> Pane:
+    return Pane(kind, (THERMAL,), camera)
+
+
+def painted(camera, **choices) -> np.ndarray:
+    pane, settings = thermal_pane(camera), Settings(**choices)
+    return paint(pane, heat(), measure_scales([pane], [heat()], settings, RANGE), settings)
 
 
 def test_the_automatic_range_follows_what_is_seen(camera):
-    scale = measure_scales([Pane("temperature", camera)], [heat()], Settings(), "°C").thermal
+    scale = measure_scales([thermal_pane(camera)], [heat()], Settings(), RANGE).values[THERMAL]
     assert (scale.low, scale.high, scale.unit) == (10, 30, "°C")
 
 
 def test_empty_pixels_do_not_count_for_the_range(camera):
     fields = heat()
     fields.solid[:, 80:] = False
-    scale = measure_scales([Pane("temperature", camera)], [fields], Settings(), "°C").thermal
+    scale = measure_scales([thermal_pane(camera)], [fields], Settings(), RANGE).values[THERMAL]
     assert scale.high < 20.1
 
 
@@ -60,7 +64,7 @@ def test_the_range_can_be_set_by_hand(camera):
 
 def test_the_isotherm_marks_the_band_and_nothing_else(camera):
     plain, marked = painted(camera), painted(camera, isotherm=(25.0, 15.0))
-    band = (heat().values >= 15) & (heat().values <= 25)
+    band = (heat().images[THERMAL] >= 15) & (heat().images[THERMAL] <= 25)
     assert (marked[band] == ISOTHERM_COLOR).all()
     assert (marked[~band] == plain[~band]).all()
     assert (
@@ -69,34 +73,34 @@ def test_the_isotherm_marks_the_band_and_nothing_else(camera):
 
 
 def test_what_the_model_does_not_cover_has_no_temperature(camera):
-    pane, fields = Pane("temperature", camera), heat()
+    pane, fields = thermal_pane(camera), heat()
     fields.solid[:60] = False
     settings = Settings(isotherm=(10.0, 30.0))
-    image = paint(pane, fields, measure_scales([pane], [fields], settings, "°C"), settings)
+    image = paint(pane, fields, measure_scales([pane], [fields], settings, RANGE), settings)
     assert (image[:60] == INVALID_COLOR).all()
     assert (image[60:] == ISOTHERM_COLOR).all()
 
 
 def test_near_is_light(camera):
-    pane, fields = Pane("depth", camera), heat()
+    pane, fields = Pane("depth", (), camera), heat()
     fields.depth[:] = np.linspace(1, 5, 160)
     image = paint(
         pane,
         fields,
-        measure_scales([pane], [fields], Settings(mode="depth"), "°C"),
-        Settings(mode="depth"),
+        measure_scales([pane], [fields], Settings(), RANGE),
+        Settings(),
     )
     assert image[0, 0].sum() > image[0, -1].sum()
 
 
 def test_the_sky_does_not_count_on_the_scale_of_the_depth(camera):
-    pane, fields = Pane("depth", camera), heat()
+    pane, fields = Pane("depth", (), camera), heat()
     fields.depth[:, :80] = 900.0
     ball = Reach(camera.position, 10.0)
-    assert measure_scales([pane], [fields], Settings(mode="depth"), "°C").depth.low == 900
-    scales = measure_scales([pane], [fields], Settings(mode="depth"), "°C", ball)
+    assert measure_scales([pane], [fields], Settings(), RANGE).depth.low == 900
+    scales = measure_scales([pane], [fields], Settings(), RANGE, ball)
     assert scales.depth.low < 4
-    image = paint(pane, fields, scales, Settings(mode="depth"))
+    image = paint(pane, fields, scales, Settings())
     assert (image[:, :80] == palette_table("depth")[0]).all()
 
 
@@ -112,28 +116,33 @@ def test_the_slider_blends_and_splits():
 
 
 def test_the_difference_is_model_minus_photo():
-    model, photo = heat(), Fields(None, heat().values - 0.5, None, np.ones((120, 160), bool))
+    model = heat()
+    photo = PaneImages({THERMAL: heat().images[THERMAL] - 0.5}, None, np.ones((120, 160), bool))
     photo.solid[0, 0] = False
-    fields = difference(model, photo)
-    assert np.isnan(fields.values[0, 0])
-    np.testing.assert_allclose(fields.values[1:], 0.5)
+    fields = difference(THERMAL, model, photo)
+    assert np.isnan(fields.images[THERMAL][0, 0])
+    np.testing.assert_allclose(fields.images[THERMAL][1:], 0.5)
 
 
 def test_the_scale_of_a_difference_is_even_about_zero(camera):
-    pane = Pane("difference", camera)
-    fields = Fields(
-        None, np.linspace(-1, 3, 19200, dtype=np.float32).reshape(120, 160), None, heat().solid
-    )
-    scale = measure_scales([pane], [fields], Settings(), "°C").difference
+    pane = thermal_pane(camera, "difference")
+    values = np.linspace(-1, 3, 19200, dtype=np.float32).reshape(120, 160)
+    fields = PaneImages({THERMAL: values}, None, heat().solid)
+    scale = measure_scales([pane], [fields], Settings(), RANGE).difference
     assert scale.low == -scale.high
     assert scale.high == pytest.approx(3, abs=0.05)
 
 
 def compose_one(camera, depth: float = 3.0, **extras) -> np.ndarray:
-    pane, settings = Pane("temperature", camera), Settings(palette="grey")
+    pane, settings = thermal_pane(camera), Settings(palette="grey")
     fields = heat(depth)
     return compose(
-        SIZE, [pane], [fields], measure_scales([pane], [fields], settings, "°C"), settings, **extras
+        SIZE,
+        [pane],
+        [fields],
+        measure_scales([pane], [fields], settings, RANGE),
+        settings,
+        **extras,
     )
 
 
@@ -152,16 +161,19 @@ def test_marks_behind_something_are_hidden(camera):
 
 def test_boxes_are_drawn_with_their_extremes(camera):
     box = Box(0.5, 0.25, 0.75, 0.75)
-    reading = read_box(heat().values, heat().solid, box)
+    reading = read_box(heat().images[THERMAL], heat().solid, box)
     image = compose_one(camera, boxes=[(box, [reading])])
     assert (image[60, 80] == 255).all()
     assert (compose_one(camera)[60, 80] != 255).all()
 
 
 def test_a_coarse_rendering_is_stretched_to_its_pane(camera):
-    small = Fields(None, heat().values[::4, ::4], heat().depth[::4, ::4], heat().solid[::4, ::4])
-    pane, settings = Pane("temperature", camera), Settings()
+    whole = heat()
+    small = PaneImages(
+        {THERMAL: whole.images[THERMAL][::4, ::4]}, whole.depth[::4, ::4], whole.solid[::4, ::4]
+    )
+    pane, settings = thermal_pane(camera), Settings()
     image = compose(
-        SIZE, [pane], [small], measure_scales([pane], [small], settings, "°C"), settings
+        SIZE, [pane], [small], measure_scales([pane], [small], settings, RANGE), settings
     )
     assert image.shape == (120, 160, 3)

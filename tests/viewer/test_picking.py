@@ -10,6 +10,7 @@ from mrgs.rasterizer import Layer, rasterize
 from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.fields import SOLID_ALPHA
 from mrgs.viewer.picking import Box, read_box, read_point
+from tests.helpers.subjects import subject_of
 
 
 def solid_pixel(rendering) -> tuple[int, int]:
@@ -21,7 +22,7 @@ def test_a_reading_is_the_rendered_value_at_its_place(small_run, camera, subject
     rendering = small_run.render(camera)
     row, column = solid_pixel(rendering)
     reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
-    assert reading.value == pytest.approx(
+    assert reading.values[THERMAL].value == pytest.approx(
         small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3
     )
     alpha = rendering[THERMAL].alpha[row, column].item()
@@ -61,13 +62,13 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
     reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
     depths = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     variance = (weights * (depths - reading.depth).square()).sum() / alpha
-    assert reading.depth_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
+    assert reading.depth_deviation == pytest.approx(variance.sqrt().item(), rel=1e-3)
     celsius = small_run.temperature.to_celsius(
         small_run.model.values(THERMAL, torch.zeros(3))[:, 0].double()
     )
-    variance = (weights * (celsius - reading.value).square()).sum()
-    variance += (1 - alpha) * (small_run.temperature.min_c - reading.value) ** 2
-    assert reading.value_spread == pytest.approx(variance.sqrt().item(), rel=1e-3)
+    variance = (weights * (celsius - reading.values[THERMAL].value).square()).sum()
+    variance += (1 - alpha) * (small_run.temperature.min_c - reading.values[THERMAL].value) ** 2
+    assert reading.values[THERMAL].deviation == pytest.approx(variance.sqrt().item(), rel=1e-3)
 
 
 def test_where_nothing_is_nothing_is_read(small_run, camera, subject):
@@ -83,7 +84,7 @@ def test_what_is_cold_and_transparent_to_the_thermal_blend_is_read_all_the_same(
     invisible = torch.full_like(logits[THERMAL], -9.0)
     faint = replace(gaussians, opacity_logits={**logits, THERMAL: invisible})
     reading = read_point(replace(small_run.model, gaussians=faint), camera, 0.5, 0.5, subject)
-    assert reading.value == pytest.approx(subject.temperature.min_c, abs=0.01)
+    assert reading.values[THERMAL].value == pytest.approx(subject.temperature.min_c, abs=0.01)
     rendering = small_run.render(camera)
     assert reading.depth == pytest.approx(
         (rendering[RGB].depth[60, 80] / rendering[RGB].alpha[60, 80]).item(), rel=1e-5
@@ -95,18 +96,21 @@ def test_without_celsius_values_are_normalised(small_run, camera, subject):
     row, column = solid_pixel(rendering)
     unknown = replace(subject, temperature=None)
     reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, unknown)
-    assert reading.value == pytest.approx(rendering[THERMAL].image[row, column, 0].item(), abs=1e-5)
+    assert reading.values[THERMAL].value == pytest.approx(
+        rendering[THERMAL].image[row, column, 0].item(), abs=1e-5
+    )
 
 
 def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, subject):
     views = tuple(replace(view, images={RGB: view.images[RGB]}) for view in subject.scene.train)
-    colour_only = replace(subject, scene=replace(subject.scene, train=views))
+    scene = replace(subject.scene, train=views)
+    colour_only = subject_of(small_run, scene, subject.folder)
     rendering = small_run.render(camera)
     row, column = divmod(int(rendering[RGB].alpha.argmax()), 160)
     reading = read_point(
         small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, colour_only
     )
-    assert (reading.value, reading.value_spread) == (None, None)
+    assert reading.values == {}
     alpha = rendering[RGB].alpha[row, column].item()
     assert reading.depth == pytest.approx(
         rendering[RGB].depth[row, column].item() / alpha, rel=1e-5
@@ -128,11 +132,11 @@ def test_temperatures_that_depend_on_the_view_are_read_from_where_one_looks(
         for which in (small_run.model, model)
     )
     rendering = replace(small_run, model=model).render(camera)
-    assert reading.value == pytest.approx(
+    assert reading.values[THERMAL].value == pytest.approx(
         small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3
     )
-    assert abs(reading.value - flat.value) > 0.01
-    assert abs(reading.value_spread - flat.value_spread) > 0.01
+    assert abs(reading.values[THERMAL].value - flat.values[THERMAL].value) > 0.01
+    assert abs(reading.values[THERMAL].deviation - flat.values[THERMAL].deviation) > 0.01
 
 
 def test_a_model_in_training_is_read_too(small_run, camera, subject):
@@ -141,8 +145,10 @@ def test_a_model_in_training_is_read_too(small_run, camera, subject):
     live = read_point(
         replace(small_run.model, temperature_residuals=None), camera, 0.5, 0.5, subject
     )
-    assert live.value == pytest.approx(known.value, abs=1e-3)
-    assert live.value_spread == pytest.approx(known.value_spread, abs=1e-3)
+    assert live.values[THERMAL].value == pytest.approx(known.values[THERMAL].value, abs=1e-3)
+    assert live.values[THERMAL].deviation == pytest.approx(
+        known.values[THERMAL].deviation, abs=1e-3
+    )
 
 
 def test_a_box_has_minimum_mean_and_maximum():

@@ -7,10 +7,11 @@ import torch
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import palette_table
 from mrgs.runs.baked import bake
-from mrgs.scene import RGB
+from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.painting import ISOTHERM_COLOR, Scales
 from mrgs.viewer.settings import Settings
 from mrgs.viewer.splats import BrowserSplats, covariances, splat_colors
+from tests.helpers.subjects import MODES
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +28,9 @@ def test_covariances_are_those_of_the_gaussians():
 
 
 def test_temperatures_have_the_pictures_colours(baked):
-    scales = Scales(Scale("iron", 10.0, 30.0, "°C"))
-    settings = Settings(palette="iron", isotherm=(0.0, baked.temperatures_c.median().item()))
+    scales = Scales({THERMAL: Scale("iron", 10.0, 30.0, "°C")})
+    isotherm = (0.0, baked.temperatures_c.median().item())
+    settings = Settings(MODES["temperature"], "iron", isotherm=isotherm)
     colors = splat_colors(baked, settings, scales)
     hottest = int(baked.temperatures.argmax())
     expected = palette_table("iron")[round(float(baked.temperatures[hottest].clamp(0, 1)) * 255)]
@@ -37,7 +39,7 @@ def test_temperatures_have_the_pictures_colours(baked):
 
 
 def test_colours_are_the_means_over_the_directions(baked):
-    colors = splat_colors(baked, Settings(mode="rgb"), Scales())
+    colors = splat_colors(baked, Settings(MODES["colour"]), Scales())
     expected = (0.5 + 0.28209479 * baked.sh[RGB][:, 0]).clamp(0, 1) * 255
     np.testing.assert_allclose(colors, expected, atol=0.51)
 

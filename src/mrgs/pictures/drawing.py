@@ -7,9 +7,10 @@ from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from mrgs.pictures.palette import PaletteName, palette_table, round_ticks, tick_labels
+from mrgs.pictures.palette import PaletteName, colorize, palette_table, round_ticks, tick_labels
 
 INK = (24, 28, 36)
 MUTED = (104, 111, 124)
@@ -33,6 +34,10 @@ class Scale(NamedTuple):
     low: float
     high: float
     unit: str
+
+    def colorize(self, values: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+        """Colours of the values, [H, W]; NaN turns light grey."""
+        return colorize(values, self.low, self.high, self.palette)
 
 
 def draw_text(

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from mrgs.pictures.drawing import PAPER, Scale, scale_bar
 from mrgs.pictures.palette import PaletteName, colorize, display_range
-from mrgs.scene import THERMAL, Modality, PosedImage, Reach, Rendering, TemperatureRange, View
+from mrgs.pictures.values import folder_of_values, full_scale, in_unit
+from mrgs.scene import Modality, PosedImage, Reach, Rendering, TemperatureRange, View
 from mrgs.system.atomic import replacing
 
 _IMAGE_DESCRIPTION_TAG = 270
@@ -29,11 +30,20 @@ def write_rendering(
 ) -> list[Path]:
     """Write all images of one view; returns the paths.
 
-    Each modality as ``MODALITY/NAME.png``; the thermal one with a scale bar over the scene's
-    temperature range, and its values as ``temperature_c/NAME.tiff`` in °C, or
-    ``thermal_normalised/NAME.tiff`` for a scene without °C. The depth of each as
-    ``depth_MODALITY/NAME.tiff`` (scene units) and ``NAME.png``, on whose scale the background of
-    ``ball`` does not count. What the rendering lacks is left out.
+    Each modality is ``MODALITY/NAME.png``. One whose values have a unit is drawn through the
+    palette with a scale bar over its whole range, and its values are a float32 TIFF:
+    ``temperature_c/NAME.tiff`` in °C, or ``MODALITY_normalised/NAME.tiff`` where the scene has no
+    °C. The depth of each modality is ``depth_MODALITY/NAME.tiff`` (z-depth, scene units) and
+    ``NAME.png``. What the rendering lacks is left out.
+
+    Args:
+        folder: of the files; made if need be.
+        view: that was rendered; names the files.
+        rendering: its images.
+        temperature: the scene's; None if it has no °C.
+        palette: colours of values with a unit.
+        ball: how far the scene reaches; the background beyond it does not count on the scale of the
+            depth. None if there is none.
 
     Raises:
         RunError: a file cannot be written.
@@ -42,15 +52,13 @@ def write_rendering(
     name = view.name
     for modality, blend in rendering.items():
         png = folder / modality.name / f"{name}.png"
-        if modality != THERMAL:
+        if not modality.is_metric:
             paths.append(write_rgb_png(png, blend.image))
             continue
-        values, scale = thermal_values(blend.image, temperature, palette)
-        kind, text = ("temperature_c", "temperature, degrees Celsius")
-        if temperature is None:
-            kind, text = ("thermal_normalised", "normalised thermal value, no unit")
+        values = shown_values(modality, blend.image, temperature)
+        kind, text = folder_of_values(modality, temperature)
         paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, text))
-        paths.append(write_scaled_png(png, values, scale))
+        paths.append(write_scaled_png(png, values, full_scale(modality, temperature, palette)))
     for modality, blend in rendering.items():
         if blend.has_depth:
             place, image = folder / f"depth_{modality}", view.images.get(modality)
@@ -101,23 +109,19 @@ def to_picture(
     temperature: TemperatureRange | None,
     palette: PaletteName,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """An image as people look at it: temperatures through the palette over the scene's range, all
-    else as it is."""
-    if modality != THERMAL:
+    """An image as people look at it: values with a unit through the palette over their whole range,
+    intensities as they are."""
+    if not modality.is_metric:
         return to_rgb8(image)
-    values, scale = thermal_values(image, temperature, palette)
-    return colorize(values, scale.low, scale.high, scale.palette)
+    scale = full_scale(modality, temperature, palette)
+    return scale.colorize(shown_values(modality, image, temperature))
 
 
-def thermal_values(
-    thermal: Float[Tensor, "h w 1"], temperature: TemperatureRange | None, palette: PaletteName
-) -> tuple[Float[np.ndarray, "h w"], Scale]:
-    """The thermal image in °C, or as it is where the scene has no °C, and the scale that shows the
-    whole range."""
-    if temperature is None:
-        return to_array(thermal[..., 0]), Scale(palette, 0.0, 1.0, "normalised")
-    celsius = to_array(temperature.to_celsius(thermal[..., 0]))
-    return celsius, Scale(palette, temperature.min_c, temperature.max_c, "°C")
+def shown_values(
+    modality: Modality, image: Float[Tensor, "h w 1"], temperature: TemperatureRange | None
+) -> Float[np.ndarray, "h w"]:
+    """The values of a one-channel image [H, W, 1] in the modality's unit, [H, W]."""
+    return to_array(in_unit(modality, image[..., 0], temperature))
 
 
 def write_png(path: Path, image: Image.Image | UInt8[np.ndarray, "h w 3"]) -> Path:
@@ -162,7 +166,7 @@ def write_scaled_png(path: Path, values: Float[np.ndarray, "h w"], scale: Scale)
     height, width = values.shape
     bar = scale_bar(scale, height, "vertical", size=max(10, min(18, height // 24)))
     image = Image.new("RGB", (width + 2 * _MARGIN_PX + bar.width, height), PAPER)
-    image.paste(Image.fromarray(colorize(values, scale.low, scale.high, scale.palette)), (0, 0))
+    image.paste(Image.fromarray(scale.colorize(values)), (0, 0))
     image.paste(bar, (width + _MARGIN_PX, 0))
     return write_png(path, image)
 

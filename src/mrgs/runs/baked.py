@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.field.spherical_harmonics import MAX_DEGREE, evaluate_sh, shade
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, shared_passes
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering, TemperatureRange, spread
@@ -100,6 +100,13 @@ class BakedModel:
         if self.temperature is None:
             raise ValueError("the scene has no temperature range, so there is no °C")
         return self.temperature.to_celsius(self.temperatures)
+
+    def base_values(self, modality: Modality) -> Float[Tensor, "n c"]:
+        """The part of each splat's values that does not depend on the view, normalised, [N, C]: the
+        temperatures, or the harmonics of degree 0."""
+        if modality == THERMAL:
+            return self.temperatures[:, None]
+        return 0.5 + C0 * self.sh[modality][:, 0]
 
     def values(self, modality: Modality, position: Float[Tensor, "3"]) -> Float[Tensor, "n c"]:
         """What is blended of a modality, as seen from a position: colours of RGB, normalised

@@ -3,11 +3,13 @@
 from mrgs.scene.camera import Camera
 from mrgs.scene.gaussians import Gaussians
 from mrgs.scene.modality import (
+    BUILT_IN,
     RGB,
     THERMAL,
     Modality,
     in_order,
     known_modalities,
+    metric_first,
     modality_named,
     register_modality,
 )
@@ -18,6 +20,7 @@ from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import Pixels, PosedImage, View, spread
 
 __all__ = [
+    "BUILT_IN",
     "RGB",
     "THERMAL",
     "Blend",
@@ -36,6 +39,7 @@ __all__ = [
     "ideal_cameras",
     "in_order",
     "known_modalities",
+    "metric_first",
     "modality_named",
     "reach",
     "register_modality",

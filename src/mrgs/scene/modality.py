@@ -56,6 +56,18 @@ class Modality:
     def __str__(self) -> str:
         return self.name
 
+    @property
+    def is_metric(self) -> bool:
+        """Whether the values measure one quantity in a unit; if not, they are intensities, shown as
+        they are."""
+        return self.unit is not None and self.channels == 1
+
+    @property
+    def quantity(self) -> str:
+        """What the values are, as a word within a sentence: "colour" or "temperature"; the title of
+        any other modality."""
+        return _QUANTITIES.get(self.name, self.title)
+
     def to_json(self) -> dict[str, Any]:
         """What ``from_json`` reads."""
         return {
@@ -92,7 +104,12 @@ RGB = Modality("rgb", 3, title="RGB")
 THERMAL = Modality("thermal", 1, unit="°C")
 """Temperatures, normalised by the scene's :class:`TemperatureRange`."""
 
-_known: dict[str, Modality] = {modality.name: modality for modality in (RGB, THERMAL)}
+BUILT_IN = (RGB, THERMAL)
+"""The modalities that need not be listed or registered."""
+
+_QUANTITIES = {RGB.name: "colour", THERMAL.name: "temperature"}
+
+_known: dict[str, Modality] = {modality.name: modality for modality in BUILT_IN}
 
 
 def register_modality(modality: Modality) -> Modality:
@@ -121,8 +138,13 @@ def known_modalities() -> tuple[Modality, ...]:
 def in_order(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
     """Each once: RGB first, thermal second, the others by name."""
     found = set(modalities)
-    built_in = [modality for modality in (RGB, THERMAL) if modality in found]
+    built_in = [modality for modality in BUILT_IN if modality in found]
     return (*built_in, *sorted(found - set(built_in)))
+
+
+def metric_first(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
+    """Those that measure a quantity in a unit, then plain intensities; each group in its order."""
+    return tuple(sorted(modalities, key=lambda modality: not modality.is_metric))
 
 
 def modality_named(name: str) -> Modality:

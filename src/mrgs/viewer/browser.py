@@ -12,13 +12,13 @@ import numpy as np
 import viser
 
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.scene import RGB, THERMAL, Camera
+from mrgs.scene import Camera, in_order
 from mrgs.viewer import texts
 from mrgs.viewer.cameras import Pose, pinhole, pose_at, rotation_wxyz, vertical_fov
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.panel import build_panel
 from mrgs.viewer.scheduler import RenderScheduler
-from mrgs.viewer.settings import MODE_LABELS, Subject
+from mrgs.viewer.settings import Subject
 from mrgs.viewer.splats import BrowserSplats, covariances, splat_colors
 
 COARSE_JPEG_QUALITY = 70
@@ -37,9 +37,9 @@ class Browser:
     Args:
         client: viser's handle of it.
         subject: the model to show.
-        start: where to look from at first.
+        start: first viewpoint.
         note: a sentence for the top of the panel; may be empty.
-        splats: the model as plain splats, for the browser to draw; None where that cannot be had.
+        splats: the model as plain splats, for the browser to draw; None if that is not possible.
     """
 
     def __init__(
@@ -147,10 +147,12 @@ class Browser:
         if coarse:
             return
         panel = self._panel
-        scale = inspection.scales.thermal
+        scale = inspection.scales.values.get(panel.scaled)
         if panel.automatic.value and scale is not None:
-            panel.coldest.value, panel.hottest.value = round(scale.low, 2), round(scale.high, 2)
-        panel.boxes.content = texts.boxes(inspection.box_readings, self._subject)
+            panel.lowest.value, panel.highest.value = round(scale.low, 2), round(scale.high, 2)
+        panel.boxes.content = texts.boxes(
+            inspection.box_readings, inspection.measured, self._subject
+        )
         if inspection.view is not None and panel.photo.value != inspection.view.name:
             panel.photo.value = inspection.view.name
         for index, frustum in enumerate(self._frustums):  # the nearest one would stand in the way
@@ -174,14 +176,13 @@ class Browser:
     def _draw_in_browser(self) -> None:
         assert self._splats is not None
         mode = self.inspection.settings.mode
-        if mode not in ("rgb", "temperature"):
+        if mode.kind != "image":
             self._panel.browser_splats.value = False
-            raise ConfigError(
-                f"the browser can draw colour or temperature, not: {MODE_LABELS[mode]}"
-            )
+            shown = " or ".join(each.quantity for each in in_order(self._subject.modalities))
+            raise ConfigError(f"the browser can draw {shown}, not: {mode.label}")
         self._say("Sending the model to the browser ...")
         baked = self._splats.baked()
-        opacities = baked.opacities[THERMAL if mode == "temperature" else RGB]
+        opacities = baked.opacities[mode.modalities[0]]
         self._splat_node = self._client.scene.add_gaussian_splats(
             "/splats",
             centers=baked.means.numpy(),
@@ -261,11 +262,8 @@ class Browser:
     def _place_frustums(self) -> None:
         """Symbols of the captured cameras, where the picture is one undivided view."""
         mode = self.inspection.settings.mode
-        wanted = self._panel.show_cameras.value and mode not in (
-            "side_by_side",
-            "photos",
-            "difference",
-        )
+        undivided = not mode.shows_photos and mode.kind != "side_by_side"
+        wanted = self._panel.show_cameras.value and undivided
         if wanted == bool(self._frustums):
             return
         for frustum in self._frustums:

@@ -1,89 +1,99 @@
-"""What a pane is painted from: colours, temperatures and depths on one pixel grid, from the model
-or from a photo."""
+"""What a pane is painted from: images and a depth on one pixel grid, from the model or from a
+photo."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
+from typing import TypeAlias
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from mrgs.pictures.files import to_array, to_rgb8
+from mrgs.pictures.files import shown_values, to_array, to_rgb8
 from mrgs.render import Model, render
-from mrgs.scene import RGB, THERMAL, Camera, PosedImage, Rendering, TemperatureRange
+from mrgs.scene import Camera, Modality, PosedImage, Rendering, TemperatureRange, metric_first
 from mrgs.viewer.settings import Subject
 
 SOLID_ALPHA = 0.5
-"""Pixels that neither blend of the model covers as much are counted as empty: they have no
-temperature and no depth."""
+"""Pixels that no modality of the model covers by this alpha are empty: they have no value and no
+depth."""
+
+ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
+"""Colours, or the values of a one-channel modality in its unit."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fields:
-    """Images of one pane; None for what it does not need.
+class PaneImages:
+    """Images of one pane, all of the same size.
 
     Attributes:
-        rgb: [h, w, 3].
-        values: °C (normalised without °C), or their difference to the photo, [h, w]; NaN where the
-            photo is masked.
+        images: colours [h, w, 3], or values in their unit [h, w], of each modality; or the
+            difference of values to the photo. NaN where the photo is masked.
         depth: z-depth in scene units, blended and divided by alpha, [h, w]; NaN where the model is
-            empty.
+            empty. None for a photo.
         solid: where the model, or the photo, shows something, [h, w].
     """
 
-    rgb: UInt8[np.ndarray, "h w 3"] | None
-    values: Float[np.ndarray, "h w"] | None
+    images: Mapping[Modality, ShownImage]
     depth: Float[np.ndarray, "h w"] | None
     solid: Bool[np.ndarray, "h w"]
 
 
 def render_pane(
     model: Model, camera: Camera, subject: Subject, as_photo_of: Camera | None = None
-) -> Fields:
-    """Render the modalities that the model has.
+) -> PaneImages:
+    """Render the modalities that are shown.
 
     Args:
         model: to render.
         camera: of the pane, at the size to render.
-        subject: says what the model has.
+        subject: says what is shown.
         as_photo_of: the first camera of a captured view, to show what its cameras would have
-            written; None to show what is there.
+            recorded; None to show the model itself.
     """
     with torch.no_grad():
         rendering, _ = render(model, subject.cameras(camera))
     depth = to_array(surface_depth(rendering))
     if as_photo_of is not None:
         rendering = subject.camera_response(rendering, as_photo_of)
-    return Fields(
-        rgb=to_rgb8(rendering[RGB].image) if RGB in rendering else None,
-        values=thermal_array(rendering[THERMAL].image, subject.temperature)
-        if THERMAL in rendering
-        else None,
-        depth=depth,
-        solid=np.isfinite(depth),
-    )
+    images = {
+        modality: shown_image(modality, blend.image, subject.temperature)
+        for modality, blend in rendering.items()
+    }
+    return PaneImages(images, depth, np.isfinite(depth))
 
 
 def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
-    """z-depth of what is seen, blended and divided by alpha; NaN where no blend covers a pixel by
-    half.
+    """z-depth of the visible surface, blended and divided by alpha, [H, W]; NaN where no modality
+    covers a pixel by half.
 
-    The thermal blend's where it covers the pixel, else the colour blend's: over a black background
-    the coldest things may well be transparent in the thermal blend.
+    It is that of the first modality that covers the pixel, those with a unit first: over a black
+    background the coldest things may well be transparent in the thermal image.
     """
     depths = [
-        rendering[modality].surface_depth(SOLID_ALPHA)
-        for modality in (THERMAL, RGB)
-        if modality in rendering
+        rendering[modality].surface_depth(SOLID_ALPHA) for modality in metric_first(rendering)
     ]
     return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
 
 
-def photo_fields(photo: PosedImage, temperature: TemperatureRange | None) -> Fields:
-    """The photo itself, at its own size.
+def shown_image(
+    modality: Modality, image: Float[Tensor, "h w c"], temperature: TemperatureRange | None
+) -> ShownImage:
+    """A modality's image [H, W, C] as colours [H, W, 3]; of one channel, as values in its unit
+    [H, W]."""
+    if modality.channels == 1:
+        return shown_values(modality, image, temperature)
+    return to_rgb8(image)
+
+
+def photo_images(
+    modality: Modality, photo: PosedImage, temperature: TemperatureRange | None
+) -> PaneImages:
+    """A photo at its own size.
 
     Raises:
         SceneError: it cannot be read.
@@ -91,25 +101,15 @@ def photo_fields(photo: PosedImage, temperature: TemperatureRange | None) -> Fie
     pixels = photo.load()
     height, width = pixels.values.shape[:2]
     solid = np.ones((height, width), dtype=bool) if pixels.valid is None else pixels.valid.numpy()
-    if pixels.values.shape[2] == 3:
-        return Fields(to_rgb8(pixels.values), None, None, solid)
-    values = np.where(solid, thermal_array(pixels.values, temperature), np.nan).astype(np.float32)
-    return Fields(None, values, None, solid)
+    image = shown_image(modality, pixels.values, temperature)
+    if modality.channels == 1:
+        image = np.where(solid, image, np.nan).astype(np.float32)
+    return PaneImages({modality: image}, None, solid)
 
 
-def difference(rendered: Fields, photo: Fields) -> Fields:
-    """Rendered minus measured temperature; NaN where the photo is masked or the model empty."""
-    assert rendered.values is not None
-    assert photo.values is not None
+def difference(modality: Modality, rendered: PaneImages, photo: PaneImages) -> PaneImages:
+    """Rendered minus measured values of a one-channel modality; NaN where the photo is masked or
+    the model empty."""
     solid = rendered.solid & photo.solid
-    values = np.where(solid, rendered.values - photo.values, np.nan).astype(np.float32)
-    return Fields(None, values, rendered.depth, solid)
-
-
-def thermal_array(
-    thermal: Float[Tensor, "h w 1"], temperature: TemperatureRange | None
-) -> Float[np.ndarray, "h w"]:
-    """Normalised values as °C, or as they are without °C."""
-    return to_array(
-        thermal[..., 0] if temperature is None else temperature.to_celsius(thermal[..., 0])
-    )
+    values = np.where(solid, rendered.images[modality] - photo.images[modality], np.nan)
+    return PaneImages({modality: values.astype(np.float32)}, rendered.depth, solid)

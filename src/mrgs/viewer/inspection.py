@@ -1,11 +1,11 @@
-"""What one person does with a model: look, read points, keep spots and boxes, record a path. No
-browser in it."""
+"""State and actions of one viewer session, without a browser: pictures, readings, spots, boxes,
+camera paths."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,9 @@ from jaxtyping import UInt8
 from mrgs.errors import ConfigError
 from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
-from mrgs.scene import Camera, View
+from mrgs.scene import Camera, Modality, View
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
-from mrgs.viewer.fields import Fields, difference, photo_fields, render_pane
+from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, panes_of, place_at
 from mrgs.viewer.painting import Mark, Scales, compose, measure_scales
 from mrgs.viewer.picking import Box, BoxReading, Reading, read_box, read_point
@@ -30,21 +30,39 @@ PHOTOS_KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
-    """The latest picture: its size, its parts, and what they were painted from."""
+class DrawnPicture:
+    """The latest picture.
+
+    Attributes:
+        size: width and height, pixels.
+        panes: its parts.
+        images: what each pane was painted from.
+    """
 
     size: tuple[int, int]
     panes: tuple[Pane, ...]
-    fields: tuple[Fields, ...]
+    images: tuple[PaneImages, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class PointReading:
-    """A reading, and what the photo has there: °C, or normalised; None where no thermal photo is
-    shown."""
+    """A reading at a point of a pane.
+
+    Attributes:
+        reading: of the model.
+        modality: the one whose value is named first; None for a model without readable values.
+        photo_value: what the pane's photo has there, in the unit of ``modality``; None where no
+            photo of it is shown.
+    """
 
     reading: Reading
+    modality: Modality | None
     photo_value: float | None
+
+    @property
+    def value(self) -> float | None:
+        """The value of ``modality`` in its unit."""
+        return None if self.modality is None else self.reading.values[self.modality].value
 
 
 class Inspection:
@@ -52,7 +70,7 @@ class Inspection:
     others.
 
     Attributes:
-        subject: what is looked at.
+        subject: the model.
         settings: the choices that the next picture is drawn with.
         camera: of the latest picture, at its size; None before the first.
         view_index: of the captured view nearest to it, in ``subject.views``.
@@ -73,9 +91,9 @@ class Inspection:
         self.boxes: tuple[Box, ...] = ()
         self.box_readings: tuple[BoxReading | None, ...] = ()
         self.keyframes: tuple[Camera, ...] = ()
-        self._frame: Frame | None = None
+        self._picture: DrawnPicture | None = None
         self._scales = Scales()
-        self._photos: dict[int, Fields] = {}
+        self._photos: dict[int, PaneImages] = {}
         self._photo_lock = threading.Lock()
         self._ball = None if subject.scene is None else subject.scene.reach
 
@@ -85,9 +103,9 @@ class Inspection:
         return None if self.view_index is None else self.subject.views[self.view_index]
 
     @property
-    def shows_photos(self) -> bool:
-        """Whether the picture is bound to a captured camera."""
-        return self.settings.mode in ("photos", "difference")
+    def measured(self) -> Modality | None:
+        """The modality that boxes read: that of the mode, else the subject's first readable one."""
+        return _first_readable((*reversed(self.settings.mode.modalities), *self.subject.readable))
 
     @property
     def scales(self) -> Scales:
@@ -110,34 +128,41 @@ class Inspection:
                 self.subject.views, camera, self.subject.scene.extent, self.view_index
             )
         settings = self.settings
-        frame = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
-        scales = measure_scales(frame.panes, frame.fields, settings, self.subject.unit, self._ball)
+        drawn = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
+        scales = self._measure(drawn, settings)
         if coarse:
             scales = _known(self._scales, scales, settings)
-        boxes = [(box, [_box_reading(field, box) for field in frame.fields]) for box in self.boxes]
+        boxes = [
+            (box, [self._box_reading(each, box) for each in drawn.images]) for box in self.boxes
+        ]
         image = compose(
-            frame.size, frame.panes, frame.fields, scales, settings, self._marks(), boxes
+            drawn.size, drawn.panes, drawn.images, scales, settings, self._marks(), boxes
         )
-        self.camera, self._frame = camera, frame
+        self.camera, self._picture = camera, drawn
         if not coarse:
             self._scales = scales
             self.box_readings = tuple(next(filter(None, readings), None) for _, readings in boxes)
         self.subject.source.charge()
         return image
 
-    def _render(self, settings: Settings, camera: Camera, longest: int | None) -> Frame:
+    def _render(self, settings: Settings, camera: Camera, longest: int | None) -> DrawnPicture:
         panes = panes_of(settings.mode, camera, self.view)
         scale = 1.0 if longest is None else min(1.0, longest / max(camera.width, camera.height))
-        fields = tuple(self._fields(pane, scale) for pane in panes)
-        return Frame((camera.width, camera.height), panes, fields)
+        images = tuple(self._images(pane, scale) for pane in panes)
+        return DrawnPicture((camera.width, camera.height), panes, images)
 
-    def _fields(self, pane: Pane, scale: float) -> Fields:
+    def _measure(self, drawn: DrawnPicture, settings: Settings) -> Scales:
+        return measure_scales(
+            drawn.panes, drawn.images, settings, self.subject.temperature, self._ball
+        )
+
+    def _images(self, pane: Pane, scale: float) -> PaneImages:
         subject = self.subject
-        if pane.photo is not None and pane.content in ("rgb_photo", "thermal_photo"):
+        if pane.kind == "photo":
             return self._photo(pane)
         camera = pane.camera
         compared_with = None
-        if pane.content == "difference":
+        if pane.kind == "difference":
             assert pane.photo is not None
             assert self.view is not None
             camera, compared_with = pane.photo.camera, self.view.camera
@@ -145,37 +170,51 @@ class Inspection:
             camera = camera.resized(
                 max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
             )
-        fields = subject.source.run(
+        images = subject.source.run(
             lambda model: render_pane(model, camera, subject, compared_with)
         )
-        return fields if compared_with is None else difference(fields, self._photo(pane))
+        if compared_with is None:
+            return images
+        (modality,) = pane.modalities
+        return difference(modality, images, self._photo(pane))
 
-    def _photo(self, pane: Pane) -> Fields:
+    def _photo(self, pane: Pane) -> PaneImages:
         """The pane's photo; the last few are kept."""
         assert pane.photo is not None
+        (modality,) = pane.modalities
         key = id(pane.photo)
         with self._photo_lock:
             if key not in self._photos:
-                self._photos[key] = photo_fields(pane.photo, self.subject.temperature)
+                self._photos[key] = photo_images(modality, pane.photo, self.subject.temperature)
                 while len(self._photos) > PHOTOS_KEPT:
                     del self._photos[next(iter(self._photos))]
             return self._photos[key]
+
+    def _box_reading(self, images: PaneImages, box: Box) -> BoxReading | None:
+        """What a pane shows in a box of ``measured``; None for a pane without its values."""
+        if self.measured is None or self.measured not in images.images:
+            return None
+        return read_box(images.images[self.measured], images.solid, box)
 
     def _marks(self) -> list[Mark]:
         point = self.point
         if point is None:
             return list(self.spots)
-        value = point.reading.value
-        label = "point" if value is None else self.subject.format_value(value)
-        return [*self.spots, Mark(point.reading.position, label)]
+        return [*self.spots, Mark(point.reading.position, self._value_text(point) or "point")]
+
+    def _value_text(self, point: PointReading) -> str:
+        """The value that is named first; empty for a model without readable values."""
+        if point.modality is None or point.value is None:
+            return ""
+        return self.subject.format_value(point.modality, point.value)
 
     def click(self, x: float, y: float) -> PointReading | None:
         """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None
         if it is empty."""
         self.point = None
-        frame = self._frame
+        drawn = self._picture
         place = (
-            None if frame is None else place_at(frame.panes, x * frame.size[0], y * frame.size[1])
+            None if drawn is None else place_at(drawn.panes, x * drawn.size[0], y * drawn.size[1])
         )
         if place is None:
             return None
@@ -185,13 +224,16 @@ class Inspection:
             lambda model: read_point(model, camera, place.u, place.v, subject)
         )
         if reading is not None:
-            self.point = PointReading(reading, self._photo_value(pane, place.u, place.v))
+            modality = _first_readable((*reversed(pane.modalities), *subject.readable))
+            photo_value = self._photo_value(pane, place.u, place.v)
+            self.point = PointReading(reading, modality, photo_value)
         return self.point
 
     def _photo_value(self, pane: Pane, u: float, v: float) -> float | None:
-        values = None if pane.photo is None else self._photo(pane).values
-        if values is None:
+        """What the pane's photo has at a place, in its unit; None for colours or no photo."""
+        if pane.photo is None or pane.scaled is None:
             return None
+        values = self._photo(pane).images[pane.scaled]
         value = float(values[int(v * values.shape[0]), int(u * values.shape[1])])
         return value if np.isfinite(value) else None
 
@@ -203,12 +245,9 @@ class Inspection:
         """
         if self.point is None:
             raise ConfigError("click on the picture first, then keep the point as a spot")
-        reading = self.point.reading
-        name = f"S{len(self.spots) + 1}"
-        label = (
-            name if reading.value is None else f"{name}  {self.subject.format_value(reading.value)}"
-        )
-        self.spots, self.point = (*self.spots, Mark(reading.position, label)), None
+        label = f"S{len(self.spots) + 1}  {self._value_text(self.point)}".rstrip()
+        spot = Mark(self.point.reading.position, label)
+        self.spots, self.point = (*self.spots, spot), None
 
     def add_box(self, x0: float, y0: float, x1: float, y1: float) -> None:
         """Add a box over a rectangle of the latest picture, corners 0 to 1; it stays at its place
@@ -217,17 +256,17 @@ class Inspection:
         Raises:
             ConfigError: the rectangle does not begin in the picture, or is a mere line.
         """
-        frame = self._frame
+        drawn = self._picture
         (x0, x1), (y0, y1) = sorted((x0, x1)), sorted((y0, y1))
         place = None
-        if frame is not None:
-            middle = 0.5 * (x0 + x1) * frame.size[0], 0.5 * (y0 + y1) * frame.size[1]
-            place = place_at(frame.panes, *middle)
-        if frame is None or place is None or x1 - x0 < 0.005 or y1 - y0 < 0.005:
+        if drawn is not None:
+            middle = 0.5 * (x0 + x1) * drawn.size[0], 0.5 * (y0 + y1) * drawn.size[1]
+            place = place_at(drawn.panes, *middle)
+        if drawn is None or place is None or x1 - x0 < 0.005 or y1 - y0 < 0.005:
             raise ConfigError("drag a larger box within the picture")
         pane = place.pane
-        u0, u1 = ((x * frame.size[0] - pane.left) / pane.camera.width for x in (x0, x1))
-        v0, v1 = ((y * frame.size[1] - pane.top) / pane.camera.height for y in (y0, y1))
+        u0, u1 = ((x * drawn.size[0] - pane.left) / pane.camera.width for x in (x0, x1))
+        v0, v1 = ((y * drawn.size[1] - pane.top) / pane.camera.height for y in (y0, y1))
         self.boxes = (*self.boxes, Box(max(u0, 0.0), max(v0, 0.0), min(u1, 1.0), min(v1, 1.0)))
 
     def clear(self) -> None:
@@ -281,7 +320,7 @@ class Inspection:
             ConfigError: fewer than two keyframes, or a mode that is bound to photos.
             RunError: a file cannot be written.
         """
-        if self.shows_photos:
+        if self.settings.mode.shows_photos:
             raise ConfigError(
                 "a video needs a free camera: choose another picture than those with photos"
             )
@@ -299,12 +338,9 @@ class Inspection:
     ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         settings, scales, marks = self.settings, self._scales, self.spots
         for number, camera in enumerate(cameras, start=1):
-            frame = self._render(settings, camera, None)
-            measured = measure_scales(
-                frame.panes, frame.fields, settings, self.subject.unit, self._ball
-            )
-            scales = _known(scales, measured, settings)
-            yield compose(frame.size, frame.panes, frame.fields, scales, settings, marks)
+            drawn = self._render(settings, camera, None)
+            scales = _known(scales, self._measure(drawn, settings), settings)
+            yield compose(drawn.size, drawn.panes, drawn.images, scales, settings, marks)
             self.subject.source.charge()
             progress(number, len(cameras))
 
@@ -312,21 +348,18 @@ class Inspection:
 def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
     """The known scales; the measured ones where there is none, or where the user's choices have
     changed."""
-    thermal = known.thermal
-    if thermal is None or settings.limits is not None or measured.thermal is None:
-        thermal = measured.thermal
-    else:
-        thermal = thermal._replace(palette=settings.palette)
-    return replace(
-        measured,
-        thermal=thermal,
-        depth=known.depth or measured.depth,
-        difference=known.difference or measured.difference,
-    )
+    values = dict(known.values)
+    for modality, scale in measured.values.items():
+        kept = values.get(modality)
+        by_hand = settings.limits is not None and modality == settings.scaled
+        values[modality] = (
+            scale if kept is None or by_hand else kept._replace(palette=scale.palette)
+        )
+    return Scales(values, known.depth or measured.depth, known.difference or measured.difference)
 
 
-def _box_reading(fields: Fields, box: Box) -> BoxReading | None:
-    return None if fields.values is None else read_box(fields.values, fields.solid, box)
+def _first_readable(modalities: Sequence[Modality]) -> Modality | None:
+    return next((each for each in modalities if each.channels == 1), None)
 
 
 def _next_free(folder: Path, suffix: str) -> Path:

@@ -1,9 +1,9 @@
-"""Fields to colours: palettes, isotherm, blends; then marks, scale bars and titles on top."""
+"""Values to colours: palettes, isotherm, blends; then marks, scale bars and titles on top."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw
 
 from mrgs.pictures.drawing import INK, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
-from mrgs.pictures.palette import PaletteName, colorize, display_range
-from mrgs.scene import Camera, Reach
-from mrgs.viewer.fields import Fields
+from mrgs.pictures.palette import PaletteName, display_range
+from mrgs.pictures.values import full_scale, unit_of
+from mrgs.scene import Camera, Modality, Reach, TemperatureRange
+from mrgs.viewer.fields import PaneImages
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.picking import Box, BoxReading
 from mrgs.viewer.settings import Settings
@@ -43,53 +44,84 @@ class Mark:
 
 @dataclass(frozen=True)
 class Scales:
-    """What the colours of the current picture mean; None for what has not been seen yet."""
+    """What the colours of the current picture mean; without what has not been seen yet.
 
-    thermal: Scale | None = None
+    Attributes:
+        values: of each one-channel modality.
+        depth: from far to near.
+        difference: model minus photo, even about zero.
+    """
+
+    values: Mapping[Modality, Scale] = field(default_factory=dict)
     depth: Scale | None = None
     difference: Scale | None = None
 
     def of(self, pane: Pane) -> Scale | None:
-        """The scale of a pane's colours."""
-        if pane.content == "difference":
+        """The scale of a pane's colours; None for a pane of colours alone."""
+        if pane.kind == "difference":
             return self.difference
-        return (
-            self.depth
-            if pane.content == "depth"
-            else self.thermal
-            if pane.shows_temperature
-            else None
-        )
+        if pane.kind == "depth":
+            return self.depth
+        return None if pane.scaled is None else self.values.get(pane.scaled)
 
 
 def measure_scales(
     panes: Sequence[Pane],
-    fields: Sequence[Fields],
+    images: Sequence[PaneImages],
     settings: Settings,
-    unit: str,
+    temperature: TemperatureRange | None,
     ball: Reach | None = None,
 ) -> Scales:
-    """The scales that suit a picture: percentiles of what is seen, or the limits that the user has
-    set.
+    """The scales that suit a picture: the limits that the user has set, else percentiles of what is
+    seen; intensities are always shown from 0 to 1.
 
-    The background of ``ball``, how far the scene reaches, does not count on the scale of the depth.
+    Args:
+        panes: of the picture.
+        images: of each pane.
+        settings: the user's choices.
+        temperature: the scale of the thermal values; None without known °C.
+        ball: how far the scene reaches; the background beyond it does not count on the scale of the
+            depth. None if there is none.
     """
-    thermal, depth, error = [], [], []
-    for pane, field in zip(panes, fields, strict=True):
-        if pane.content == "difference" and field.values is not None:
-            error.append(np.abs(field.values[field.solid]))
-        elif pane.shows_temperature and field.values is not None:
-            thermal.append(field.values[field.solid])
-        elif pane.content == "depth" and field.depth is not None:
-            depth.append(_scene_depth(pane.camera, field.depth, ball)[field.solid])
-    limits = settings.limits or (display_range(np.concatenate(thermal)) if thermal else None)
+    values: dict[Modality, list[np.ndarray]] = {}
+    depth, errors = [], []
+    unit = ""
+    for pane, shown in zip(panes, images, strict=True):
+        modality = pane.scaled
+        if pane.kind == "depth" and shown.depth is not None:
+            depth.append(_scene_depth(pane.camera, shown.depth, ball)[shown.solid])
+        elif pane.kind == "difference" and modality is not None:
+            errors.append(np.abs(shown.images[modality][shown.solid]))
+            unit = unit_of(modality, temperature)
+        elif modality is not None:
+            values.setdefault(modality, []).append(shown.images[modality][shown.solid])
+    if settings.limits is not None:
+        values.setdefault(settings.scaled, [])
     near_far = display_range(np.concatenate(depth)) if depth else None
-    largest = display_range(np.concatenate(error))[1] if error else None
+    largest = display_range(np.concatenate(errors))[1] if errors else None
     return Scales(
-        None if limits is None else Scale(settings.palette, *limits, unit),
+        {each: _scale_of(each, seen, settings, temperature) for each, seen in values.items()},
         None if near_far is None else Scale("depth", near_far[1], near_far[0], ""),
         None if largest is None else Scale("error", -largest, largest, unit),
     )
+
+
+def _scale_of(
+    modality: Modality,
+    seen: Sequence[Float[np.ndarray, " _"]],
+    settings: Settings,
+    temperature: TemperatureRange | None,
+) -> Scale:
+    """The scale of a modality's values: the user's limits, or what suits the values that are
+    seen."""
+    scale = full_scale(modality, temperature, settings.palette)
+    if modality == settings.scaled and settings.limits is not None:
+        low, high = settings.limits
+    elif modality.is_metric:
+        low, high = display_range(np.concatenate(seen))
+    else:
+        return scale
+    return scale._replace(low=low, high=high)
 
 
 def _scene_depth(
@@ -103,33 +135,39 @@ def _scene_depth(
 
 
 def paint(
-    pane: Pane, fields: Fields, scales: Scales, settings: Settings
+    pane: Pane, images: PaneImages, scales: Scales, settings: Settings
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The colours of a pane at the size of its fields."""
-    scale = scales.of(pane)
-    if pane.content in ("rgb", "rgb_photo"):
-        assert fields.rgb is not None
-        return fields.rgb
-    assert scale is not None
-    if pane.content == "depth":
-        assert fields.depth is not None
-        return colorize(fields.depth, scale.low, scale.high, "depth")
-    assert fields.values is not None
+    """The colours of a pane at the size of its images, [H, W, 3]."""
+    if pane.kind == "depth":
+        assert images.depth is not None
+        assert scales.depth is not None
+        return scales.depth.colorize(images.depth)
+    if pane.kind == "difference":
+        (modality,) = pane.modalities
+        assert scales.difference is not None
+        return scales.difference.colorize(images.images[modality])
+    painted = [_paint_modality(each, images, scales, settings) for each in pane.modalities]
+    if pane.kind in ("blend", "split"):
+        below, above = painted
+        return (blend if pane.kind == "blend" else split)(below, above, settings.share)
+    return painted[0]
+
+
+def _paint_modality(
+    modality: Modality, images: PaneImages, scales: Scales, settings: Settings
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The colours of one modality: its own, or those of its scale and of the isotherm."""
+    values = images.images[modality]
+    if modality.channels > 1:
+        return values
     # What the model does not cover has no temperature; the background's colour would look like a
     # cold one.
-    heat = colorize(
-        np.where(fields.solid, fields.values, np.nan), scale.low, scale.high, scale.palette
-    )
-    if pane.content == "difference":
-        return heat
-    if settings.isotherm is not None:
-        heat[fields.solid & _in_band(fields.values, settings.isotherm)] = isotherm_color(
-            settings.palette
-        )
-    if pane.content not in ("blend", "split"):
-        return heat
-    assert fields.rgb is not None
-    return (blend if pane.content == "blend" else split)(fields.rgb, heat, settings.share)
+    shown = np.where(images.solid, values, np.nan) if modality.is_metric else values
+    painted = scales.values[modality].colorize(shown)
+    if modality == settings.scaled and settings.isotherm is not None:
+        band = images.solid & _in_band(values, settings.isotherm)
+        painted[band] = isotherm_color(settings.palette)
+    return painted
 
 
 def isotherm_color(palette: PaletteName) -> tuple[int, int, int]:
@@ -166,7 +204,7 @@ def _in_band(
 def compose(
     size: tuple[int, int],
     panes: Sequence[Pane],
-    fields: Sequence[Fields],
+    images: Sequence[PaneImages],
     scales: Scales,
     settings: Settings,
     marks: Sequence[Mark] = (),
@@ -177,37 +215,37 @@ def compose(
     Args:
         size: width and height of the picture.
         panes: its parts.
-        fields: of each pane, at any size; they are stretched to the pane.
+        images: of each pane, at any size; they are stretched to the pane.
         scales: what the colours mean.
         settings: palette, isotherm, slider.
         marks: points to label where they are seen.
         boxes: rectangles to draw into every pane, each with what was read in each pane.
     """
-    image = Image.new("RGB", size, EMPTY_COLOR)
-    for number, (pane, field) in enumerate(zip(panes, fields, strict=True)):
-        part = Image.fromarray(np.ascontiguousarray(paint(pane, field, scales, settings)))
+    picture = Image.new("RGB", size, EMPTY_COLOR)
+    for number, (pane, shown) in enumerate(zip(panes, images, strict=True)):
+        part = Image.fromarray(np.ascontiguousarray(paint(pane, shown, scales, settings)))
         wanted = (pane.camera.width, pane.camera.height)
         if part.size != wanted:
             part = part.resize(wanted, Image.Resampling.BILINEAR)
-        _draw_marks(part, pane, field, marks)
+        _draw_marks(part, pane, shown, marks)
         for name, (box, readings) in enumerate(boxes, start=1):
             _draw_box(part, box, f"B{name}", readings[number])
         if pane.title:
             _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
         scale = scales.of(pane)
-        # One bar serves the photo and the model beside it.
-        if scale is not None and part.height >= SCALE_FROM_PX and pane.content != "thermal_photo":
+        # The bar of the model is also that of the photo beside it.
+        if scale is not None and part.height >= SCALE_FROM_PX and pane.kind != "photo":
             _draw_scale(part, scale)
-        image.paste(part, (pane.left, pane.top))
-    return np.asarray(image)
+        picture.paste(part, (pane.left, pane.top))
+    return np.asarray(picture)
 
 
-def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[Mark]) -> None:
+def _draw_marks(image: Image.Image, pane: Pane, images: PaneImages, marks: Sequence[Mark]) -> None:
     draw = ImageDraw.Draw(image)
     for mark in marks:
         pixel, depth = pane.camera.project(torch.from_numpy(mark.position))
         if not pane.camera.contains(pixel) or _is_hidden(
-            (*pixel.tolist(), depth.item()), fields, image.size
+            (*pixel.tolist(), depth.item()), images, image.size
         ):
             continue
         x, y = (round(value) for value in pixel.tolist())
@@ -217,13 +255,15 @@ def _draw_marks(image: Image.Image, pane: Pane, fields: Fields, marks: Sequence[
         _draw_card(image, (x + 12, y - TEXT_PX - 10), mark.label)
 
 
-def _is_hidden(place: tuple[float, float, float], fields: Fields, size: tuple[int, int]) -> bool:
+def _is_hidden(
+    place: tuple[float, float, float], images: PaneImages, size: tuple[int, int]
+) -> bool:
     """Whether something stands before a point (x, y, z-depth); without depth (photos) nothing
     does."""
-    if fields.depth is None:
+    if images.depth is None:
         return False
-    height, width = fields.depth.shape
-    seen = fields.depth[int(place[1] / size[1] * height), int(place[0] / size[0] * width)]
+    height, width = images.depth.shape
+    seen = images.depth[int(place[1] / size[1] * height), int(place[0] / size[0] * width)]
     return bool(place[2] > HIDDEN_BEHIND * seen)
 
 

@@ -8,19 +8,26 @@ from typing import Any
 
 import viser
 
+from mrgs.pictures.values import NORMALISED, range_of, unit_of
+from mrgs.scene import THERMAL, Modality
 from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.settings import MODE_LABELS, PALETTE_CHOICES, Mode, Settings, Subject
+from mrgs.viewer.settings import PALETTE_CHOICES, Mode, Settings, Subject
 
-_MODES: dict[str, Mode] = {label: mode for mode, label in MODE_LABELS.items()}
 DEFAULT_SECONDS = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
-    """The handles of the controls; those of a modality or a capture that is not there are hidden,
-    not missing."""
+class ControlPanel:
+    """The handles of the controls; those of a missing modality or capture are hidden.
 
+    Attributes:
+        modes: by their labels in the dropdown ``mode``.
+        scaled: the modality that the range and the isotherm apply to.
+    """
+
+    modes: dict[str, Mode]
+    scaled: Modality
     header: viser.GuiHtmlHandle
     point: viser.GuiHtmlHandle
     status: viser.GuiHtmlHandle
@@ -28,8 +35,8 @@ class Panel:
     share: viser.GuiSliderHandle[int]
     palette: viser.GuiDropdownHandle[str]
     automatic: viser.GuiCheckboxHandle
-    coldest: viser.GuiNumberHandle[float]
-    hottest: viser.GuiNumberHandle[float]
+    lowest: viser.GuiNumberHandle[float]
+    highest: viser.GuiNumberHandle[float]
     marks_band: viser.GuiCheckboxHandle
     band_from: viser.GuiNumberHandle[float]
     band_to: viser.GuiNumberHandle[float]
@@ -52,44 +59,47 @@ class Panel:
     keyframes: viser.GuiHtmlHandle
 
     def settings(self) -> Settings:
-        """What the controls say."""
+        """The current choices of the controls."""
         limits = band = None
-        if not self.automatic.value and self.coldest.value != self.hottest.value:
-            limits = (
-                min(self.coldest.value, self.hottest.value),
-                max(self.coldest.value, self.hottest.value),
-            )
+        lowest, highest = sorted((self.lowest.value, self.highest.value))
+        if not self.automatic.value and lowest < highest:
+            limits = (lowest, highest)
         if self.marks_band.value:
             band = (self.band_from.value, self.band_to.value)
         palette = next(name for name in PALETTE_CHOICES if name == self.palette.value)
-        return Settings(_MODES[self.mode.value], palette, limits, band, self.share.value / 100)
+        share = self.share.value / 100
+        return Settings(self.modes[self.mode.value], palette, limits, band, share, self.scaled)
 
     def pictures(self) -> tuple[Any, ...]:
         """The controls that change the picture."""
         return (
-            self.mode, self.share, self.palette, self.automatic, self.coldest, self.hottest,
+            self.mode, self.share, self.palette, self.automatic, self.lowest, self.highest,
             self.marks_band,
             self.band_from, self.band_to,
         )  # fmt: skip
 
     def show_relevant(self, settings: Settings) -> None:
         """Show what matters for the mode, and enable what can be used."""
-        self.share.visible = settings.mode in ("blend", "split")
-        self.coldest.disabled = self.hottest.disabled = self.automatic.value
+        self.share.visible = settings.mode.has_slider
+        self.lowest.disabled = self.highest.disabled = self.automatic.value
         self.band_from.visible = self.band_to.visible = self.marks_band.value
 
 
-def build_panel(gui: viser.GuiApi, inspection: Inspection, note: str, can_bake: bool) -> Panel:
+def build_panel(
+    gui: viser.GuiApi, inspection: Inspection, note: str, can_bake: bool
+) -> ControlPanel:
     """Build the controls for one browser.
 
     Args:
         gui: of the browser.
-        inspection: what the browser looks at.
+        inspection: the browser's state.
         note: a sentence at the top; may be empty.
         can_bake: whether the browser can be given the splats themselves.
     """
     subject = inspection.subject
     handles: dict[str, Any] = {
+        "modes": {mode.label: mode for mode in reversed(subject.modes)},
+        "scaled": subject.scaled or THERMAL,
         "header": gui.add_html(texts.header(subject, note)),
         "point": gui.add_html(texts.point(inspection)),
         "status": gui.add_html(texts.paragraph("")),
@@ -103,47 +113,62 @@ def build_panel(gui: viser.GuiApi, inspection: Inspection, note: str, can_bake: 
         handles |= _photos_tab(gui, subject)
     with tabs.add_tab("Video"):
         handles |= _video_tab(gui)
-    panel = Panel(**handles)
+    panel = ControlPanel(**handles)
     panel.show_relevant(panel.settings())
     return panel
 
 
 def _view_tab(gui: viser.GuiApi, subject: Subject, can_bake: bool) -> dict[str, Any]:
-    scale, unit, thermal = subject.temperature, subject.unit, subject.has_thermal
-    low, high = (0.0, 1.0) if scale is None else (scale.min_c, scale.max_c)
-    step = 0.01 if scale is None else 0.1
+    pairs = [mode.modalities for mode in subject.modes if mode.has_slider]
+    lower = pairs[0][0].quantity if pairs else ""
+    upper = pairs[0][1].quantity if len({above for _, above in pairs}) == 1 else "second image"
     handles: dict[str, Any] = {
-        "mode": gui.add_dropdown("Show", [MODE_LABELS[mode] for mode in subject.modes]),
+        "mode": gui.add_dropdown("Show", [mode.label for mode in subject.modes]),
         "share": gui.add_slider(
-            "Temperature, %", 0, 100, 1, 50, hint="0: all colour. 100: all temperature."
+            f"{upper[:1].upper()}{upper[1:]}, %", 0, 100, 1, 50,
+            hint=f"0: all {lower}. 100: all {upper}.",
         ),
-    }
-    with gui.add_folder("Temperature scale", visible=thermal):
-        handles["palette"] = gui.add_dropdown("Palette", PALETTE_CHOICES)
-        handles["automatic"] = gui.add_checkbox(
-            "Automatic",
-            True,
-            hint="The range follows the picture. Switch it off to set the range by hand.",
-        )
-        handles["coldest"] = gui.add_number(f"Coldest, {unit}", low, step=step)
-        handles["hottest"] = gui.add_number(f"Hottest, {unit}", high, step=step)
-        handles["marks_band"] = gui.add_checkbox(
-            "Isotherm", False, hint="Marks all temperatures from-to in one bright colour."
-        )
-        handles["band_from"] = gui.add_number(
-            f"From, {unit}", round(low + 0.6 * (high - low), 2), step=step
-        )
-        handles["band_to"] = gui.add_number(f"To, {unit}", round(high, 2), step=step)
+        **_scale_folder(gui, subject),
+    }  # fmt: skip
     handles["browser_splats"] = gui.add_checkbox(
         "Let the browser draw", False, visible=can_bake,
-        hint="Smooth, but needs a graphics card. Colour or temperature only; clicking reads as "
-             "before.",
+        hint="Smooth, but needs a graphics card. One image at a time; clicking reads as before.",
     )  # fmt: skip
     handles["screenshot"] = gui.add_button("Screenshot", icon="camera")
     return handles
 
 
+def _scale_folder(gui: viser.GuiApi, subject: Subject) -> dict[str, Any]:
+    """Palette, range and isotherm; hidden if no modality has a unit."""
+    scaled = subject.scaled or THERMAL
+    unit, (low, high) = unit_of(scaled, subject.temperature), range_of(scaled, subject.temperature)
+    step = 0.01 if unit == NORMALISED else 0.1
+    ends = ("Coldest", "Hottest") if scaled == THERMAL else ("Lowest", "Highest")
+    quantity = scaled.quantity
+    with gui.add_folder(
+        f"{quantity[:1].upper()}{quantity[1:]} scale", visible=bool(subject.scaled)
+    ):
+        return {
+            "palette": gui.add_dropdown("Palette", PALETTE_CHOICES),
+            "automatic": gui.add_checkbox(
+                "Automatic",
+                True,
+                hint="The range follows the picture. Switch it off to set the range by hand.",
+            ),
+            "lowest": gui.add_number(f"{ends[0]}, {unit}", low, step=step),
+            "highest": gui.add_number(f"{ends[1]}, {unit}", high, step=step),
+            "marks_band": gui.add_checkbox(
+                "Isotherm", False, hint="Marks all values from-to in one bright colour."
+            ),
+            "band_from": gui.add_number(
+                f"From, {unit}", round(low + 0.6 * (high - low), 2), step=step
+            ),
+            "band_to": gui.add_number(f"To, {unit}", round(high, 2), step=step),
+        }
+
+
 def _measure_tab(gui: viser.GuiApi, inspection: Inspection) -> dict[str, Any]:
+    can_read = bool(inspection.subject.readable)
     return {
         "keep_spot": gui.add_button(
             "Keep the point as a "
@@ -153,10 +178,10 @@ def _measure_tab(gui: viser.GuiApi, inspection: Inspection) -> dict[str, Any]:
         "draw_box": gui.add_button(
             "Draw a box", icon="square", hint="Press, then drag over the picture. A box stays in "
                                               "the picture.",
-            visible=inspection.subject.has_thermal,
+            visible=can_read,
         ),
         "boxes": gui.add_html(
-            texts.boxes((), inspection.subject), visible=inspection.subject.has_thermal
+            texts.boxes((), None, inspection.subject), visible=can_read
         ),
         "clear_marks": gui.add_button("Remove all spots and boxes", icon="trash"),
     }  # fmt: skip

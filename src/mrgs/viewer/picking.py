@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +12,25 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.pictures.files import to_array
+from mrgs.pictures.values import in_unit, range_of
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, render
-from mrgs.scene import RGB, THERMAL, Camera, Rendering
+from mrgs.scene import Camera, Modality, Rendering, metric_first
 from mrgs.viewer.fields import SOLID_ALPHA, surface_depth
 from mrgs.viewer.settings import Subject
+
+
+@dataclass(frozen=True)
+class ValueReading:
+    """The value of one modality at a pixel.
+
+    Attributes:
+        value: as rendered, in the modality's unit (normalised without one).
+        deviation: standard deviation of the values of what makes up the pixel, in the same unit.
+    """
+
+    value: float
+    deviation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,19 +40,15 @@ class Reading:
     Attributes:
         position: in world coordinates, [3].
         depth: z-depth from the camera that it was read through, scene units.
-        depth_spread: standard deviation of the depths of the splats that make up the pixel, scene
-            units.
-        value: temperature as rendered, °C (normalised without °C); None for a model without
-            temperatures.
-        value_spread: standard deviation of the temperatures of what makes up the pixel, in the same
-            unit.
+        depth_deviation: standard deviation of the depths of the splats that make up the pixel,
+            scene units.
+        values: of each one-channel modality.
     """
 
     position: Float[np.ndarray, "3"]
     depth: float
-    depth_spread: float
-    value: float | None
-    value_spread: float | None
+    depth_deviation: float
+    values: Mapping[Modality, ValueReading]
 
 
 @dataclass(frozen=True)
@@ -52,8 +63,14 @@ class Extreme:
 
 @dataclass(frozen=True)
 class BoxReading:
-    """What is seen in a box: its coldest and hottest pixel, the mean, and how many pixels were
-    counted."""
+    """What is seen in a box.
+
+    Attributes:
+        lowest: pixel with the smallest value.
+        mean: of the counted pixels.
+        highest: pixel with the largest value.
+        pixels: how many were counted.
+    """
 
     lowest: Extreme
     mean: float
@@ -76,18 +93,17 @@ def read_point(
 ) -> Reading | None:
     """Read the pixel under a point of the image; None where the model is empty.
 
-    The value is that of the rendered image. The spread is the standard deviation, over all that
+    A value is that of the rendered image. Its deviation is the standard deviation, over all that
     makes up the pixel with its blending weights w_i (the splats, and the background with T_end), of
-    their own temperatures; that of the depth is over the splats. It says how much the model mixes
-    there, at an edge or where its surface is not thin. It is no error bar against the true
-    temperature.
+    their own values; that of the depth is over the splats. It says how much the model mixes there,
+    at an edge or where its surface is not thin. It is no error bar against the true value.
 
     Args:
         model: to render.
         camera: the image's; its size is that of the rendering.
         u: to the right, 0 to 1 over the image.
         v: down, 0 to 1 over the image.
-        subject: says what the model has.
+        subject: says what is shown.
     """
     column, row = (
         min(int(u * camera.width), camera.width - 1),
@@ -98,34 +114,46 @@ def read_point(
         depth = surface_depth(rendering)[row, column].item()
         if not math.isfinite(depth):
             return None
-        depth_spread = _depth_spread(model, camera, rendering, depth, column, row)
-        value = spread = None
-        if THERMAL in rendering:
-            value = rendering[THERMAL].image[row, column, 0].item()
-            own = model.values(THERMAL, camera.position.to(model.gaussians.means))[:, 0]
-            squares = (own - value).square()
-            beyond = value**2
-            opacities = model.gaussians.opacity(THERMAL)
-            spread = math.sqrt(_blend(model, camera, opacities, squares, beyond)[row, column])
-    if value is not None and spread is not None and subject.temperature is not None:
-        value, spread = subject.temperature.to_celsius(value), spread * subject.temperature.span_c
+        depth_deviation = _depth_deviation(model, camera, rendering, depth, column, row)
+        values = {
+            modality: _read_value(model, camera, rendering, modality, subject, column, row)
+            for modality in subject.readable
+        }
     pixel = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64)
     position = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
-    return Reading(position, depth, depth_spread, value, spread)
+    return Reading(position, depth, depth_deviation, values)
 
 
-def _depth_spread(
+def _read_value(
+    model: Model,
+    camera: Camera,
+    rendering: Rendering,
+    modality: Modality,
+    subject: Subject,
+    column: int,
+    row: int,
+) -> ValueReading:
+    """A modality's value at a pixel, and the weighted standard deviation of what makes it up."""
+    value = rendering[modality].image[row, column, 0].item()
+    own = model.values(modality, camera.position.to(model.gaussians.means))[:, 0]
+    squares, beyond = (own - value).square(), value**2
+    opacities = model.gaussians.opacity(modality)
+    deviation = math.sqrt(_blend(model, camera, opacities, squares, beyond)[row, column])
+    low, high = range_of(modality, subject.temperature)
+    return ValueReading(in_unit(modality, value, subject.temperature), deviation * (high - low))
+
+
+def _depth_deviation(
     model: Model, camera: Camera, rendering: Rendering, depth: float, column: int, row: int
 ) -> float:
     """Weighted standard deviation of the depths of a pixel's splats, in the blend that gives the
     pixel its depth."""
     gaussians, viewmat = model.gaussians, camera.viewmat.to(model.gaussians.means)
-    covering = [
-        modality
-        for modality in (THERMAL, RGB)
-        if modality in rendering and rendering[modality].alpha[row, column] >= SOLID_ALPHA
-    ]
-    modality = covering[0]  # the pixel has a depth, so one of them covers it
+    modality = next(  # the pixel has a depth, so one of them covers it
+        each
+        for each in metric_first(rendering)
+        if rendering[each].alpha[row, column] >= SOLID_ALPHA
+    )
     alpha, opacities = rendering[modality].alpha, gaussians.opacity(modality)
     squares = (gaussians.means @ viewmat[2, :3] + viewmat[2, 3] - depth).square()
     total = _blend(model, camera, opacities, squares, 0.0)[row, column]

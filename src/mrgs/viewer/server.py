@@ -15,7 +15,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.address import require_free, require_viser
-from mrgs.viewer.settings import Subject
+from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource
 
 if TYPE_CHECKING:
@@ -121,7 +121,14 @@ class LiveView:
             temperature = None if scene is None else scene.temperature
             name = self._output.resolve().name
             subject = Subject(
-                name, self._source, temperature, scene, self._output, "Training begins.", response
+                name,
+                self._source,
+                shown_modalities(model, scene),
+                temperature,
+                scene,
+                self._output,
+                "Training begins.",
+                response,
             )
             self._viewer = self._served = Viewer(
                 subject, start_pose(scene, model), self._host, self._port

@@ -1,4 +1,4 @@
-"""What is looked at, and how one browser shows it."""
+"""The model that the viewer shows, and how one browser shows it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from mrgs.pictures.palette import PaletteName
+from mrgs.pictures.values import format_value
+from mrgs.render import Model
 from mrgs.scene import (
-    RGB,
     THERMAL,
     Camera,
     CameraResponse,
@@ -17,26 +18,57 @@ from mrgs.scene import (
     TemperatureRange,
     View,
     ideal_cameras,
+    in_order,
+    metric_first,
 )
 from mrgs.viewer.source import Source
 
-Mode = Literal[
-    "rgb", "temperature", "depth", "side_by_side", "blend", "split", "photos", "difference"
-]
-
-MODE_LABELS: dict[Mode, str] = {
-    "temperature": "Temperature",
-    "rgb": "Colour",
-    "depth": "Depth",
-    "side_by_side": "Colour | temperature, side by side",
-    "blend": "Temperature over colour (slider)",
-    "split": "Colour left, temperature right (slider)",
-    "photos": "Photos beside the model",
-    "difference": "Difference to the thermal photo",
-}
-"""What the panel calls the modes, in its order."""
+Kind = Literal["image", "depth", "side_by_side", "blend", "split", "photos", "difference"]
 
 PALETTE_CHOICES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A way to show a model.
+
+    Attributes:
+        kind: ``image`` and ``difference`` (model minus photo) show one modality; ``side_by_side``,
+            ``blend`` and ``split`` two; ``photos`` shows photos beside the model.
+        modalities: those that are shown; of two, the left or lower one first.
+    """
+
+    kind: Kind
+    modalities: tuple[Modality, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What the panel calls it."""
+        words = [modality.quantity for modality in self.modalities]
+        match self.kind:
+            case "image":
+                return _capitalised(words[0])
+            case "side_by_side":
+                return f"{_capitalised(words[0])} | {words[1]}, side by side"
+            case "blend":
+                return f"{_capitalised(words[1])} over {words[0]} (slider)"
+            case "split":
+                return f"{_capitalised(words[0])} left, {words[1]} right (slider)"
+            case "photos":
+                return "Photos beside the model"
+            case "difference":
+                return f"Difference to the {self.modalities[0].title} photo"
+        return "Depth"
+
+    @property
+    def shows_photos(self) -> bool:
+        """Whether the picture is bound to a captured camera."""
+        return self.kind in ("photos", "difference")
+
+    @property
+    def has_slider(self) -> bool:
+        """Whether a slider divides the picture between two modalities."""
+        return self.kind in ("blend", "split")
 
 
 @dataclass(frozen=True)
@@ -45,19 +77,22 @@ class Settings:
 
     Attributes:
         mode: what is shown.
-        palette: colours of the temperatures.
-        limits: temperatures of the palette's ends, °C (normalised without °C); None follows the
-            picture.
-        isotherm: temperatures from-to that are marked in one colour; None marks nothing.
-        share: of the slider in the modes ``blend`` and ``split``, 0 (all colour) to 1 (all
-            temperature).
+        palette: colours of values with a unit.
+        limits: values of the palette's first and last colour, in the unit of ``scaled``; None
+            follows the picture.
+        isotherm: first and last value of the band that is marked in one colour, in the unit of
+            ``scaled``; None marks nothing.
+        share: of the slider in the kinds ``blend`` and ``split``: 0 shows only the lower or left
+            image, 1 only the other.
+        scaled: the modality that ``limits`` and ``isotherm`` apply to.
     """
 
-    mode: Mode = "temperature"
+    mode: Mode = Mode("depth")
     palette: PaletteName = "inferno"
     limits: tuple[float, float] | None = None
     isotherm: tuple[float, float] | None = None
     share: float = 0.5
+    scaled: Modality = THERMAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +102,18 @@ class Subject:
     Attributes:
         name: of the run, for the title.
         source: gives access to the model.
+        modalities: those that are shown, see ``shown_modalities``.
         temperature: the scale of the thermal values; None without known °C.
-        scene: the capture, for its cameras and photos; None where it cannot be had.
+        scene: the capture, for its cameras and photos; None if it is not available.
         folder: the run's folder; screenshots and videos go into its ``renders``.
         note: a sentence for the user at the top of the panel; may be empty.
-        camera_response: what the captured cameras do to the images; used where the model is
+        camera_response: what the captured cameras do to the images; applied where the model is
             compared with photos.
     """
 
     name: str
     source: Source
+    modalities: tuple[Modality, ...]
     temperature: TemperatureRange | None
     scene: Scene | None
     folder: Path
@@ -84,48 +121,58 @@ class Subject:
     camera_response: CameraResponse = ideal_cameras
 
     @property
-    def unit(self) -> str:
-        """Of the thermal values: °C, or what stands in for it."""
-        return "normalised" if self.temperature is None else "°C"
-
-    @property
-    def modalities(self) -> tuple[Modality, ...]:
-        """Those that are shown: colour and temperature, as far as there were training photos of
-        them; both are assumed where the scene is not at hand."""
-        if self.scene is None:
-            return (RGB, THERMAL)
-        return tuple(each for each in self.scene.modalities if each in (RGB, THERMAL))
-
-    @property
     def has_thermal(self) -> bool:
         """Whether the model has temperatures."""
         return THERMAL in self.modalities
 
+    @property
+    def scaled(self) -> Modality | None:
+        """The modality whose range and isotherm can be chosen: the first with a unit, else None."""
+        return next((modality for modality in self.modalities if modality.is_metric), None)
+
+    @property
+    def readable(self) -> tuple[Modality, ...]:
+        """The modalities whose values can be read: those of one channel, the first one by
+        default."""
+        return tuple(modality for modality in self.modalities if modality.channels == 1)
+
     def cameras(self, camera: Camera) -> dict[Modality, Camera]:
         """One camera for every modality that is shown."""
-        return dict.fromkeys(self.modalities, camera)
+        return dict.fromkeys(in_order(self.modalities), camera)
 
     @property
     def views(self) -> tuple[View, ...]:
-        """The captured views: those trained on, then those held out."""
+        """The captured views: training views first, then held-out ones."""
         return () if self.scene is None else (*self.scene.train, *self.scene.eval)
 
     @property
     def modes(self) -> tuple[Mode, ...]:
         """The modes that the run's modalities and photos allow, in the panel's order."""
-        needs = {
-            RGB: {"rgb", "side_by_side", "blend", "split"},
-            THERMAL: {"temperature", "side_by_side", "blend", "split", "difference"},
-        }
-        needs_photos = {"photos", "difference"}
-        return tuple(
-            mode
-            for mode in MODE_LABELS
-            if all(mode not in modes or each in self.modalities for each, modes in needs.items())
-            and (self.views or mode not in needs_photos)
-        )
+        modes = [Mode("image", (modality,)) for modality in self.modalities]
+        modes.append(Mode("depth"))
+        below = next((each for each in self.modalities if not each.is_metric), None)
+        if below is not None:
+            kinds: tuple[Kind, ...] = ("side_by_side", "blend", "split")
+            above = [modality for modality in self.modalities if modality != below]
+            modes += [Mode(kind, (below, modality)) for modality in above for kind in kinds]
+        if self.views:
+            modes.append(Mode("photos", in_order(self.modalities)))
+            modes += [Mode("difference", (modality,)) for modality in self.readable]
+        return tuple(modes)
 
-    def format_value(self, value: float) -> str:
-        """A thermal value as text, with °C where it is known."""
-        text = f"{value:.3f}" if self.temperature is None else f"{value:.1f} °C"
-        return text.replace("-", "−")
+    def format_value(self, modality: Modality, value: float) -> str:
+        """A value of a modality as text, with its unit if it has one."""
+        return format_value(modality, value, self.temperature)
+
+
+def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
+    """Those of a model that there are training photos of, the ones with a unit first; all of the
+    model's if the scene is not available."""
+    modalities = model.gaussians.modalities
+    if scene is not None:
+        modalities = tuple(each for each in modalities if each in scene.modalities)
+    return metric_first(modalities)
+
+
+def _capitalised(text: str) -> str:
+    return text[:1].upper() + text[1:]

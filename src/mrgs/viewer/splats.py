@@ -11,10 +11,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from mrgs.field.spherical_harmonics import C0
-from mrgs.pictures.palette import colorize
+from mrgs.pictures.files import shown_values, to_rgb8
+from mrgs.pictures.values import full_scale
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB
 from mrgs.viewer.painting import Scales, isotherm_color
 from mrgs.viewer.settings import Settings
 
@@ -40,15 +39,18 @@ class BrowserSplats:
 
 
 def splat_colors(baked: BakedModel, settings: Settings, scales: Scales) -> UInt8[np.ndarray, "n 3"]:
-    """One colour per splat: of its temperature by the palette, or its mean colour over all
-    directions."""
-    if settings.mode != "temperature":
-        return np.rint((baked.sh[RGB][:, 0] * C0 + 0.5).clamp(0, 1).numpy() * 255).astype(np.uint8)
-    values = (baked.temperatures if baked.temperature is None else baked.temperatures_c).numpy()
-    low, high = (0.0, 1.0) if scales.thermal is None else (scales.thermal.low, scales.thermal.high)
-    colors = colorize(values[None], low, high, settings.palette)[0]
-    if settings.isotherm is not None:
-        band = (values >= min(settings.isotherm)) & (values <= max(settings.isotherm))
+    """One colour per splat for a mode of one modality: of its value by the modality's scale, or its
+    mean colour over all directions."""
+    (modality,) = settings.mode.modalities
+    base = baked.base_values(modality)
+    if modality.channels > 1:
+        return to_rgb8(base[None])[0]
+    values = shown_values(modality, base[None], baked.temperature)
+    scale = scales.values.get(modality) or full_scale(modality, baked.temperature, settings.palette)
+    palette = settings.palette if modality.is_metric else scale.palette
+    colors = scale._replace(palette=palette).colorize(values)[0]
+    if modality == settings.scaled and settings.isotherm is not None:
+        band = (values[0] >= min(settings.isotherm)) & (values[0] <= max(settings.isotherm))
         colors[band] = isotherm_color(settings.palette)
     return colors
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
+from mrgs.pictures.values import NORMALISED, decimals_of, unit_of
+from mrgs.scene import Modality
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.picking import BoxReading
+from mrgs.viewer.picking import BoxReading, ValueReading
 from mrgs.viewer.settings import Subject
 
 _STYLE = "font-size:13px;line-height:1.45;padding:2px 12px 6px 12px"
@@ -20,10 +22,11 @@ def paragraph(text: str, color: str = "inherit") -> str:
 
 
 def header(subject: Subject, note: str) -> str:
-    """What is known of the temperatures, and the note."""
+    """The temperature range, or why there is none, and the note."""
     scale = subject.temperature
     if not subject.has_thermal:
-        known = "No thermal photos: colour and depth only."
+        shown = ", ".join(modality.quantity for modality in subject.modalities)
+        known = f"No thermal photos: {shown} and depth only."
     elif scale is None:
         known = "This scene has no known °C: temperatures are normalised, 0 to 1."
     else:
@@ -35,28 +38,46 @@ def header(subject: Subject, note: str) -> str:
 
 
 def point(inspection: Inspection) -> str:
-    """The point that was read last."""
+    """The point that was read last: value, photo, other modalities, depth and position."""
     shown = inspection.point
     if shown is None:
         return _block(html.escape(CLICK_HINT), "mrgs-hint")
-    reading, subject = shown.reading, inspection.subject
+    reading, subject, first = shown.reading, inspection.subject, shown.modality
     lines = []
-    if reading.value is not None and reading.value_spread is not None:
-        spread = subject.format_value(reading.value_spread)
-        big = (
-            f'<span class="mrgs-value" '
-            f'style="font-size:22px;font-weight:600">{subject.format_value(reading.value)}'
-        )
-        unit = " (normalised)" if subject.temperature is None else ""
-        lines.append(f"{big}</span> <span>± {spread} spread{unit}</span>")
-    if shown.photo_value is not None and reading.value is not None:
-        gap = reading.value - shown.photo_value
+    if first is not None:
+        lines.append(_value_line(reading.values[first], first, subject))
+    if first is not None and shown.photo_value is not None:
+        gap = reading.values[first].value - shown.photo_value
         sign = "+" if gap >= 0 else "−"
-        photo = subject.format_value(shown.photo_value)
-        lines.append(f"photo {photo}, model {sign}{subject.format_value(abs(gap))}")
-    lines.append(f"depth {reading.depth:.3f} ± {reading.depth_spread:.3f} (scene units)")
+        photo = _text(first, shown.photo_value, subject)
+        lines.append(f"photo {photo}, model {sign}{_text(first, abs(gap), subject)}")
+    for modality, other in reading.values.items():
+        if modality != first:
+            name = html.escape(modality.quantity)
+            lines.append(
+                f"{name} {_text(modality, other.value, subject)} "
+                f"± {_text(modality, other.deviation, subject)}"
+            )
+    lines.append(f"depth {reading.depth:.3f} ± {reading.depth_deviation:.3f} (scene units)")
     lines.append("position " + ", ".join(_number(value, 3) for value in reading.position))
     return _block("<br>".join(lines), "mrgs-reading")
+
+
+def _value_line(value: ValueReading, modality: Modality, subject: Subject) -> str:
+    """A value in large type, with its standard deviation; named if it is not the default one."""
+    name = "" if modality == subject.readable[0] else f"{html.escape(modality.quantity)} "
+    unit = unit_of(modality, subject.temperature)
+    suffix = f" ({unit})" if unit == NORMALISED else ""
+    return (
+        f'{name}<span class="mrgs-value" style="font-size:22px;font-weight:600">'
+        f"{_text(modality, value.value, subject)}</span> "
+        f"<span>± {_text(modality, value.deviation, subject)} std. dev.{suffix}</span>"
+    )
+
+
+def _text(modality: Modality, value: float, subject: Subject) -> str:
+    """A value with its unit, escaped: units may come from a file."""
+    return html.escape(subject.format_value(modality, value))
 
 
 def _block(content: str, name: str) -> str:
@@ -75,14 +96,18 @@ def spots(inspection: Inspection) -> str:
     return f'<div style="{_STYLE}" class="mrgs-spots">{"<br>".join(lines)}</div>'
 
 
-def boxes(readings: Sequence[BoxReading | None], subject: Subject) -> str:
-    """Minimum, mean and maximum of each box, as a table."""
-    if not readings:
+def boxes(
+    readings: Sequence[BoxReading | None], modality: Modality | None, subject: Subject
+) -> str:
+    """Minimum, mean and maximum of a modality in each box, as a table."""
+    if not readings or modality is None:
         return paragraph("No boxes yet.", "#6b7280")
+    digits = decimals_of(modality, subject.temperature)
     rows = "".join(
-        _box_row(f"B{number}", reading, subject) for number, reading in enumerate(readings, start=1)
+        _box_row(f"B{number}", reading, digits, modality.quantity)
+        for number, reading in enumerate(readings, start=1)
     )
-    unit = subject.unit
+    unit = html.escape(unit_of(modality, subject.temperature))
     head = f"<tr><th></th><th>min</th><th>mean</th><th>max</th><th>{unit}</th></tr>"
     table = f'<table class="mrgs-boxes" style="width:100%;text-align:right">{head}{rows}</table>'
     return f'<div style="{_STYLE}">{table}</div>'
@@ -93,10 +118,9 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}".replace("-", "−")
 
 
-def _box_row(name: str, reading: BoxReading | None, subject: Subject) -> str:
+def _box_row(name: str, reading: BoxReading | None, digits: int, quantity: str) -> str:
     if reading is None:
-        return f'<tr><td>{name}</td><td colspan="4">no temperatures in it</td></tr>'
-    digits = 3 if subject.temperature is None else 1
+        return f'<tr><td>{name}</td><td colspan="4">no {html.escape(quantity)} in it</td></tr>'
     figures = (reading.lowest.value, reading.mean, reading.highest.value)
     cells = "".join(f"<td>{_number(figure, digits)}</td>" for figure in figures)
     return f"<tr><td>{name}</td>{cells}<td></td></tr>"

@@ -21,7 +21,7 @@ from mrgs.scene import Scene
 from mrgs.viewer.address import require_free
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.cameras import Pose, pose_around, pose_at
-from mrgs.viewer.settings import Subject
+from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
 from mrgs.viewer.splats import BrowserSplats
 
@@ -115,6 +115,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
     subject = Subject(
         run.folder.path.resolve().name,
         source,
+        shown_modalities(run.model, scene),
         run.temperature,
         scene,
         run.folder.path,

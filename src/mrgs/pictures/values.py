@@ -1,0 +1,72 @@
+"""What the values of a modality's images mean to people: their unit, their range, their colours."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from torch import Tensor
+
+from mrgs.pictures.drawing import Scale
+from mrgs.pictures.palette import PaletteName
+from mrgs.scene import THERMAL, Modality, TemperatureRange
+
+Value = TypeVar("Value", float, Tensor, np.ndarray)
+
+NORMALISED = "normalised"
+"""Stands for the unit of values between 0 and 1 that have none."""
+
+
+def in_unit(modality: Modality, values: Value, temperature: TemperatureRange | None) -> Value:
+    """Normalised values of a modality in its unit, see ``unit_of``: thermal ones in °C where the
+    scene has a temperature range, all others unchanged."""
+    celsius = _celsius(modality, temperature)
+    return values if celsius is None else celsius.to_celsius(values)
+
+
+def range_of(modality: Modality, temperature: TemperatureRange | None) -> tuple[float, float]:
+    """What the normalised values 0 and 1 of a modality stand for, in the unit of ``unit_of``."""
+    celsius = _celsius(modality, temperature)
+    return (0.0, 1.0) if celsius is None else (celsius.min_c, celsius.max_c)
+
+
+def unit_of(modality: Modality, temperature: TemperatureRange | None) -> str:
+    """The unit in which a modality's values are shown; ``NORMALISED`` for intensities, and for
+    temperatures of a scene without °C."""
+    if modality == THERMAL and temperature is None:
+        return NORMALISED
+    return modality.unit or NORMALISED
+
+
+def full_scale(
+    modality: Modality, temperature: TemperatureRange | None, palette: PaletteName
+) -> Scale:
+    """The scale over the whole range of a one-channel modality: in the palette if its values have a
+    unit, else in grey."""
+    colors: PaletteName = palette if modality.is_metric else "grey"
+    return Scale(colors, *range_of(modality, temperature), unit_of(modality, temperature))
+
+
+def decimals_of(modality: Modality, temperature: TemperatureRange | None) -> int:
+    """Decimals of a modality's values as text: 1 for °C, 3 for numbers between 0 and 1."""
+    return 3 if _celsius(modality, temperature) is None else 1
+
+
+def format_value(modality: Modality, value: float, temperature: TemperatureRange | None) -> str:
+    """A value in the unit of ``unit_of`` as text with that unit; normalised values without one."""
+    unit = unit_of(modality, temperature)
+    text = f"{value:.{decimals_of(modality, temperature)}f}".replace("-", "−")
+    return text if unit == NORMALISED else f"{text} {unit}"
+
+
+def folder_of_values(modality: Modality, temperature: TemperatureRange | None) -> tuple[str, str]:
+    """The folder of the float32 files with a metric modality's values, and the description that
+    each file carries."""
+    if _celsius(modality, temperature) is None:
+        return f"{modality}_normalised", f"normalised {modality} value, no unit"
+    return "temperature_c", "temperature, degrees Celsius"
+
+
+def _celsius(modality: Modality, temperature: TemperatureRange | None) -> TemperatureRange | None:
+    """The temperature range, for the thermal modality alone."""
+    return temperature if modality == THERMAL else None
