@@ -19,17 +19,17 @@ from mrgs.pictures.drawing import (
     HAIRLINE,
     INK,
     MUTED,
-    PAPER,
     Scale,
+    blank,
     draw_text,
     fit_text,
     scale_bar,
     text_width,
 )
-from mrgs.pictures.files import shown_depth, to_array, to_rgb8
-from mrgs.pictures.palette import PaletteName, colorize, display_range, round_up
+from mrgs.pictures.files import shown_depth, shown_values, to_rgb8
+from mrgs.pictures.palette import PaletteName, display_range, round_up
+from mrgs.pictures.values import NORMALISED, unit_of
 from mrgs.scene import (
-    RGB,
     THERMAL,
     Modality,
     Pixels,
@@ -50,7 +50,7 @@ TITLE_PX = 30
 FOOTER_PX = 62
 
 ImageValues: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
-"""A picture as it is, or the temperatures that a palette shows; invalid ones are NaN."""
+"""A picture as it is, or the values that a palette shows; invalid ones are NaN."""
 
 PHOTO, RENDERING, ERROR, DEPTH = "photo", "rendering", "error", "depth"
 
@@ -61,8 +61,9 @@ class SheetRow:
 
     Attributes:
         metrics: the view's figures.
-        photos: of the modalities that the view has; temperatures in the sheet's thermal unit.
-        renderings: of those that the model renders, in the same unit and size.
+        photos: of each modality that the view has: pictures [H, W, 3], or values with a unit in
+            that unit [H, W] (normalised temperatures where the scene has no °C).
+        renderings: of each modality that the model renders, in the unit and size of its photo.
         depth: z-depth in scene units, infinite where it is the background's; None if not known.
     """
 
@@ -72,11 +73,18 @@ class SheetRow:
     depth: Float[np.ndarray, "h w"] | None
 
     @property
+    def errors(self) -> dict[Modality, Float[np.ndarray, "h w"]]:
+        """Rendered minus measured values of each modality with a unit that has both images."""
+        return {
+            modality: self.renderings[modality] - photo
+            for modality, photo in self.photos.items()
+            if modality.is_metric and modality in self.renderings
+        }
+
+    @property
     def error(self) -> Float[np.ndarray, "h w"] | None:
-        """Rendered minus measured temperature; None if either is not there."""
-        if THERMAL not in self.photos or THERMAL not in self.renderings:
-            return None
-        return self.renderings[THERMAL] - self.photos[THERMAL]
+        """Rendered minus measured temperature; None without both images."""
+        return self.errors.get(THERMAL)
 
 
 class SheetRows:
@@ -112,15 +120,20 @@ class SheetRows:
 
 
 class _Scales(NamedTuple):
-    """The three scales of a sheet; the thermal ones have an empty unit where the scene has no
-    °C."""
+    """The scales of a sheet.
 
-    thermal: Scale
-    error: Scale
+    Attributes:
+        values: of each modality with a unit; the unit is empty for temperatures without °C.
+        errors: of each of these modalities.
+        depth: from far to near, scene units.
+    """
+
+    values: dict[Modality, Scale]
+    errors: dict[Modality, Scale]
     depth: Scale
 
 
-class _Column(NamedTuple):
+class _SheetColumn(NamedTuple):
     """A column of the sheet; the depth belongs to no modality."""
 
     modality: Modality | None
@@ -138,15 +151,21 @@ def sheet_row(
     metrics: ViewMetrics,
     temperature: TemperatureRange | None,
     ball: Reach | None = None,
-    depth_of: Modality = RGB,
+    depth_of: Modality | None = None,
 ) -> SheetRow:
-    """A row from what ``evaluate`` hands to its visitor; temperatures in °C where the scene has
-    them.
+    """A row of one view.
 
-    The background of ``ball`` does not count on the scale of the depth, which is that of
-    ``depth_of`` if it is known, or else of another modality.
+    Args:
+        view: with its photos.
+        rendering: compared with them.
+        metrics: the view's figures.
+        temperature: the scene's; None without °C.
+        ball: how far the scene reaches; the background beyond it does not count on the scale of the
+            depth. None if there is none.
+        depth_of: the modality whose depth is shown if it is known, else another one; None for the
+            first.
     """
-    seen = rendering.with_depth(depth_of)
+    seen = rendering.with_depth(depth_of or next(iter(rendering)))
     return SheetRow(
         metrics=metrics,
         photos={
@@ -172,8 +191,8 @@ def contact_sheet(
 ) -> Image.Image:
     """Draw the sheet: a row per view and a column per image; a column that no row has is left out.
 
-    Both thermal columns share one range, that of the photos shown; the errors share another,
-    symmetric about zero.
+    Photos and renderings of a modality with a unit share one range, that of the photos shown; its
+    errors have another, symmetric about zero.
 
     Raises:
         ValueError: there are no rows.
@@ -189,7 +208,7 @@ def contact_sheet(
     height = (
         HEADER_PX + TITLE_PX + sum(heights) + GAP_PX * (len(rows) - 1) + FOOTER_PX + MARGIN_PX // 2
     )
-    sheet = Image.new("RGB", (width, height), PAPER)
+    sheet = blank((width, height))
     _draw_header(sheet, facts, metrics)
     offsets = {column: left + index * (CELL_PX + GAP_PX) for index, column in enumerate(columns)}
     for column, x in offsets.items():
@@ -207,10 +226,9 @@ def contact_sheet(
 def _values(
     modality: Modality, pixels: Pixels, temperature: TemperatureRange | None
 ) -> ImageValues:
-    if modality != THERMAL:
+    if not modality.is_metric:
         return to_rgb8(pixels.values)
-    values = pixels.values[..., 0]
-    shown = to_array(values if temperature is None else temperature.to_celsius(values))
+    shown = shown_values(modality, pixels.values, temperature)
     return (
         shown if pixels.valid is None else np.where(pixels.valid.numpy(), shown, np.float32(np.nan))
     )
@@ -219,17 +237,18 @@ def _values(
 def _scales(
     rows: Sequence[SheetRow], temperature: TemperatureRange | None, palette: PaletteName
 ) -> _Scales:
-    unit = "" if temperature is None else "°C"
-    photos = _pool([{**row.renderings, **row.photos}.get(THERMAL) for row in rows])
-    depths = _pool([row.depth for row in rows])
-    _, largest = display_range(np.abs(_pool([row.error for row in rows])), tail=1.0)
-    limit = round_up(largest)
-    near, far = display_range(depths, tail=1.0)
-    return _Scales(
-        Scale(palette, *display_range(photos), unit),
-        Scale("error", -limit, limit, unit),
-        Scale("depth", far, near, ""),
-    )
+    shown = in_order(modality for row in rows for modality in (*row.photos, *row.renderings))
+    values, errors = {}, {}
+    for modality in shown:
+        if modality.is_metric:
+            unit = unit_of(modality, temperature).replace(NORMALISED, "")
+            photos = _pool([{**row.renderings, **row.photos}.get(modality) for row in rows])
+            values[modality] = Scale(palette, *display_range(photos), unit)
+            differences = np.abs(_pool([row.errors.get(modality) for row in rows]))
+            limit = round_up(display_range(differences, tail=1.0)[1])
+            errors[modality] = Scale("error", -limit, limit, unit)
+    near, far = display_range(_pool([row.depth for row in rows]), tail=1.0)
+    return _Scales(values, errors, Scale("depth", far, near, ""))
 
 
 def _pool(images: Sequence[np.ndarray | None]) -> np.ndarray:
@@ -237,35 +256,34 @@ def _pool(images: Sequence[np.ndarray | None]) -> np.ndarray:
     return np.concatenate(there) if there else np.zeros(0, np.float32)
 
 
-def _cells(row: SheetRow, scales: _Scales) -> dict[_Column, UInt8[np.ndarray, "h w 3"]]:
-    """The row's pictures; temperatures and depths through their palettes."""
+def _cells(row: SheetRow, scales: _Scales) -> dict[_SheetColumn, UInt8[np.ndarray, "h w 3"]]:
+    """The row's pictures; values and depths through their palettes."""
     cells = {}
     for kind, images in ((PHOTO, row.photos), (RENDERING, row.renderings)):
         for modality, values in images.items():
-            shown = _colored(values, scales.thermal) if modality == THERMAL else values
-            cells[_Column(modality, kind)] = shown
-    if row.error is not None:
-        cells[_Column(THERMAL, ERROR)] = _colored(row.error, scales.error)
+            scale = scales.values.get(modality)
+            shown = values if scale is None else scale.colorize(values)
+            cells[_SheetColumn(modality, kind)] = shown
+    for modality, error in row.errors.items():
+        cells[_SheetColumn(modality, ERROR)] = scales.errors[modality].colorize(error)
     if row.depth is not None:
-        cells[_Column(None, DEPTH)] = _colored(row.depth, scales.depth)
+        cells[_SheetColumn(None, DEPTH)] = scales.depth.colorize(row.depth)
     return cells
 
 
-def _colored(values: Float[np.ndarray, "h w"], scale: Scale) -> UInt8[np.ndarray, "h w 3"]:
-    return colorize(values, scale.low, scale.high, scale.palette)
-
-
-def _columns(cells: Sequence[Mapping[_Column, np.ndarray]]) -> list[_Column]:
+def _columns(cells: Sequence[Mapping[_SheetColumn, np.ndarray]]) -> list[_SheetColumn]:
     """Those that any row has: by modality photo, rendering and error, then the depth."""
     there = {column for row in cells for column in row}
     modalities = in_order(column.modality for column in there if column.modality is not None)
     columns = [
-        _Column(modality, kind) for modality in modalities for kind in (PHOTO, RENDERING, ERROR)
+        _SheetColumn(modality, kind)
+        for modality in modalities
+        for kind in (PHOTO, RENDERING, ERROR)
     ]
-    return [column for column in [*columns, _Column(None, DEPTH)] if column in there]
+    return [column for column in [*columns, _SheetColumn(None, DEPTH)] if column in there]
 
 
-def _row_height(images: Mapping[_Column, np.ndarray]) -> int:
+def _row_height(images: Mapping[_SheetColumn, np.ndarray]) -> int:
     """The tallest image at the cell's width, but no taller than 4:3 upright."""
     heights = [round(CELL_PX * image.shape[0] / image.shape[1]) for image in images.values()]
     return min(max([*heights, CELL_PX // 2]), CELL_PX * 4 // 3)
@@ -338,22 +356,21 @@ def _with_unit(figures: Figures, name: str, unit: str) -> str | None:
 
 
 def _draw_scale_bars(
-    sheet: Image.Image, scales: _Scales, offsets: Mapping[_Column, int], y: int
+    sheet: Image.Image, scales: _Scales, offsets: Mapping[_SheetColumn, int], y: int
 ) -> None:
     """One bar under the columns that it explains."""
-    for columns, scale, note in (
-        (
-            (_Column(THERMAL, PHOTO), _Column(THERMAL, RENDERING)),
-            scales.thermal,
-            "" if scales.thermal.unit else "normalised: the scene has no °C",
-        ),
-        (
-            (_Column(THERMAL, ERROR),),
-            scales.error,
-            "rendering minus photo: blue too cold, red too warm",
-        ),
-        ((_Column(None, DEPTH),), scales.depth, "z-depth in scene units"),
-    ):
+    bars: list[tuple[tuple[_SheetColumn, ...], Scale, str]] = [
+        ((_SheetColumn(None, DEPTH),), scales.depth, "z-depth in scene units")
+    ]
+    for modality, scale in scales.values.items():
+        images = _SheetColumn(modality, PHOTO), _SheetColumn(modality, RENDERING)
+        bars.append((images, scale, "" if scale.unit else "normalised: the scene has no °C"))
+        signs = (
+            "blue too cold, red too warm" if modality == THERMAL else "blue too low, red too high"
+        )
+        error = _SheetColumn(modality, ERROR)
+        bars.append(((error,), scales.errors[modality], f"rendering minus photo: {signs}"))
+    for columns, scale, note in bars:
         starts = [offsets[column] for column in columns if column in offsets]
         if not starts:
             continue

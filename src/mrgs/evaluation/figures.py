@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene import BUILT_IN, THERMAL, Modality, metric_first
 
 PIXEL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range")
 CELSIUS_FIGURES = ("mae_c", "mae_foreground_c")
 
-REPORTED = (THERMAL, RGB)
+REPORTED = metric_first(BUILT_IN)
 """The modalities that every report names, in its order; others follow where there are any."""
 
 

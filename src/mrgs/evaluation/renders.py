@@ -163,13 +163,15 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
     Warns:
         MrgsWarning: it holds images of no eval view.
     """
+    modalities = in_order(modality for view in scene.eval for modality in view.images)
     if not folder.is_dir():
-        raise RunError(f"{folder} is not a folder: give the folder that holds rgb/ and thermal/")
+        folders = " and ".join(f"{modality}/" for modality in modalities)
+        raise RunError(f"{folder} is not a folder: give the folder that holds {folders}")
     kind: ThermalKind = next(
         (kind for kind in THERMAL_KINDS if (folder / kind).is_dir()), "thermal"
     )
     images, wanted = {}, []
-    for modality in in_order(modality for view in scene.eval for modality in view.images):
+    for modality in modalities:
         names = [view.name for view in scene.eval if modality in view.images]
         place = folder / (kind if modality == THERMAL else modality.name)
         is_float = modality == THERMAL and kind != "thermal"

@@ -46,7 +46,7 @@ _FORMATS = (
     _format("las", "the same points", require=imported("mrgs.export.las", "require")),
     _format("mesh", "triangles with colour and temperature"),
     _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
-    _format("page", "one HTML file", require=imported("mrgs.export.page", "require")),
+    _format("page", "one HTML file"),
 )
 
 FORMATS: dict[str, Format] = {each.name: each for each in _FORMATS}

@@ -49,6 +49,11 @@ class Job:
     palette: PaletteName
     limits_c: tuple[float, float] | None
 
+    @property
+    def modalities(self) -> tuple[Modality, ...]:
+        """Those of the model that the scene has photos of, RGB first."""
+        return tuple(each for each in self.scene.modalities if each in self.baked.modalities)
+
     @cached_property
     def points(self) -> SurfacePoints:
         """The splats on surfaces."""
@@ -64,13 +69,13 @@ class Job:
     def splats(
         self, baked: BakedModel | None = None
     ) -> Iterator[tuple[Modality, Splats, dict[str, Any]]]:
-        """Each modality that the scene has photos of, its splats, and the facts about their file.
+        """Each of ``modalities``, its splats, and the facts about their file.
 
         Args:
             baked: the model to take them from; the job's if None.
         """
         baked = baked or self.baked
-        for modality in self.scene.modalities:
+        for modality in self.modalities:
             facts = self.facts | color_facts(modality, self.scale, baked)
             yield modality, modality_splats(baked, modality, self.scale), facts
 

@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float32, UInt8
 from mrgs.errors import RunError
 from mrgs.export.fusion import DepthMap, visible
 from mrgs.export.splats import to_bytes, to_float32, value_names
+from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Reach, Scene, spread
+from mrgs.scene import RGB, Camera, Modality, Reach, Scene, spread
 
 COLORS = ("red", "green", "blue")
 """What files call the channels of RGB."""
@@ -109,8 +110,9 @@ def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: Reach
     """The mean depth of what a pixel of one modality shows, and the values of all."""
     rendering = baked.render(camera)
     depth = rendering[surface].surface_depth(MIN_ALPHA, MAX_STEP)
-    images = {modality: blend.image for modality, blend in rendering.items()}
-    if baked.temperature is not None:
-        images[THERMAL] = baked.temperature.to_celsius(images[THERMAL])
-    image = np.concatenate([to_float32(image) for image in images.values()], axis=2)
-    return DepthMap(camera, to_float32(ball.without_background(camera, depth)), image)
+    images = [
+        to_float32(in_unit(modality, blend.image, baked.temperature))
+        for modality, blend in rendering.items()
+    ]
+    distant = to_float32(ball.without_background(camera, depth))
+    return DepthMap(camera, distant, np.concatenate(images, axis=2))

@@ -13,8 +13,9 @@ from jaxtyping import Float64
 
 from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
+from mrgs.pictures.values import unit_of
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Modality, Scene
+from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import replacing
 
 MAX_TILT = 0.15
@@ -71,16 +72,18 @@ def loss_facts(loss: BakingLoss) -> dict[str, float | None]:
 
 
 def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
-    """What the colours of an export of one modality mean; nothing of colours that are its own."""
-    if modality == THERMAL:
-        unit = "normalised" if baked.temperature is None else "°C"
-        shown = {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": unit}
-    elif modality.channels == 3:
+    """What the colours in a file of one modality mean: palette, values of its first and last
+    colour, unit.
+
+    Empty for a modality of three channels, whose colours are its own.
+    """
+    if modality.channels == 3:
         return {}
-    else:
-        unit = modality.unit or "normalised"
-        shown = {"palette": "grey", "first": 0.0, "last": 1.0, "unit": unit}
-    return {"colors": shown}
+    palette, low, high = ("grey", 0.0, 1.0)
+    if modality == THERMAL:
+        palette, low, high = (scale.palette, scale.low, scale.high)
+    unit = unit_of(modality, baked.temperature)
+    return {"colors": {"palette": palette, "first": low, "last": high, "unit": unit}}
 
 
 def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
@@ -127,10 +130,10 @@ def _other_facts(baked: BakedModel) -> dict[str, Any]:
     return {
         modality.name: {
             "property": ", ".join(value_names(baked, modality)),
-            "unit": modality.unit or "normalised",
+            "unit": unit_of(modality, baked.temperature),
             "min": 0.0,
             "max": 1.0,
         }
         for modality in baked.modalities
-        if modality not in (RGB, THERMAL)
+        if modality not in BUILT_IN
     }

@@ -13,6 +13,7 @@ from torch import Tensor
 from mrgs.errors import ConfigError, RunError
 from mrgs.field.spherical_harmonics import C0
 from mrgs.pictures.palette import PaletteName, palette_table
+from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Modality, spread
 
@@ -165,11 +166,9 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedMod
 
 
 def base_values(baked: BakedModel, modality: Modality) -> Float32[np.ndarray, "n c"]:
-    """The part of each splat's values that does not depend on the view; temperatures as
-    ``shown_temperatures``."""
-    if modality == THERMAL:
-        return shown_temperatures(baked)[:, None]
-    return to_float32(0.5 + C0 * baked.sh[modality][:, 0])
+    """The part of each splat's values that does not depend on the view, [N, C]; temperatures in °C
+    where the scene has a range."""
+    return to_float32(in_unit(modality, baked.base_values(modality), baked.temperature))
 
 
 def value_names(baked: BakedModel, modality: Modality) -> list[str]:
@@ -182,8 +181,8 @@ def value_names(baked: BakedModel, modality: Modality) -> list[str]:
 
 
 def shown_temperatures(baked: BakedModel) -> Float32[np.ndarray, " n"]:
-    """°C of each splat; normalised where the scene has no °C."""
-    return to_float32(baked.temperatures if baked.temperature is None else baked.temperatures_c)
+    """Temperature of each splat, [N], in °C; normalised where the scene has no °C."""
+    return base_values(baked, THERMAL)[:, 0]
 
 
 def temperature_name(baked: BakedModel) -> str:

@@ -40,6 +40,11 @@ class Scale(NamedTuple):
         return colorize(values, self.low, self.high, self.palette)
 
 
+def blank(size: tuple[int, int], color: tuple[int, int, int] = PAPER) -> Image.Image:
+    """A picture of one colour, white by default; ``size`` is width and height in pixels."""
+    return Image.new("RGB", size, color)
+
+
 def draw_text(
     image: Image.Image,
     position: tuple[float | int, float | int],
@@ -85,7 +90,7 @@ def scale_bar(
 
 def _horizontal_bar(scale: Scale, length: int, size: int) -> Image.Image:
     thickness = max(8, round(0.8 * size))
-    image = Image.new("RGB", (length, thickness + 6 + round(1.4 * size)), PAPER)
+    image = blank((length, thickness + 6 + round(1.4 * size)))
     ramp = palette_table(scale.palette)[np.linspace(0, 255, length).round().astype(int)]
     image.paste(Image.fromarray(np.repeat(ramp[None], thickness, axis=0)), (0, 0))
     draw = ImageDraw.Draw(image)
@@ -109,7 +114,7 @@ def _vertical_bar(scale: Scale, length: int, size: int) -> Image.Image:
     width = (
         thickness + 10 + max((round(text_width(label, size)) for _, label in ticks), default=0) + 2
     )
-    image = Image.new("RGB", (width, length), PAPER)
+    image = blank((width, length))
     ramp = palette_table(scale.palette)[np.linspace(255, 0, length).round().astype(int)]
     image.paste(Image.fromarray(np.repeat(ramp[:, None], thickness, axis=1)), (0, 0))
     draw = ImageDraw.Draw(image)

@@ -10,7 +10,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from torch import Tensor
 
-from mrgs.pictures.drawing import PAPER, Scale, scale_bar
+from mrgs.pictures.drawing import Scale, blank, scale_bar
 from mrgs.pictures.palette import PaletteName, colorize, display_range
 from mrgs.pictures.values import folder_of_values, full_scale, in_unit
 from mrgs.scene import Modality, PosedImage, Reach, Rendering, TemperatureRange, View
@@ -165,7 +165,7 @@ def write_scaled_png(path: Path, values: Float[np.ndarray, "h w"], scale: Scale)
     size."""
     height, width = values.shape
     bar = scale_bar(scale, height, "vertical", size=max(10, min(18, height // 24)))
-    image = Image.new("RGB", (width + 2 * _MARGIN_PX + bar.width, height), PAPER)
+    image = blank((width + 2 * _MARGIN_PX + bar.width, height))
     image.paste(Image.fromarray(scale.colorize(values)), (0, 0))
     image.paste(bar, (width + _MARGIN_PX, 0))
     return write_png(path, image)

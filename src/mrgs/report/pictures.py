@@ -11,10 +11,9 @@ import torch
 from PIL import Image, ImageDraw
 
 from mrgs.pictures.drawing import INK, Scale, draw_text, text_width
-from mrgs.pictures.files import to_array, to_rgb8
-from mrgs.pictures.palette import colorize
+from mrgs.pictures.files import to_array, to_picture
 from mrgs.report.spots import Renderer, Spot
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering, View
+from mrgs.scene import THERMAL, Camera, Modality, Rendering, View, in_order
 
 OVERVIEW_PX = 720
 OVERVIEW_CANDIDATES = 24
@@ -36,21 +35,25 @@ class Marked(NamedTuple):
 
     Attributes:
         view: its index.
-        photo: None for a view without a colour image.
-        thermal: the rendering through the palette.
+        pictures: the thermal rendering through the palette, and the photo of every other modality
+            that the view has; RGB first.
     """
 
     view: int
-    photo: Image.Image | None
-    thermal: Image.Image
+    pictures: dict[Modality, Image.Image]
 
 
 def overview(
     views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale
 ) -> Marked:
-    """Photo and thermal rendering of the view that sees the most spots, with their names.
+    """Photos and thermal rendering of the view that sees the most spots, with their names.
 
-    At most ``OVERVIEW_CANDIDATES`` views are tried.
+    Args:
+        views: of the capture; at most ``OVERVIEW_CANDIDATES`` of those with a thermal image are
+            tried.
+        spots: by the name that marks them.
+        render: renders the thermal image of a camera.
+        scale: colours of the normalised temperatures 0 to 1.
     """
     thermal_views = [index for index, view in enumerate(views) if THERMAL in view.images]
     step = -(-len(thermal_views) // OVERVIEW_CANDIDATES)
@@ -65,16 +68,17 @@ def overview(
         pictures[modality] = _enlarged(picture, OVERVIEW_PX)
         for name in seen:
             _mark(pictures[modality], cameras[modality], spots[name], name)
-    return Marked(index, pictures.get(RGB), pictures[THERMAL])
+    return Marked(index, pictures)
 
 
 def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale) -> Marked:
-    """Crops around a spot from the photo and the thermal rendering of its best view."""
+    """Crops around a spot from the photos and the thermal rendering of the view that shows it
+    best."""
     pictures = {
         modality: _crop(picture, view.images[modality].camera, spot)
         for modality, picture in _pictures(view, rendering, scale).items()
     }
-    return Marked(spot.view, pictures.get(RGB), pictures[THERMAL])
+    return Marked(spot.view, pictures)
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
@@ -113,12 +117,16 @@ def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
 
 
 def _pictures(view: View, rendering: Rendering, scale: Scale) -> dict[Modality, Image.Image]:
-    """The thermal rendering through the palette, and the RGB photo if the view has one."""
-    values = to_array(rendering[THERMAL].image[..., 0])
-    values = scale.low + values * (scale.high - scale.low)
-    pictures = {THERMAL: Image.fromarray(colorize(values, scale.low, scale.high, scale.palette))}
-    if RGB in view.images:
-        pictures[RGB] = Image.fromarray(to_rgb8(view.images[RGB].load().values))
+    """The thermal rendering through the palette, and the view's other photos; RGB first."""
+    pictures = {}
+    for modality in in_order(view.images):
+        if modality == THERMAL:
+            values = to_array(rendering[THERMAL].image[..., 0])
+            pixels = scale.colorize(scale.low + values * (scale.high - scale.low))
+        else:
+            photo = view.images[modality].load()
+            pixels = to_picture(modality, photo.values, None, scale.palette)
+        pictures[modality] = Image.fromarray(pixels)
     return pictures
 
 

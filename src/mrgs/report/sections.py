@@ -15,6 +15,7 @@ from mrgs.evaluation.report import COLUMNS, heading
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName
+from mrgs.pictures.values import NORMALISED, decimals_of, full_scale, in_unit
 from mrgs.report.pictures import Marked, crops, overview, photo_value
 from mrgs.report.spots import Spot, find_spots
 from mrgs.runs.open import Run
@@ -101,12 +102,9 @@ def find_shown_spots(run: Run, scene: Scene) -> Spots | None:
         return None
     named = {f"H{i}": spot for i, spot in enumerate(hottest, 1)}
     named |= {f"C{i}": spot for i, spot in enumerate(coldest, 1)}
-    temperature = scene.temperature
-    scale = (
-        Scale(PALETTE, 0.0, 1.0, "")
-        if temperature is None
-        else Scale(PALETTE, temperature.min_c, temperature.max_c, "°C")
-    )
+    scale = full_scale(THERMAL, scene.temperature, PALETTE)
+    if scale.unit == NORMALISED:
+        scale = scale._replace(unit="")
     marked = overview(views, named, render, scale)
     bar = inline_image(scale_bar(scale, SCALE_BAR_PX, "horizontal"), "temperature scale", png=True)
     shown = [_shown(name, spot, views, run, scale) for name, spot in named.items()]
@@ -220,8 +218,9 @@ def _shown(name: str, spot: Spot, views: Sequence[View], run: Run, scale: Scale)
 
 
 def _inline(marked: Marked, text: str) -> list[InlineImage]:
-    pictures = (marked.photo, marked.thermal)
-    return [inline_image(picture, text, quality=JPEG_QUALITY) for picture in pictures if picture]
+    return [
+        inline_image(picture, text, quality=JPEG_QUALITY) for picture in marked.pictures.values()
+    ]
 
 
 def _sizes(modality: Modality, views: Sequence[View]) -> str:
@@ -234,7 +233,7 @@ def _sizes(modality: Modality, views: Sequence[View]) -> str:
 
 
 def _number(value: float, temperature: TemperatureRange | None) -> str:
-    """A normalised temperature in °C with one decimal, or as it is with three."""
-    if temperature is None:
-        return f"{value:.3f}"
-    return f"{round(temperature.to_celsius(value), 1) + 0.0:.1f}"  # adding 0 turns -0.0 into 0.0
+    """A normalised temperature in °C with one decimal, or unchanged with three."""
+    decimals = decimals_of(THERMAL, temperature)
+    shown = round(in_unit(THERMAL, value, temperature), decimals) + 0.0  # turns -0.0 into 0.0
+    return f"{shown:.{decimals}f}"

@@ -10,7 +10,16 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw
 
-from mrgs.pictures.drawing import INK, PAPER, Scale, draw_text, fit_text, scale_bar, text_width
+from mrgs.pictures.drawing import (
+    INK,
+    PAPER,
+    Scale,
+    blank,
+    draw_text,
+    fit_text,
+    scale_bar,
+    text_width,
+)
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, Reach, TemperatureRange
@@ -221,7 +230,7 @@ def compose(
         marks: points to label where they are seen.
         boxes: rectangles to draw into every pane, each with what was read in each pane.
     """
-    picture = Image.new("RGB", size, EMPTY_COLOR)
+    picture = blank(size, EMPTY_COLOR)
     for number, (pane, shown) in enumerate(zip(panes, images, strict=True)):
         part = Image.fromarray(np.ascontiguousarray(paint(pane, shown, scales, settings)))
         wanted = (pane.camera.width, pane.camera.height)

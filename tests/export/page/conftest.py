@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
+from tests.helpers.gaussians import NEAR_INFRARED
 
 
 def look_at_origin(angle: float, height: float = 0.8, width: int = 96, rows: int = 64) -> Camera:
@@ -52,4 +54,17 @@ def baked() -> BakedModel:
         {RGB: sh},
         temperatures,
         TemperatureRange(-10.0, 90.0),
+    )
+
+
+@pytest.fixture
+def with_nir(baked: BakedModel) -> BakedModel:
+    """The same splats with near-infrared intensities, which depend on the view, and opacities."""
+    rng = torch.Generator().manual_seed(4)
+    base, rest = torch.randn(600, 1, 1, generator=rng), torch.randn(600, 15, 1, generator=rng)
+    opacity = torch.randn(600, generator=rng).sigmoid()
+    return replace(
+        baked,
+        opacities={**baked.opacities, NEAR_INFRARED: opacity},
+        sh={**baked.sh, NEAR_INFRARED: torch.cat([0.5 * base, 0.15 * rest], dim=1)},
     )

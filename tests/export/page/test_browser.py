@@ -17,6 +17,7 @@ from mrgs.pictures.palette import colorize
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
+from tests.helpers.gaussians import NEAR_INFRARED
 
 SETTLED = "#view[data-settled=true]"
 PIXELS = [
@@ -98,7 +99,7 @@ def psnr(got: np.ndarray, expected: np.ndarray) -> float:
 
 
 def read(page: Any, x: int, y: int) -> tuple[float, float]:
-    """The temperature in °C and the depth that the page tells under the cursor."""
+    """The value and the depth that the page shows under the cursor."""
     box = page.locator("#view").bounding_box()
     page.locator("#value").evaluate("element => { element.dataset.value = 'asked'; }")
     page.mouse.move(box["x"] + x + 0.5, box["y"] + y + 0.5)
@@ -116,7 +117,7 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     expected = baked.render(fitted(cameras["view 3"], width, height))
     assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
 
-    page.click("#thermal")
+    page.click("[data-modality=thermal]")
     page.wait_for_selector(SETTLED)
     heat = picture(page)
     celsius = baked.temperature.to_celsius(expected[THERMAL].image[..., 0]).numpy()
@@ -132,9 +133,35 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "export_page.png")
 
 
+def test_a_third_modality_is_shown_and_read(open_page, with_nir, cameras, tmp_path):
+    page = open_page(
+        with_nir, modalities=with_nir.modalities, viewport={"width": 800, "height": 420}
+    )
+    page.select_option("#camera", "view 3")
+    page.click("[data-modality=nir]")
+    page.wait_for_selector(SETTLED)
+    grey = picture(page)
+    height, width = grey.shape[:2]
+    expected = with_nir.render(fitted(cameras["view 3"], width, height))[NEAR_INFRARED]
+    values, alpha = expected.image[..., 0].numpy(), expected.alpha.numpy()
+    assert psnr(grey, 255 * values.clip(0, 1)[..., None]) > 40
+    depth = expected.depth.numpy() / alpha
+    for x, y in [(int(share_x * width), int(share_y * height)) for share_x, share_y in PIXELS]:
+        assert alpha[y, x] >= 0.5
+        assert read(page, x, y) == pytest.approx((values[y, x], depth[y, x]), abs=0.01)
+    assert page.locator("#reading-of").inner_text() == ": Near infrared"
+    assert "°C" not in page.locator("#value").inner_text()
+    page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "page_nir.png")
+    page.click("[data-modality=thermal]")
+    page.wait_for_selector(SETTLED)
+    assert psnr(picture(page), grey) < 25
+    read(page, width // 2, height // 2)
+    assert "°C" in page.locator("#value").inner_text()
+
+
 def test_palette_range_and_isotherm_change_the_picture(open_page):
     page = open_page(viewport={"width": 800, "height": 420})
-    page.click("#thermal")
+    page.click("[data-modality=thermal]")
     page.wait_for_selector(SETTLED)
     page.select_option("#palette", "grey")
     page.wait_for_selector(SETTLED)
@@ -184,10 +211,13 @@ def test_a_tap_on_a_phone_reads_a_temperature(open_page):
 
 def test_a_page_of_one_modality_shows_that_alone(open_page):
     thermal = open_page(modalities=(THERMAL,), viewport={"width": 800, "height": 420})
-    assert not thermal.locator("#rgb").is_visible()
+    assert not thermal.locator("[data-modality=rgb]").is_visible()
     assert thermal.locator("#value").is_visible()
     colour = open_page(modalities=(RGB,), viewport={"width": 800, "height": 420})
-    assert not any(colour.locator(name).is_visible() for name in ("#thermal", "#value", "#palette"))
+    assert not any(
+        colour.locator(name).is_visible()
+        for name in ("[data-modality=thermal]", "#value", "#palette")
+    )
     assert psnr(picture(colour), picture(thermal)) < 20
     colour.mouse.click(200, 200)
     assert not colour.locator("#marker").is_visible()

@@ -15,6 +15,7 @@ from mrgs.errors import ConfigError
 from mrgs.export.page.packing import PackedModel, morton_order, pack, smallest_three
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.gaussians import NEAR_INFRARED
 
 
 def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
@@ -31,19 +32,27 @@ def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
 
     chunks = np.arange(count) // header["chunk"]
     low, high = (planes[name].reshape(-1, 3)[chunks] for name in ("chunk_low", "chunk_high"))
-    codes = planes["sh"].reshape(-1, 3, count).transpose(2, 0, 1)
-    bands = [
-        between(codes[:, d**2 : (d + 1) ** 2], *limits["sh"][d], header["sh_steps"][d])
-        for d in range(header["sh_degree"] + 1)
-    ]
+
+    def harmonics(name: str) -> np.ndarray:
+        codes = planes[f"sh_{name}"].reshape((header["sh_degree"] + 1) ** 2, -1, count)
+        bands = [
+            between(codes[d**2 : (d + 1) ** 2], *limits["sh"][name][d], header["sh_steps"][d])
+            for d in range(header["sh_degree"] + 1)
+        ]
+        return np.concatenate(bands).transpose(2, 0, 1)
+
+    opacities = {
+        f"opacity.{name.removeprefix('opacity_')}": plane / np.iinfo(plane.dtype).max
+        for name, plane in planes.items()
+        if name.startswith("opacity_")
+    }
     return {
         "means": low + (high - low) * planes["positions"].reshape(3, count).T / 65535,
         "scales": np.exp(between(ten_bits(planes["scales"]), *limits["scales"], 1023)),
         "quats": quaternions(planes["rotations"]),
-        "opacity.rgb": planes["opacity_rgb"] / 255,
-        "opacity.thermal": planes["opacity_thermal"] / 65535,
-        "temperatures": between(planes["temperature"], *limits["temperature"], 65535),
-        "sh.rgb": np.concatenate(bands, axis=1),
+        **opacities,
+        "temperatures": between(planes["values_thermal"], *limits["values"]["thermal"], 65535),
+        **{f"sh.{name}": harmonics(name) for name in limits["sh"]},
     }
 
 
@@ -61,11 +70,14 @@ def quaternions(codes: np.ndarray) -> np.ndarray:
 
 def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
     tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in content.items()}
-    sh = tensors.pop("sh.rgb")
+    sh = {modality: tensors.pop(f"sh.{modality}") for modality in like.sh}
     return replace(
         like,
-        opacities={each: tensors.pop(f"opacity.{each}") for each in (RGB, THERMAL)},
-        sh={RGB: torch.cat([sh, sh.new_zeros(len(sh), 16 - sh.shape[1], 3)], dim=1)},
+        opacities={each: tensors.pop(f"opacity.{each}") for each in like.modalities},
+        sh={
+            modality: torch.nn.functional.pad(each, (0, 0, 0, 16 - each.shape[1]))
+            for modality, each in sh.items()
+        },
         **tensors,
     )
 
@@ -90,7 +102,7 @@ def test_every_parameter_comes_back_within_half_a_step(baked):
     steps = [
         (high - low) / steps
         for (low, high), steps in zip(
-            packed.header["limits"]["sh"], packed.header["sh_steps"], strict=True
+            packed.header["limits"]["sh"]["rgb"], packed.header["sh_steps"], strict=True
         )
     ]
     tolerance = 0.51 * np.repeat(steps, [1, 3, 5, 7])[:, None]
@@ -108,6 +120,29 @@ def test_the_packed_model_renders_as_the_baked_one(baked, cameras):
         error_c = (before[THERMAL].image - after[THERMAL].image).abs() * baked.temperature.span_c
         assert error_c.mean() < 0.03
         assert error_c.max() < 0.5  # one pixel at the steepest edge of a range of 100 °C
+
+
+def test_a_third_modality_is_packed_with_the_precision_of_readings(with_nir, cameras):
+    packed = pack(with_nir)
+    assert {"opacity_nir", "sh_nir"} <= {name for name, _, _ in packed.header["planes"]}
+    model = as_model(unpack(packed), with_nir)
+    for camera in cameras.values():
+        before, after = with_nir.render(camera), model.render(camera)
+        assert (before[NEAR_INFRARED].image - after[NEAR_INFRARED].image).abs().mean() < 0.003
+
+
+def test_only_what_is_shown_is_packed(baked):
+    whole, colour = pack(baked), pack(baked, modalities=[RGB])
+    assert not any("thermal" in name for name, _, _ in colour.header["planes"])
+    assert len(colour.data) < len(whole.data)
+
+
+def test_each_plane_starts_at_a_multiple_of_its_width(with_nir):
+    """Typed arrays of JavaScript need it."""
+    at = 0
+    for _, kind, length in pack(with_nir).header["planes"]:
+        assert at % np.dtype(kind).itemsize == 0
+        at += np.dtype(kind).itemsize * length
 
 
 def test_fewer_degrees_leave_the_higher_harmonics_out(baked):

@@ -13,6 +13,7 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.export.page import write_page
 from mrgs.export.page.packing import pack
 from mrgs.export.page.write import visible_range
+from mrgs.scene import THERMAL
 
 
 class Elements(HTMLParser):
@@ -50,8 +51,12 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
     assert facts["model"] == packed.header
     assert [camera["width"] for camera in facts["cameras"]] == [96] * 5
     assert facts["cameras"][2]["position"] == pytest.approx(cameras["view 2"].position.tolist())
-    assert facts["temperature"] == {"min": -10.0, "max": 90.0, "unit": "°C"}
-    assert facts["range"] == pytest.approx(visible_range(baked, list(cameras.values())))
+    colour, heat = facts["modalities"]
+    assert (colour["label"], colour["channels"], colour["metric"]) == ("Colour", 3, False)
+    assert (heat["label"], heat["channels"], heat["metric"]) == ("Temperature", 1, True)
+    assert heat["scale"] == {"min": -10.0, "max": 90.0, "unit": "°C"}
+    assert heat["range"] == pytest.approx(visible_range(baked, THERMAL, list(cameras.values())))
+    assert facts["readable"] == ["thermal"]
     assert facts["world"]["up"][2] > 0.9
 
 
@@ -101,7 +106,27 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
     unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")
     text = Elements(unknown.read_text(encoding="utf-8"))
     assert "hold no °C" in text.texts["li"]
-    assert json.loads(text.texts["facts"])["temperature"] == {"min": 0.0, "max": 1.0, "unit": ""}
+    heat = json.loads(text.texts["facts"])["modalities"][1]
+    assert heat["scale"] == {"min": 0.0, "max": 1.0, "unit": ""}
+
+
+def test_every_modality_of_the_model_is_offered(with_nir, cameras, tmp_path):
+    path = write_page(with_nir, cameras, "t", tmp_path / "p.html")
+    page = Elements(path.read_text(encoding="utf-8"))
+    facts = json.loads(page.texts["facts"])
+    names = [modality["name"] for modality in facts["modalities"]]
+    assert names == ["rgb", "thermal", "nir"]
+    assert facts["readable"] == ["thermal", "nir"]
+    assert facts["modalities"][2] == {
+        "name": "nir",
+        "label": "Near infrared",
+        "channels": 1,
+        "metric": False,
+        "scale": {"min": 0.0, "max": 1.0, "unit": ""},
+        "range": [0.0, 1.0],
+    }
+    buttons = [a["data-modality"] for tag, a in page.tags if "data-modality" in a]
+    assert buttons == names
 
 
 def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
@@ -117,7 +142,11 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
     )
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
-    assert (facts["range"], facts["model"]["count"], facts["model"]["sh_degree"]) == (
+    assert (
+        facts["modalities"][1]["range"],
+        facts["model"]["count"],
+        facts["model"]["sh_degree"],
+    ) == (
         [10.0, 30.0],
         150,
         1,
@@ -131,7 +160,7 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"modalities": ()}, "the page needs rgb or thermal to show"),
+        ({"modalities": ()}, "the page needs at least one modality to show"),
         (
             {"palette": "depth"},
             "the page has no palette depth; choose one of inferno, iron, grey, rainbow",

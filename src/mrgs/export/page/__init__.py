@@ -1,4 +1,4 @@
-"""``page.html``: one HTML file that shows a model in colour and in °C, from a disk, without a
+"""``page.html``: one HTML file that shows every modality of a model, from a disk, without a
 network."""
 
 from __future__ import annotations
@@ -6,10 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from mrgs.export.job import Job
-from mrgs.export.page.write import require_shown, write_page
-from mrgs.scene import Scene
+from mrgs.export.page.write import write_page
 
-__all__ = ["export", "require", "write_page"]
+__all__ = ["export", "write_page"]
 
 
 def export(job: Job) -> list[Path]:
@@ -23,15 +22,6 @@ def export(job: Job) -> list[Path]:
         palette=job.palette,
         range_c=job.limits_c,
         notes=job.scene.notes,
-        modalities=job.scene.modalities,
+        modalities=job.modalities,
     )
     return [path]
-
-
-def require(scene: Scene) -> None:
-    """Check that the scene has something to show.
-
-    Raises:
-        ConfigError: it has photos of neither modality that the page shows.
-    """
-    require_shown(scene.modalities)

@@ -7,12 +7,14 @@ const REST_MS = 200;
 const SURFACE_ALPHA = 0.5;
 
 const element = (id) => document.getElementById(id);
+const modalityButtons = () => document.querySelectorAll("button[data-modality]");
 const json = (id) => JSON.parse(element(id).textContent);
 
 class Scale {
-  // The normalised values of the model as the numbers of the page: °C, or as they are where no °C is known.
+  // The normalised values of a modality as the numbers of the page: in its unit, or as they are without one.
   constructor({ min, max, unit }) {
     this.min = min;
+    this.max = max;
     this.span = max - min;
     this.unit = unit;
     this.decimals = this.span > 5 ? 1 : this.span > 0.5 ? 2 : 3;
@@ -26,7 +28,10 @@ class Scale {
 class Page {
   constructor(facts, model) {
     this.facts = facts;
-    this.scale = new Scale(facts.temperature);
+    this.modalities = Object.fromEntries(facts.modalities.map((each) => [each.name, { ...each, scale: new Scale(each.scale) }]));
+    this.shown = this.modalities[facts.modalities[0].name];
+    this.range = [0, 1];
+    this.isotherm = [1, 0];
     this.canvas = element("view");
     const palettes = Object.fromEntries(Object.entries(facts.palettes).map(([name, text]) => [name, fromBase64(text)]));
     this.palettes = palettes;
@@ -38,8 +43,6 @@ class Page {
     this.lastMove = -Infinity;
     this.lastFrame = 0;
     this.inMotion = false;
-    this.mode = facts.modalities[0];
-    this.measures = facts.modalities.includes("thermal");
     this.spot = null;
     this.hover = null;
     this.connectControls();
@@ -51,7 +54,8 @@ class Page {
     });
     new ResizeObserver(() => this.resize()).observe(this.canvas);
     this.resize();
-    this.setRange(...facts.range);
+    const metric = facts.modalities.find((each) => each.metric);
+    if (metric) this.setScaled(this.modalities[metric.name]);
     this.viewpoint.jumpTo(facts.cameras[0]);
   }
 
@@ -62,17 +66,18 @@ class Page {
     this.sorting = false;
     this.reading = false;
     this.waiting = null;
-    const { count, means, covariances, largestScale, opacityThermal, temperature } = model;
-    this.worker.postMessage({ model: { count, means, covariances, largestScale, opacityThermal, temperature } });
+    const { count, means, covariances, largestScale } = model;
+    const appearances = Object.fromEntries(this.facts.readable.map((name) => [name, model.appearances[name]]));
+    this.worker.postMessage({ model: { count, means, covariances, largestScale, appearances } });
     this.worker.onmessage = ({ data }) => (data.order ? this.sorted(data) : this.answered(data));
   }
 
   connectControls() {
-    for (const name of ["rgb", "thermal"]) element(name).addEventListener("click", () => this.setMode(name));
+    for (const button of modalityButtons()) button.addEventListener("click", () => this.show(button.dataset.modality));
     element("palette").addEventListener("change", () => this.drawScale());
     for (const id of ["low", "high"]) element(id).addEventListener("change", () => this.readRange());
-    element("auto").addEventListener("click", () => this.setRange(...this.facts.range));
-    element("whole").addEventListener("click", () => this.setRange(this.facts.temperature.min, this.facts.temperature.max));
+    element("auto").addEventListener("click", () => this.setRange(...this.scaled.range));
+    element("whole").addEventListener("click", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
     for (const id of ["isotherm", "isotherm-low", "isotherm-high"]) {
       element(id).addEventListener("change", () => this.readIsotherm());
     }
@@ -90,21 +95,37 @@ class Page {
     this.viewpoint.jumpTo(this.facts.cameras[cameras.selectedIndex]);
   }
 
-  setMode(mode) {
-    this.mode = mode;
-    for (const name of ["rgb", "thermal"]) element(name).setAttribute("aria-pressed", String(name === mode));
+  show(name) {
+    this.shown = this.modalities[name];
+    for (const button of modalityButtons()) button.setAttribute("aria-pressed", String(button.dataset.modality === name));
+    if (this.shown.metric && this.shown !== this.scaled) this.setScaled(this.shown);
     this.requestFrame();
+  }
+
+  // The modality that the palette's range and the isotherm apply to.
+  setScaled(modality) {
+    this.scaled = modality;
+    const { unit } = modality.scale;
+    element("scale-title").textContent = `${modality.label} scale${unit ? `, ${unit}` : ""}`;
+    element("isotherm-low").value = "";
+    this.setRange(...modality.range);
+  }
+
+  // The modality whose values are read: the one that is shown if it has one channel.
+  get read() {
+    const { readable } = this.facts;
+    return this.modalities[readable.includes(this.shown.name) ? this.shown.name : readable[0]];
   }
 
   // Numbers as on the page.
   setRange(low, high) {
-    const decimals = this.scale.decimals;
+    const { decimals, max } = this.scaled.scale;
     this.range = [low, high];
     element("low").value = low.toFixed(decimals);
     element("high").value = high.toFixed(decimals);
     if (!element("isotherm-low").value) {
       element("isotherm-low").value = (low + 0.75 * (high - low)).toFixed(decimals);
-      element("isotherm-high").value = this.facts.temperature.max.toFixed(decimals);
+      element("isotherm-high").value = max.toFixed(decimals);
     }
     this.readIsotherm();
     this.drawScale();
@@ -121,7 +142,7 @@ class Page {
   readIsotherm() {
     const band = ["isotherm-low", "isotherm-high"].map((id) => element(id).valueAsNumber);
     const on = element("isotherm").checked && band.every(Number.isFinite);
-    this.isotherm = on ? band.map((number) => this.scale.normalised(number)) : [1, 0];
+    this.isotherm = on ? band.map((number) => this.scaled.scale.normalised(number)) : [1, 0];
     this.requestFrame();
   }
 
@@ -134,7 +155,7 @@ class Page {
     context.putImageData(image, 0, 0);
     const [low, high] = this.range;
     [0, 0.25, 0.5, 0.75, 1].forEach((share, i) => {
-      element("ticks").children[i].textContent = (low + share * (high - low)).toFixed(this.scale.decimals);
+      element("ticks").children[i].textContent = (low + share * (high - low)).toFixed(this.scaled.scale.decimals);
     });
     this.requestFrame();
   }
@@ -206,10 +227,11 @@ class Page {
   }
 
   look() {
+    const { name, metric, scale } = this.shown;
     return {
-      thermal: this.mode === "thermal",
-      palette: element("palette").value,
-      range: this.range.map((number) => this.scale.normalised(number)),
+      modality: name,
+      palette: metric ? element("palette").value : null,
+      range: this.range.map((number) => scale.normalised(number)),
       isotherm: this.isotherm,
     };
   }
@@ -219,12 +241,12 @@ class Page {
   hoverAt(x, y) {
     this.hover = x === null ? null : [x, y];
     if (x === null) element("tip").hidden = true;
-    else this.read(x, y, (reading) => this.showTip(reading, x, y));
+    else this.ask(x, y, (reading) => this.showTip(reading, x, y));
   }
 
   placeSpot(x, y) {
     this.hoverAt(null);
-    this.read(x, y, (reading, camera, pixel) => {
+    this.ask(x, y, (reading, camera, pixel) => {
       this.showReading(reading);
       const seen = reading.alpha >= SURFACE_ALPHA;
       if (seen) this.viewpoint.holdAt(reading.depth);
@@ -234,11 +256,11 @@ class Page {
   }
 
   // One question at a time: while one is being answered, only the newest waits.
-  read(x, y, then) {
-    if (!this.measures) return;
+  ask(x, y, then) {
+    if (!this.read) return;
     const { width, height, clientWidth, clientHeight } = this.canvas;
     const pixel = [Math.floor((x * width) / clientWidth) + 0.5, Math.floor((y * height) / clientHeight) + 0.5];
-    this.waiting = { camera: this.viewpoint.cameraFor(width, height), pixel, then };
+    this.waiting = { camera: this.viewpoint.cameraFor(width, height), pixel, modality: this.read.name, then };
     this.askIfIdle();
   }
 
@@ -246,8 +268,8 @@ class Page {
     if (this.reading || !this.waiting) return;
     this.reading = this.waiting;
     this.waiting = null;
-    const { camera, pixel } = this.reading;
-    this.worker.postMessage({ read: { camera, x: pixel[0], y: pixel[1] } });
+    const { camera, pixel, modality } = this.reading;
+    this.worker.postMessage({ read: { camera, x: pixel[0], y: pixel[1], modality } });
   }
 
   answered({ reading }) {
@@ -257,8 +279,9 @@ class Page {
     this.askIfIdle();
   }
 
-  textOf(reading) {
-    return this.scale.text(this.scale.shown(reading.temperature));
+  textOf({ modality, value }) {
+    const { scale } = this.modalities[modality];
+    return scale.text(scale.shown(value));
   }
 
   showTip(reading, x, y) {
@@ -271,10 +294,12 @@ class Page {
 
   showReading(reading) {
     const seen = reading.alpha >= SURFACE_ALPHA;
-    const value = this.scale.shown(reading.temperature);
+    const { label, metric, scale } = this.modalities[reading.modality];
+    const value = scale.shown(reading.value);
+    if (this.facts.readable.length > 1) element("reading-of").textContent = `: ${label}`;
     element("value").textContent = seen ? this.textOf(reading) : "–";
     element("depth").textContent = seen ? `depth ${reading.depth.toFixed(2)} scene units` : "no surface here";
-    element("clipped").hidden = !seen || (value > this.facts.temperature.min && value < this.facts.temperature.max);
+    element("clipped").hidden = !seen || !metric || (value > scale.min && value < scale.max);
     element("value").dataset.value = seen ? String(value) : "";
     element("value").dataset.depth = seen ? String(reading.depth) : "";
   }
@@ -313,7 +338,7 @@ async function start() {
       throw new Error("This browser is too old for this page: use Chrome 80, Firefox 113, Safari 16.4 or later.");
     }
     const facts = json("facts");
-    const model = await decodeModel(element("model").textContent, facts.model);
+    const model = await decodeModel(element("model").textContent, facts.model, facts.modalities);
     element("model").remove();
     new Page(facts, model);
     element("status").hidden = true;

@@ -2,7 +2,7 @@
 
 const SQRT_HALF = Math.SQRT1_2;
 
-async function decodeModel(base64, header) {
+async function decodeModel(base64, header, modalities) {
   const planes = splitPlanes(await gunzip(fromBase64(base64)), header.planes);
   const count = header.count;
   const model = {
@@ -11,15 +11,24 @@ async function decodeModel(base64, header) {
     means: decodeMeans(planes, count, header.chunk),
     covariances: new Float32Array(6 * count),
     largestScale: new Float32Array(count),
-    opacityRgb: scaled(planes.opacity_rgb, 0, 1, 255),
-    opacityThermal: scaled(planes.opacity_thermal, 0, 1, 65535),
-    temperature: scaled(planes.temperature, ...header.limits.temperature, 65535),
-    sh: interleave(planes.sh, count, planes.sh.length / count),
-    shLimits: header.limits.sh,
-    shSteps: header.sh_steps,
+    appearances: Object.fromEntries(modalities.map(({ name, channels }) => [name, decodeAppearance(planes, header, name, channels)])),
   };
   decodeShapes(planes, header.limits.scales, model);
   return model;
+}
+
+// Opacity, and either values without view dependence or the coefficients of the harmonics as bytes.
+function decodeAppearance(planes, header, name, channels) {
+  const opacities = planes[`opacity_${name}`];
+  const appearance = { channels, opacity: scaled(opacities, 0, 1, opacities.BYTES_PER_ELEMENT === 1 ? 255 : 65535) };
+  const sh = planes[`sh_${name}`];
+  if (!sh) return { ...appearance, values: scaled(planes[`values_${name}`], ...header.limits.values[name], 65535) };
+  return {
+    ...appearance,
+    sh: interleave(sh, header.count, sh.length / header.count),
+    // Lowest value and step of each degree.
+    bands: header.limits.sh[name].map(([low, high], degree) => [low, (high - low) / header.sh_steps[degree]]),
+  };
 }
 
 function fromBase64(text) {

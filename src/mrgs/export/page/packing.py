@@ -2,9 +2,11 @@
 
 The splats are ordered along a Morton curve and cut into chunks. Positions are 16-bit numbers
 between the bounds of their chunk, scales 10-bit logarithms, rotations the three smaller components
-of the quaternion in 10 bits each, colours 8 bits and higher harmonics 7, temperatures and the
-opacity that blends them 16. All planes, little-endian, one behind the other, are one gzip stream;
-the header names them in their order, with the limits that the numbers stand for.
+of the quaternion in 10 bits each. Of each modality there is a plane of opacities, and one of
+harmonics (degree 0 in 8 bits, higher ones in 7) or of values without view dependence (temperatures,
+16 bits). Opacities have 8 bits, but 16 where values are read from the blend. All planes,
+little-endian, one behind the other, are one gzip stream; the header names them in their order, with
+the limits that the numbers stand for.
 
 The bits are where they count: 8-bit scales would cost 0.3 °C at the edges of hot things, and 5-bit
 harmonics 10 dB where the colours depend much on the view.
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 import gzip
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +25,7 @@ from jaxtyping import Float, Float32, Int64, UInt8, UInt16, UInt32
 from mrgs.errors import ConfigError
 from mrgs.rasterizer.contract import ALPHA_MIN
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL
+from mrgs.scene import Modality
 
 CHUNK = 256
 """Splats that share the bounds of their positions."""
@@ -42,9 +45,9 @@ class PackedModel(NamedTuple):
     """A model as the page carries it.
 
     Attributes:
-        header: ``count``, ``chunk``, ``sh_degree``, ``planes`` (name, type and length in order),
-            ``limits`` of scales (natural logarithms), temperature (normalised) and the harmonics of
-            each band; plain JSON.
+        header: ``count``, ``chunk``, ``sh_degree``, ``sh_steps``, ``planes`` (name, type and length
+            in order), ``limits`` of scales (natural logarithms), and by the name of the modality of
+            ``values`` (normalised) and of each degree of ``sh``; plain JSON.
         data: the planes, compressed.
     """
 
@@ -52,64 +55,99 @@ class PackedModel(NamedTuple):
     data: bytes
 
 
-def pack(baked: BakedModel, sh_degree: int = 3) -> PackedModel:
-    """Quantise and compress a model; splats that no pixel can show (both opacities below 1/255) are
+def pack(
+    baked: BakedModel, sh_degree: int = 3, modalities: Sequence[Modality] | None = None
+) -> PackedModel:
+    """Quantise and compress a model; splats that no pixel can show (all opacities below 1/255) are
     left out.
 
     Args:
         baked: N splats.
-        sh_degree: 0 to 3; harmonics of higher degrees are left out.
+        sh_degree: highest degree of the harmonics to keep, 0 to 3.
+        modalities: to pack; all if None.
 
     Raises:
-        ConfigError: nothing is left.
+        ConfigError: no splat can be seen.
         ValueError: ``sh_degree`` is not from 0 to 3.
     """
     if sh_degree not in range(4):
         raise ValueError(f"sh_degree must be from 0 to 3, not {sh_degree}")
-    opacity_rgb, opacity_thermal = (_array(baked.opacities[each]) for each in (RGB, THERMAL))
-    means = _array(baked.means)
-    visible = np.maximum(opacity_rgb, opacity_thermal) >= ALPHA_MIN
-    rows = np.flatnonzero(visible & np.isfinite(means).all(axis=1))
-    if not rows.size:
-        raise ConfigError(
-            "the model has no splat that can be seen, so there is nothing to show; train it longer"
-        )
-    rows = rows[morton_order(means[rows])]
-    low, high, positions = _chunked_positions(means[rows])
+    modalities = baked.modalities if modalities is None else modalities
+    opacities = {each: _array(baked.opacities[each]) for each in modalities}
+    rows = _visible_rows(_array(baked.means), opacities)
+    low, high, positions = _chunked_positions(_array(baked.means)[rows])
     scales, scale_limits = _quantise(np.log(_array(baked.scales)[rows]), 1023)
-    temperature, temperature_limits = _quantise(_array(baked.temperatures)[rows], 65535)
-    sh = _array(baked.sh[RGB])[rows]
-    bands = [
-        _quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(sh_degree + 1)
-    ]
     planes: dict[str, np.ndarray] = {
         "chunk_low": low,
         "chunk_high": high,
         "rotations": smallest_three(_array(baked.quats)[rows]),
         "scales": _three_in_one(scales),
         "positions": positions.T,
-        "temperature": temperature.astype(np.uint16),
-        "opacity_thermal": np.rint(opacity_thermal[rows] * 65535).astype(np.uint16),
-        "opacity_rgb": np.rint(opacity_rgb[rows] * 255).astype(np.uint8),
-        "sh": np.concatenate([codes for codes, _ in bands], axis=1).reshape(len(rows), -1).T,
     }
+    limits: dict[str, Any] = {"scales": scale_limits, "values": {}, "sh": {}}
+    for modality in modalities:
+        name = modality.name
+        planes[f"opacity_{name}"] = _opacity_plane(modality, opacities[modality][rows])
+        if modality in baked.sh:
+            sh = _array(baked.sh[modality])[rows]
+            planes[f"sh_{name}"], limits["sh"][name] = _harmonics_plane(sh, sh_degree)
+        else:
+            values, limits["values"][name] = _quantise(
+                _array(baked.base_values(modality))[rows, 0], 65535
+            )
+            planes[f"values_{name}"] = values.astype(np.uint16)
+    # Wide numbers first, so that each plane starts at a multiple of its width.
+    planes = dict(sorted(planes.items(), key=lambda item: -item[1].itemsize))
     header = {
         "count": len(rows),
         "chunk": CHUNK,
         "sh_degree": sh_degree,
         "sh_steps": list(SH_STEPS[: sh_degree + 1]),
         "planes": [[name, plane.dtype.name, plane.size] for name, plane in planes.items()],
-        "limits": {
-            "scales": scale_limits,
-            "temperature": temperature_limits,
-            "sh": [limits for _, limits in bands],
-        },
+        "limits": limits,
     }
     stream = b"".join(
         np.ascontiguousarray(plane).astype(plane.dtype.newbyteorder("<")).tobytes()
         for plane in planes.values()
     )
     return PackedModel(header, gzip.compress(stream, GZIP_LEVEL, mtime=0))
+
+
+def _visible_rows(
+    means: Float32[np.ndarray, "n 3"], opacities: Mapping[Modality, Float32[np.ndarray, " n"]]
+) -> Int64[np.ndarray, " k"]:
+    """The splats that some pixel can show, along the space-filling curve.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    visible = np.stack(list(opacities.values())).max(axis=0) >= ALPHA_MIN
+    rows = np.flatnonzero(visible & np.isfinite(means).all(axis=1))
+    if not rows.size:
+        raise ConfigError(
+            "the model has no splat that can be seen, so there is nothing to show; train it longer"
+        )
+    return rows[morton_order(means[rows])]
+
+
+def _opacity_plane(
+    modality: Modality, opacities: Float32[np.ndarray, " n"]
+) -> UInt8[np.ndarray, " n"] | UInt16[np.ndarray, " n"]:
+    """Opacities as whole numbers over the whole range of their type."""
+    kind = np.uint16 if modality.channels == 1 else np.uint8
+    return np.rint(opacities * np.iinfo(kind).max).astype(kind)
+
+
+def _harmonics_plane(
+    sh: Float32[np.ndarray, "n _ c"], sh_degree: int
+) -> tuple[UInt8[np.ndarray, "b n"], list[list[float]]]:
+    """The coefficients up to a degree, one after the other for all splats, and the limits of each
+    degree."""
+    bands = [
+        _quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(sh_degree + 1)
+    ]
+    codes = np.concatenate([codes for codes, _ in bands], axis=1)
+    return codes.reshape(len(sh), -1).T, [limits for _, limits in bands]
 
 
 def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -172,8 +210,8 @@ def _quantise(
 
 
 def _quantise_band(
-    sh: Float32[np.ndarray, "n b 3"], band: int
-) -> tuple[UInt8[np.ndarray, "n b 3"], list[float]]:
+    sh: Float32[np.ndarray, "n b c"], band: int
+) -> tuple[UInt8[np.ndarray, "n b c"], list[float]]:
     """The coefficients of one degree, between limits that all but a few keep."""
     if band == 0:
         low, high = (

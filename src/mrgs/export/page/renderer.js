@@ -10,14 +10,13 @@ class Renderer {
     this.canvas = canvas;
     this.count = 0;
     this.degree = model.shDegree;
-    this.bands = new Float32Array(8);
-    model.shLimits.forEach(([low, high], d) => this.bands.set([low, (high - low) / model.shSteps[d]], 2 * d));
     this.floatTarget = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
     this.splats = buildProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.screen = buildProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
     this.geometry = geometryTexture(gl, model);
-    this.texelsPerSplat = model.sh.length / model.count / 16;
-    this.harmonics = harmonicsTexture(gl, model, this.texelsPerSplat);
+    this.appearances = Object.fromEntries(
+      Object.entries(model.appearances).map(([name, appearance]) => [name, appearanceTextures(gl, appearance, model.count)]),
+    );
     this.palettes = Object.fromEntries(Object.entries(palettes).map(([name, rgb]) => [name, paletteTexture(gl, rgb)]));
     this.target = null;
     this.createArrays();
@@ -53,8 +52,8 @@ class Renderer {
     gl.useProgram(screen.program);
     gl.bindVertexArray(this.noArrays);
     bindTexture(gl, 0, this.target.texture, screen.at("blended"));
-    bindTexture(gl, 1, this.palettes[look.palette], screen.at("palette"));
-    gl.uniform1i(screen.at("thermal"), look.thermal);
+    bindTexture(gl, 1, this.palettes[look.palette ?? "grey"], screen.at("palette"));
+    gl.uniform1i(screen.at("mapped"), look.palette !== null);
     gl.uniform2fv(screen.at("range"), look.range);
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -62,6 +61,7 @@ class Renderer {
 
   blend(camera, look) {
     const { gl, splats } = this;
+    const appearance = this.appearances[look.modality];
     this.resizeTarget(camera.width, camera.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
     gl.viewport(0, 0, camera.width, camera.height);
@@ -72,10 +72,11 @@ class Renderer {
     gl.useProgram(splats.program);
     gl.bindVertexArray(this.arrays);
     bindTexture(gl, 0, this.geometry, splats.at("geometry"));
-    bindTexture(gl, 1, this.harmonics, splats.at("harmonics"));
+    bindTexture(gl, 1, appearance.harmonics, splats.at("harmonics"));
+    bindTexture(gl, 2, appearance.texture, splats.at("appearance"));
     gl.uniform1i(splats.at("splatsPerRow"), SPLATS_PER_ROW);
-    gl.uniform1i(splats.at("texelsPerSplat"), this.texelsPerSplat);
-    gl.uniform1i(splats.at("thermal"), look.thermal);
+    gl.uniform1i(splats.at("texelsPerSplat"), appearance.texelsPerSplat);
+    gl.uniform1i(splats.at("channels"), appearance.channels);
     gl.uniformMatrix3fv(splats.at("rotation"), true, camera.rotation);
     gl.uniform3fv(splats.at("translation"), camera.translation);
     gl.uniform3fv(splats.at("eye"), camera.position);
@@ -83,7 +84,7 @@ class Renderer {
     gl.uniform2f(splats.at("centre"), camera.cx, camera.cy);
     gl.uniform2f(splats.at("size"), camera.width, camera.height);
     gl.uniform1i(splats.at("degree"), this.degree);
-    gl.uniform2fv(splats.at("bands"), this.bands);
+    gl.uniform2fv(splats.at("bands"), appearance.bands);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
   }
 
@@ -141,21 +142,32 @@ function geometryTexture(gl, model) {
   const texels = new Float32Array(rows * SPLATS_PER_ROW * 12);
   for (let i = 0; i < model.count; i++) {
     texels.set(model.means.subarray(3 * i, 3 * i + 3), 12 * i);
-    texels[12 * i + 3] = model.opacityRgb[i];
     texels.set(model.covariances.subarray(6 * i, 6 * i + 6), 12 * i + 4);
-    texels[12 * i + 10] = model.temperature[i];
-    texels[12 * i + 11] = model.opacityThermal[i];
   }
   const texture = newTexture(gl, gl.RGBA32F, 3 * SPLATS_PER_ROW, rows, gl.NEAREST);
   gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3 * SPLATS_PER_ROW, rows, gl.RGBA, gl.FLOAT, texels);
   return texture;
 }
 
-function harmonicsTexture(gl, model, texelsPerSplat) {
-  const rows = Math.ceil(model.count / SPLATS_PER_ROW);
+// A modality's opacities and values as one texture, its harmonics as another; a modality without harmonics has one
+// empty texel.
+function appearanceTextures(gl, { channels, opacity, values, sh, bands }, count) {
+  const rows = Math.ceil(count / SPLATS_PER_ROW);
+  const texels = new Float32Array(rows * SPLATS_PER_ROW * 2);
+  for (let i = 0; i < count; i++) texels.set([opacity[i], values ? values[i] : 0], 2 * i);
+  const texture = newTexture(gl, gl.RG32F, SPLATS_PER_ROW, rows, gl.NEAREST);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, SPLATS_PER_ROW, rows, gl.RG, gl.FLOAT, texels);
+  const texelsPerSplat = sh ? sh.length / count / 16 : 0;
+  const limits = new Float32Array(8);
+  (bands ?? []).forEach((band, degree) => limits.set(band, 2 * degree));
+  return { channels, texture, texelsPerSplat, bands: limits, harmonics: harmonicsTexture(gl, sh, rows, texelsPerSplat) };
+}
+
+function harmonicsTexture(gl, sh, rows, texelsPerSplat) {
+  if (!sh) return newTexture(gl, gl.RGBA32UI, 1, 1, gl.NEAREST);
   const width = texelsPerSplat * SPLATS_PER_ROW;
   const bytes = new Uint8Array(rows * width * 16);
-  bytes.set(model.sh);
+  bytes.set(sh);
   const texture = newTexture(gl, gl.RGBA32UI, width, rows, gl.NEAREST);
   const words = new Uint32Array(bytes.buffer);
   gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);

@@ -6,11 +6,12 @@ precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
-uniform sampler2D geometry;    // per splat: mean, opacity of the colours | covariance | its end, temperature, opacity
+uniform sampler2D geometry;    // per splat: mean | covariance | its end
+uniform sampler2D appearance;  // per splat: opacity, value without view dependence
 uniform usampler2D harmonics;  // per splat: the coefficients as bytes
 uniform int splatsPerRow;
-uniform int texelsPerSplat;    // of the harmonics
-uniform bool thermal;
+uniform int texelsPerSplat;    // of the harmonics; 0 without them
+uniform int channels;          // 1 or 3
 uniform mat3 rotation;         // world to camera
 uniform vec3 translation;
 uniform vec3 eye;
@@ -32,11 +33,13 @@ float coefficient(int k) {
 }
 
 vec3 band(int function, int degreeOf) {
-  vec3 codes = vec3(coefficient(3 * function), coefficient(3 * function + 1), coefficient(3 * function + 2));
+  int first = channels * function;
+  vec3 codes = vec3(coefficient(first));
+  if (channels == 3) codes.yz = vec2(coefficient(first + 1), coefficient(first + 2));
   return bands[degreeOf].x + bands[degreeOf].y * codes;
 }
 
-vec3 colour(int index, vec3 d) {
+vec3 shade(int index, vec3 d) {
   ivec2 at = ivec2((index % splatsPerRow) * texelsPerSplat, index / splatsPerRow);
   for (int k = 0; k < texelsPerSplat; k++) texels[k] = texelFetch(harmonics, at + ivec2(k, 0), 0);
   vec3 sum = 0.5 + 0.28209479 * band(0, 0);
@@ -62,7 +65,8 @@ void main() {
   vec4 first = texelFetch(geometry, at, 0);
   vec4 second = texelFetch(geometry, at + ivec2(1, 0), 0);
   vec4 third = texelFetch(geometry, at + ivec2(2, 0), 0);
-  float opacity = thermal ? third.w : first.w;
+  vec2 own = texelFetch(appearance, ivec2(index % splatsPerRow, index / splatsPerRow), 0).xy;
+  float opacity = own.x;
   vec3 mean = rotation * first.xyz + translation;
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   if (mean.z < 0.01 || opacity < 1.0 / 255.0) return;
@@ -90,8 +94,8 @@ void main() {
     + corner.y * sqrt(max(middle - radius, 0.0)) * vec2(-axis.y, axis.x));
   vec2 place = (focal * slope + centre + offset) / size;
   gl_Position = vec4(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y, 0.0, 1.0);
-  value = vec4(vec3(third.z), opacity);
-  if (!thermal) value.rgb = colour(index, normalize(first.xyz - eye));
+  value = vec4(vec3(own.y), opacity);
+  if (texelsPerSplat > 0) value.rgb = shade(index, normalize(first.xyz - eye));
 }`;
 
 const SPLAT_FRAGMENT = `#version 300 es
@@ -119,8 +123,8 @@ const SCREEN_FRAGMENT = `#version 300 es
 precision highp float;
 uniform sampler2D blended;
 uniform sampler2D palette;
-uniform bool thermal;
-uniform vec2 range;        // normalised temperatures of the palette's ends
+uniform bool mapped;       // through the palette; else the blended values are colours
+uniform vec2 range;        // normalised values of the palette's ends
 uniform vec2 isotherm;     // of the band; empty where the first is larger
 in vec2 place;
 out vec4 shown;
@@ -131,7 +135,7 @@ const vec3 ISOTHERM = vec3(0.20, 0.95, 0.35);
 void main() {
   vec4 sum = texture(blended, place);
   vec3 value = sum.rgb;
-  if (!thermal) {
+  if (!mapped) {
     shown = vec4(value, 1.0);
     return;
   }

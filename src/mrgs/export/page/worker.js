@@ -17,7 +17,7 @@ onmessage = ({ data }) => {
     const order = farToNear(data.sort.rotation, data.sort.translation);
     postMessage({ order, version: data.sort.version }, [order.buffer]);
   }
-  if (data.read) postMessage({ reading: readPixel(data.read.camera, data.read.x, data.read.y), id: data.read.id });
+  if (data.read) postMessage({ reading: readPixel(data.read), id: data.read.id });
 };
 
 // Indices of the splats in front of the camera, farthest first: two counting sorts by 16 bits of the depth. The bits of
@@ -48,31 +48,60 @@ function countingSort(indices, key) {
   return sorted;
 }
 
-// What the thermal image and its depth show at the pixel with the centre (x, y): blended here in full precision, because
-// what the screen holds is rounded.
-function readPixel(camera, x, y) {
+// What a one-channel image and its depth show at the pixel with the centre (x, y): blended here in full precision,
+// because what the screen holds is rounded.
+function readPixel({ camera, x, y, modality }) {
+  const appearance = model.appearances[modality];
   const hits = [];
   for (let i = 0; i < model.count; i++) {
-    const hit = splatAt(camera, x, y, i);
+    const hit = splatAt(camera, x, y, i, appearance.opacity);
     if (hit) hits.push(hit);
   }
   hits.sort((a, b) => a.depth - b.depth || a.index - b.index);
   let transmittance = 1;
-  let temperature = 0;
+  let value = 0;
   let depth = 0;
   for (const hit of hits) {
     if (transmittance < TRANSMITTANCE_MIN) break;
     const weight = hit.alpha * transmittance;
-    temperature += weight * model.temperature[hit.index];
+    value += weight * valueOf(appearance, hit.index, camera.position);
     depth += weight * hit.depth;
     transmittance *= 1 - hit.alpha;
   }
   const alpha = 1 - transmittance;
-  return { temperature, depth: depth / Math.max(alpha, 1e-9), alpha };
+  return { modality, value, depth: depth / Math.max(alpha, 1e-9), alpha };
 }
 
-// The splat's alpha in the thermal image at a pixel, or nothing below 1/255.
-function splatAt(camera, px, py, i) {
+// A splat's value as seen from a point.
+function valueOf({ values, sh, bands }, i, eye) {
+  if (values) return values[i];
+  const direction = [0, 1, 2].map((axis) => model.means[3 * i + axis] - eye[axis]);
+  const length = Math.hypot(...direction);
+  const functions = harmonics(direction.map((part) => part / length));
+  const stride = sh.length / model.count;
+  let sum = 0.5;
+  for (let degree = 0; degree < bands.length; degree++) {
+    const [low, step] = bands[degree];
+    for (let k = degree ** 2; k < (degree + 1) ** 2; k++) sum += functions[k] * (low + step * sh[i * stride + k]);
+  }
+  return Math.max(sum, 0);
+}
+
+// The real spherical harmonics up to degree 3 of a unit vector, in the order and with the signs of 3DGS.
+function harmonics([x, y, z]) {
+  const [xx, yy, zz] = [x * x, y * y, z * z];
+  return [
+    0.28209479,
+    -0.48860251 * y, 0.48860251 * z, -0.48860251 * x,
+    1.09254843 * x * y, -1.09254843 * y * z, 0.31539157 * (2 * zz - xx - yy), -1.09254843 * x * z, 0.54627422 * (xx - yy),
+    -0.59004359 * y * (3 * xx - yy), 2.89061144 * x * y * z, -0.4570458 * y * (4 * zz - xx - yy),
+    0.37317633 * z * (2 * zz - 3 * xx - 3 * yy), -0.4570458 * x * (4 * zz - xx - yy), 1.44530572 * z * (xx - yy),
+    -0.59004359 * x * (xx - 3 * yy),
+  ];
+}
+
+// The splat's alpha in an image at a pixel, or nothing below 1/255.
+function splatAt(camera, px, py, i, opacity) {
   const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
   const m = model.means;
   const [mx, my, mz] = [m[3 * i], m[3 * i + 1], m[3 * i + 2]];
@@ -89,7 +118,7 @@ function splatAt(camera, px, py, i) {
   const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
   const determinant = a * c - b * b;
   const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / determinant);
-  const alpha = Math.min(ALPHA_MAX, model.opacityThermal[i] * falloff);
+  const alpha = Math.min(ALPHA_MAX, opacity[i] * falloff);
   return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -14,18 +14,23 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.export.page.packing import pack
 from mrgs.export.page.visibility import most_visible
-from mrgs.pictures.files import to_array
+from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range, palette_table
+from mrgs.pictures.values import NORMALISED, in_unit, range_of, unit_of
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Camera, Modality, TemperatureRange, spread
+from mrgs.scene import (
+    THERMAL,
+    Camera,
+    Modality,
+    in_order,
+    metric_first,
+    spread,
+)
 from mrgs.scene.camera_paths import focus_point
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
-
-SHOWN = (RGB, THERMAL)
-"""The modalities that the page can show."""
 
 RANGE_VIEWS = 8
 RANGE_WIDTH_PX = 160
@@ -44,13 +49,13 @@ def write_page(
     max_splats: int | None = None,
     sh_degree: int = 3,
     notes: Sequence[str] = (),
-    modalities: Sequence[Modality] = SHOWN,
+    modalities: Sequence[Modality] | None = None,
 ) -> Path:
     """Write the model as one self-contained HTML page; returns its path.
 
-    The page needs WebGL2 and nothing from the network: no script, font, image or style of another
-    place, which its Content-Security-Policy also forbids. It takes about 7 MB for 100,000 splats (4
-    MB with ``sh_degree=1``).
+    The page needs WebGL2 and nothing from the network: no script, font, image or style from another
+    place, which its Content-Security-Policy also forbids. It takes about 7 MB for 100,000 splats
+    with RGB and thermal (4 MB with ``sh_degree=1``).
 
     Args:
         baked: N splats.
@@ -58,32 +63,32 @@ def write_page(
         title: heading of the page.
         path: ends with .html.
         palette: inferno, iron, grey or rainbow; the reader may choose another.
-        range_c: ends of the palette in °C (normalised values where the scene has no °C); by default
-            those of what some of the cameras see.
-        max_splats: keep only so many, those that paint most of the photos.
+        range_c: ends of the palette of temperatures in °C (normalised values where the scene has no
+            °C); by default those of what some of the cameras see.
+        max_splats: keep only this many, those that paint most of the photos.
         sh_degree: 0 to 3; fewer degrees make a smaller file, whose colours depend less on the view.
-        notes: sentences to add to what the page says about its temperatures.
-        modalities: those of which the scene has photos; the page shows those of them that are in
-            ``SHOWN``.
+        notes: sentences to add to the page's notes on temperatures.
+        modalities: to show, such as those of which the scene has photos; all of the model's if
+            None.
 
     Raises:
-        ConfigError: there are no cameras or no splats, or an option is out of its range.
+        ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
         RunError: the file cannot be written.
     """
-    _check(modalities, cameras, palette, range_c, max_splats, sh_degree)
-    shown = list(cameras.values())
+    shown = in_order(baked.modalities if modalities is None else modalities)
+    _check(shown, cameras, palette, range_c, max_splats, sh_degree)
     if max_splats is not None:
-        baked = baked.subset(most_visible(baked, shown, max_splats))
-    packed = pack(baked, sh_degree)
-    kinds = [modality.name for modality in SHOWN if modality in modalities]
+        baked = baked.subset(most_visible(baked, list(cameras.values()), max_splats))
+    packed = pack(baked, sh_degree, shown)
     facts = {
         "model": packed.header,
-        "cameras": [_camera(camera) for camera in shown],
-        "world": _world(shown),
+        "cameras": [_camera(camera) for camera in cameras.values()],
+        "world": _world(list(cameras.values())),
         "palettes": {name: _base64(palette_table(name).tobytes()) for name in PALETTES},
-        "modalities": kinds,
-        "range": list(range_c if range_c is not None else visible_range(baked, shown)),
-        "temperature": _scale(baked.temperature),
+        "modalities": [
+            _modality_facts(each, baked, list(cameras.values()), range_c) for each in shown
+        ],
+        "readable": [each.name for each in metric_first(shown) if each.channels == 1],
     }
     return write_html(
         path,
@@ -92,7 +97,8 @@ def write_page(
         styles=["export/page/page.css"],
         scripts=[f"export/page/{name}" for name in SCRIPTS],
         sources=["worker-src blob:"],
-        modalities=" ".join(kinds),
+        modalities=facts["modalities"],
+        has_thermal=THERMAL in shown,
         date=date.today().isoformat(),
         temperature=baked.temperature,
         palettes=PALETTES,
@@ -107,28 +113,22 @@ def write_page(
     )
 
 
-def visible_range(baked: BakedModel, cameras: Sequence[Camera]) -> tuple[float, float]:
-    """Limits that hold all but half a percent, at each end, of what some of the cameras see; °C
-    where known."""
+def visible_range(
+    baked: BakedModel, modality: Modality, cameras: Sequence[Camera]
+) -> tuple[float, float]:
+    """Limits of a one-channel modality that hold all but half a percent, at each end, of what some
+    of the cameras see; in its unit."""
     seen = []
     for index in spread(len(cameras), RANGE_VIEWS):
         small = cameras[index].with_width(RANGE_WIDTH_PX)
-        thermal = baked.render({THERMAL: small})[THERMAL]
-        seen.append(to_array(thermal.image[..., 0][thermal.alpha >= SURFACE_ALPHA]))
+        blend = baked.render({modality: small})[modality]
+        values = shown_values(modality, blend.image, None)
+        seen.append(values[blend.alpha.numpy() >= SURFACE_ALPHA])
     low, high = display_range(np.concatenate(seen))
-    if baked.temperature is None:
-        return low, high
-    return baked.temperature.to_celsius(low), baked.temperature.to_celsius(high)
-
-
-def require_shown(modalities: Collection[Modality]) -> None:
-    """Check that the page can show one of the modalities.
-
-    Raises:
-        ConfigError: it cannot.
-    """
-    if not set(modalities) & set(SHOWN):
-        raise ConfigError(f"the page needs {' or '.join(map(str, SHOWN))} to show")
+    return (
+        in_unit(modality, low, baked.temperature),
+        in_unit(modality, high, baked.temperature),
+    )
 
 
 def _check(
@@ -139,7 +139,8 @@ def _check(
     max_splats: int | None,
     sh_degree: int,
 ) -> None:
-    require_shown(modalities)
+    if not modalities:
+        raise ConfigError("the page needs at least one modality to show")
     if not cameras:
         raise ConfigError("the page needs at least one camera to open on")
     if palette not in PALETTES:
@@ -176,10 +177,30 @@ def _world(cameras: Sequence[Camera]) -> dict[str, list[float]]:
     return {"focus": focus_point(cameras).tolist(), "up": (up / up.norm()).tolist()}
 
 
-def _scale(temperature: TemperatureRange | None) -> dict[str, Any]:
-    if temperature is None:
-        return {"min": 0.0, "max": 1.0, "unit": ""}
-    return {"min": temperature.min_c, "max": temperature.max_c, "unit": "°C"}
+def _modality_facts(
+    modality: Modality,
+    baked: BakedModel,
+    cameras: Sequence[Camera],
+    range_c: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """What the page's script knows of a modality: its name and label, whether a palette shows it,
+    what the normalised values 0 and 1 stand for, and the ends of the palette."""
+    low, high = range_of(modality, baked.temperature)
+    unit = unit_of(modality, baked.temperature)
+    ends = low, high
+    if modality == THERMAL and range_c is not None:
+        ends = range_c
+    elif modality.is_metric:
+        ends = visible_range(baked, modality, cameras)
+    quantity = modality.quantity
+    return {
+        "name": modality.name,
+        "label": quantity[:1].upper() + quantity[1:],
+        "channels": modality.channels,
+        "metric": modality.is_metric,
+        "scale": {"min": low, "max": high, "unit": "" if unit == NORMALISED else unit},
+        "range": list(ends),
+    }
 
 
 def _base64(content: bytes) -> str:
