@@ -680,6 +680,7 @@ def test_export_and_report(own_run, capsys):
         out,
         re.MULTILINE,
     )
+    assert "export 1 of 1: ply\n" in out
     assert (own_run / "export" / "rgb_thermal.ply").read_bytes().startswith(b"ply\n")
     assert (
         run(
@@ -689,6 +690,7 @@ def test_export_and_report(own_run, capsys):
     )
     assert capsys.readouterr().out.endswith(f"{own_run / 'mail' / 'page.html'}\n")
     assert run("report", own_run) == 0
+    assert "report 3 of 3: scores and page\n" in capsys.readouterr().out
     assert "Limits of the measurement" in (own_run / "report.html").read_text(encoding="utf-8")
 
 

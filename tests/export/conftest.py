@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from mrgs.export.glb import EXTENSION
-from mrgs.export.splats import Splats
+from mrgs.export.splats import SplatArrays
 from mrgs.field.spherical_harmonics import C0
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run, load_run
@@ -57,14 +57,14 @@ def _read_ply(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     return comments, elements
 
 
-def _splats_from(rows: np.ndarray) -> Splats:
+def _splats_from(rows: np.ndarray) -> SplatArrays:
     """The vertices of a 3DGS PLY."""
     bands = sum(name.startswith("f_rest_") for name in rows.dtype.names) // 3
     dc = np.stack([rows[f"f_dc_{c}"] for c in range(3)], axis=1)[:, None]
     rest = [
         np.stack([rows[f"f_rest_{c * bands + b}"] for c in range(3)], axis=1) for b in range(bands)
     ]
-    return Splats(
+    return SplatArrays(
         np.stack([rows[axis] for axis in "xyz"], axis=1),
         np.stack([rows[f"rot_{i}"] for i in range(4)], axis=1),
         np.exp(np.stack([rows[f"scale_{i}"] for i in range(3)], axis=1)),
@@ -73,11 +73,11 @@ def _splats_from(rows: np.ndarray) -> Splats:
     )
 
 
-def _splats_of(attributes: dict[str, list]) -> Splats:
+def _splats_of(attributes: dict[str, list]) -> SplatArrays:
     """What gltf-transform read, as splats."""
     arrays = {name: np.array(values, dtype=np.float32) for name, values in attributes.items()}
     coefficients = [name for name in arrays if ":SH_DEGREE_" in name]
-    return Splats(
+    return SplatArrays(
         arrays["POSITION"],
         np.roll(arrays[f"{EXTENSION}:ROTATION"], 1, axis=1),
         arrays[f"{EXTENSION}:SCALE"],
@@ -86,7 +86,7 @@ def _splats_of(attributes: dict[str, list]) -> Splats:
     )
 
 
-def _draw(splats: Splats, camera: Camera) -> torch.Tensor:
+def _draw(splats: SplatArrays, camera: Camera) -> torch.Tensor:
     """The colours of the splats from a camera, [H, W, 3]."""
     sh = torch.zeros(len(splats), 16, 3)
     sh[:, : splats.sh.shape[1]] = torch.from_numpy(splats.sh)
@@ -107,17 +107,17 @@ def read_ply() -> Callable[[Path], tuple[list[str], dict[str, np.ndarray]]]:
 
 
 @pytest.fixture(scope="session")
-def splats_from() -> Callable[[np.ndarray], Splats]:
+def splats_from() -> Callable[[np.ndarray], SplatArrays]:
     return _splats_from
 
 
 @pytest.fixture(scope="session")
-def splats_of() -> Callable[[dict[str, list]], Splats]:
+def splats_of() -> Callable[[dict[str, list]], SplatArrays]:
     return _splats_of
 
 
 @pytest.fixture(scope="session")
-def draw() -> Callable[[Splats, Camera], torch.Tensor]:
+def draw() -> Callable[[SplatArrays, Camera], torch.Tensor]:
     return _draw
 
 
@@ -211,11 +211,11 @@ def globe_under_sky(globe: BakedModel, wide_scene: Scene) -> BakedModel:
 
 
 @pytest.fixture
-def splat_transform(tmp_path: Path) -> Callable[[Path], Splats]:
+def splat_transform(tmp_path: Path) -> Callable[[Path], SplatArrays]:
     """Reads any splat file with PlayCanvas's splat-transform, by way of a PLY that it writes."""
     require_node(SPLAT_TRANSFORM)
 
-    def read(path: Path) -> Splats:
+    def read(path: Path) -> SplatArrays:
         output = tmp_path / f"{path.name}.read.ply"
         run_node(SPLAT_TRANSFORM, "--quiet", "--overwrite", path, output)
         return _splats_from(_read_ply(output)[1]["vertex"])

@@ -153,16 +153,37 @@ def test_a_third_modality_is_a_column_beside_the_temperatures(tmp_path, solid, s
     assert "nir" in laspy.read(tmp_path / "points.las").point_format.dimension_names
 
 
-def test_the_page_needs_colours_or_temperatures(tmp_path, solid, scene):
+def test_a_scene_of_another_modality_alone_has_every_format(tmp_path, solid, scene):
     model, scene = with_infrared(solid, scene)
     views = (View(view.name, {NEAR_INFRARED: view.images[NEAR_INFRARED]}) for view in scene.train)
     alone = replace(scene, train=tuple(views), eval=())
-    with pytest.raises(ConfigError, match="the page needs rgb or thermal to show"):
-        export(model, alone, "page", tmp_path)
-    with pytest.warns(MrgsWarning, match="page is left out: the page needs rgb or thermal"):
-        names = {path.name for path in export(model, alone, "all", tmp_path)}
-    assert {"nir.splat", "mesh.ply", "transforms.json"} <= names
+    names = {path.name for path in export(model, alone, "all", tmp_path)}
+    assert {"nir.splat", "mesh.ply", "transforms.json", "page.html"} <= names
     assert "rgb.splat" not in names
+
+
+def test_a_modality_that_the_model_has_not_is_left_out(tmp_path, solid, scene):
+    """Its photos were added to the scene after the training."""
+    _, more = with_infrared(solid, scene)
+    assert {path.name for path in export(solid, more, "spz", tmp_path)} == EXPECTED["spz"] | {
+        f"{name}.json" for name in EXPECTED["spz"]
+    }
+    (page,) = export(solid, more, "page", tmp_path)
+    assert "Near infrared" not in page.read_text(encoding="utf-8")
+
+
+def test_each_format_is_announced_before_it_is_written(tmp_path, solid, scene):
+    announced = []
+
+    def progress(*part: object) -> None:
+        announced.append((*part, (tmp_path / "points.ply").exists()))
+
+    export(solid, scene, "all", tmp_path, progress=progress)
+    count = len(FORMATS)
+    assert [part[:3] for part in announced] == [
+        (number, count, name) for number, name in enumerate(FORMATS, start=1)
+    ]
+    assert not next(part for part in announced if part[2] == "points")[3]
 
 
 def test_the_manual_lists_every_format():

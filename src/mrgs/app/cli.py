@@ -358,15 +358,18 @@ def _export(command: Export) -> None:
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     folder = command.output or command.run / "export"
-    paths = export(
-        run,
-        run.load_scene(),
-        command.format,
-        folder,
-        command.palette,
-        command.range_c,
-        on_baked=print_baking_loss,
-    )
+    scene = run.load_scene()
+    with counter("export") as progress:
+        paths = export(
+            run,
+            scene,
+            command.format,
+            folder,
+            command.palette,
+            command.range_c,
+            on_baked=print_baking_loss,
+            progress=progress,
+        )
     print(*paths, sep="\n")
 
 
@@ -377,7 +380,10 @@ def _report(command: Report) -> None:
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     target = command.output or command.run / "report.html"
-    print(f"report: {write_report(run, run.load_scene(), target)}")
+    scene = run.load_scene()
+    with counter("report") as progress:
+        path = write_report(run, scene, target, progress)
+    print(f"report: {path}")
 
 
 def _demo(command: Demo) -> None:

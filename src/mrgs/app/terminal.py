@@ -91,16 +91,19 @@ def _text_column() -> TextColumn:
 
 
 @contextmanager
-def counter(verb: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress callback (done, total): a bar on a terminal, one line at the end elsewhere."""
+def counter(verb: str) -> Iterator[Callable[..., None]]:
+    """A progress callback (done, total), or (number, total, name) for parts that have names.
+
+    A bar on a terminal; elsewhere a line for each named part, or else one line at the end.
+    """
     with _progress_bar(_text_column(), BarColumn(BAR_WIDTH), auto_refresh=False) as bar:
         task = bar.add_task(verb, total=None)
 
-        def show(done: int, total: int) -> None:
-            text = f"{verb} {done}/{total}"
+        def show(done: int, total: int, name: str = "") -> None:
+            text = f"{verb} {done} of {total}: {name}" if name else f"{verb} {done}/{total}"
             bar.update(task, description=text, completed=done, total=total, refresh=True)
-            if bar.disable and done == total:
-                print(text)
+            if bar.disable and (name or done == total):
+                print(text, flush=True)
 
         yield show
 

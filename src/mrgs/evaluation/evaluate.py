@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from torch import Tensor
@@ -113,38 +113,32 @@ def evaluate(
             "the scene has no views to score: put 'eval' into their file names, or list them in "
             "val_filenames"
         )
-    threshold = foreground_threshold(views)
+    measure = _Measure(temperature, foreground_threshold(views), lpips)
     modalities = scored_modalities(views)
     scored = []
     for view in views:
         rendering = render(view)
         observed = camera_response(rendering, view.camera)
-        photos = {
-            modality: _loaded(image.load(), observed, modality)
-            for modality, image in view.images.items()
-        }
-        figures = {
-            modality: _image_figures(
-                modality, photos.get(modality), observed, temperature, threshold, lpips
-            )
-            for modality in modalities
-        }
+        photos = _photos(view, observed)
+        figures = {each: measure.figures(each, photos.get(each), observed) for each in modalities}
         exact = None if truth is None else _score_truth(truth, view, rendering, photos, temperature)
         metrics = ViewMetrics(view.name, figures, exact)
         scored.append(metrics)
         if visit is not None:
             visit(view, observed, metrics)
+    return _averaged(scored, modalities)
+
+
+def _averaged(scored: Sequence[ViewMetrics], modalities: Sequence[Modality]) -> Metrics:
+    """The views' figures and their means."""
+    mean = {
+        modality: mean_figures(
+            [metrics.figures[modality] for metrics in scored], figure_names(modality)
+        )
+        for modality in modalities
+    }
     truths = [metrics.truth for metrics in scored if metrics.truth is not None]
-    return Metrics(
-        mean={
-            modality: mean_figures(
-                [metrics.figures[modality] for metrics in scored], figure_names(modality)
-            )
-            for modality in modalities
-        },
-        truth=mean_figures(truths, TRUTH_FIGURES) if truths else None,
-        views=tuple(scored),
-    )
+    return Metrics(mean, mean_figures(truths, TRUTH_FIGURES) if truths else None, tuple(scored))
 
 
 def scored_modalities(views: Sequence[View]) -> tuple[Modality, ...]:
@@ -171,12 +165,20 @@ def foreground_threshold(views: Sequence[View]) -> float | None:
     return float(np.mean(thresholds)) if thresholds else None
 
 
-def _loaded(pixels: Pixels, rendering: Rendering, modality: Modality) -> Pixels:
-    """The photo on the rendering's device.
+def _photos(view: View, rendering: Rendering) -> dict[Modality, Pixels]:
+    """The view's photos on the rendering's device.
 
     Raises:
-        ValueError: the rendering has another size than the photo.
+        SceneError: an image cannot be read.
+        ValueError: the rendering has another size than a photo.
     """
+    return {
+        modality: _on_device(image.load(), rendering, modality)
+        for modality, image in view.images.items()
+    }
+
+
+def _on_device(pixels: Pixels, rendering: Rendering, modality: Modality) -> Pixels:
     if modality not in rendering:
         return pixels
     image = rendering[modality].image
@@ -188,27 +190,33 @@ def _loaded(pixels: Pixels, rendering: Rendering, modality: Modality) -> Pixels:
     return Pixels(pixels.values.to(image), valid)
 
 
-def _image_figures(
-    modality: Modality,
-    photo: Pixels | None,
-    rendering: Rendering,
-    temperature: TemperatureRange | None,
-    threshold: float | None,
-    lpips: Lpips | None,
-) -> Figures:
-    """What ``figure_names`` says of a modality, for one view."""
-    names = figure_names(modality)
-    if photo is None or modality not in rendering:
-        return all_missing(
-            names, f"the view has no {modality.title} image, or the model does not render it"
-        )
-    if photo.valid is not None and not photo.valid.any():
-        return all_missing(names, "no pixel of the photo is valid")
-    image = rendering[modality].image
-    figures = _pixel_figures(image, photo) | {"lpips": _lpips(image, photo, lpips)}
-    if modality == THERMAL:
-        figures |= _temperature_figures(image, photo, temperature, threshold)
-    return {name: figures[name] for name in names}
+class _Measure(NamedTuple):
+    """What the figures of all views depend on.
+
+    Attributes:
+        temperature: the scene's scale; None without °C.
+        threshold: of the foreground, normalised; None where no photo has one.
+        lpips: the network; None leaves LPIPS out.
+    """
+
+    temperature: TemperatureRange | None
+    threshold: float | None
+    lpips: Lpips | None
+
+    def figures(self, modality: Modality, photo: Pixels | None, rendering: Rendering) -> Figures:
+        """What ``figure_names`` lists for a modality, of one view."""
+        names = figure_names(modality)
+        if photo is None or modality not in rendering:
+            return all_missing(
+                names, f"the view has no {modality.title} image, or the model does not render it"
+            )
+        if photo.valid is not None and not photo.valid.any():
+            return all_missing(names, "no pixel of the photo is valid")
+        image = rendering[modality].image
+        figures = _pixel_figures(image, photo) | {"lpips": _lpips(image, photo, self.lpips)}
+        if modality == THERMAL:
+            figures |= _temperature_figures(image, photo, self.temperature, self.threshold)
+        return {name: figures[name] for name in names}
 
 
 def _score_truth(

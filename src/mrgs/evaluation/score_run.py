@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Literal
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
-from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
+from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
@@ -91,25 +92,13 @@ def score_views(
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
     shown = SheetRows(len(scene.eval))
-    ball = scene.reach
-    done = 0
-
-    def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
-        nonlocal done
-        shown.add(
-            done, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature, ball)
-        )
-        done += 1
-        if progress is not None:
-            progress(done, len(scene.eval))
-
     metrics = evaluate(
         scene.eval,
         render,
         scene.temperature,
         lpips,
         Truth.find(scene_folder),
-        visit,
+        _visitor(scene, shown, progress),
         camera_response,
     )
     write_report(output, facts, metrics)
@@ -117,6 +106,21 @@ def score_views(
         output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
     )
     return metrics
+
+
+def _visitor(scene: Scene, shown: SheetRows, progress: Progress | None) -> Visitor:
+    """Collects the rows of the contact sheet, and reports the progress."""
+    ball, numbers = scene.reach, itertools.count()
+
+    def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
+        number = next(numbers)
+        shown.add(
+            number, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature, ball)
+        )
+        if progress is not None:
+            progress(number + 1, len(scene.eval))
+
+    return visit
 
 
 def facts_of(run: TrainedRun) -> RunFacts:

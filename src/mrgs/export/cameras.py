@@ -26,7 +26,7 @@ from mrgs.data.transforms import (
     write_bounds,
     write_transforms,
 )
-from mrgs.export.job import Job
+from mrgs.export.job import ExportJob
 from mrgs.export.splats import to_bytes
 from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene, TemperatureRange, View
@@ -36,7 +36,7 @@ from mrgs.system.atomic import replacing
 COLMAP_FOLDER = "sparse/0"
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write the folder ``cameras``."""
     return write_cameras(job.folder / "cameras", job.scene)
 

@@ -1,8 +1,8 @@
 """The formats of an export, by name.
 
-To add one, write a module with a function ``export(job: Job) -> list[Path]`` and add a line to
-``_FORMATS``. Nothing is imported for a format before it is used, so that the command line can list
-them all.
+To add one, write a module with a function ``export(job: ExportJob) -> list[Path]`` and add a line
+to ``_FORMATS``. Nothing is imported for a format before it is used, so that the command line can
+list them all.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Format:
     Attributes:
         name: as ``--format`` says it.
         files: what is written, one line for the help.
-        export: writes the files of a ``Job``; returns their paths.
+        export: writes the files of an ``ExportJob``; returns their paths.
         require: raises ConfigError if the format cannot be written of a scene, before anything is
             done.
     """

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.ply import SMALLEST_SCALE
-from mrgs.export.splats import Splats, base_values, to_bytes, value_names
+from mrgs.export.splats import SplatArrays, base_values, to_bytes, value_names
 from mrgs.scene import RGB
 from mrgs.system.atomic import replacing
 
@@ -31,7 +31,7 @@ _POINTS = 0
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar; each holds the temperatures and the values
     of modalities other than RGB."""
     properties = {
@@ -53,7 +53,7 @@ def export(job: Job) -> list[Path]:
 
 def write_glb(
     path: Path,
-    splats: Splats,
+    splats: SplatArrays,
     up: Float[np.ndarray, "3"] | None = None,
     extras: Mapping[str, Any] | None = None,
     properties: Mapping[str, Float[np.ndarray, " n"]] | None = None,
@@ -88,7 +88,7 @@ def write_glb(
     return path
 
 
-def _attributes(splats: Splats) -> dict[str, np.ndarray]:
+def _attributes(splats: SplatArrays) -> dict[str, np.ndarray]:
     """The vertex attributes by semantic; each takes a multiple of four bytes."""
     colors = _linear(splats.base_colors / np.float32(255))
     attributes = {

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from mrgs.export.loss import BakingLoss
 from mrgs.export.sidecar import color_facts, write_sidecar
-from mrgs.export.splats import Splats, ThermalScale, modality_splats
+from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats
 from mrgs.export.surface_points import SurfacePoints, surface_points
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel
@@ -22,8 +22,8 @@ from mrgs.scene import Modality, Scene
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
-    """One export.
+class ExportJob:
+    """What one export writes, and where.
 
     Attributes:
         baked: what is exported.
@@ -68,7 +68,7 @@ class Job:
 
     def splats(
         self, baked: BakedModel | None = None
-    ) -> Iterator[tuple[Modality, Splats, dict[str, Any]]]:
+    ) -> Iterator[tuple[Modality, SplatArrays, dict[str, Any]]]:
         """Each of ``modalities``, its splats, and the facts about their file.
 
         Args:

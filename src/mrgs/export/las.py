@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 
 from mrgs.errors import ConfigError
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.rendered import COLORS
 from mrgs.export.surface_points import SurfacePoints
 from mrgs.scene import Scene
@@ -26,7 +26,7 @@ FINEST_STEP = 1e-6
 needs."""
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write ``points.las`` and its sidecar."""
     return described(write_las(job.folder / "points.las", job.points), job.surface_facts)
 

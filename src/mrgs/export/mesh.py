@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32, Int32, UInt8
 from mrgs.data.ply import table, write_ply
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.rendered import carry_over, depth_maps, value_columns
 from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_nets import surface_nets
@@ -45,7 +45,7 @@ class ThermalMesh:
     columns: Mapping[str, Float32[np.ndarray, " v"] | UInt8[np.ndarray, " v"]]
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write ``mesh.ply`` and its sidecar."""
     path, facts = job.folder / "mesh.ply", job.surface_facts
     mesh = build_mesh(job.baked, job.scene)

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from mrgs.data.ply import table, write_ply
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
-from mrgs.export.splats import Splats, base_values, shaded_splats, to_float32, value_names
+from mrgs.export.splats import SplatArrays, base_values, shaded_splats, to_float32, value_names
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB
 
@@ -22,7 +22,7 @@ OPACITY_MARGIN = 1e-7
 """Opacities are kept this far from 0 and 1, so that their logit is finite."""
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, and ``rgb_thermal.ply``, with their sidecars."""
     paths = []
     for modality, splats, facts in job.splats():
@@ -33,7 +33,7 @@ def export(job: Job) -> list[Path]:
     return [*paths, *described(combined, job.facts)]
 
 
-def write_splat_ply(path: Path, splats: Splats, comments: Sequence[str] = ()) -> Path:
+def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = ()) -> Path:
     """Write the layout of 3DGS: scales as logarithms, the opacity as a logit, rotations wxyz.
 
     Raises:
@@ -61,7 +61,7 @@ def write_combined_ply(path: Path, baked: BakedModel, comments: Sequence[str] = 
     return write_ply(path, {"vertex": table(columns)}, comments)
 
 
-def splat_columns(splats: Splats) -> dict[str, np.ndarray]:
+def splat_columns(splats: SplatArrays) -> dict[str, np.ndarray]:
     """The properties of 3DGS in its order; the normals are zero, the higher coefficients channel by
     channel."""
     columns: dict[str, np.ndarray] = {axis: splats.means[:, i] for i, axis in enumerate("xyz")}

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from mrgs.data.ply import table, write_ply
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_points import SurfacePoints
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write ``points.ply`` and its sidecar."""
     path, facts = job.folder / "points.ply", job.surface_facts
     return described(write_points_ply(path, job.points, comment_lines(facts)), facts)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.loss import baking_loss_db
 from mrgs.export.sidecar import loss_facts
-from mrgs.export.splats import Splats, to_bytes, without_directions
+from mrgs.export.splats import SplatArrays, to_bytes, without_directions
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL
 from mrgs.system.atomic import replacing
@@ -18,7 +18,7 @@ from mrgs.system.atomic import replacing
 _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat", "u1", 4)]
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar."""
     flat = without_directions(job.baked, job.scene.train_cameras)
     lost = _lost(job, flat) if job.scene.modalities != (THERMAL,) else {}
@@ -30,7 +30,7 @@ def export(job: Job) -> list[Path]:
     return paths
 
 
-def _lost(job: Job, flat: BakedModel) -> dict[str, Any]:
+def _lost(job: ExportJob, flat: BakedModel) -> dict[str, Any]:
     """Facts about the values that had a view dependence."""
     facts: dict[str, Any] = {"view_dependence": "left out"}
     if job.run is not None:
@@ -38,7 +38,7 @@ def _lost(job: Job, flat: BakedModel) -> dict[str, Any]:
     return facts
 
 
-def write_splat(path: Path, splats: Splats) -> Path:
+def write_splat(path: Path, splats: SplatArrays) -> Path:
     """Write the layout that antimatter15's viewer made common; returns the path.
 
     Centre and standard deviations as float32, RGB of degree 0 and opacity as bytes, the quaternion

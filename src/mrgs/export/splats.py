@@ -25,7 +25,7 @@ UNSEEN_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Splats:
+class SplatArrays:
     """N coloured splats; row i of every array belongs to splat i.
 
     Attributes:
@@ -120,7 +120,7 @@ def require_exportable(baked: BakedModel) -> None:
         )
 
 
-def modality_splats(baked: BakedModel, modality: Modality, scale: ThermalScale) -> Splats:
+def modality_splats(baked: BakedModel, modality: Modality, scale: ThermalScale) -> SplatArrays:
     """What a viewer shows of a modality: temperatures in the colours of a palette, all others in
     their own colours or grey."""
     if modality == THERMAL:
@@ -128,7 +128,7 @@ def modality_splats(baked: BakedModel, modality: Modality, scale: ThermalScale) 
     return shaded_splats(baked, modality)
 
 
-def shaded_splats(baked: BakedModel, modality: Modality) -> Splats:
+def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
     """A modality's spherical harmonics with its opacity; the mean of the channels as grey if they
     are not three.
 
@@ -140,7 +140,7 @@ def shaded_splats(baked: BakedModel, modality: Modality) -> Splats:
     return _splats(baked, baked.opacities[modality], to_float32(sh))
 
 
-def thermal_splats(baked: BakedModel, scale: ThermalScale) -> Splats:
+def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
     """The temperatures with o_t in the colours of a palette, degree 0: the same from each side.
 
     A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour
@@ -214,9 +214,9 @@ def _mean_values(
     return (total / weight).clamp(0, 1)
 
 
-def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> Splats:
+def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> SplatArrays:
     rotations = torch.nn.functional.normalize(baked.quats, dim=1)
     means, quats, scales, opacities = (
         to_float32(tensor) for tensor in (baked.means, rotations, baked.scales, opacity)
     )
-    return Splats(means, quats, scales, opacities, sh)
+    return SplatArrays(means, quats, scales, opacities, sh)

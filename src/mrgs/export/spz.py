@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8, UInt32
 
 from mrgs.errors import RunError
-from mrgs.export.job import Job, described
+from mrgs.export.job import ExportJob, described
 from mrgs.export.ply import log_of
-from mrgs.export.splats import Splats, to_bytes
+from mrgs.export.splats import SplatArrays, to_bytes
 from mrgs.system.atomic import replacing
 
 MAGIC = 0x5053474E
@@ -45,7 +45,7 @@ _TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], dtype
 (y and z odd: −)."""
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar."""
     paths = []
     for modality, splats, facts in job.splats():
@@ -54,7 +54,7 @@ def export(job: Job) -> list[Path]:
     return paths
 
 
-def write_spz(path: Path, splats: Splats) -> Path:
+def write_spz(path: Path, splats: SplatArrays) -> Path:
     """Write an SPZ file; returns the path.
 
     Raises:

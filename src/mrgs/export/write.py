@@ -5,10 +5,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.export.formats import FORMATS, Format
-from mrgs.export.job import Job
+from mrgs.export.job import ExportJob
 from mrgs.export.loss import BakingLoss, baking_loss_db
 from mrgs.export.sidecar import facts_of, up_direction
 from mrgs.export.splats import require_exportable, thermal_scale
@@ -16,6 +17,9 @@ from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
 from mrgs.scene import Scene
+
+Progress: TypeAlias = Callable[[int, int, str], None]
+"""Called with the number of the part that begins, the number of parts, and the part's name."""
 
 
 def export(
@@ -26,6 +30,7 @@ def export(
     palette: PaletteName = "inferno",
     limits_c: tuple[float, float] | None = None,
     on_baked: Callable[[BakingLoss], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Write a model in one format, or in all, into a folder; returns the paths.
 
@@ -44,6 +49,7 @@ def export(
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
         on_baked: called with what the baking of a run costs.
+        progress: called before each format with its number, the number of formats, and its name.
 
     Raises:
         ConfigError: an unknown format, limits that cannot be used, or an extra that is not
@@ -58,7 +64,12 @@ def export(
     job = _job(model, scene, folder, palette, limits_c)
     if job.loss is not None and on_baked is not None:
         on_baked(job.loss)
-    return [path for each in chosen for path in each.export(job)]
+    paths = []
+    for number, each in enumerate(chosen, start=1):
+        if progress is not None:
+            progress(number, len(chosen), each.name)
+        paths += each.export(job)
+    return paths
 
 
 def _required(name: str, scene: Scene) -> Format:
@@ -87,7 +98,7 @@ def _job(
     folder: Path,
     palette: PaletteName,
     limits_c: tuple[float, float] | None,
-) -> Job:
+) -> ExportJob:
     run = model if isinstance(model, Run) else None
     baked = (
         model
@@ -98,4 +109,4 @@ def _job(
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
     facts = facts_of(baked, scene, up, loss)
-    return Job(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c)
+    return ExportJob(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,13 +17,11 @@ from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import NORMALISED, decimals_of, full_scale, in_unit
 from mrgs.report.pictures import Marked, crops, overview, photo_value
-from mrgs.report.spots import Spot, find_spots
+from mrgs.report.spots import Renderer, Spot, find_spots
 from mrgs.runs.open import Run
 from mrgs.scene import (
     THERMAL,
-    Camera,
     Modality,
-    Rendering,
     Scene,
     TemperatureRange,
     View,
@@ -47,9 +45,9 @@ class ShownSpot(NamedTuple):
         views: number of views that see it.
         position: x, y, z in scene units.
         view: name of the view that shows it best.
-        pictures: crops of that view's photo and thermal rendering.
+        pictures: crops of that view's photos and thermal rendering.
         photo: temperature of the thermal photo there; None where it has no valid pixel.
-        at_end: whether the value lies at an end of the recorded range.
+        at_end: whether the value is at an end of the recorded range.
     """
 
     name: str
@@ -90,30 +88,45 @@ class Scores(NamedTuple):
     rows: list[tuple[str, str]]
 
 
-def find_shown_spots(run: Run, scene: Scene) -> Spots | None:
-    """The hottest and the coldest spots with an overview and crops; None if no surface is seen."""
-    views = [*scene.train, *scene.eval]
-
-    def render(camera: Camera) -> Rendering:
-        return run.render({THERMAL: camera})
-
-    hottest, coldest = find_spots(views, render, ball=scene.reach)
-    if not hottest:
-        return None
+def find_named_spots(run: Run, scene: Scene) -> dict[str, Spot]:
+    """The hottest spots, H1 first, then the coldest, C1 first; empty if no surface is seen."""
+    hottest, coldest = find_spots(_views(scene), _thermal_renderer(run), ball=scene.reach)
     named = {f"H{i}": spot for i, spot in enumerate(hottest, 1)}
-    named |= {f"C{i}": spot for i, spot in enumerate(coldest, 1)}
+    return named | {f"C{i}": spot for i, spot in enumerate(coldest, 1)}
+
+
+def show_spots(named: Mapping[str, Spot], run: Run, scene: Scene) -> Spots:
+    """An overview and crops of at least one spot.
+
+    Args:
+        named: spots by their names.
+        run: that renders them.
+        scene: with the photos.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    views = _views(scene)
     scale = full_scale(THERMAL, scene.temperature, PALETTE)
     if scale.unit == NORMALISED:
         scale = scale._replace(unit="")
-    marked = overview(views, named, render, scale)
+    marked = overview(views, named, _thermal_renderer(run), scale)
     bar = inline_image(scale_bar(scale, SCALE_BAR_PX, "horizontal"), "temperature scale", png=True)
     shown = [_shown(name, spot, views, run, scale) for name, spot in named.items()]
     return Spots(views[marked.view].name, [*_inline(marked, "the spots marked"), bar], shown)
 
 
+def _views(scene: Scene) -> list[View]:
+    return [*scene.train, *scene.eval]
+
+
+def _thermal_renderer(run: Run) -> Renderer:
+    return lambda camera: run.render({THERMAL: camera})
+
+
 def capture_rows(scene: Scene) -> list[tuple[str, str]]:
     """Views, image sizes and temperature range of the capture."""
-    views = [*scene.train, *scene.eval]
+    views = _views(scene)
     modalities = in_order((*REPORTED, *scene.modalities))
     shared = all(
         view.shares_camera(modality, other)

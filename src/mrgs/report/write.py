@@ -2,40 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
+from typing import TypeAlias
 
 from mrgs.pictures.html import PAGE_STYLE, write_html
 from mrgs.report.sections import (
     capture_rows,
-    find_shown_spots,
+    find_named_spots,
     read_contact_sheet,
     read_scores,
+    show_spots,
     training_rows,
 )
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 
+Progress: TypeAlias = Callable[[int, int, str], None]
+"""Called with the number of the part that begins, the number of parts, and the part's name."""
 
-def write_report(run: Run, scene: Scene, path: Path) -> Path:
+PARTS = ("hottest and coldest spots", "pictures of the spots", "scores and page")
+
+
+def write_report(run: Run, scene: Scene, path: Path, progress: Progress | None = None) -> Path:
     """Write a page about the run for a thermographer; returns its path.
 
     It holds the hottest and the coldest spots with their positions and pictures, the scores and the
     contact sheet of ``RUN/eval`` (or how to get them), the data of the capture and of the training,
     and the limits of the measurement. The page needs no script and nothing from the network; its
-    style sheet also serves printing on A4.
+    style sheet also fits printing on A4.
 
     Args:
         run: what ``load_run`` returns.
         scene: that the run was trained on, as ``run.load_scene()`` returns it.
         path: ends with .html.
+        progress: called before each of ``PARTS``.
 
     Raises:
         SceneError: a photo that is to be shown cannot be read.
         RunError: ``metrics.json`` or the contact sheet cannot be read, or the file cannot be
             written.
     """
+
+    def begin(part: int) -> None:
+        if progress is not None:
+            progress(part + 1, len(PARTS), PARTS[part])
+
     has_thermal = THERMAL in scene.modalities
+    begin(0)
+    named = find_named_spots(run, scene) if has_thermal else {}
+    begin(1)
+    spots = show_spots(named, run, scene) if named else None
+    begin(2)
     return write_html(
         path,
         "report/report.html",
@@ -47,7 +66,7 @@ def write_report(run: Run, scene: Scene, path: Path) -> Path:
         step=run.facts.step,
         has_thermal=has_thermal,
         temperature=scene.temperature,
-        spots=find_shown_spots(run, scene) if has_thermal else None,
+        spots=spots,
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=capture_rows(scene),

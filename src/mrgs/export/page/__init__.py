@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mrgs.export.job import Job
+from mrgs.export.job import ExportJob
 from mrgs.export.page.write import write_page
 
 __all__ = ["export", "write_page"]
 
 
-def export(job: Job) -> list[Path]:
+def export(job: ExportJob) -> list[Path]:
     """Write ``page.html``."""
     views = [*job.scene.eval, *job.scene.train]
     path = write_page(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,8 +73,7 @@ def pack(
     if sh_degree not in range(4):
         raise ValueError(f"sh_degree must be from 0 to 3, not {sh_degree}")
     modalities = baked.modalities if modalities is None else modalities
-    opacities = {each: _array(baked.opacities[each]) for each in modalities}
-    rows = _visible_rows(_array(baked.means), opacities)
+    rows = _visible_rows(baked, modalities)
     low, high, positions = _chunked_positions(_array(baked.means)[rows])
     scales, scale_limits = _quantise(np.log(_array(baked.scales)[rows]), 1023)
     planes: dict[str, np.ndarray] = {
@@ -86,16 +85,11 @@ def pack(
     }
     limits: dict[str, Any] = {"scales": scale_limits, "values": {}, "sh": {}}
     for modality in modalities:
-        name = modality.name
-        planes[f"opacity_{name}"] = _opacity_plane(modality, opacities[modality][rows])
-        if modality in baked.sh:
-            sh = _array(baked.sh[modality])[rows]
-            planes[f"sh_{name}"], limits["sh"][name] = _harmonics_plane(sh, sh_degree)
-        else:
-            values, limits["values"][name] = _quantise(
-                _array(baked.base_values(modality))[rows, 0], 65535
-            )
-            planes[f"values_{name}"] = values.astype(np.uint16)
+        kind = "sh" if modality in baked.sh else "values"
+        opacities, values, limits[kind][modality.name] = _modality_planes(
+            baked, modality, rows, sh_degree
+        )
+        planes |= {f"opacity_{modality}": opacities, f"{kind}_{modality}": values}
     # Wide numbers first, so that each plane starts at a multiple of its width.
     planes = dict(sorted(planes.items(), key=lambda item: -item[1].itemsize))
     header = {
@@ -113,16 +107,15 @@ def pack(
     return PackedModel(header, gzip.compress(stream, GZIP_LEVEL, mtime=0))
 
 
-def _visible_rows(
-    means: Float32[np.ndarray, "n 3"], opacities: Mapping[Modality, Float32[np.ndarray, " n"]]
-) -> Int64[np.ndarray, " k"]:
+def _visible_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.ndarray, " k"]:
     """The splats that some pixel can show, along the space-filling curve.
 
     Raises:
         ConfigError: there are none.
     """
-    visible = np.stack(list(opacities.values())).max(axis=0) >= ALPHA_MIN
-    rows = np.flatnonzero(visible & np.isfinite(means).all(axis=1))
+    means = _array(baked.means)
+    opacity = np.max([_array(baked.opacities[each]) for each in modalities], axis=0)
+    rows = np.flatnonzero((opacity >= ALPHA_MIN) & np.isfinite(means).all(axis=1))
     if not rows.size:
         raise ConfigError(
             "the model has no splat that can be seen, so there is nothing to show; train it longer"
@@ -130,12 +123,18 @@ def _visible_rows(
     return rows[morton_order(means[rows])]
 
 
-def _opacity_plane(
-    modality: Modality, opacities: Float32[np.ndarray, " n"]
-) -> UInt8[np.ndarray, " n"] | UInt16[np.ndarray, " n"]:
-    """Opacities as whole numbers over the whole range of their type."""
+def _modality_planes(
+    baked: BakedModel, modality: Modality, rows: Int64[np.ndarray, " k"], sh_degree: int
+) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+    """Opacities; then values or harmonics, and the limits of these."""
     kind = np.uint16 if modality.channels == 1 else np.uint8
-    return np.rint(opacities * np.iinfo(kind).max).astype(kind)
+    opacities = _array(baked.opacities[modality])[rows]
+    opacity_plane = np.rint(opacities * np.iinfo(kind).max).astype(kind)
+    if modality in baked.sh:
+        codes, limits = _harmonics_plane(_array(baked.sh[modality])[rows], sh_degree)
+        return opacity_plane, codes, limits
+    values, ends = _quantise(_array(baked.base_values(modality))[rows, 0], 65535)
+    return opacity_plane, values.astype(np.uint16), ends
 
 
 def _harmonics_plane(

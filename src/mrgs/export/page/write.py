@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.export.page.packing import pack
+from mrgs.export.page.packing import PackedModel, pack
 from mrgs.export.page.visibility import most_visible
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
@@ -80,16 +80,7 @@ def write_page(
     if max_splats is not None:
         baked = baked.subset(most_visible(baked, list(cameras.values()), max_splats))
     packed = pack(baked, sh_degree, shown)
-    facts = {
-        "model": packed.header,
-        "cameras": [_camera(camera) for camera in cameras.values()],
-        "world": _world(list(cameras.values())),
-        "palettes": {name: _base64(palette_table(name).tobytes()) for name in PALETTES},
-        "modalities": [
-            _modality_facts(each, baked, list(cameras.values()), range_c) for each in shown
-        ],
-        "readable": [each.name for each in metric_first(shown) if each.channels == 1],
-    }
+    facts = _facts(baked, packed, list(cameras.values()), shown, range_c)
     return write_html(
         path,
         "export/page/page.html",
@@ -175,6 +166,24 @@ def _world(cameras: Sequence[Camera]) -> dict[str, list[float]]:
     if up.norm() < 1e-6:
         up = -cameras[0].viewmat[1, :3]
     return {"focus": focus_point(cameras).tolist(), "up": (up / up.norm()).tolist()}
+
+
+def _facts(
+    baked: BakedModel,
+    packed: PackedModel,
+    cameras: Sequence[Camera],
+    shown: Sequence[Modality],
+    range_c: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """What the page's script reads as JSON."""
+    return {
+        "model": packed.header,
+        "cameras": [_camera(camera) for camera in cameras],
+        "world": _world(cameras),
+        "palettes": {name: _base64(palette_table(name).tobytes()) for name in PALETTES},
+        "modalities": [_modality_facts(each, baked, cameras, range_c) for each in shown],
+        "readable": [each.name for each in metric_first(shown) if each.channels == 1],
+    }
 
 
 def _modality_facts(
