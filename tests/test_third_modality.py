@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 import safetensors.numpy
 import torch
 from PIL import Image
+from torch import Tensor
 
 from mrgs import load_run, load_scene, make_config, train
 from mrgs.data.ply import read_ply
@@ -21,7 +24,11 @@ from mrgs.export import export
 from mrgs.method.config import TrainConfig
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Modality, known_modalities
+from mrgs.viewer import texts
+from mrgs.viewer.inspection import Inspection
+from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.runs import made_once, trained_run
+from tests.helpers.subjects import subject_of
 
 NIR = Modality("nir", 1)
 STEPS = 30
@@ -112,6 +119,82 @@ def test_it_is_rendered_to_files(run: Run) -> None:
     with Image.open(folder / "nir/frame_eval_00001.png") as picture:
         assert picture.size == (48, 36)
     assert (folder / "depth_nir/frame_eval_00001.tiff").is_file()
+
+
+def test_it_is_shown_and_read_in_the_viewer(run: Run, tmp_path: Path) -> None:
+    subject = subject_of(run, run.load_scene(), tmp_path)
+    labels = {mode.label: mode for mode in subject.modes}
+    assert list(labels)[:4] == ["Temperature", "Colour", "Near infrared", "Depth"]
+    assert {"Colour | Near infrared, side by side", "Near infrared over colour (slider)"} <= set(
+        labels
+    )
+    camera = subject.views[0].camera.resized(96, 72)
+    pictures = {}
+    for label, mode in labels.items():
+        inspection = Inspection(subject)
+        inspection.settings = Settings(mode)
+        pictures[label] = inspection.picture(camera, coarse=False)
+    infrared = pictures["Near infrared"]
+    assert all(
+        (infrared != other).any() for label, other in pictures.items() if other is not infrared
+    )
+    rendering = run.render(camera)[NIR]
+    middle = infrared[36, 30:90:20]
+    expected = np.rint(rendering.image[36, 30:90:20].clamp(0, 1).numpy() * 255)
+    np.testing.assert_array_equal(middle, np.repeat(expected, 3, axis=1))
+
+    inspection = Inspection(subject)
+    inspection.settings = Settings(labels["Near infrared"])
+    inspection.picture(camera, coarse=False)
+    solid = int(rendering.alpha.argmax())
+    row, column = divmod(solid, 96)
+    shown = inspection.click((column + 0.5) / 96, (row + 0.5) / 72)
+    assert shown is not None
+    assert shown.modality == NIR
+    assert shown.value == pytest.approx(rendering.image[row, column, 0].item(), abs=1e-4)
+    assert set(shown.reading.values) == {THERMAL, NIR}
+    text = texts.point(inspection)
+    assert f"{shown.value:.3f}" in text
+    assert "(normalised)" in text
+    assert "°C" in text  # the temperature is read as well
+
+
+def test_a_modality_with_a_unit_has_a_palette_and_its_unit(run: Run, tmp_path: Path) -> None:
+    """Only the value of the modality is another; nothing else of the run changes."""
+    metric = replace(NIR, unit="W/m²", title="Radiance")
+    gaussians = run.model.gaussians
+
+    def named(tensors: Mapping[Modality, Tensor]) -> dict[Modality, Tensor]:
+        return {metric if each == NIR else each: tensor for each, tensor in tensors.items()}
+
+    model = replace(
+        run.model,
+        gaussians=replace(
+            gaussians,
+            opacity_logits=named(gaussians.opacity_logits),
+            sh_dc=named(gaussians.sh_dc),
+            sh_rest=named(gaussians.sh_rest),
+        ),
+    )
+    subject = subject_of(replace(run, model=model), None, tmp_path)
+    assert subject.modalities == (THERMAL, NIR, RGB)
+    inspection = Inspection(subject)
+    inspection.settings = Settings(Mode("image", (metric,)), "iron")
+    camera = run.load_scene().train[0].camera
+    inspection.picture(camera, coarse=False)
+    scale = inspection.scales.values[NIR]
+    assert (scale.palette, scale.unit) == ("iron", "W/m²")
+    row, column = divmod(int(run.render({NIR: camera})[NIR].alpha.argmax()), camera.width)
+    inspection.click((column + 0.5) / camera.width, (row + 0.5) / camera.height)
+    assert "W/m²" in texts.point(inspection)
+
+
+def test_it_is_offered_by_the_page(run: Run, tmp_path: Path) -> None:
+    (path,) = export(run, run.load_scene(), "page", tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert '<button data-modality="nir" aria-pressed="false">Near infrared</button>' in text
+    assert '"readable": ["thermal", "nir"]' in text
+    assert '"opacity_nir"' in text
 
 
 def test_it_is_exported(run: Run, tmp_path: Path) -> None:

@@ -783,7 +783,7 @@ COMMANDS = [
     commands.Train,
     commands.Eval,
     commands.Render,
-    commands.View,
+    commands.ViewRun,
     commands.Export,
     commands.Report,
     commands.Compare,

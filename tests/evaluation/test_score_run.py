@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from PIL import Image
 
 from mrgs.errors import SceneError
 from mrgs.evaluation import evaluate_run, render_run
+from mrgs.evaluation.score_run import facts_of, score_views
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render_view
 from mrgs.runs.open import Run, load_run
@@ -75,9 +77,8 @@ def test_each_modality_has_its_own_frames_along_a_path(run):
         assert not np.array_equal(thermal, frame)
 
 
-def test_a_scene_without_held_out_views_cannot_be_scored(run, monkeypatch):
-    scene = run.load_scene()
-    monkeypatch.setattr(Run, "load_scene", lambda _: type(scene)(**{**vars(scene), "eval": ()}))
+def test_a_scene_without_held_out_views_cannot_be_scored(run, tmp_path):
+    scene = replace(run.load_scene(), eval=())
     with pytest.raises(SceneError, match="no views are held out"):
-        evaluate_run(run)
-    assert not (run.folder.path / "eval").exists()
+        score_views(scene, Path(run.facts.scene), run.render_view, facts_of(run), tmp_path / "eval")
+    assert not (tmp_path / "eval").exists()

@@ -1,124 +1,18 @@
-"""A small trained run, and independent readers of what is exported from it."""
+"""A small trained run, and baked models of known shape."""
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
-from mrgs.export.glb import EXTENSION
-from mrgs.export.splats import SplatArrays
 from mrgs.field.spherical_harmonics import C0
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
 from mrgs.training import make_config, train
-
-HERE = Path(__file__).parent
-SPLAT_TRANSFORM = HERE / "node_modules" / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
-GLTF_TRANSFORM = HERE / "node_modules" / "@gltf-transform" / "core"
-NPM_INSTALL = "npm install --prefix tests/export --ignore-scripts --no-package-lock"
-
-CELSIUS = TemperatureRange(10.0, 30.0)
-PLY_TYPES = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4"}
-
-
-def _read_ply(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
-    """Comments, and the rows of each element by name; triangles as an [F, 3] array."""
-    data = path.read_bytes()
-    head, _, body = data.partition(b"end_header\n")
-    comments, kinds, counts = [], {}, {}
-    for line in head.decode("ascii").splitlines()[2:]:
-        word, _, rest = line.partition(" ")
-        if word == "comment":
-            comments.append(rest)
-        elif word == "element":
-            name, count = rest.split()
-            kinds[name], counts[name] = [], int(count)
-        elif rest == "list uchar int vertex_indices":
-            kinds[name] = [("count", "u1"), ("indices", "<i4", 3)]
-        else:
-            kind, label = rest.split()
-            kinds[name].append((label, PLY_TYPES[kind]))
-    elements, offset = {}, 0
-    for name, kind in kinds.items():
-        rows = np.frombuffer(body, np.dtype(kind), counts[name], offset)
-        offset += rows.nbytes
-        elements[name] = rows["indices"] if name == "face" else rows
-    assert offset == len(body)
-    return comments, elements
-
-
-def _splats_from(rows: np.ndarray) -> SplatArrays:
-    """The vertices of a 3DGS PLY."""
-    bands = sum(name.startswith("f_rest_") for name in rows.dtype.names) // 3
-    dc = np.stack([rows[f"f_dc_{c}"] for c in range(3)], axis=1)[:, None]
-    rest = [
-        np.stack([rows[f"f_rest_{c * bands + b}"] for c in range(3)], axis=1) for b in range(bands)
-    ]
-    return SplatArrays(
-        np.stack([rows[axis] for axis in "xyz"], axis=1),
-        np.stack([rows[f"rot_{i}"] for i in range(4)], axis=1),
-        np.exp(np.stack([rows[f"scale_{i}"] for i in range(3)], axis=1)),
-        1 / (1 + np.exp(-rows["opacity"])),
-        np.concatenate([dc, np.stack(rest, axis=1)], axis=1) if bands else dc,
-    )
-
-
-def _splats_of(attributes: dict[str, list]) -> SplatArrays:
-    """What gltf-transform read, as splats."""
-    arrays = {name: np.array(values, dtype=np.float32) for name, values in attributes.items()}
-    coefficients = [name for name in arrays if ":SH_DEGREE_" in name]
-    return SplatArrays(
-        arrays["POSITION"],
-        np.roll(arrays[f"{EXTENSION}:ROTATION"], 1, axis=1),
-        arrays[f"{EXTENSION}:SCALE"],
-        arrays[f"{EXTENSION}:OPACITY"].reshape(-1),
-        np.stack([arrays[name] for name in coefficients], axis=1),
-    )
-
-
-def _draw(splats: SplatArrays, camera: Camera) -> torch.Tensor:
-    """The colours of the splats from a camera, [H, W, 3]."""
-    sh = torch.zeros(len(splats), 16, 3)
-    sh[:, : splats.sh.shape[1]] = torch.from_numpy(splats.sh)
-    opacities = torch.from_numpy(splats.opacities)
-    means, quats, scales = (
-        torch.from_numpy(array) for array in (splats.means, splats.quats, splats.scales)
-    )
-    return (
-        BakedModel(means, quats, scales, {RGB: opacities}, {RGB: sh}, opacities, None)
-        .render(camera)[RGB]
-        .image
-    )
-
-
-@pytest.fixture(scope="session")
-def read_ply() -> Callable[[Path], tuple[list[str], dict[str, np.ndarray]]]:
-    return _read_ply
-
-
-@pytest.fixture(scope="session")
-def splats_from() -> Callable[[np.ndarray], SplatArrays]:
-    return _splats_from
-
-
-@pytest.fixture(scope="session")
-def splats_of() -> Callable[[dict[str, list]], SplatArrays]:
-    return _splats_of
-
-
-@pytest.fixture(scope="session")
-def draw() -> Callable[[SplatArrays, Camera], torch.Tensor]:
-    return _draw
 
 
 @pytest.fixture(scope="session")
@@ -137,24 +31,6 @@ def scene(run: Run) -> Scene:
 @pytest.fixture(scope="session")
 def baked(run: Run, scene: Scene) -> BakedModel:
     return bake(run.model, scene.train_cameras, run.temperature)
-
-
-@pytest.fixture
-def make_baked() -> Callable[..., BakedModel]:
-    """Random splats in a ball: ``make_baked(count, temperature=...)``."""
-
-    def make(count: int = 50, temperature: TemperatureRange | None = CELSIUS) -> BakedModel:
-        generator = torch.Generator().manual_seed(3)
-        means = torch.randn(count, 3, generator=generator)
-        quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
-        scales = torch.rand(count, 3, generator=generator) * 0.1 + 0.01
-        opacities = torch.rand(count, 2, generator=generator) * 0.98 + 0.01
-        sh = torch.randn(count, 16, 3, generator=generator) * 0.2
-        temperatures = torch.rand(count, generator=generator)
-        by_modality = {RGB: opacities[:, 0], THERMAL: opacities[:, 1]}
-        return BakedModel(means, quats, scales, by_modality, {RGB: sh}, temperatures, temperature)
-
-    return make
 
 
 @pytest.fixture(scope="session")
@@ -208,42 +84,3 @@ def globe_under_sky(globe: BakedModel, wide_scene: Scene) -> BakedModel:
         ),
         temperatures=torch.cat([globe.temperatures, torch.zeros_like(globe.temperatures)]),
     )
-
-
-@pytest.fixture
-def splat_transform(tmp_path: Path) -> Callable[[Path], SplatArrays]:
-    """Reads any splat file with PlayCanvas's splat-transform, by way of a PLY that it writes."""
-    require_node(SPLAT_TRANSFORM)
-
-    def read(path: Path) -> SplatArrays:
-        output = tmp_path / f"{path.name}.read.ply"
-        run_node(SPLAT_TRANSFORM, "--quiet", "--overwrite", path, output)
-        return _splats_from(_read_ply(output)[1]["vertex"])
-
-    return read
-
-
-@pytest.fixture
-def read_glb(tmp_path: Path) -> Callable[[Path], dict[str, Any]]:
-    """Reads a glb with gltf-transform and checks it with Khronos's validator."""
-    require_node(GLTF_TRANSFORM)
-
-    def read(path: Path) -> dict[str, Any]:
-        run_node(HERE / "read_glb.mjs", path, tmp_path / "glb.json")
-        return json.loads((tmp_path / "glb.json").read_text())
-
-    return read
-
-
-def require_node(package: Path) -> None:
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed")
-    if not package.exists():
-        pytest.skip(f"{package.name} is not installed: {NPM_INSTALL}")
-
-
-def run_node(script: Path, *arguments: str | Path) -> None:
-    process = subprocess.run(
-        ["node", script, *arguments], capture_output=True, text=True, timeout=120
-    )
-    assert process.returncode == 0, process.stdout + process.stderr

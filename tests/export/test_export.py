@@ -15,6 +15,7 @@ from mrgs.errors import ConfigError, MrgsWarning, RunError
 from mrgs.export import FORMATS, export
 from mrgs.field.spherical_harmonics import C0
 from mrgs.scene import RGB, THERMAL, View
+from tests.helpers.exports import make_baked, read_ply
 from tests.helpers.gaussians import NEAR_INFRARED
 
 EXPECTED = {
@@ -89,7 +90,7 @@ def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):
     assert rgb["view_dependence"] == "left out"
 
 
-def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene, read_ply):
+def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene):
     export(baked, scene, "ply", tmp_path, "grey", (15.0, 25.0))
     colors = json.loads((tmp_path / "thermal.ply.json").read_text(encoding="utf-8"))["colors"]
     assert colors == {"palette": "grey", "first": 15.0, "last": 25.0, "unit": "°C"}
@@ -140,7 +141,7 @@ def test_a_third_modality_has_grey_splats_of_its_own(tmp_path, baked, scene, for
     assert both["nir"] == facts["nir"]
 
 
-def test_a_third_modality_is_a_column_beside_the_temperatures(tmp_path, solid, scene, read_ply):
+def test_a_third_modality_is_a_column_beside_the_temperatures(tmp_path, solid, scene):
     model, scene = with_infrared(solid, scene)
     for format, name in (("ply", "rgb_thermal"), ("points", "points"), ("mesh", "mesh")):
         export(model, scene, format, tmp_path)
@@ -213,7 +214,7 @@ def test_all_goes_on_without_the_package(tmp_path, solid, scene, monkeypatch):
     assert "points.ply" in names
 
 
-def test_an_empty_model_and_a_file_in_the_folder_s_place_are_refused(tmp_path, make_baked, scene):
+def test_an_empty_model_and_a_file_in_the_folder_s_place_are_refused(tmp_path, scene):
     with pytest.raises(RunError, match="the model has no splats"):
         export(make_baked(0), scene, "ply", tmp_path)
     (tmp_path / "out").write_text("")

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 from mrgs.export.glb import EXTENSION, rotation_to_y, write_glb
 from mrgs.export.splats import shaded_splats, shown_temperatures, thermal_scale, thermal_splats
 from mrgs.scene import RGB
+from tests.helpers.exports import make_baked, read_glb, splats_of
 
 
-def test_an_independent_reader_finds_every_number(tmp_path, make_baked, read_glb, splats_of):
+def test_an_independent_reader_finds_every_number(tmp_path):
     baked = make_baked()
     splats = shaded_splats(baked, RGB)
     path = write_glb(
@@ -28,7 +29,7 @@ def test_an_independent_reader_finds_every_number(tmp_path, make_baked, read_glb
     assert found["mode"] == 0
 
 
-def test_khronos_s_validator_knows_everything_but_the_extension(tmp_path, make_baked, read_glb):
+def test_khronos_s_validator_knows_everything_but_the_extension(tmp_path):
     baked = make_baked()
     for splats in (shaded_splats(baked, RGB), thermal_splats(baked, thermal_scale(baked))):
         issues = read_glb(
@@ -48,7 +49,7 @@ def document(path):
     return json.loads(data[20 : 20 + size])
 
 
-def test_the_extension_is_declared_as_its_specification_wants(tmp_path, make_baked):
+def test_the_extension_is_declared_as_its_specification_wants(tmp_path):
     content = document(
         write_glb(tmp_path / "a.glb", shaded_splats(make_baked(7), RGB), extras={"scene": "kettle"})
     )

@@ -9,6 +9,7 @@ import torch
 from mrgs.errors import RunError
 from mrgs.export.mesh import build_mesh, write_mesh_ply
 from mrgs.scene import RGB
+from tests.helpers.exports import read_ply
 
 RADIUS = 0.5
 
@@ -38,7 +39,7 @@ def test_the_sky_is_no_surface_and_costs_no_resolution(globe_under_sky, globe, w
     )  # all but the outlines, whose depth is mixed with the sky's
 
 
-def test_the_file_holds_a_temperature_per_vertex(tmp_path, globe, wide_scene, read_ply):
+def test_the_file_holds_a_temperature_per_vertex(tmp_path, globe, wide_scene):
     mesh = build_mesh(globe, wide_scene, resolution=24)
     _, elements = read_ply(write_mesh_ply(tmp_path / "mesh.ply", mesh))
     names = ("x", "y", "z", "red", "green", "blue", "temperature_c")

@@ -12,9 +12,10 @@ from mrgs.errors import RunError
 from mrgs.export.ply import logit, write_combined_ply, write_splat_ply
 from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.exports import make_baked, read_ply, splats_from
 
 
-def test_the_properties_stand_in_3dgs_s_order(tmp_path, make_baked, read_ply):
+def test_the_properties_stand_in_3dgs_s_order(tmp_path):
     path = write_splat_ply(tmp_path / "rgb.ply", shaded_splats(make_baked(), RGB))
     names = read_ply(path)[1]["vertex"].dtype.names
     head, tail = ["x", "y", "z", "nx", "ny", "nz"], ["opacity", "scale_0", "scale_1", "scale_2"]
@@ -22,7 +23,7 @@ def test_the_properties_stand_in_3dgs_s_order(tmp_path, make_baked, read_ply):
     assert list(names) == [*head, *coefficients, *tail, "rot_0", "rot_1", "rot_2", "rot_3"]
 
 
-def test_higher_coefficients_are_stored_channel_by_channel(tmp_path, make_baked, read_ply):
+def test_higher_coefficients_are_stored_channel_by_channel(tmp_path):
     baked = make_baked()
     rows = read_ply(write_splat_ply(tmp_path / "rgb.ply", shaded_splats(baked, RGB)))[1]["vertex"]
     np.testing.assert_array_equal(rows["f_rest_0"], baked.sh[RGB][:, 1, 0])
@@ -31,7 +32,7 @@ def test_higher_coefficients_are_stored_channel_by_channel(tmp_path, make_baked,
     np.testing.assert_array_equal(rows["f_rest_44"], baked.sh[RGB][:, 15, 2])
 
 
-def test_scales_are_logarithms_and_opacities_logits(tmp_path, make_baked, read_ply):
+def test_scales_are_logarithms_and_opacities_logits(tmp_path):
     baked = make_baked()
     rows = read_ply(write_splat_ply(tmp_path / "rgb.ply", shaded_splats(baked, RGB)))[1]["vertex"]
     np.testing.assert_allclose(rows["scale_2"], baked.scales[:, 2].log(), rtol=1e-6)
@@ -41,20 +42,20 @@ def test_scales_are_logarithms_and_opacities_logits(tmp_path, make_baked, read_p
     )
 
 
-def test_what_is_read_back_is_what_was_written(tmp_path, make_baked, read_ply, splats_from):
+def test_what_is_read_back_is_what_was_written(tmp_path):
     splats = shaded_splats(make_baked(), RGB)
     back = splats_from(read_ply(write_splat_ply(tmp_path / "rgb.ply", splats))[1]["vertex"])
     for name in ("means", "quats", "scales", "opacities", "sh"):
         np.testing.assert_allclose(getattr(back, name), getattr(splats, name), rtol=2e-6, atol=1e-6)
 
 
-def test_the_thermal_file_has_degree_zero_alone(tmp_path, make_baked, read_ply):
+def test_the_thermal_file_has_degree_zero_alone(tmp_path):
     baked = make_baked()
     path = write_splat_ply(tmp_path / "thermal.ply", thermal_splats(baked, thermal_scale(baked)))
     assert not any(name.startswith("f_rest") for name in read_ply(path)[1]["vertex"].dtype.names)
 
 
-def test_one_file_holds_both_opacities_and_the_temperature(tmp_path, make_baked, read_ply):
+def test_one_file_holds_both_opacities_and_the_temperature(tmp_path):
     baked = make_baked()
     rows = read_ply(write_combined_ply(tmp_path / "both.ply", baked))[1]["vertex"]
     np.testing.assert_allclose(rows["temperature_c"], baked.temperatures_c, rtol=1e-6)
@@ -64,33 +65,33 @@ def test_one_file_holds_both_opacities_and_the_temperature(tmp_path, make_baked,
     np.testing.assert_allclose(rows["opacity"], torch.logit(baked.opacities[RGB]), atol=1e-5)
 
 
-def test_without_celsius_the_normalised_value_stands_there(tmp_path, make_baked, read_ply):
+def test_without_celsius_the_normalised_value_stands_there(tmp_path):
     baked = make_baked(temperature=None)
     rows = read_ply(write_combined_ply(tmp_path / "both.ply", baked))[1]["vertex"]
     assert "temperature_c" not in rows.dtype.names
     np.testing.assert_array_equal(rows["temperature_normalised"], baked.temperatures)
 
 
-def test_extreme_opacities_and_scales_stay_finite(tmp_path, make_baked, read_ply):
+def test_extreme_opacities_and_scales_stay_finite(tmp_path):
     assert np.isfinite(logit(np.array([0.0, 1.0], np.float32))).all()
     splats = replace(shaded_splats(make_baked(), RGB), scales=np.zeros((50, 3), np.float32))
     rows = read_ply(write_splat_ply(tmp_path / "rgb.ply", splats))[1]["vertex"]
     assert np.isfinite(rows["scale_0"]).all()
 
 
-def test_comments_are_single_ascii_lines(tmp_path, make_baked, read_ply):
+def test_comments_are_single_ascii_lines(tmp_path):
     comments = ["range: 10 to 30 °C", "two\nlines", "σ"]
     path = write_splat_ply(tmp_path / "rgb.ply", shaded_splats(make_baked(), RGB), comments)
     assert read_ply(path)[0] == ["range: 10 to 30 degrees Celsius", "two lines", "?"]
 
 
-def test_the_program_s_own_reader_opens_it(tmp_path, make_baked):
+def test_the_program_s_own_reader_opens_it(tmp_path):
     baked = make_baked()
     positions, _ = read_points(write_splat_ply(tmp_path / "rgb.ply", shaded_splats(baked, RGB)))
     np.testing.assert_array_equal(positions.astype(np.float32), baked.means)
 
 
-def test_faces_are_lists(tmp_path, read_ply):
+def test_faces_are_lists(tmp_path):
     rows = table({"x": np.zeros(3, np.float32)})
     faces = np.array([[0, 1, 2], [2, 1, 0]], np.int32)
     np.testing.assert_array_equal(
@@ -98,7 +99,7 @@ def test_faces_are_lists(tmp_path, read_ply):
     )
 
 
-def test_a_folder_in_the_way_is_named(tmp_path, make_baked):
+def test_a_folder_in_the_way_is_named(tmp_path):
     (tmp_path / "rgb.ply").mkdir()
     with pytest.raises(RunError, match=r"rgb\.ply cannot be written"):
         write_splat_ply(tmp_path / "rgb.ply", shaded_splats(make_baked(), RGB))

@@ -13,6 +13,7 @@ from mrgs.export.las import write_las
 from mrgs.export.points import write_points_ply
 from mrgs.export.surface_points import MIN_OPACITY, surface_points
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.exports import read_ply
 
 
 @pytest.fixture
@@ -71,14 +72,14 @@ def test_splats_that_no_camera_sees_are_no_points(globe, wide_scene):
         )
 
 
-def test_the_ply_holds_position_colour_temperature_and_opacity(tmp_path, points, read_ply):
+def test_the_ply_holds_position_colour_temperature_and_opacity(tmp_path, points):
     rows = read_ply(write_points_ply(tmp_path / "points.ply", points))[1]["vertex"]
     assert rows.dtype.names == ("x", "y", "z", "red", "green", "blue", "temperature_c", "opacity")
     np.testing.assert_array_equal(rows["temperature_c"], points.columns["temperature_c"])
     np.testing.assert_array_equal(rows["green"], points.columns["green"])
 
 
-def test_without_celsius_the_column_says_so(tmp_path, globe, wide_scene, read_ply):
+def test_without_celsius_the_column_says_so(tmp_path, globe, wide_scene):
     points = surface_points(replace(globe, temperature=None), wide_scene)
     rows = read_ply(write_points_ply(tmp_path / "points.ply", points))[1]["vertex"]
     assert rows.dtype.names[6] == "temperature_normalised"

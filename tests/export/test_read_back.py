@@ -15,6 +15,7 @@ from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats, wit
 from mrgs.export.spz import write_spz
 from mrgs.pictures.palette import colorize
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.exports import draw, read_glb, splat_transform, splats_of
 
 TOLERANCE_DB = 0.2
 """Against the photo."""
@@ -24,7 +25,7 @@ LEAST_LIKENESS_DB = 40.0
 
 
 @pytest.mark.parametrize(("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz)])
-def test_rgb(tmp_path, baked, scene, splat_transform, draw, suffix, write):
+def test_rgb(tmp_path, baked, scene, suffix, write):
     back = splat_transform(write(tmp_path / f"rgb.{suffix}", shaded_splats(baked, RGB)))
     for view in scene.eval:
         photo, rendering = (
@@ -37,7 +38,7 @@ def test_rgb(tmp_path, baked, scene, splat_transform, draw, suffix, write):
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
 
 
-def test_rgb_without_directions(tmp_path, baked, scene, splat_transform, draw):
+def test_rgb_without_directions(tmp_path, baked, scene):
     """The format holds no view dependence: it is compared with the model whose colours have none
     either."""
     model = without_directions(baked, [view.cameras[RGB] for view in scene.train])
@@ -56,7 +57,7 @@ def test_rgb_without_directions(tmp_path, baked, scene, splat_transform, draw):
 @pytest.mark.parametrize(
     ("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz), ("splat", write_splat)]
 )
-def test_colour_mapped_temperatures(tmp_path, baked, scene, splat_transform, draw, suffix, write):
+def test_colour_mapped_temperatures(tmp_path, baked, scene, suffix, write):
     scale = thermal_scale(baked, "iron")
     splats = thermal_splats(baked, scale)
     back = splat_transform(write(tmp_path / f"thermal.{suffix}", splats))
@@ -70,7 +71,7 @@ def test_colour_mapped_temperatures(tmp_path, baked, scene, splat_transform, dra
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
 
 
-def test_glb(tmp_path, baked, scene, read_glb, splats_of, draw):
+def test_glb(tmp_path, baked, scene):
     back = splats_of(
         read_glb(write_glb(tmp_path / "rgb.glb", shaded_splats(baked, RGB)))["attributes"]
     )

@@ -10,9 +10,10 @@ import torch
 
 from mrgs.export.sidecar import comment_lines, facts_of, up_direction, write_sidecar
 from mrgs.scene import RGB, THERMAL, Camera, View
+from tests.helpers.exports import make_baked
 
 
-def test_the_facts_say_units_axes_range_and_loss(make_baked, scene):
+def test_the_facts_say_units_axes_range_and_loss(scene):
     facts = facts_of(make_baked(), scene, np.array([0.0, 0.0, 1.0]), {RGB: 0.12, THERMAL: 0.0})
     assert (
         facts["temperature"].items()
@@ -24,7 +25,7 @@ def test_the_facts_say_units_axes_range_and_loss(make_baked, scene):
     assert "OpenCV" in facts["camera_axes"]
 
 
-def test_what_is_not_known_is_null(make_baked, scene):
+def test_what_is_not_known_is_null(scene):
     facts = facts_of(make_baked(temperature=None), scene, None, None)
     assert (facts["up"], facts["baking_loss_db"]) == (None, None)
     assert "no °C is known" in facts["temperature"]["unit"]

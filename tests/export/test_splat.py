@@ -5,9 +5,10 @@ import numpy as np
 from mrgs.export.splat import write_splat
 from mrgs.export.splats import shaded_splats, to_bytes
 from mrgs.scene import RGB
+from tests.helpers.exports import make_baked
 
 
-def test_thirty_two_bytes_per_splat_the_largest_first(tmp_path, make_baked):
+def test_thirty_two_bytes_per_splat_the_largest_first(tmp_path):
     splats = shaded_splats(make_baked(), RGB)
     data = write_splat(tmp_path / "a.splat", splats).read_bytes()
     assert len(data) == 50 * 32

@@ -19,16 +19,17 @@ from mrgs.export.splats import (
 )
 from mrgs.pictures.palette import palette_table
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.exports import draw, make_baked
 
 
-def test_the_colours_are_those_of_the_baked_model(baked, scene, draw):
+def test_the_colours_are_those_of_the_baked_model(baked, scene):
     camera = scene.eval[0].images[RGB].camera
     torch.testing.assert_close(
         draw(shaded_splats(baked, RGB), camera), baked.render(camera)[RGB].image, atol=1e-5, rtol=0
     )
 
 
-def test_temperatures_get_the_palette_s_colours(make_baked):
+def test_temperatures_get_the_palette_s_colours():
     baked = replace(make_baked(3), temperatures=torch.tensor([-1.0, 0.5, 2.0]))
     splats = thermal_splats(baked, thermal_scale(baked, "iron", (10.0, 30.0)))
     np.testing.assert_array_equal(splats.base_colors, palette_table("iron")[[0, 128, 255]])
@@ -36,7 +37,7 @@ def test_temperatures_get_the_palette_s_colours(make_baked):
     assert splats.sh_degree == 0
 
 
-def test_the_scale_is_the_scene_s_unless_it_is_given(make_baked):
+def test_the_scale_is_the_scene_s_unless_it_is_given():
     assert (thermal_scale(make_baked()).low, thermal_scale(make_baked()).high) == (10.0, 30.0)
     assert (
         thermal_scale(make_baked(temperature=None)).low,
@@ -45,7 +46,7 @@ def test_the_scale_is_the_scene_s_unless_it_is_given(make_baked):
     assert thermal_scale(make_baked(), "grey", (12.5, 20)).low == 12.5
 
 
-def test_celsius_cannot_be_asked_of_a_model_without(make_baked):
+def test_celsius_cannot_be_asked_of_a_model_without():
     with pytest.raises(
         ConfigError, match="a range in °C was given, but the scene has no temperature range"
     ):
@@ -56,17 +57,17 @@ def test_celsius_cannot_be_asked_of_a_model_without(make_baked):
 @pytest.mark.parametrize(
     "limits", [(30.0, 10.0), (10.0, 10.0), (float("nan"), 20.0), (0.0, float("inf"))]
 )
-def test_a_range_ascends(make_baked, limits):
+def test_a_range_ascends(limits):
     with pytest.raises(ConfigError, match="is not ascending: give the lower end first"):
         thermal_scale(make_baked(), "inferno", limits)
 
 
-def test_shown_temperatures_are_celsius_where_they_are_known(make_baked):
+def test_shown_temperatures_are_celsius_where_they_are_known():
     normalised = shown_temperatures(make_baked(temperature=None))
     np.testing.assert_allclose(shown_temperatures(make_baked()), 10 + 20 * normalised, rtol=1e-6)
 
 
-def test_an_empty_model_is_refused(make_baked):
+def test_an_empty_model_is_refused():
     with pytest.raises(RunError, match="the model has no splats, so there is nothing to export"):
         require_exportable(make_baked(0))
 
@@ -75,7 +76,7 @@ def test_an_empty_model_is_refused(make_baked):
     "name",
     ["means", "quats", "scales", "opacity.rgb", "opacity.thermal", "sh.rgb", "temperatures"],
 )
-def test_numbers_that_are_not_finite_are_refused(make_baked, name):
+def test_numbers_that_are_not_finite_are_refused(name):
     baked = make_baked().map_tensors(torch.clone)
     baked.tensors()[name][7] = float("nan")
     baked.tensors()[name][9] = float("inf")
@@ -83,7 +84,7 @@ def test_numbers_that_are_not_finite_are_refused(make_baked, name):
         require_exportable(baked)
 
 
-def test_colours_without_directions_are_the_mean_over_the_cameras(make_baked, scene):
+def test_colours_without_directions_are_the_mean_over_the_cameras(scene):
     baked, cameras = make_baked(), [view.cameras[RGB] for view in scene.train]
     flat = shaded_splats(without_directions(baked, cameras), RGB)
     colors = torch.stack([baked.values(RGB, camera.position) for camera in cameras])
@@ -96,7 +97,7 @@ def test_colours_without_directions_are_the_mean_over_the_cameras(make_baked, sc
     )
 
 
-def test_colours_without_directions_beat_dropping_the_directions(baked, scene, draw):
+def test_colours_without_directions_beat_dropping_the_directions(baked, scene):
     model = without_directions(baked, [view.cameras[RGB] for view in scene.train])
     flat = shaded_splats(model, RGB)
     dropped = replace(shaded_splats(baked, RGB), sh=baked.sh[RGB][:, :1].numpy())

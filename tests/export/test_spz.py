@@ -11,6 +11,7 @@ from mrgs.errors import RunError
 from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats
 from mrgs.export.spz import write_spz
 from mrgs.scene import RGB
+from tests.helpers.exports import make_baked
 
 
 def unpack(path):
@@ -36,7 +37,7 @@ def quats_of(words):
     return np.array(found)
 
 
-def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path, make_baked):
+def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path):
     version, count, degree, _, body = unpack(
         write_spz(tmp_path / "rgb.spz", shaded_splats(make_baked(), RGB))
     )
@@ -48,7 +49,7 @@ def test_each_splat_takes_twenty_bytes_and_its_coefficients(tmp_path, make_baked
 
 
 @pytest.mark.parametrize(("size", "bits"), [(1.0, 20), (100.0, 16), (4e6, 1)])
-def test_positions_get_as_many_bits_as_the_farthest_leaves(tmp_path, make_baked, size, bits):
+def test_positions_get_as_many_bits_as_the_farthest_leaves(tmp_path, size, bits):
     splats = shaded_splats(make_baked(), RGB)
     splats = replace(splats, means=splats.means / np.abs(splats.means).max() * np.float32(size))
     *_, found, body = unpack(write_spz(tmp_path / "rgb.spz", splats))
@@ -59,14 +60,14 @@ def test_positions_get_as_many_bits_as_the_farthest_leaves(tmp_path, make_baked,
     np.testing.assert_allclose(back, splats.means, atol=0.51 * 2.0**-bits + 1e-7 * size)
 
 
-def test_splats_beyond_24_bits_are_refused(tmp_path, make_baked):
+def test_splats_beyond_24_bits_are_refused(tmp_path):
     splats = shaded_splats(make_baked(), RGB)
     with pytest.raises(RunError, match="farther than SPZ can store: export a PLY"):
         write_spz(tmp_path / "rgb.spz", replace(splats, means=splats.means * np.float32(1e9)))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rotations_are_kept_to_a_third_of_a_degree(tmp_path, make_baked):
+def test_rotations_are_kept_to_a_third_of_a_degree(tmp_path):
     splats = shaded_splats(make_baked(2000), RGB)
     splats.quats[:4] = np.eye(4)  # ties and signs
     splats.quats[4:6] = [[-0.5, 0.5, -0.5, 0.5], [0.5, 0.5, 0.5, 0.5]]
@@ -77,7 +78,7 @@ def test_rotations_are_kept_to_a_third_of_a_degree(tmp_path, make_baked):
     assert np.rad2deg(2 * np.arccos(cosine)).max() < 0.33
 
 
-def test_the_same_model_gives_the_same_bytes(tmp_path, make_baked):
+def test_the_same_model_gives_the_same_bytes(tmp_path):
     first, second = (
         write_spz(tmp_path / name, shaded_splats(make_baked(), RGB)).read_bytes()
         for name in ("a.spz", "b.spz")

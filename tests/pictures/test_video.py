@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.pictures import video
 from mrgs.pictures.video import frame_writer
 
 COLUMNS, ROWS = np.meshgrid(np.arange(65), np.arange(47))
@@ -21,9 +20,9 @@ FRAMES = [
 ]
 
 
-def write(folder: Path, frames: Iterable[np.ndarray]) -> list[str]:
+def write(folder: Path, frames: Iterable[np.ndarray], mp4: bool | None = None) -> list[str]:
     """Names of all files that are there afterwards."""
-    with frame_writer(folder, "path_rgb", (65, 47), fps=12) as add:
+    with frame_writer(folder, "path_rgb", (65, 47), fps=12, mp4=mp4) as add:
         for frame in frames:
             add(frame)
     return sorted(
@@ -31,9 +30,8 @@ def write(folder: Path, frames: Iterable[np.ndarray]) -> list[str]:
     )
 
 
-def test_frames_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video, "can_write_mp4", lambda: False)
-    assert write(tmp_path, FRAMES) == [f"path_rgb/0000{index}.png" for index in range(3)]
+def test_frames_without_the_extra(tmp_path: Path) -> None:
+    assert write(tmp_path, FRAMES, mp4=False) == [f"path_rgb/0000{index}.png" for index in range(3)]
     for index, frame in enumerate(FRAMES):
         with Image.open(tmp_path / "path_rgb" / f"0000{index}.png") as image:
             np.testing.assert_array_equal(np.asarray(image), frame)
@@ -65,13 +63,10 @@ def test_an_mp4_with_even_sides_where_the_extra_is_installed(tmp_path: Path) -> 
     assert np.abs(found.astype(float) - expected).mean() < 3
 
 
-def test_a_shorter_video_leaves_nothing_of_a_longer_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shorter_video_leaves_nothing_of_a_longer_one(tmp_path: Path) -> None:
     write(tmp_path, FRAMES)
     (tmp_path / "path_rgb" / "notes.txt").touch()
-    monkeypatch.setattr(video, "can_write_mp4", lambda: False)
-    assert write(tmp_path, FRAMES[:1]) == ["path_rgb/00000.png", "path_rgb/notes.txt"]
+    assert write(tmp_path, FRAMES[:1], mp4=False) == ["path_rgb/00000.png", "path_rgb/notes.txt"]
 
 
 def test_a_video_that_breaks_off_has_no_mp4(tmp_path: Path) -> None:

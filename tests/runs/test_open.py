@@ -8,7 +8,7 @@ import torch
 
 import mrgs
 from mrgs.errors import DeviceError, RunError, SceneError
-from mrgs.runs import open as run_module
+from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.scene import RGB, THERMAL, Rendering
 from mrgs.training import make_config, train
@@ -96,11 +96,15 @@ def test_another_temperature_range_or_other_cameras_are_refused(run, tmp_path):
         load_run(folder.path).load_scene()
 
 
-def test_a_gpu_without_enough_memory_to_render_is_said(run, monkeypatch):
-    def full(*_) -> None:
+class TooLarge(Model):
+    """A model that does not fit into the GPU's memory."""
+
+    def to(self, device: torch.device) -> Model:
         raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
 
-    monkeypatch.setattr(run_module, "render", full)
+
+def test_a_gpu_without_enough_memory_to_render_is_said(run):
+    run = replace(run, model=TooLarge(**vars(run.model)))
     with pytest.raises(DeviceError) as caught:
         run.render(run.load_scene().eval[0].images[RGB].camera)
     assert (

@@ -161,14 +161,14 @@ def test_what_cannot_be_written_is_named(subject, camera):
 
 
 @pytest.mark.parametrize("with_mp4", [True, False])
-def test_a_path_becomes_a_video(inspection, balls, monkeypatch, with_mp4):
-    monkeypatch.setattr("mrgs.pictures.video.can_write_mp4", lambda: with_mp4)
-    monkeypatch.setattr("mrgs.viewer.inspection.can_write_mp4", lambda: with_mp4)
+def test_a_path_becomes_a_video(inspection, balls, with_mp4):
     for view in balls.train[:2]:
         inspection.picture(view.camera.resized(80, 60), coarse=False)
         inspection.add_keyframe()
-    told = []
-    path = inspection.render_video(0.25, lambda done, total: told.append((done, total)))
+    progress = []
+    path = inspection.render_video(
+        0.25, lambda done, total: progress.append((done, total)), mp4=with_mp4
+    )
     folder = path.with_suffix("")
     assert (path.name, path.is_file()) == (("0001.mp4", True) if with_mp4 else ("0001", False))
     assert [path.name for path in sorted(folder.iterdir())] == [
@@ -176,7 +176,7 @@ def test_a_path_becomes_a_video(inspection, balls, monkeypatch, with_mp4):
     ]
     with Image.open(folder / "00000.png") as first:
         assert first.size == (80, 60)
-    assert told[-1] == (6, 6)
+    assert progress[-1] == (6, 6)
     document = json.loads(inspection.save_path(0.25).read_text())
     assert len(document["camera_path"]) == 2
 

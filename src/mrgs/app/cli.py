@@ -25,7 +25,7 @@ from mrgs.app.commands import (
     Report,
     Synth,
     Train,
-    View,
+    ViewRun,
     flag_of,
 )
 from mrgs.app.terminal import (
@@ -78,7 +78,7 @@ def main(argv: list[str] | None = None) -> int:
         Train: _train,
         Eval: _eval,
         Render: _render,
-        View: _view,
+        ViewRun: _view,
         Export: _export,
         Report: _report,
         Demo: _demo,
@@ -342,7 +342,7 @@ def _render(command: Render) -> None:
     print(f"images: {folder}")
 
 
-def _view(command: View) -> None:
+def _view(command: ViewRun) -> None:
     from mrgs.runs.open import load_run
     from mrgs.viewer import view
 

@@ -107,7 +107,7 @@ class Render:
 
 
 @dataclass(frozen=True)
-class View:
+class ViewRun:
     """View a run in the browser: colour, temperature, depth, °C under the cursor. Needs
     mrgs[view]."""
 
@@ -348,7 +348,7 @@ Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
     | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[ViewRun, tyro.conf.subcommand("view")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]

@@ -32,28 +32,32 @@ def can_write_mp4() -> bool:
 
 @contextmanager
 def frame_writer(
-    folder: Path, name: str, size: tuple[int, int], fps: int = VIDEO_FPS
+    folder: Path,
+    name: str,
+    size: tuple[int, int],
+    fps: int = VIDEO_FPS,
+    mp4: bool | None = None,
 ) -> Iterator[AddFrame]:
     """Give a function that writes frames into ``NAME/00000.png`` and so on and, if possible, into
     ``NAME.mp4``.
 
-    Frames and mp4 of an earlier video of this name are removed. The mp4 is there once all frames
-    are. H.264 wants even
-    sides: an odd image loses its last column or row in the mp4.
+    Frames and mp4 of an earlier video of this name are removed. The mp4 is complete when the
+    context ends. H.264 needs even sides: an odd image loses its last column or row in the mp4.
 
     Args:
-        folder: is made if need be.
+        folder: made if it does not exist.
         name: of the video.
-        size: width and height of the frames.
+        size: width and height of the frames, pixels.
         fps: frames per second of the mp4.
+        mp4: whether to write it; None writes it if imageio-ffmpeg is installed.
 
     Raises:
-        RunError: a file cannot be written, or an old one not be removed.
+        RunError: a file cannot be written, or an old one cannot be removed.
     """
     _remove_video(folder, name)
     with ExitStack() as stack:
         add_to_mp4 = None
-        if can_write_mp4():
+        if can_write_mp4() if mp4 is None else mp4:
             temporary = stack.enter_context(replacing(folder / f"{name}.mp4"))
             add_to_mp4 = stack.enter_context(_mp4_encoder(temporary, size, fps))
         count = 0

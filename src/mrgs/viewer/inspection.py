@@ -306,7 +306,9 @@ class Inspection:
         folder = self.subject.folder / "renders" / "paths"
         return save_path(_next_free(folder, ".json"), self.keyframes, seconds, VIDEO_FPS)
 
-    def render_video(self, seconds: float, progress: Callable[[int, int], None]) -> Path:
+    def render_video(
+        self, seconds: float, progress: Callable[[int, int], None], mp4: bool | None = None
+    ) -> Path:
         """Render the path with the current settings into ``renders/videos``; returns the mp4, or
         the frames' folder.
 
@@ -315,6 +317,7 @@ class Inspection:
         Args:
             seconds: length of the video.
             progress: called with the number of frames done and of all.
+            mp4: whether to write one; None writes it if imageio-ffmpeg is installed.
 
         Raises:
             ConfigError: fewer than two keyframes, or a mode that is bound to photos.
@@ -328,10 +331,11 @@ class Inspection:
         size = fitted_size(path[0].width, path[0].height, VIDEO_SIDE_PX)
         folder = self.subject.folder / "renders" / "videos"
         target = _next_free(folder, "")
-        with frame_writer(folder, target.name, size) as add:
+        mp4 = can_write_mp4() if mp4 is None else mp4
+        with frame_writer(folder, target.name, size, mp4=mp4) as add:
             for frame in self._video_frames([camera.resized(*size) for camera in path], progress):
                 add(frame)
-        return target.with_suffix(".mp4") if can_write_mp4() else target
+        return target.with_suffix(".mp4") if mp4 else target
 
     def _video_frames(
         self, cameras: Sequence[Camera], progress: Callable[[int, int], None]

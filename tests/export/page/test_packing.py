@@ -34,10 +34,11 @@ def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
     low, high = (planes[name].reshape(-1, 3)[chunks] for name in ("chunk_low", "chunk_high"))
 
     def harmonics(name: str) -> np.ndarray:
-        codes = planes[f"sh_{name}"].reshape((header["sh_degree"] + 1) ** 2, -1, count)
+        ends = limits["sh"][name]
+        codes = planes[f"sh_{name}"].reshape(len(ends) ** 2, -1, count)
         bands = [
-            between(codes[d**2 : (d + 1) ** 2], *limits["sh"][name][d], header["sh_steps"][d])
-            for d in range(header["sh_degree"] + 1)
+            between(codes[d**2 : (d + 1) ** 2], *ends[d], header["sh_steps"][d])
+            for d in range(len(ends))
         ]
         return np.concatenate(bands).transpose(2, 0, 1)
 
@@ -149,6 +150,13 @@ def test_fewer_degrees_leave_the_higher_harmonics_out(baked):
     full, flat = pack(baked), pack(baked, sh_degree=0)
     np.testing.assert_array_equal(unpack(full)["sh.rgb"][:, :1], unpack(flat)["sh.rgb"])
     assert len(flat.data) < 0.6 * len(full.data)
+
+
+def test_a_modality_without_view_dependence_is_packed_without_it(with_nir):
+    flat = replace(with_nir, sh={**with_nir.sh, NEAR_INFRARED: with_nir.sh[NEAR_INFRARED][:, :1]})
+    content = unpack(pack(flat))
+    assert content["sh.nir"].shape == (600, 1, 1)
+    assert content["sh.rgb"].shape == (600, 16, 3)
 
 
 def test_splats_that_no_pixel_can_show_are_left_out(baked):

@@ -7,7 +7,6 @@ async function decodeModel(base64, header, modalities) {
   const count = header.count;
   const model = {
     count,
-    shDegree: header.sh_degree,
     means: decodeMeans(planes, count, header.chunk),
     covariances: new Float32Array(6 * count),
     largestScale: new Float32Array(count),

@@ -140,11 +140,10 @@ def _modality_planes(
 def _harmonics_plane(
     sh: Float32[np.ndarray, "n _ c"], sh_degree: int
 ) -> tuple[UInt8[np.ndarray, "b n"], list[list[float]]]:
-    """The coefficients up to a degree, one after the other for all splats, and the limits of each
-    degree."""
-    bands = [
-        _quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(sh_degree + 1)
-    ]
+    """The coefficients up to a degree, or as many as there are, one after the other for all splats,
+    and the limits of each degree."""
+    degree = min(sh_degree, math.isqrt(sh.shape[1]) - 1)
+    bands = [_quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(degree + 1)]
     codes = np.concatenate([codes for codes, _ in bands], axis=1)
     return codes.reshape(len(sh), -1).T, [limits for _, limits in bands]
 

@@ -9,7 +9,6 @@ class Renderer {
     this.gl = gl;
     this.canvas = canvas;
     this.count = 0;
-    this.degree = model.shDegree;
     this.floatTarget = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
     this.splats = buildProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.screen = buildProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
@@ -83,7 +82,7 @@ class Renderer {
     gl.uniform2f(splats.at("focal"), camera.fx, camera.fy);
     gl.uniform2f(splats.at("centre"), camera.cx, camera.cy);
     gl.uniform2f(splats.at("size"), camera.width, camera.height);
-    gl.uniform1i(splats.at("degree"), this.degree);
+    gl.uniform1i(splats.at("degree"), appearance.degree);
     gl.uniform2fv(splats.at("bands"), appearance.bands);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
   }
@@ -160,7 +159,8 @@ function appearanceTextures(gl, { channels, opacity, values, sh, bands }, count)
   const texelsPerSplat = sh ? sh.length / count / 16 : 0;
   const limits = new Float32Array(8);
   (bands ?? []).forEach((band, degree) => limits.set(band, 2 * degree));
-  return { channels, texture, texelsPerSplat, bands: limits, harmonics: harmonicsTexture(gl, sh, rows, texelsPerSplat) };
+  const degree = (bands ?? []).length - 1;
+  return { channels, texture, texelsPerSplat, degree, bands: limits, harmonics: harmonicsTexture(gl, sh, rows, texelsPerSplat) };
 }
 
 function harmonicsTexture(gl, sh, rows, texelsPerSplat) {

@@ -53,9 +53,8 @@ def write_page(
 ) -> Path:
     """Write the model as one self-contained HTML page; returns its path.
 
-    The page needs WebGL2 and nothing from the network: no script, font, image or style from another
-    place, which its Content-Security-Policy also forbids. It takes about 7 MB for 100,000 splats
-    with RGB and thermal (4 MB with ``sh_degree=1``).
+    The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
+    It takes about 7 MB for 100,000 splats with RGB and thermal (4 MB with ``sh_degree=1``).
 
     Args:
         baked: N splats.
@@ -63,13 +62,12 @@ def write_page(
         title: heading of the page.
         path: ends with .html.
         palette: inferno, iron, grey or rainbow; the reader may choose another.
-        range_c: ends of the palette of temperatures in °C (normalised values where the scene has no
-            °C); by default those of what some of the cameras see.
+        range_c: temperatures at the ends of the palette, °C (normalised without °C); None takes
+            those of what some of the cameras see.
         max_splats: keep only this many, those that paint most of the photos.
         sh_degree: 0 to 3; fewer degrees make a smaller file, whose colours depend less on the view.
         notes: sentences to add to the page's notes on temperatures.
-        modalities: to show, such as those of which the scene has photos; all of the model's if
-            None.
+        modalities: to show; None shows all of the model's.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
@@ -77,10 +75,11 @@ def write_page(
     """
     shown = in_order(baked.modalities if modalities is None else modalities)
     _check(shown, cameras, palette, range_c, max_splats, sh_degree)
+    every = list(cameras.values())
     if max_splats is not None:
-        baked = baked.subset(most_visible(baked, list(cameras.values()), max_splats))
+        baked = baked.subset(most_visible(baked, every, max_splats))
     packed = pack(baked, sh_degree, shown)
-    facts = _facts(baked, packed, list(cameras.values()), shown, range_c)
+    facts = _facts(baked, packed, every, shown, range_c)
     return write_html(
         path,
         "export/page/page.html",
