@@ -786,7 +786,7 @@ COMMANDS = [
     commands.ViewRun,
     commands.Export,
     commands.Report,
-    commands.Compare,
+    commands.CompareMethods,
     commands.Synth,
 ]
 

@@ -16,7 +16,7 @@ from PIL import Image
 from mrgs.comparison import comparison
 from mrgs.comparison.comparison import compare
 from mrgs.comparison.methods import Variant
-from mrgs.comparison.plan import Job, plan
+from mrgs.comparison.plan import PlannedRun, plan
 from mrgs.comparison.single import run_one
 from mrgs.errors import MrgsError
 from mrgs.runs.open import TrainedRun, open_run
@@ -29,7 +29,9 @@ def here(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Do the runs in this process; the list tells which were done."""
     done: list[str] = []
 
-    def run_jobs(jobs: Sequence[Job], count: int, weights: Path | None, *_: Any) -> dict[Job, str]:
+    def run_jobs(
+        jobs: Sequence[PlannedRun], count: int, weights: Path | None, *_: Any
+    ) -> dict[PlannedRun, str]:
         failures = {}
         for job in jobs:
             done.append(str(job))
@@ -205,7 +207,7 @@ def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(
 ):
     do_all = comparison.run_jobs
 
-    def run_jobs(jobs: Sequence[Job], *arguments: Any) -> dict[Job, str]:
+    def run_jobs(jobs: Sequence[PlannedRun], *arguments: Any) -> dict[PlannedRun, str]:
         lost = [job for job in jobs if job.method == "3dgs-rgbt"]
         return do_all([job for job in jobs if job not in lost], *arguments) | dict.fromkeys(
             lost, "it crashed"

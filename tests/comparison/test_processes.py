@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.comparison import processes
-from mrgs.comparison.plan import Job
+from mrgs.comparison.plan import PlannedRun
 from mrgs.comparison.processes import run_jobs, threads_each
 from mrgs.training import make_config
 
@@ -26,21 +26,23 @@ def say(**message):
 
 
 @pytest.fixture
-def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Job]]:
+def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[PlannedRun]]:
     """Jobs whose children run a script; ``request`` and ``say`` are known in it."""
 
-    def make(script: str, count: int = 1) -> list[Job]:
+    def make(script: str, count: int = 1) -> list[PlannedRun]:
         monkeypatch.setattr(processes, "CHILD", ("-c", SPEAK + script))
         config = make_config("mrgs", "fast", max_steps=3)
         return [
-            Job(tmp_path / "scene", "scene", "mrgs", seed, config, tmp_path / f"seed_{seed}")
+            PlannedRun(tmp_path / "scene", "scene", "mrgs", seed, config, tmp_path / f"seed_{seed}")
             for seed in range(count)
         ]
 
     return make
 
 
-def do(jobs: list[Job], count: int = 1) -> tuple[dict[Job, str], list[tuple[int, dict]]]:
+def do(
+    jobs: list[PlannedRun], count: int = 1
+) -> tuple[dict[PlannedRun, str], list[tuple[int, dict]]]:
     heard: list[tuple[int, dict]] = []
     failures = run_jobs(
         jobs, count, None, lambda job, message: heard.append((job.seed, message)), lambda: None
@@ -91,7 +93,7 @@ def test_a_poisoned_current_folder_is_not_imported_from(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("json", "mrgs", "numpy", "torch"):
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('poisoned')")
-    job = Job(
+    job = PlannedRun(
         Path("missing"),
         "missing",
         "mrgs",
@@ -207,7 +209,7 @@ def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs, tmp_path):
 @pytest.mark.slow
 def test_a_real_child_stops_with_a_checkpoint(small_scene, tmp_path):
     config = make_config("3dgs-rgbt", "fast", max_steps=2_000, max_gaussians=60)
-    job = Job(small_scene, "balls", "3dgs-rgbt", 0, config, tmp_path / "seed_0")
+    job = PlannedRun(small_scene, "balls", "3dgs-rgbt", 0, config, tmp_path / "seed_0")
     heard: list[dict] = []
     interrupt(lambda: any("step" in message for message in heard))
     with pytest.raises(KeyboardInterrupt):

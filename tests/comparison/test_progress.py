@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.comparison.plan import Job
+from mrgs.comparison.plan import PlannedRun
 from mrgs.comparison.progress import Progress
 from mrgs.training import make_config
 
@@ -14,7 +14,9 @@ class Teller:
 
     def __init__(self, count: int = 1) -> None:
         config = make_config("mrgs", "fast", max_steps=100)
-        self.jobs = [Job(Path("s"), "board", "mrgs", seed, config, Path("f")) for seed in range(2)]
+        self.jobs = [
+            PlannedRun(Path("s"), "board", "mrgs", seed, config, Path("f")) for seed in range(2)
+        ]
         self.lines: list[str] = []
         self.now = 100.0
         self.progress = Progress(self.jobs, count, self.lines.append, lambda: self.now)

@@ -120,7 +120,7 @@ def test_rows_hold_celsius_and_mark_invalid_pixels() -> None:
     rows, _ = rows_of([ramp_view(valid=valid)], render_with_error, CELSIUS)
     assert np.isnan(rows[0].photos[THERMAL][0, 0])
     assert rows[0].photos[THERMAL][8, 10] == pytest.approx(26.0, abs=1e-4)
-    assert np.nanmax(np.abs(rows[0].error - 1.0)) < 1e-4
+    assert np.nanmax(np.abs(rows[0].errors[THERMAL] - 1.0)) < 1e-4
 
 
 def test_without_celsius_the_sheet_says_so() -> None:

@@ -16,7 +16,7 @@ import tyro
 from mrgs.app.commands import (
     Check,
     Command,
-    Compare,
+    CompareMethods,
     Demo,
     Eval,
     Export,
@@ -82,7 +82,7 @@ def main(argv: list[str] | None = None) -> int:
         Export: _export,
         Report: _report,
         Demo: _demo,
-        Compare: _compare,
+        CompareMethods: _compare,
         Synth: _synth,
     }
     with plain_warnings():
@@ -278,7 +278,7 @@ def _eval_renders(command: Eval, folder: Path) -> None:
     )
 
 
-def _compare(command: Compare) -> None:
+def _compare(command: CompareMethods) -> None:
     from mrgs.comparison import Options, Variant, compare
 
     variants = _named_paths("--variants", command.variants, "wide=wide.yaml")

@@ -165,7 +165,7 @@ class Demo:
 
 
 @dataclass(frozen=True)
-class Compare:
+class CompareMethods:
     """Train and score methods on scenes, and write the paper's tables and figures.
 
     Re-run the same command to resume. See docs/experiments.md for how to read the tables.
@@ -351,7 +351,7 @@ Command = (
     | Annotated[ViewRun, tyro.conf.subcommand("view")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[CompareMethods, tyro.conf.subcommand("compare")]
     | Annotated[Synth, tyro.conf.subcommand("synth")]
 )
 

@@ -3,8 +3,8 @@
 
 See ``mrgs.system.child`` for the protocol. The request holds ``scene``, ``folder``, ``config``
 (YAML), ``device`` and ``lpips_weights`` (a path or null); messages are ``{"step", "gaussians"}``
-and ``{"scored", "of"}``; the work ends "scored", "stopped" or with an error. When asked to
-stop, the run leaves a checkpoint.
+and ``{"scored", "of"}``; the work ends "scored", "stopped" or with an error. On a request
+to stop, the run writes a checkpoint.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ REPORT_EVERY_S = 1.0
 
 
 class _StoppedError(Exception):
-    """Asked to stop while scoring."""
+    """The parent requested a stop during scoring."""
 
 
 class Reporter:
-    """Reports the progress of the run, and stops it when the parent asks to."""
+    """Reports the progress of the run, and stops it at the parent's request."""
 
     def __init__(self) -> None:
         self._stop = threading.Event()
@@ -38,7 +38,7 @@ class Reporter:
         when_asked_to_stop(self._stop.set)
 
     def on_step(self, statistics: Any) -> bool:
-        """After each training step; True asks the training to stop."""
+        """Called after each training step; returns True to stop the training."""
         now = time.monotonic()
         if now - self._last >= REPORT_EVERY_S:
             self._last = now
@@ -46,7 +46,7 @@ class Reporter:
         return self._stop.is_set()
 
     def on_score(self, done: int, total: int) -> None:
-        """After each scored view."""
+        """Called after each scored view."""
         send(scored=done, of=total)
         if self._stop.is_set():
             raise _StoppedError

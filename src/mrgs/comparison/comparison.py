@@ -22,7 +22,7 @@ from mrgs.comparison.figures import (
     qualitative_figure,
 )
 from mrgs.comparison.methods import Options
-from mrgs.comparison.plan import Job, neighbour_methods, plan
+from mrgs.comparison.plan import PlannedRun, neighbour_methods, plan
 from mrgs.comparison.processes import run_jobs
 from mrgs.comparison.progress import Progress
 from mrgs.comparison.results import Outcome, failed, outcome
@@ -49,10 +49,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Comparison:
-    """What came out.
+    """The result of a comparison.
 
     Attributes:
-        tables: those for which there was something to show.
+        tables: all that have contents.
         failures: of each run or set of renders that has no scores, why.
         folder: holds ``tables/``, ``figures/``, ``results.json`` and ``runs/``.
     """
@@ -88,11 +88,12 @@ def compare(
         jobs: how many runs at a time; the machine's cores are divided among them.
         device: where they train and render, if their method can use a GPU.
         lpips_weights: weights for LPIPS; without them it is left out.
-        say: called with lines that say how far all is.
+        say: called with lines of progress.
 
     Raises:
         MrgsError: a scene, an option or the output folder cannot be used.
-        KeyboardInterrupt: Ctrl-C; the runs have left checkpoints, and the same call goes on.
+        KeyboardInterrupt: Ctrl-C; the runs have written checkpoints, and the same call resumes
+            them.
     """
     if jobs < 1:
         raise ConfigError(f"--jobs must be at least 1, not {jobs}")
@@ -142,9 +143,13 @@ def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
 
 
 def _do(
-    planned: Sequence[Job], jobs: int, device: DeviceName, lpips_weights: Path | None, say: Say
-) -> dict[Job, str]:
-    """Run what is not scored yet; returns why runs failed."""
+    planned: Sequence[PlannedRun],
+    jobs: int,
+    device: DeviceName,
+    lpips_weights: Path | None,
+    say: Say,
+) -> dict[PlannedRun, str]:
+    """Train and score the runs without scores; returns the reasons of failures."""
     due = [
         job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)
     ]
@@ -155,7 +160,7 @@ def _do(
     return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
 
 
-def _run_outcome(job: Job, failures: Mapping[Job, str]) -> Outcome:
+def _run_outcome(job: PlannedRun, failures: Mapping[PlannedRun, str]) -> Outcome:
     document = read_metrics(job.folder / "eval")
     if job in failures or document is None:
         reason = failures.get(job, f"{job.folder / 'eval' / 'metrics.json'} cannot be read")
@@ -172,7 +177,7 @@ def _renders_outcome(
     options: Options,
     lpips_weights: Path | None,
 ) -> Outcome:
-    """Score another program's renderings; this is cheap, and done anew each time."""
+    """Score another program's renderings; this is cheap and repeated at each call."""
     scores = output / "renders" / name / scene
     try:
         evaluate_renders(
@@ -237,7 +242,7 @@ def _write_results(
 def _write_figures(
     folder: Path,
     outcomes: Outcomes,
-    planned: Sequence[Job],
+    planned: Sequence[PlannedRun],
     renders: Mapping[str, Path],
     options: Options,
 ) -> None:
@@ -268,7 +273,7 @@ def _write_figure(path: Path, figure: Image.Image | None) -> None:
 def _exhibit(
     scene: str,
     outcomes: Outcomes,
-    planned: Sequence[Job],
+    planned: Sequence[PlannedRun],
     renders: Mapping[str, Path],
     options: Options,
 ) -> Exhibit:
@@ -306,9 +311,13 @@ def _in_figures(outcomes: Outcomes) -> set[str]:
 
 
 def _render(
-    each: Outcome, scene: Scene, view: View, planned: Sequence[Job], renders: Mapping[str, Path]
+    each: Outcome,
+    scene: Scene,
+    view: View,
+    planned: Sequence[PlannedRun],
+    renders: Mapping[str, Path],
 ) -> Rendering:
-    """The view as the cameras would have written it, as it is scored.
+    """A view as the cameras would have recorded it.
 
     Raises:
         MrgsError: the run's checkpoint or the other program's images cannot be used.

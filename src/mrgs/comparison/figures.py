@@ -19,6 +19,7 @@ from mrgs.evaluation.evaluate import ViewMetrics
 from mrgs.evaluation.truth import read_float_tiff
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import colorize, display_range, round_up
+from mrgs.pictures.values import unit_label
 from mrgs.scene import THERMAL, Modality, Rendering, Scene, View
 
 WIDE_PX, NARROW_PX = 300, 220
@@ -32,10 +33,10 @@ class Exhibit:
     """One view of one scene as every method shows it.
 
     Attributes:
-        scene: what ``load_scene`` returns.
+        scene: as ``load_scene`` returns it.
         folder: the scene's folder, for its exact depths.
         view: the held-out view that is shown.
-        shown: of each method that has images of it, what ``drawn`` makes of them.
+        shown: the result of ``drawn`` for each method that has images of the view.
         figures: of each method, this view's entry in ``metrics.json``.
     """
 
@@ -47,23 +48,23 @@ class Exhibit:
 
     @property
     def title(self) -> str:
-        """The scene and the view."""
+        """Heading: the names of the scene and the view."""
         return f"{scene_title(self.scene.name) or self.scene.name} · {self.view.name}"
 
     @property
     def unit(self) -> str:
-        """Of temperatures; empty where the scene has no °C."""
+        """Unit of temperatures; empty where the scene has no °C."""
         return "" if self.scene.temperature is None else "°C"
 
 
 def drawn(scene: Scene, view: View, rendering: Rendering) -> SheetRow:
-    """What the figures show of a method: a view's photos, its images, and the depth from the
-    thermal camera.
+    """The images of one method in the figures: a view's photos, its renderings, and the depth from
+    the thermal camera.
 
     Args:
-        scene: what ``load_scene`` returns.
+        scene: as ``load_scene`` returns it.
         view: one of its held-out views.
-        rendering: of the view, as it is compared with the photos.
+        rendering: of the view, with the cameras' response.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -74,7 +75,8 @@ def drawn(scene: Scene, view: View, rendering: Rendering) -> SheetRow:
 
 
 def qualitative_figure(blocks: Sequence[Block], methods: Sequence[str]) -> Image.Image:
-    """Columns ground truth and methods; a ``qualitative_block`` per scene."""
+    """Draw a ``qualitative_block`` per scene, with a column for the ground truth and one per
+    method."""
     return draw_figure(["ground truth", *methods], blocks, _cell_px(methods))
 
 
@@ -104,7 +106,7 @@ def _cell_px(methods: Sequence[str]) -> int:
 
 
 def qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
-    """A row per modality and one of the thermal error, the images as large as they are drawn.
+    """A row per modality, and one of errors for each with a unit; images have their final size.
 
     At least one of the methods must be among those that the exhibit shows.
     """
@@ -116,26 +118,32 @@ def qualitative_block(exhibit: Exhibit, methods: Sequence[str]) -> Block:
     for modality, photo in photos.photos.items():
         captions = [_caption(exhibit, name, modality) for name in shown]
         images = [None if row is None else row.renderings.get(modality) for row in shown.values()]
-        if modality != THERMAL:
+        if not modality.is_metric:
             panels = [Panel(*pair) for pair in zip(images, captions, strict=True)]
             rows.append((modality.title, [Panel(photo), *panels]))
             continue
-        scale = Scale("inferno", *display_range(photo), exhibit.unit)
+        unit = unit_label(modality, exhibit.scene.temperature)
+        scale = Scale("inferno", *display_range(photo), unit)
         heat = [
             Panel(_colored(image, scale), caption)
             for image, caption in zip(images, captions, strict=True)
         ]
         rows.append((modality.title, [Panel(_colored(photo, scale)), *heat]))
-        bars.append((scale, "temperature" if exhibit.unit else "normalised: the scene has no °C"))
-        error, error_scale = _error_row(shown, exhibit.unit)
+        bars.append((scale, modality.quantity if unit else "normalised: the scene has no °C"))
+        error, error_scale = _error_row(shown, modality, unit)
         rows.append(("error", error))
-        bars.append((error_scale, "rendering minus photo: blue too cold, red too warm"))
+        signs = (
+            "blue too cold, red too warm" if modality == THERMAL else "blue too low, red too high"
+        )
+        bars.append((error_scale, f"rendering minus photo: {signs}"))
     return as_drawn(Block(exhibit.title, rows, bars), _cell_px(methods))
 
 
-def _error_row(shown: Mapping[str, SheetRow | None], unit: str) -> tuple[list[Panel], Scale]:
-    """Rendered minus measured temperature of each method, and the scale of all."""
-    errors = [None if row is None else row.error for row in shown.values()]
+def _error_row(
+    shown: Mapping[str, SheetRow | None], modality: Modality, unit: str
+) -> tuple[list[Panel], Scale]:
+    """Rendered minus measured values of each method, and the scale of all."""
+    errors = [None if row is None else row.errors.get(modality) for row in shown.values()]
     sizes = [np.abs(error).ravel() for error in errors if error is not None]
     limit = round_up(display_range(np.concatenate(sizes), tail=1.0)[1]) if sizes else 1.0
     scale = Scale("error", -limit, limit, unit)
@@ -143,7 +151,8 @@ def _error_row(shown: Mapping[str, SheetRow | None], unit: str) -> tuple[list[Pa
 
 
 def depth_block(exhibit: Exhibit) -> Block:
-    """Both methods' depth and thermal image, and the exact depth, as large as they are drawn.
+    """Depth and thermal image without and with L_boltz, and the exact depth; images have their
+    final size.
 
     The exhibit must show both ``WITHOUT_BOLTZ`` and ``WITH_BOLTZ``.
     """
@@ -171,7 +180,7 @@ def depth_block(exhibit: Exhibit) -> Block:
 
 
 def _exact_depth(exhibit: Exhibit) -> np.ndarray | None:
-    """None where there is no file, or a damaged one: scoring says so."""
+    """None where there is no file, or a damaged one: scoring reports it."""
     path = exhibit.folder / "truth" / "depth" / f"{exhibit.view.name}.tiff"
     if not path.is_file():
         return None

@@ -55,7 +55,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Options:
-    """What is compared, and what every run shares.
+    """The methods to compare, and the settings that all runs share.
 
     Attributes:
         methods: any that are registered, in the order of the tables' rows.
@@ -79,7 +79,7 @@ class Options:
 
 
 def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
-    """The configuration of one run.
+    """The configuration of one run of a method on a scene.
 
     Args:
         variant: the method, and what differs from it.
@@ -115,7 +115,7 @@ def _configure(variant: Variant, options: Options, seed: int) -> RunConfig:
 
 
 def device_of(config: RunConfig, device: DeviceName) -> DeviceName:
-    """Where a run of this configuration works: where it is asked to, if its method can use a
+    """The device for a run of this configuration: the requested one, if its method can use a
     GPU."""
     return device if find_method(config.method).uses_gpu else "cpu"
 

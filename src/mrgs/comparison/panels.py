@@ -23,7 +23,7 @@ BLOCK_TITLE_PX = 30
 
 
 class Panel(NamedTuple):
-    """An image and the figures below it; where there is none, ``missing`` stands in its place."""
+    """An image and the figures below it; without an image, ``missing`` is written in its place."""
 
     image: UInt8[np.ndarray, "h w 3"] | None
     caption: str = ""
@@ -46,7 +46,7 @@ class Block:
 
 
 def as_drawn(block: Block, cell_px: int) -> Block:
-    """The block with every image as large as it is drawn when panels are ``cell_px`` wide."""
+    """The block with every image resized to its final size, for panels ``cell_px`` wide."""
     rows = [
         (
             label,
@@ -63,7 +63,7 @@ def as_drawn(block: Block, cell_px: int) -> Block:
 
 
 def draw_figure(columns: Sequence[str], blocks: Sequence[Block], cell_px: int) -> Image.Image:
-    """Draw all blocks below each other; every panel is ``cell_px`` wide.
+    """Draw all blocks, one below the other; every panel is ``cell_px`` wide.
 
     Raises:
         ValueError: there is nothing to draw.

@@ -20,15 +20,15 @@ NEIGHBOURS_METHOD = "mrgs"
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
-    """One run.
+class PlannedRun:
+    """A run of a comparison, before it is trained.
 
     Attributes:
         scene: the scene's folder, absolute, or its transforms file.
-        scene_name: what the tables call it.
-        method: what the tables call the method; unique among the methods of a comparison.
+        scene_name: in tables.
+        method: its name in tables; unique among the methods of a comparison.
         seed: of every random choice.
-        config: what to train.
+        config: of the training.
         folder: the run's folder.
     """
 
@@ -43,8 +43,8 @@ class Job:
         return f"{self.scene_name}, {self.method}, seed {self.seed}"
 
 
-def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Job]:
-    """All runs, in the order in which they are done: every table is full after the first seed.
+def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[PlannedRun]:
+    """All runs in their order of execution: every table is complete after the first seed.
 
     Args:
         scenes: the scenes' folders.
@@ -68,7 +68,7 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Job]:
             for label, variant in variants.items():
                 folder = output / "runs" / name / label / f"seed_{seed}"
                 jobs.append(
-                    Job(scene, name, label, seed, configure(variant, options, seed), folder)
+                    PlannedRun(scene, name, label, seed, configure(variant, options, seed), folder)
                 )
     _claim(output / "scenes.json", named)
     for job in jobs:
@@ -87,7 +87,7 @@ def _variants(options: Options) -> dict[str, Variant]:
 
 
 def neighbour_methods(options: Options) -> dict[int, str]:
-    """What each n of the table of neighbours is called among the methods; ``mrgs`` itself stands
+    """The method's name for each n of the table of neighbours; ``mrgs`` itself stands
     for its own n."""
     own_n = make_config(NEIGHBOURS_METHOD, options.preset).field.neighbours_n
     return {
@@ -97,7 +97,7 @@ def neighbour_methods(options: Options) -> dict[int, str]:
 
 
 def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
-    """The scenes by their folder's name, each looked at."""
+    """The scenes by their folder's name, each checked."""
     if not scenes:
         raise ConfigError("there is nothing to compare: name at least one scene")
     named: dict[str, Path] = {}

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrgs.comparison.methods import to_text
-from mrgs.comparison.plan import Job
+from mrgs.comparison.plan import PlannedRun
 from mrgs.system.child import OUT_OF_MEMORY, Child, Message
 from mrgs.system.gpu import DeviceName
 
@@ -23,7 +23,7 @@ TICK_S = 1.0
 
 @dataclass(eq=False)
 class _Run:
-    job: Job
+    job: PlannedRun
     child: Child
 
 
@@ -32,21 +32,22 @@ _Inbox = queue.Queue[tuple[_Run, Message | None]]
 
 
 def run_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[PlannedRun],
     count: int,
     lpips_weights: Path | None,
-    on_message: Callable[[Job, Message], None],
+    on_message: Callable[[PlannedRun, Message], None],
     on_tick: Callable[[], None],
     device: DeviceName = "auto",
-) -> dict[Job, str]:
-    """Do all jobs, ``count`` at a time.
+) -> dict[PlannedRun, str]:
+    """Execute all runs, ``count`` at a time.
 
     Args:
         jobs: in the order in which they are started.
         count: how many processes at a time; the machine's cores are divided among as many as there
             can be.
         lpips_weights: weights for LPIPS.
-        on_message: called with what a child says, and with ``{"start": True}`` when it is started.
+        on_message: called with each message of a child, and with ``{"start": True}`` when it
+            starts.
         on_tick: called about once a second.
         device: where they train and render.
 
@@ -57,7 +58,7 @@ def run_jobs(
         KeyboardInterrupt: Ctrl-C; the running jobs have left checkpoints. A second one ends them at
             once.
     """
-    waiting, running, failures = list(jobs), list[_Run](), dict[Job, str]()
+    waiting, running, failures = list(jobs), list[_Run](), dict[PlannedRun, str]()
     inbox: _Inbox = queue.Queue()
     try:
         while waiting or running:
@@ -90,7 +91,7 @@ def threads_each(count: int) -> int:
 
 
 def _start(
-    job: Job, threads: int, device: DeviceName, lpips_weights: Path | None, inbox: _Inbox
+    job: PlannedRun, threads: int, device: DeviceName, lpips_weights: Path | None, inbox: _Inbox
 ) -> _Run:
     request = {
         "scene": str(job.scene.absolute()),  # the child runs in another folder
@@ -117,8 +118,8 @@ def _listen(run: _Run, inbox: _Inbox) -> None:
 def _receive(
     inbox: _Inbox,
     running: list[_Run],
-    failures: dict[Job, str],
-    on_message: Callable[[Job, Message], None],
+    failures: dict[PlannedRun, str],
+    on_message: Callable[[PlannedRun, Message], None],
 ) -> None:
     """Handle one message, or let a tick pass."""
     try:
@@ -139,7 +140,7 @@ def _receive(
 
 
 def _failure(child: Child) -> str | None:
-    """Why the child did not do its work; the log is kept if it has more to say."""
+    """The reason of a child's failure; the log is kept if it holds more."""
     reason = child.failure()
     if reason is None or child.end.get("end") == "error":
         child.log.unlink(missing_ok=True)

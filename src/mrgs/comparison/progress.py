@@ -1,4 +1,4 @@
-"""What a comparison says while it runs."""
+"""The progress lines of a comparison."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from mrgs.comparison.plan import Job
+from mrgs.comparison.plan import PlannedRun
 from mrgs.comparison.processes import Message
 
 LINE_EVERY_S = 10.0
@@ -14,7 +14,7 @@ LINE_EVERY_S = 10.0
 
 @dataclass
 class _Running:
-    """Where a run is; ``first_step`` is the first that was heard of, at ``first_time``: before it,
+    """Where a run is; ``first_step`` is the first one reported, at ``first_time``: before it,
     kernels compile."""
 
     started: float
@@ -26,27 +26,27 @@ class _Running:
 
 @dataclass
 class Progress:
-    """Turns what the runs say into lines for people.
+    """Turns the messages of runs into lines for people.
 
     Attributes:
-        jobs: those to be done.
+        jobs: all runs that are due.
         count: how many run at a time.
         say: called with each line.
         clock: seconds.
     """
 
-    jobs: Sequence[Job]
+    jobs: Sequence[PlannedRun]
     count: int
     say: Callable[[str], None]
     clock: Callable[[], float] = time.monotonic
-    _running: dict[Job, _Running] = field(default_factory=dict)
+    _running: dict[PlannedRun, _Running] = field(default_factory=dict)
     _speeds: dict[str, float] = field(default_factory=dict)
     _durations: dict[str, float] = field(default_factory=dict)
-    _ended: set[Job] = field(default_factory=set)
+    _ended: set[PlannedRun] = field(default_factory=set)
     _last_line: float = field(default=0.0)
 
-    def on_message(self, job: Job, message: Message) -> None:
-        """A run starts, steps, is scored or ends."""
+    def on_message(self, job: PlannedRun, message: Message) -> None:
+        """Handle a message: a run starts, takes steps, is scored or ends."""
         if "start" in message:
             self._running[job] = _Running(self.clock())
             self.say(f"starts: {job}")
@@ -59,7 +59,7 @@ class Progress:
             self._end(job, message)
 
     def on_tick(self) -> None:
-        """Say every few seconds how far all is."""
+        """Report the progress of all runs every few seconds."""
         now = self.clock()
         if self._running and now - self._last_line >= LINE_EVERY_S:
             self._last_line = now
@@ -67,7 +67,7 @@ class Progress:
             parts += [f"{job}: {running.doing}" for job, running in self._running.items()]
             self.say(" | ".join(parts))
 
-    def _step(self, job: Job, step: int) -> None:
+    def _step(self, job: PlannedRun, step: int) -> None:
         running, now = self._running[job], self.clock()
         if running.first_step is None:
             running.first_step, running.first_time = step, now
@@ -78,7 +78,7 @@ class Progress:
             self._speeds[job.method] = speed
             running.doing += f", {speed:.1f} steps/s"
 
-    def _end(self, job: Job, message: Message) -> None:
+    def _end(self, job: PlannedRun, message: Message) -> None:
         running = self._running.pop(job)
         if message["end"] == "scored":
             self._durations[job.method] = self.clock() - running.started
@@ -97,7 +97,7 @@ class Progress:
         hours = f"{minutes // 60} h " if minutes >= 60 else ""
         return f", about {hours}{minutes % 60} min left" if minutes else ", less than a minute left"
 
-    def _seconds_left(self, job: Job) -> float:
+    def _seconds_left(self, job: PlannedRun) -> float:
         """As long as the method's last run took in all; else the steps that are left, at the speeds
         seen so far."""
         running = self._running.get(job)

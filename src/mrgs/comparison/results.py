@@ -1,4 +1,4 @@
-"""The figures of runs, and what several seeds say together."""
+"""The figures of runs, and their statistics over seeds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mrgs.scene import THERMAL
 
 
 class Kind(NamedTuple):
-    """What a figure is.
+    """Properties of a figure.
 
     Attributes:
         heading: in tables.
@@ -51,11 +51,11 @@ RUN_KINDS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run, or one set of another program's renders, came to.
+    """The result of one run, or of one set of another program's renders.
 
     Attributes:
         scene: the scene's name.
-        method: what the tables call the method.
+        method: its name in tables.
         seed: of the run; None for renders.
         figures: by the names of ``figure_keys``.
         document: the content of ``metrics.json``; None where there is none.
@@ -71,7 +71,7 @@ class Outcome:
 
     @property
     def modalities(self) -> tuple[str, ...]:
-        """Names of those that were scored."""
+        """Names of the modalities that were scored."""
         return () if self.document is None else _scored(self.document)
 
 
@@ -92,13 +92,13 @@ class Cell(NamedTuple):
 
 
 def kind_of(figure: str) -> Kind:
-    """What one of ``figure_keys`` is."""
+    """Properties of one of ``figure_keys``."""
     group, _, key = figure.partition(".")
     return RUN_KINDS[figure] if figure in RUN_KINDS else IMAGE_KINDS[key or group]
 
 
 def figure_keys(modalities: Sequence[str]) -> tuple[str, ...]:
-    """Every figure of the tables.
+    """Keys of all figures in tables.
 
     Args:
         modalities: names of those that were scored besides ``REPORTED``.
@@ -109,7 +109,7 @@ def figure_keys(modalities: Sequence[str]) -> tuple[str, ...]:
 
 
 def _image_keys(modality: str) -> list[str]:
-    """What is gathered of a modality: the MAE in °C of temperatures, LPIPS of all else."""
+    """The figures of a modality in tables: the MAE in °C for thermal, LPIPS for all others."""
     omitted = "lpips" if modality == THERMAL.name else "mae_c"
     return [key for key in IMAGE_KINDS if key != omitted]
 
@@ -127,7 +127,7 @@ def _scored(document: dict[str, Any]) -> tuple[str, ...]:
 
 
 def failed(scene: str, method: str, seed: int | None, reason: str) -> Outcome:
-    """All figures missing for one reason."""
+    """The outcome of a failed run: all figures are missing for one reason."""
     return Outcome(
         scene, method, seed, {key: Missing(reason) for key in figure_keys(())}, None, reason
     )

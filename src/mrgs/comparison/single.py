@@ -27,7 +27,7 @@ def run_one(
     on_step: OnStep | None = None,
     on_score: Callable[[int, int], None] | None = None,
 ) -> bool:
-    """Bring one run to its scores from wherever it is: train it, continue it, or only score it.
+    """Train, continue, or only score one run, depending on its state.
 
     Args:
         scene: the scene's folder.
@@ -109,7 +109,7 @@ def flat(config: Any) -> dict[str, Any]:
 
 
 def _is_trained(folder: Path, config: RunConfig) -> bool:
-    """Read off the newest checkpoint's name, which is the same for every method."""
+    """Whether the newest checkpoint, by its name, is that of the last step."""
     return config.max_steps in (
         int(path.stem.removeprefix("step_")) for path in RunFolder(folder).checkpoints()
     )

@@ -14,7 +14,7 @@ from mrgs.evaluation.report import heading
 from mrgs.scene import THERMAL
 
 NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "truth")
-"""Of all tables that there can be of any scene; another modality's bears its name."""
+"""Names of all possible tables; that of another modality has the modality's name."""
 
 CELSIUS = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
 WITHOUT_CELSIUS = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
@@ -49,7 +49,7 @@ class Outcomes:
         all: in any order.
         scenes: names in the order of the columns.
         methods: in the order of the rows, without those of the table of neighbours alone.
-        neighbours: of each n of that table, the method that stands for it.
+        neighbours: the method of each n of the table of neighbours.
     """
 
     all: tuple[Outcome, ...]
@@ -58,7 +58,7 @@ class Outcomes:
     neighbours: dict[int, str]
 
     def figures(self, scene: str, method: str, figure: str) -> list[Figure]:
-        """The figure of each seed."""
+        """The figure of one method on one scene, for each seed."""
         found = [each for each in self.all if (each.scene, each.method) == (scene, method)]
         return [
             each.figures.get(figure, Missing(each.failure or "not scored")) for each in found
@@ -83,7 +83,7 @@ class Outcomes:
 
 
 def all_tables(outcomes: Outcomes) -> list[Table]:
-    """Every table for which there is something to show."""
+    """All tables that have contents."""
     tables = []
     if outcomes.methods:
         caption = "novel views of scenes and methods: held-out views, full frame."
@@ -130,7 +130,7 @@ def _methods_by_scenes(
 ) -> Table:
     """A row per method and a group of columns per scene, as the paper's Tables 1 and 2.
 
-    ``figures_of`` says which figures stand under a scene, and, given all scenes, under the mean.
+    ``figures_of`` gives the figures below a scene and, given all scenes, below the mean.
     """
     groups = [Group(_title(scene), figures_of((scene,))) for scene in outcomes.scenes]
     columns = [(scene, key) for scene in outcomes.scenes for key in figures_of((scene,))]

@@ -1,4 +1,4 @@
-"""Scores, pictures and camera paths: everything that judges or shows a finished model."""
+"""Scores and pictures of a trained model."""
 
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.report import RunFacts, write_report

@@ -28,7 +28,7 @@ from mrgs.pictures.drawing import (
 )
 from mrgs.pictures.files import shown_depth, shown_values, to_rgb8
 from mrgs.pictures.palette import PaletteName, display_range, round_up
-from mrgs.pictures.values import NORMALISED, unit_of
+from mrgs.pictures.values import unit_label
 from mrgs.scene import (
     THERMAL,
     Modality,
@@ -57,7 +57,7 @@ PHOTO, RENDERING, ERROR, DEPTH = "photo", "rendering", "error", "depth"
 
 @dataclass(frozen=True, eq=False)
 class SheetRow:
-    """One view's images as they are shown.
+    """The images of one view on the sheet.
 
     Attributes:
         metrics: the view's figures.
@@ -81,18 +81,13 @@ class SheetRow:
             if modality.is_metric and modality in self.renderings
         }
 
-    @property
-    def error(self) -> Float[np.ndarray, "h w"] | None:
-        """Rendered minus measured temperature; None without both images."""
-        return self.errors.get(THERMAL)
-
 
 class SheetRows:
-    """The views that a sheet shows: a few spread evenly, and those that score worst, which a mean
+    """The views on a sheet: a few, evenly spaced, and those with the worst scores, which a mean
     hides.
 
     Args:
-        count: of the views.
+        count: number of views that will be added.
     """
 
     def __init__(self, count: int) -> None:
@@ -101,8 +96,8 @@ class SheetRows:
         self._worst: dict[Modality, tuple[float, int]] = {}
 
     def add(self, number: int, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
-        """Take a view by its number, from 0; its row is made only if it is shown as far as is known
-        by now."""
+        """Add view ``number``, counted from 0; its row is made only if the sheet shows it, going by
+        the views added so far."""
         for modality, figures in metrics.figures.items():
             psnr = figures["psnr"]
             if isinstance(psnr, float):
@@ -115,7 +110,7 @@ class SheetRows:
 
     @property
     def rows(self) -> list[SheetRow]:
-        """What is shown of the views so far, in their order."""
+        """The rows of the views added so far that the sheet shows, in the order of the views."""
         return [self._rows[number] for number in sorted(self._rows)]
 
 
@@ -241,7 +236,7 @@ def _scales(
     values, errors = {}, {}
     for modality in shown:
         if modality.is_metric:
-            unit = unit_of(modality, temperature).replace(NORMALISED, "")
+            unit = unit_label(modality, temperature)
             photos = _pool([{**row.renderings, **row.photos}.get(modality) for row in rows])
             values[modality] = Scale(palette, *display_range(photos), unit)
             differences = np.abs(_pool([row.errors.get(modality) for row in rows]))

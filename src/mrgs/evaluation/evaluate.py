@@ -70,7 +70,8 @@ class Metrics:
 
     Attributes:
         mean: of each modality, means over the views that have the figure.
-        truth: the same against the exact truth; None where the scene has none.
+        truth: means over the views of the figures against the exact truth; None where the scene
+            has none.
         views: each view's own figures.
     """
 
@@ -100,8 +101,8 @@ def evaluate(
         temperature: the scene's scale; None leaves the figures in °C out.
         lpips: the network; None leaves LPIPS out.
         truth: exact temperatures and depths, see ``Truth.find``.
-        visit: called after each view with what was compared with its photos; nothing is kept from
-            view to view.
+        visit: called after each view with what was compared with its photos; nothing is kept
+            between views.
         camera_response: from the rendering to what the cameras would have recorded, which is
             compared with the photos; the truth is compared with the rendering.
 
@@ -142,7 +143,8 @@ def _averaged(scored: Sequence[ViewMetrics], modalities: Sequence[Modality]) -> 
 
 
 def scored_modalities(views: Sequence[View]) -> tuple[Modality, ...]:
-    """Those of ``REPORTED``, which stand in every report, and the views' other ones."""
+    """The modalities to score: those of ``REPORTED``, which every report lists, then all others of
+    the views."""
     found = in_order(modality for view in views for modality in view.images)
     return tuple(dict.fromkeys((*REPORTED, *found)))
 

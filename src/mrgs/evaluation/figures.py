@@ -1,4 +1,4 @@
-"""Figures that may be missing: a number, or the reason why there is none."""
+"""Figures: numbers, or the reasons why they are missing."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ PIXEL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range")
 CELSIUS_FIGURES = ("mae_c", "mae_foreground_c")
 
 REPORTED = metric_first(BUILT_IN)
-"""The modalities that every report names, in its order; others follow where there are any."""
+"""The modalities that every report lists, in its order; others follow."""
 
 
 def figure_names(modality: Modality) -> tuple[str, ...]:
-    """What the images of a modality are scored by."""
+    """Names of the figures that images of a modality are scored by."""
     celsius = CELSIUS_FIGURES if modality == THERMAL else ()
     return (*PIXEL_FIGURES, *celsius, "lpips")
 
 
 class Missing(NamedTuple):
-    """A figure that cannot be had, and why (a clause without a full stop)."""
+    """A missing figure.
+
+    Attributes:
+        reason: why it is missing: a clause without a full stop.
+    """
 
     reason: str
 
@@ -32,12 +36,13 @@ Figures: TypeAlias = dict[str, float | Missing]
 
 
 def all_missing(names: Iterable[str], reason: str) -> Figures:
-    """The named figures, all missing for one reason."""
+    """Figures of these names, all missing for one reason."""
     return {name: Missing(reason) for name in names}
 
 
 def mean_figure(figures: Sequence[Figure]) -> Figure:
-    """Mean over the views that have the figure; missing, for the first view's reason, if none has.
+    """Mean of one figure over the views that have it; missing, with the first view's reason, if no
+    view has it.
 
     An infinite figure (the PSNR of identical images) makes the mean infinite: leaving it out would
     understate it.
@@ -49,12 +54,13 @@ def mean_figure(figures: Sequence[Figure]) -> Figure:
 
 
 def mean_figures(views: Sequence[Figures], names: Iterable[str]) -> Figures:
-    """``mean_figure`` of each named figure."""
+    """Mean over the views of each named figure, see ``mean_figure``."""
     return {name: mean_figure([view[name] for view in views]) for name in names}
 
 
 def to_json(figure: Figure) -> tuple[float | None, str | None]:
-    """The figure as (number, None), or as (None, reason); JSON knows neither NaN nor infinity."""
+    """A figure as (number, None), or as (None, reason) if it is missing, NaN or infinite, which
+    JSON cannot express."""
     if isinstance(figure, Missing):
         return None, figure.reason
     if math.isnan(figure):

@@ -38,9 +38,9 @@ def psnr_matched(
     """PSNR after each channel of the rendering has taken the gain and the offset that bring it
     closest to the target.
 
-    For cameras that expose or scale every photo anew: what they chose for a held-out photo no model
-    can know. Least squares over the valid pixels, with gains of 0 or more. Missing where the target
-    is uniform: every rendering can be brought to that.
+    For cameras that expose or scale each photo by itself: what they chose for a held-out photo no
+    model can know. Least squares over the valid pixels, with gains of 0 or more. Missing where the
+    target is uniform: every rendering can be brought to that.
     """
     low, high = _select(target, valid).flatten(0, -2).aminmax(dim=0)
     if torch.equal(low, high):

@@ -1,15 +1,15 @@
 """Score any program's renderings of a scene's held-out views: image files named like the views.
 
-``FOLDER/MODALITY/NAME.png`` (or .jpg), such as ``FOLDER/rgb``; but temperatures in one of
+``FOLDER/MODALITY/NAME.png`` (or .jpg), such as ``FOLDER/rgb``; temperatures in one of
 
 - ``FOLDER/temperature_c/NAME.tiff``: float32, °C;
 - ``FOLDER/thermal_normalised/NAME.tiff``: float32, 0 and 1 at the ends of the scene's range;
 - ``FOLDER/thermal/NAME.png``: 8-bit or 16-bit grey over the scene's range; or ``NAME.tiff``,
   float32, °C.
 
-The first of these folders that is there counts, so that what ``mrgs render`` writes can be read:
+The first of these folders that exists is read, so that the output of ``mrgs render`` can be scored:
 its ``thermal/`` holds coloured pictures beside the values. ``depth_thermal/NAME.tiff`` (z-depth,
-scene units) is read where it is there.
+scene units) is optional.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FLOAT_SUFFIXES = frozenset({".tif", ".tiff"})
 
 ThermalKind = Literal["temperature_c", "thermal_normalised", "thermal"]
 THERMAL_KINDS: tuple[ThermalKind, ...] = get_args(ThermalKind)
-"""Folders of temperatures; the first that is there counts."""
+"""Folders of temperatures; the first that exists is read."""
 
 Convert = Callable[[Path, Decoded, TemperatureRange | None], Tensor]
 """From a decoded image (the path is for messages) to the values that a model would render."""
@@ -63,7 +63,7 @@ class Renders:
 
     Attributes:
         images: of each modality that the folder has, by view name.
-        thermal_kind: what the thermal images hold.
+        thermal_kind: folder of the thermal images, which determines their unit.
         depths: of the thermal camera, by view name; may be empty.
     """
 
@@ -75,7 +75,7 @@ class Renders:
         """The images of a view, as if a model had rendered them.
 
         Raises:
-            RunError: a file cannot be used; one line that names it and says what to do.
+            RunError: a file cannot be used; the message names it and the remedy.
         """
         blends = {}
         for modality, posed in view.images.items():
@@ -161,7 +161,7 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
         RunError: the folder has no images, or not all that it must have.
 
     Warns:
-        MrgsWarning: it holds images of no eval view.
+        MrgsWarning: the folder holds images that belong to no eval view.
     """
     modalities = in_order(modality for view in scene.eval for modality in view.images)
     if not folder.is_dir():

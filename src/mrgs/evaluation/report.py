@@ -53,17 +53,17 @@ UNKNOWN_FACTS = {
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What a run is and what it cost; None where it was not measured.
+    """Facts about a run and its cost; None where a value was not measured.
 
     Attributes:
-        method: for instance ``mrgs`` or ``3dgs-rgbt``.
+        method: name of the method, such as ``mrgs`` or ``3dgs-rgbt``.
         scene: the scene's name.
         steps: training steps taken; None for another program's images.
         gaussians: how many Gaussians the model has; None if it has none, or for another program's
             images.
         train_seconds: wall-clock time of the training, s.
         peak_memory_bytes: largest memory held during the training.
-        device: for instance ``cpu`` or the GPU's name.
+        device: ``cpu`` or the GPU's name.
     """
 
     method: str
@@ -103,7 +103,8 @@ def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
 
 
 def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
-    """The same figures as tables; a dash for a missing one, with the reasons at the end."""
+    """The content of ``metrics.md``: the figures as tables; a dash for a missing one, with the
+    reasons at the end."""
     seconds = "not measured" if facts.train_seconds is None else f"{facts.train_seconds:.0f} s"
     memory = (
         "not measured"
@@ -150,7 +151,7 @@ def write_report(folder: Path, facts: RunFacts, metrics: Metrics) -> tuple[Path,
 
 
 def heading(modality: Modality) -> str:
-    """A modality's title at the start of a line."""
+    """A modality's title with a capital letter, for headings."""
     return modality.title[:1].upper() + modality.title[1:]
 
 

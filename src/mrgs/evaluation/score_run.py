@@ -1,4 +1,4 @@
-"""Score a run, and write its pictures: what ``mrgs eval`` and ``mrgs render`` do."""
+"""Score a run and write its pictures, as ``mrgs eval`` and ``mrgs render`` do."""
 
 from __future__ import annotations
 
@@ -71,14 +71,15 @@ def score_views(
     folder.
 
     Args:
-        scene: what ``load_scene`` returns.
-        scene_folder: where it is, for the exact truth.
+        scene: as ``load_scene`` returns it.
+        scene_folder: the scene's folder, for the exact truth.
         render: from a view to its images.
-        facts: what the report says besides the figures.
+        facts: listed in the report besides the figures.
         output: the folder to write into.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
         progress: called after each view.
-        camera_response: see ``evaluate``.
+        camera_response: from a rendering to what the cameras would have recorded, which is compared
+            with the photos.
 
     Raises:
         SceneError: the scene has no eval views, or an image cannot be read.
@@ -124,7 +125,7 @@ def _visitor(scene: Scene, shown: SheetRows, progress: Progress | None) -> Visit
 
 
 def facts_of(run: TrainedRun) -> RunFacts:
-    """What the report says about a run besides its figures."""
+    """Facts about a run for its report: method, scene, size and cost."""
     return RunFacts(
         method=run.config.method,
         scene=_scene_folder(run).name,

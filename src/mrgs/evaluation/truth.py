@@ -28,14 +28,13 @@ TRUTH_FIGURES = ("mae_c", "camera_mae_c", "depth_median_relative_error")
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth folder of a scene; its files are read when a view is scored."""
+    """The folder ``truth`` of a generated scene; its files are read when a view is scored."""
 
     folder: Path
 
     @classmethod
     def find(cls, scene: Path) -> Truth | None:
-        """The truth beside a scene's images; None where the folder has none, as every real
-        capture."""
+        """The exact truth in a scene's folder; None if there is none, as for every real capture."""
         folder = scene / "truth"
         return cls(folder) if folder.is_dir() else None
 
@@ -50,9 +49,9 @@ class Truth:
         """Score one view.
 
         Returns:
-            ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``: the
-            same for the photo, the error of the camera itself. ``depth_median_relative_error``:
-            median of |rendered − exact| / exact.
+            ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``:
+            |photo − exact temperature|, the error of the camera itself.
+            ``depth_median_relative_error``: median of |rendered − exact| / exact.
 
         Raises:
             SceneError: a truth file is damaged, or lies outside the scene.

@@ -1,5 +1,5 @@
 """``cameras/``: the cameras with their images as a scene folder that nerfstudio, COLMAP and this
-program open.
+program can open.
 
 The cameras are pinholes, and belong to the undistorted and perhaps reduced images that the model
 was trained on; so those images are written beside them.
@@ -37,7 +37,7 @@ COLMAP_FOLDER = "sparse/0"
 
 
 def export(job: ExportJob) -> list[Path]:
-    """Write the folder ``cameras``."""
+    """Write the folder ``cameras`` into the job's folder; returns the paths."""
     return write_cameras(job.folder / "cameras", job.scene)
 
 
@@ -45,9 +45,9 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
     """Write ``transforms.json``, ``sparse/0/*.txt``, the images and the start points into a folder;
     returns the paths.
 
-    RGB photos are ``images/NAME.png``, those of another modality ``MODALITY/NAME.png`` with 16
-    bits, but for thermal ones with known °C: ``thermal/NAME.tiff``, float32, with
-    ``temperature_bounds.json``. There are masks where pixels are not valid. In ``transforms.json``
+    RGB photos are ``images/NAME.png``, thermal photos with known °C ``thermal/NAME.tiff``
+    (float32) with ``temperature_bounds.json``, all others ``MODALITY/NAME.png`` with 16 bits.
+    Images with invalid pixels have masks. In ``transforms.json``
     poses are camera to world with OpenGL axes, in ``images.txt`` world to camera with OpenCV axes.
     COLMAP's names are relative to ``images/``; where one view has several cameras, all are
     registered and the names are relative to the folder.

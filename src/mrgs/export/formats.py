@@ -19,11 +19,11 @@ class Format:
     """A format.
 
     Attributes:
-        name: as ``--format`` says it.
-        files: what is written, one line for the help.
+        name: the value of ``--format``.
+        files: one line for the help: the files that are written.
         export: writes the files of an ``ExportJob``; returns their paths.
-        require: raises ConfigError if the format cannot be written of a scene, before anything is
-            done.
+        require: raises ConfigError, before anything is written, if the format cannot be written for
+            a scene.
     """
 
     name: str

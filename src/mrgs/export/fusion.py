@@ -29,7 +29,7 @@ is left out."""
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """What one camera sees.
+    """Depth and image of one camera.
 
     Attributes:
         camera: of the images.

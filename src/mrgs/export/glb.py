@@ -63,7 +63,8 @@ def write_glb(
     Args:
         path: of the file.
         splats: in the scene's own frame.
-        up: what is up in that frame, unit length; the node is turned so that it becomes glTF's +y.
+        up: the up direction of that frame, unit length; the node is rotated so that it becomes
+            glTF's +y.
             None leaves it.
         extras: facts for the file's ``asset.extras``.
         properties: more numbers per splat by name, float32; glTF keeps them under ``_NAME`` in

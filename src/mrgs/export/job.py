@@ -1,4 +1,4 @@
-"""What the writers of all formats share: the baked model, its scene, and the facts about both."""
+"""The input of all writers: the baked model, its scene, and the facts about both."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class ExportJob:
     """What one export writes, and where.
 
     Attributes:
-        baked: what is exported.
-        scene: what it was trained on.
+        baked: the exported model.
+        scene: that the model was trained on.
         folder: of the files.
         scale: colours of the temperatures.
-        up: what is up in the scene's frame, unit length; None if not known.
-        facts: what holds for every file, see ``facts_of``.
-        run: that was baked; None if only the baked model is at hand.
-        loss: what baking costs; None without a run.
+        up: the up direction of the scene's frame, unit length, [3]; None if not known.
+        facts: for the sidecar of every file, see ``facts_of``.
+        run: that was baked; None if only the baked model is available.
+        loss: PSNR lost by baking, dB; None without a run.
         palette: of the temperatures.
         limits_c: °C of the palette's first and last colour, as the caller gave them.
     """
@@ -56,12 +56,12 @@ class ExportJob:
 
     @cached_property
     def points(self) -> SurfacePoints:
-        """The splats on surfaces."""
+        """The splats on surfaces as points, computed once."""
         return surface_points(self.baked, self.scene)
 
     @property
     def surface_facts(self) -> dict[str, Any]:
-        """What holds for files whose temperatures are not those of single splats."""
+        """``facts`` for files whose temperatures are a surface's, not those of single splats."""
         return self.facts | {
             "temperature": self.facts["temperature"] | {"of": "the surface, as the cameras see it"}
         }
@@ -81,5 +81,5 @@ class ExportJob:
 
 
 def described(path: Path, facts: Mapping[str, Any]) -> list[Path]:
-    """Write the facts about a file beside it; returns both paths."""
+    """Write the facts about a file as its sidecar; returns the paths of both."""
     return [path, write_sidecar(path, facts)]

@@ -1,4 +1,4 @@
-"""What a trained model loses when it is baked into plain splats."""
+"""The quality that a trained model loses when it is baked into plain splats."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ Negative where the baked model is closer to the photos.
 
 
 def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
-    """Render the held-out views with both models and compare them with the photos.
+    """PSNR of each modality that baking costs, averaged over the held-out views, dB; None for a
+    modality without photos.
 
     Raises:
         SceneError: a photo cannot be read.

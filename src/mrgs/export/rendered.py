@@ -60,15 +60,16 @@ def carry_over(
     tolerance: float,
     relative_tolerance: float = 0.0,
 ) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
-    """Each point's image values: their mean over the cameras that see it, near ones first; and
-    whether any does.
+    """Image values of each point [N, C], averaged over the cameras that see it with weights
+    1 / z², and whether any camera does [N].
 
     Args:
         maps: of the cameras.
         points: world coordinates.
         tolerance: a point this far before or behind the depth of its pixel is still seen there,
             scene units.
-        relative_tolerance: the same as a share of its depth; the larger of the two holds.
+        relative_tolerance: tolerance as a share of the point's depth; the larger of the two
+            tolerances applies.
     """
     total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)

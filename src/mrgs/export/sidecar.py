@@ -1,4 +1,4 @@
-"""What the numbers in an exported file mean: header comments and a small JSON beside the file."""
+"""The meaning of the numbers in an exported file: header comments and a JSON sidecar."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ level."""
 def facts_of(
     baked: BakedModel, scene: Scene, up: Float64[np.ndarray, "3"] | None, loss: BakingLoss | None
 ) -> dict[str, Any]:
-    """What holds for every file of an export: program, frame, units, temperatures, what was lost by
-    baking.
+    """Facts about every file of an export: program, frame, units, temperatures, and the PSNR lost
+    by baking.
 
     Args:
         baked: the exported model.
-        scene: what it was trained on.
-        up: what is up in the scene's frame, see ``up_direction``.
-        loss: in dB; None where the trained model was not at hand.
+        scene: that the model was trained on.
+        up: the up direction of the scene's frame, see ``up_direction``.
+        loss: in dB; None if the trained model was not available.
     """
     known = baked.temperature
     temperature: dict[str, Any] = {
@@ -67,7 +67,7 @@ def facts_of(
 
 
 def loss_facts(loss: BakingLoss) -> dict[str, float | None]:
-    """A baking loss by the names of the modalities."""
+    """A baking loss in dB by the names of the modalities, for JSON."""
     return {modality.name: value for modality, value in loss.items()}
 
 
@@ -87,8 +87,8 @@ def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> d
 
 
 def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
-    """What is up, unit length, if the photos were taken level: the direction across all cameras'
-    horizontal axes.
+    """The up direction, unit length [3], if the photos were taken level: perpendicular to all
+    cameras' horizontal axes.
 
     None where those axes do not lie in one plane (tilted cameras), or are all parallel.
     """
@@ -104,7 +104,7 @@ def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
 
 
 def comment_lines(facts: Mapping[str, Any]) -> list[str]:
-    """The facts as lines for a file's header."""
+    """Facts as lines ``name: value`` for a file's header."""
     return [
         f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}"
         for name, value in facts.items()

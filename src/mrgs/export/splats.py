@@ -1,4 +1,4 @@
-"""The splats of one modality as plain arrays: what every splat format stores."""
+"""The splats of one modality as plain arrays, as every splat format stores them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ThermalScale:
     Attributes:
         palette: from cold to warm.
         low: temperature of the first colour, °C; normalised for a scene without °C.
-        high: temperature of the last colour, in the same unit; larger than ``low``.
+        high: temperature of the last colour, in the unit of ``low`` and larger than it.
     """
 
     palette: PaletteName
@@ -121,8 +121,8 @@ def require_exportable(baked: BakedModel) -> None:
 
 
 def modality_splats(baked: BakedModel, modality: Modality, scale: ThermalScale) -> SplatArrays:
-    """What a viewer shows of a modality: temperatures in the colours of a palette, all others in
-    their own colours or grey."""
+    """The splats that show a modality: temperatures in the colours of a palette, any other modality
+    in its own colours or grey."""
     if modality == THERMAL:
         return thermal_splats(baked, scale)
     return shaded_splats(baked, modality)
@@ -141,7 +141,8 @@ def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
 
 
 def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
-    """The temperatures with o_t in the colours of a palette, degree 0: the same from each side.
+    """The temperatures in the colours of a palette, with the thermal opacity; of degree 0, so that
+    they do not depend on the view.
 
     A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour
     that is not on the palette.
@@ -157,8 +158,8 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedMod
     the splat in their image, in [0, 1].
 
     Closer to the photos than leaving the higher degrees out, whose mean over the directions from
-    which a splat was seen is not zero. At most ``MEAN_OVER`` cameras, spread evenly over those
-    given, are asked.
+    which a splat was seen is not zero. It averages over at most ``MEAN_OVER`` cameras,
+    evenly spaced over those given.
     """
     asked = [cameras[index] for index in spread(len(cameras), MEAN_OVER)]
     means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh}
@@ -172,7 +173,7 @@ def base_values(baked: BakedModel, modality: Modality) -> Float32[np.ndarray, "n
 
 
 def value_names(baked: BakedModel, modality: Modality) -> list[str]:
-    """What files call the channels of a modality that is not a colour."""
+    """Names of a modality's channels in files; not for RGB."""
     if modality == THERMAL:
         return [temperature_name(baked)]
     if modality.channels == 1:
@@ -186,7 +187,8 @@ def shown_temperatures(baked: BakedModel) -> Float32[np.ndarray, " n"]:
 
 
 def temperature_name(baked: BakedModel) -> str:
-    """What files call ``shown_temperatures``: ``temperature_c`` or ``temperature_normalised``."""
+    """Name of the temperatures in files: ``temperature_c``, or ``temperature_normalised`` where the
+    scene has no °C."""
     return "temperature_normalised" if baked.temperature is None else "temperature_c"
 
 

@@ -37,18 +37,18 @@ def export(
     Splat formats write one file for each modality that the scene has photos of: ``rgb.ply``,
     ``thermal.ply`` in the colours of the palette, any other in grey under its own name.
 
-    Beside each file but those of ``cameras`` and ``page``, ``NAME.SUFFIX.json`` says units, axes,
-    temperature range and baking loss.
+    Beside each file but those of ``cameras`` and ``page``, ``NAME.SUFFIX.json`` lists units,
+    axes, temperature range and baking loss.
 
     Args:
         model: a run, which is baked here, or a model that is baked already (its baking loss is then
             not measured).
-        scene: what it was trained on.
+        scene: that the model was trained on.
         format: the name of one of ``FORMATS``, or ``all``: every format that can be written here.
-        folder: made if need be; files of these names are replaced.
+        folder: made if it does not exist; files of these names are replaced.
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
-        on_baked: called with what the baking of a run costs.
+        on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each format with its number, the number of formats, and its name.
 
     Raises:

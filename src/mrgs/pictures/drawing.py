@@ -21,13 +21,13 @@ _REPLACED = str.maketrans({"–": "-", "—": "-", "−": "-", "×": "x", "∞":
 
 
 class Scale(NamedTuple):
-    """What the colours of a map mean.
+    """The meaning of a map's colours.
 
     Attributes:
         palette: the colours.
         low: value of the first colour; larger than ``high`` where the palette runs the other way.
         high: value of the last colour.
-        unit: stands behind the largest number; may be empty.
+        unit: written after the largest number; may be empty.
     """
 
     palette: PaletteName
@@ -80,8 +80,8 @@ def fit_text(text: str, size: int, width: float | int) -> str:
 def scale_bar(
     scale: Scale, length: int, direction: Literal["horizontal", "vertical"], size: int = 13
 ) -> Image.Image:
-    """A colour bar with ticks at round numbers, ``length`` pixels long; the unit stands behind the
-    last number.
+    """A colour bar with ticks at round numbers, ``length`` pixels long; the unit follows the last
+    number.
 
     A vertical bar has its warm end on top. The image is as small as its content, on white.
     """

@@ -88,7 +88,7 @@ def shown_depth(
 
 
 def to_array(tensor: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
-    """The tensor as float32 in main memory, without its gradient."""
+    """A tensor as a float32 array in main memory, detached."""
     return tensor.detach().float().cpu().numpy()
 
 
@@ -141,7 +141,7 @@ def write_rgb_png(path: Path, image: Float[Tensor, "h w c"]) -> Path:
 
 
 def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], description: str) -> Path:
-    """Write the values as they are into a one-channel float32 TIFF.
+    """Write values [H, W], unchanged, into a one-channel float32 TIFF; returns the path.
 
     Args:
         path: ends with .tiff.

@@ -85,7 +85,7 @@ def write_html(
     sources: Sequence[str] = (),
     **values: Any,
 ) -> Path:
-    """Write a page that needs nothing from the network, and whose policy forbids it to ask.
+    """Write a page that needs nothing from the network, and whose policy forbids requests.
 
     Args:
         path: ends with .html.

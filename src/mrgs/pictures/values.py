@@ -38,6 +38,11 @@ def unit_of(modality: Modality, temperature: TemperatureRange | None) -> str:
     return modality.unit or NORMALISED
 
 
+def unit_label(modality: Modality, temperature: TemperatureRange | None) -> str:
+    """The unit in which a modality's values are shown; empty for normalised values."""
+    return unit_of(modality, temperature).replace(NORMALISED, "")
+
+
 def full_scale(
     modality: Modality, temperature: TemperatureRange | None, palette: PaletteName
 ) -> Scale:

@@ -1,4 +1,4 @@
-"""What the report's template shows, section by section."""
+"""The contents of the report's sections, for its template."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mrgs.evaluation.report import COLUMNS, heading
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName
-from mrgs.pictures.values import NORMALISED, decimals_of, full_scale, in_unit
+from mrgs.pictures.values import decimals_of, full_scale, in_unit, unit_label
 from mrgs.report.pictures import Marked, crops, overview, photo_value
 from mrgs.report.spots import Renderer, Spot, find_spots
 from mrgs.runs.open import Run
@@ -108,8 +108,7 @@ def show_spots(named: Mapping[str, Spot], run: Run, scene: Scene) -> Spots:
     """
     views = _views(scene)
     scale = full_scale(THERMAL, scene.temperature, PALETTE)
-    if scale.unit == NORMALISED:
-        scale = scale._replace(unit="")
+    scale = scale._replace(unit=unit_label(THERMAL, scene.temperature))
     marked = overview(views, named, _thermal_renderer(run), scale)
     bar = inline_image(scale_bar(scale, SCALE_BAR_PX, "horizontal"), "temperature scale", png=True)
     shown = [_shown(name, spot, views, run, scale) for name, spot in named.items()]

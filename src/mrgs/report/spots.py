@@ -1,4 +1,4 @@
-"""The hottest and the coldest places of a model: surfaces that several views agree on, never single
+"""The hottest and the coldest spots of a model: surfaces that several views agree on, never single
 splats.
 
 A splat's own temperature means little, because neighbours make up for each other, and a floater
@@ -29,7 +29,7 @@ from jaxtyping import Bool, Float, Int64
 from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, spread
 
 VIEWS = 60
-"""Views that are surveyed, evenly spread over those given."""
+"""Number of views that are surveyed, evenly spaced over those given."""
 
 WIDTH_PX = 320
 SURFACE_ALPHA = 0.9
@@ -48,13 +48,13 @@ Renderer = Callable[[Camera], Rendering]
 
 
 class Spot(NamedTuple):
-    """A place on a surface.
+    """A spot on a surface.
 
     Attributes:
         position: in world coordinates, scene units, [3].
         value: normalised temperature, the median over the views that see it.
-        low: lowest of these views' values but for the lowest tenth.
-        high: highest but for the highest tenth.
+        low: 10th percentile of these views' values, normalised.
+        high: 90th percentile of these views' values, normalised.
         views: how many views see it.
         view: index of the view that shows it best (most pixels, away from the border).
     """
@@ -86,7 +86,7 @@ class _Points(NamedTuple):
 
 
 class _Sightings(NamedTuple):
-    """What each view says of each cube, sorted by cube, S of them.
+    """The S values that views have in cubes, sorted by cube.
 
     Attributes:
         cubes: index of the cube, 0 to C − 1, [S].
@@ -104,7 +104,7 @@ class _Sightings(NamedTuple):
 
 
 class _Cube(NamedTuple):
-    """What the views say of one cube.
+    """The values of all views in one cube.
 
     Attributes:
         median: of the values.
@@ -123,10 +123,10 @@ def find_spots(
     """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
 
     Args:
-        views: of the capture; those without a thermal image are not asked.
-        render: of the model.
-        count: how many.
-        ball: how far the scene reaches; the sky is no spot. None if there is none.
+        views: of the capture; those without a thermal image are skipped.
+        render: renders the thermal image of a camera.
+        count: largest number of spots in each list.
+        ball: how far the scene reaches; the sky beyond it is no spot. None if there is none.
     """
     thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
     chosen = [thermal[place] for place in spread(len(thermal), VIEWS)]

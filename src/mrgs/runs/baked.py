@@ -79,7 +79,7 @@ class BakedModel:
         return self.map_tensors(lambda tensor: tensor[rows])
 
     def map_tensors(self, function: Callable[[Tensor], Tensor]) -> BakedModel:
-        """The same model with a function applied to each of its tensors."""
+        """A copy of the model with a function applied to each of its tensors."""
         return replace(
             self,
             means=function(self.means),

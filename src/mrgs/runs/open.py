@@ -28,10 +28,10 @@ __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open
 @dataclass(frozen=True, eq=False)
 class Run(TrainedRun):
     """A run with Gaussians. It may render on a GPU; its model and its images are in the host's
-    memory all the same.
+    memory in any case.
 
     Attributes:
-        model: what it learned, t̂ computed once for all views.
+        model: the trained model, with t̂ computed once for all views.
         image_model: what the cameras do to the images, as far as it was learned.
         device: where it renders.
     """
@@ -82,7 +82,7 @@ def open_run(
     Raises:
         RunError: the folder is not a run, its method is not registered, or its checkpoint cannot be
             used.
-        DeviceError: the GPU was asked for and cannot be used.
+        DeviceError: the requested GPU cannot be used.
     """
     folder = RunFolder(path)
     folder.newest_checkpoint()
@@ -100,7 +100,7 @@ def load_run(path: str | Path, scene: str | Path | None = None, device: DeviceNa
     Raises:
         RunError: the folder is not a run, its method has no Gaussians, or its checkpoint cannot be
             used.
-        DeviceError: the GPU was asked for and cannot be used.
+        DeviceError: the requested GPU cannot be used.
     """
     run = open_run(path, scene, device)
     if not isinstance(run, Run):

@@ -35,7 +35,7 @@ class Method:
     ``train`` a strategy or terms of its own with ``functools.partial``.
 
     Attributes:
-        name: as ``--method`` and a run's config.yaml say it.
+        name: the value of ``--method``, and of ``method`` in a run's config.yaml.
         description: one line, for the help.
         make_config: configuration of a preset, from the keywords ``preset``, ``max_steps``,
             ``resolution``, ``seed``, and ``max_gaussians`` where the method has Gaussians. A

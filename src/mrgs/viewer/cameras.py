@@ -31,8 +31,8 @@ class Pose(NamedTuple):
 
     Attributes:
         position: in world coordinates, [3].
-        target: the point that it looks at and turns about, [3].
-        up: the direction that stands upright, [3].
+        target: world coordinates of the point that it orbits, [3].
+        up: the upright direction in the world, [3].
         fov: vertical field of view, radians.
     """
 
@@ -72,13 +72,13 @@ def rotation_wxyz(camera: Camera) -> Float[np.ndarray, "4"]:
 
 
 def vertical_fov(camera: Camera) -> float:
-    """Radians."""
+    """Vertical field of view of a camera, radians."""
     return 2 * math.atan(0.5 * camera.height / camera.K[1, 1].item())
 
 
 def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
-    """The size, reduced so that its longer side has at most so many pixels; each side at least
-    1."""
+    """Width and height in pixels, reduced so that the longer side has at most ``longest``; each at
+    least 1."""
     scale = min(1.0, longest / max(width, height, 1))
     return max(1, round(width * scale)), max(1, round(height * scale))
 
@@ -105,7 +105,7 @@ def pose_at(view: View, views: Sequence[View]) -> Pose:
 
 
 def pose_around(means: Float[np.ndarray, "n 3"]) -> Pose:
-    """Look at the middle of a model of which no cameras are known; z is up."""
+    """The first viewpoint for a model without known cameras: towards its middle; z is up."""
     centre = np.median(means, axis=0).astype(np.float64)
     radius = float(np.median(np.linalg.norm(means - centre, axis=1))) or 1.0
     return Pose(
@@ -119,7 +119,7 @@ def pose_around(means: Float[np.ndarray, "n 3"]) -> Pose:
 def nearest_view(
     views: Sequence[View], camera: Camera, extent: float, preferred: int | None = None
 ) -> int:
-    """Index of the captured view that looks most alike, by place and direction; ties go to
+    """Index of the captured view whose position and direction are closest to a camera's; ties go to
     ``preferred``.
 
     Args:

@@ -74,11 +74,11 @@ class Inspection:
         settings: the choices that the next picture is drawn with.
         camera: of the latest picture, at its size; None before the first.
         view_index: of the captured view nearest to it, in ``subject.views``.
-        point: what was read last.
-        spots: points that were kept.
+        point: the latest reading.
+        spots: points that were kept as labelled marks.
         boxes: rectangles that were drawn.
-        box_readings: what was seen in them in the latest sharp picture.
-        keyframes: of the path to be filmed.
+        box_readings: one per box, of the latest sharp picture; None for a box without values.
+        keyframes: of the camera path.
     """
 
     def __init__(self, subject: Subject) -> None:

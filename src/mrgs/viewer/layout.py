@@ -1,4 +1,4 @@
-"""Where on the picture each part stands, and through which cameras it looks."""
+"""The parts of a picture: their places and their cameras."""
 
 from __future__ import annotations
 
@@ -47,7 +47,13 @@ class Pane:
 
 
 class Place(NamedTuple):
-    """A point of a pane: u to the right and v down, 0 to 1 over the pane."""
+    """A point of a pane.
+
+    Attributes:
+        pane: that contains it.
+        u: to the right, 0 to 1 over the pane.
+        v: down, 0 to 1 over the pane.
+    """
 
     pane: Pane
     u: float
@@ -75,7 +81,7 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
 
 
 def place_at(panes: Sequence[Pane], x: float, y: float) -> Place | None:
-    """The place under a pixel of the picture; None between the panes."""
+    """The pane and the place in it at pixel (x, y) of the picture; None between the panes."""
     for pane in panes:
         u, v = (x - pane.left) / pane.camera.width, (y - pane.top) / pane.camera.height
         if 0 <= u < 1 and 0 <= v < 1:

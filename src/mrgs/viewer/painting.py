@@ -180,21 +180,22 @@ def _paint_modality(
 
 
 def isotherm_color(palette: PaletteName) -> tuple[int, int, int]:
-    """The colour of the isotherm band, one that the palette does not have."""
+    """Colour of the isotherm band, sRGB bytes: one that the palette does not contain."""
     return ISOTHERM_ON_RAINBOW if palette == "rainbow" else ISOTHERM_COLOR
 
 
 def blend(
     below: UInt8[np.ndarray, "h w 3"], above: UInt8[np.ndarray, "h w 3"], share: float
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """One image over the other: ``share`` 0 shows only the lower, 1 only the upper."""
+    """Mix two images [H, W, 3]: ``share`` 0 shows only the lower, 1 only the upper."""
     return np.rint((1 - share) * below + share * above.astype(np.float32)).astype(np.uint8)
 
 
 def split(
     left: UInt8[np.ndarray, "h w 3"], right: UInt8[np.ndarray, "h w 3"], share: float
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Two images that meet at a white line; the right one takes ``share`` of the width."""
+    """Join two images [H, W, 3] at a vertical white line; the right one takes ``share`` of the
+    width."""
     width = left.shape[1]
     column = round((1 - share) * width)
     image = np.concatenate([left[:, :column], right[:, column:]], axis=1)
@@ -267,8 +268,7 @@ def _draw_marks(image: Image.Image, pane: Pane, images: PaneImages, marks: Seque
 def _is_hidden(
     place: tuple[float, float, float], images: PaneImages, size: tuple[int, int]
 ) -> bool:
-    """Whether something stands before a point (x, y, z-depth); without depth (photos) nothing
-    does."""
+    """Whether a surface occludes a point (x, y, z-depth); never without depth (photos)."""
     if images.depth is None:
         return False
     height, width = images.depth.shape

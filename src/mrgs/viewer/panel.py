@@ -1,5 +1,4 @@
-"""The panel's controls: what stands where, in the words of its users. What the controls do is in
-``browser.py``."""
+"""The panel's controls and their labels; ``browser.py`` connects them."""
 
 from __future__ import annotations
 

@@ -53,8 +53,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Extreme:
-    """The place of a minimum or maximum: u to the right and v down, 0 to 1 over the image, and its
-    value."""
+    """The pixel of a minimum or maximum.
+
+    Attributes:
+        u: to the right, 0 to 1 over the image.
+        v: down, 0 to 1 over the image.
+        value: there, in the unit of the image.
+    """
 
     u: float
     v: float
@@ -80,7 +85,7 @@ class BoxReading:
 
 @dataclass(frozen=True)
 class Box:
-    """A rectangle of an image: u to the right and v down, 0 to 1 over the image."""
+    """A rectangle of an image; u to the right and v down, 0 to 1 over the image."""
 
     u0: float
     v0: float
@@ -180,8 +185,8 @@ def _blend(
 def read_box(
     values: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], box: Box
 ) -> BoxReading | None:
-    """Minimum, mean and maximum of the pixels of a box that are solid and not NaN; None if there
-    are none."""
+    """Minimum, mean and maximum of an image [H, W] over the pixels of a box that are solid and not
+    NaN; None if there are none."""
     height, width = values.shape
     left, right = sorted(
         (int(np.clip(box.u0, 0, 1) * width), int(np.ceil(np.clip(box.u1, 0, 1) * width)))

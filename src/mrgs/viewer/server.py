@@ -42,8 +42,8 @@ def view(
 
     Args:
         run: what ``load_run`` returns.
-        scene: what ``run.load_scene`` returns; without it there are no photos and no cameras to go
-            to.
+        scene: what ``run.load_scene`` returns; without it there are no photos and no captured
+            cameras.
         host: the address to listen on.
         port: TCP port; 0 takes a free one.
         on_ready: called with the address to open.
@@ -107,11 +107,11 @@ class LiveView:
         self.close()
 
     def on_start(self, scene: Scene, config: TrainConfig) -> None:
-        """Remember what is trained; for ``train(on_start=...)``."""
+        """Store the scene and the number of steps; for ``train(on_start=...)``."""
         self._scene, self._max_steps = scene, config.max_steps
 
     def on_model(self, model: Model, response: CameraResponse) -> None:
-        """Begin to serve the model, compared with photos through ``response``; for
+        """Start serving the model, which is compared with photos through ``response``; for
         ``train(on_model=...)``."""
         self._model = model
         try:
@@ -139,8 +139,8 @@ class LiveView:
             _log.warning("training continues without its viewer: %s", error)
 
     def on_step(self, statistics: StepStatistics) -> None:
-        """Draw, if somebody looks and the share of time allows; for ``train(on_step=...)``. Raises
-        nothing."""
+        """Draw if a browser is connected and the time budget allows; for ``train(on_step=...)``.
+        Raises nothing."""
         viewer = self._viewer
         if viewer is None or self._model is None:
             return

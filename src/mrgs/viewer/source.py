@@ -36,12 +36,12 @@ class TrainedSource:
         self._lock = threading.Lock()
 
     def run(self, job: Callable[[Model], Result]) -> Result:
-        """Run a job on the model, now or after those before it, and return what it returns."""
+        """Run a job on the model after those before it; returns the result of the job."""
         with self._lock:
             return job(self._model)
 
     def charge(self) -> None:
-        """Nothing else waits for the processor."""
+        """Does nothing: no training competes for the processor."""
 
 
 class LiveSource:
@@ -133,7 +133,7 @@ class LiveSource:
             self._expected_s = spent if self._expected_s == 0 else 0.5 * (self._expected_s + spent)
 
     def close(self) -> None:
-        """Cancel what waits, and what will be asked."""
+        """Cancel the waiting jobs, and every later one."""
         with self._lock:
             self._closed = True
             waiting = list(self._jobs)

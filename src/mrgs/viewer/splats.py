@@ -1,4 +1,4 @@
-"""The model as plain splats for the browser's own renderer: smooth where there is a graphics
+"""The model as plain splats for the browser's own renderer: smooth with a graphics
 card."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mrgs.viewer.settings import Settings
 
 
 class BrowserSplats:
-    """Bakes the model when it is first asked for.
+    """The model as plain splats, baked on first use.
 
     Args:
         bake: makes the plain splats; may take seconds.
@@ -31,7 +31,7 @@ class BrowserSplats:
         self._lock = threading.Lock()
 
     def baked(self) -> BakedModel:
-        """The plain splats; the first call takes its time."""
+        """The plain splats; the first call bakes them, which may take seconds."""
         with self._lock:
             if self._baked is None:
                 self._baked = self._bake()
@@ -58,7 +58,8 @@ def splat_colors(baked: BakedModel, settings: Settings, scales: Scales) -> UInt8
 def covariances(
     quats: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 3 3"]:
-    """R diag(s²) Rᵀ of each splat."""
+    """Covariance R diag(s²) Rᵀ of each splat, [N, 3, 3], from quaternions wxyz and standard
+    deviations s along the rotated axes."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(dim=1)
     rotation = torch.stack(
         [

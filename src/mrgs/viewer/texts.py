@@ -1,4 +1,4 @@
-"""The panel's texts as HTML; anything that comes from files is escaped."""
+"""The panel's texts as HTML; text that comes from files is escaped."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The web server: one model, any number of browsers. Needs viser; ``server.py`` says so where it is
-missing."""
+"""The web server: one model, any number of browsers. Needs viser; ``server.py`` checks
+that it is installed."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Viewer:
 
     Args:
         subject: the model.
-        start: where browsers look from at first.
+        start: first viewpoint of each browser.
         host: the address to listen on; anything but this computer's own makes the model visible to
             the network.
         port: TCP port; 0 takes a free one.
-        splats: the model as plain splats; None where browsers cannot draw it.
+        splats: the model as plain splats; None if browsers cannot draw it.
 
     Raises:
         ConfigError: viser is not installed, or the address or port cannot be used.
@@ -167,7 +167,8 @@ def _serve(host: str, port: int, title: str) -> viser.ViserServer:
 
 
 def start_pose(scene: Scene | None, model: Model) -> Pose:
-    """Where to look from at first: from the first captured camera, or at the model's middle."""
+    """The first viewpoint: that of the first training view, or towards the model's middle without a
+    scene."""
     if scene is not None:
         return pose_at(scene.train[0], scene.train)
     return pose_around(model.gaussians.means.detach().cpu().numpy())

@@ -1,4 +1,4 @@
-"""How much of the photos each splat paints."""
+"""The share of the photos that each splat covers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mrgs.runs.baked import BakedModel
 from mrgs.scene import Camera, spread
 
 VIEWS = 16
-"""Cameras that are asked, evenly spread over those given."""
+"""Number of cameras that are rendered, evenly spaced over those given."""
 
 WIDTH_PX = 320
 

@@ -17,7 +17,7 @@ from mrgs.export.page.visibility import most_visible
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range, palette_table
-from mrgs.pictures.values import NORMALISED, in_unit, range_of, unit_of
+from mrgs.pictures.values import in_unit, range_of, unit_label
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     THERMAL,
@@ -30,6 +30,13 @@ from mrgs.scene import (
 from mrgs.scene.camera_paths import focus_point
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
+ASSETS: dict[str, Any] = {
+    "styles": ["export/page/page.css"],
+    "scripts": [f"export/page/{name}" for name in SCRIPTS],
+    "sources": ["worker-src blob:"],
+}
+"""Style sheet, scripts and their policy, see ``write_html``."""
+
 PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
 
 RANGE_VIEWS = 8
@@ -51,7 +58,7 @@ def write_page(
     notes: Sequence[str] = (),
     modalities: Sequence[Modality] | None = None,
 ) -> Path:
-    """Write the model as one self-contained HTML page; returns its path.
+    """Write the model as one HTML page; returns its path.
 
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
     It takes about 7 MB for 100,000 splats with RGB and thermal (4 MB with ``sh_degree=1``).
@@ -65,8 +72,8 @@ def write_page(
         range_c: temperatures at the ends of the palette, °C (normalised without °C); None takes
             those of what some of the cameras see.
         max_splats: keep only this many, those that paint most of the photos.
-        sh_degree: 0 to 3; fewer degrees make a smaller file, whose colours depend less on the view.
-        notes: sentences to add to the page's notes on temperatures.
+        sh_degree: 0 to 3; a lower degree makes a smaller file with less view dependence.
+        notes: sentences for the section on temperatures.
         modalities: to show; None shows all of the model's.
 
     Raises:
@@ -76,17 +83,14 @@ def write_page(
     shown = in_order(baked.modalities if modalities is None else modalities)
     _check(shown, cameras, palette, range_c, max_splats, sh_degree)
     every = list(cameras.values())
-    if max_splats is not None:
-        baked = baked.subset(most_visible(baked, every, max_splats))
+    baked = _reduced(baked, every, max_splats)
     packed = pack(baked, sh_degree, shown)
     facts = _facts(baked, packed, every, shown, range_c)
     return write_html(
         path,
         "export/page/page.html",
         title=title,
-        styles=["export/page/page.css"],
-        scripts=[f"export/page/{name}" for name in SCRIPTS],
-        sources=["worker-src blob:"],
+        **ASSETS,
         modalities=facts["modalities"],
         has_thermal=THERMAL in shown,
         date=date.today().isoformat(),
@@ -101,6 +105,13 @@ def write_page(
         worker=asset("export/page/worker.js"),
         model=_base64(packed.data),
     )
+
+
+def _reduced(baked: BakedModel, cameras: Sequence[Camera], max_splats: int | None) -> BakedModel:
+    """The splats that paint most of the photos; all without a limit."""
+    if max_splats is None:
+        return baked
+    return baked.subset(most_visible(baked, cameras, max_splats))
 
 
 def visible_range(
@@ -194,7 +205,6 @@ def _modality_facts(
     """What the page's script knows of a modality: its name and label, whether a palette shows it,
     what the normalised values 0 and 1 stand for, and the ends of the palette."""
     low, high = range_of(modality, baked.temperature)
-    unit = unit_of(modality, baked.temperature)
     ends = low, high
     if modality == THERMAL and range_c is not None:
         ends = range_c
@@ -206,7 +216,7 @@ def _modality_facts(
         "label": quantity[:1].upper() + quantity[1:],
         "channels": modality.channels,
         "metric": modality.is_metric,
-        "scale": {"min": low, "max": high, "unit": "" if unit == NORMALISED else unit},
+        "scale": {"min": low, "max": high, "unit": unit_label(modality, baked.temperature)},
         "range": list(ends),
     }
 
