@@ -53,7 +53,7 @@ class Reporter:
 
 
 def main(request: dict[str, Any]) -> int:
-    """Do the run; returns the exit status."""
+    """Train and score the run of a request; returns the exit status."""
     # The parent decides what Ctrl-C means, also on systems without sessions.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the parent has read the same scene and shown its warnings

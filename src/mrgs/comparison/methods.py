@@ -139,7 +139,7 @@ def train_run(
 
 
 def to_text(config: RunConfig) -> str:
-    """The configuration as YAML."""
+    """A configuration of any method as YAML."""
     return write_yaml(config)
 
 

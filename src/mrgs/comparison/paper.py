@@ -30,7 +30,7 @@ def published() -> dict[str, Any]:
 
 
 def scene_title(scene: str) -> str | None:
-    """What the paper calls a scene of ThermoScenes, by its folder's name; None for other scenes."""
+    """The paper's name of a ThermoScenes scene, by its folder's name; None for other scenes."""
     title: str | None = published()["scenes"].get(scene)
     return title
 

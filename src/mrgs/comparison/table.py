@@ -67,12 +67,12 @@ def printed(cell: Cell, figure: str, published: bool) -> str:
     if cell.mean is None:
         return "–"
     decimals = kind.paper_decimals if published else kind.decimals
-    spread = "" if cell.std is None else f" ± {cell.std:,.{decimals}f}"
-    return f"{cell.mean:,.{decimals}f}{spread}"
+    deviation = "" if cell.std is None else f" ± {cell.std:,.{decimals}f}"
+    return f"{cell.mean:,.{decimals}f}{deviation}"
 
 
 def marks(table: Table) -> list[list[Mark]]:
-    """Of every row and column: the best and the second best of the measured rows of a block.
+    """Marks of the best and the second best measured rows of each block, by row and column.
 
     Figures that are printed alike are marked alike. A column with fewer than two measured figures
     has no marks.

@@ -136,7 +136,7 @@ class _SheetColumn(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its heading."""
+        """Heading of the column."""
         return self.kind if self.modality is None else f"{self.modality.title} {self.kind}"
 
 
@@ -148,7 +148,7 @@ def sheet_row(
     ball: Reach | None = None,
     depth_of: Modality | None = None,
 ) -> SheetRow:
-    """A row of one view.
+    """Make the contact sheet's row of one view.
 
     Args:
         view: with its photos.

@@ -50,7 +50,7 @@ NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
 @dataclass(frozen=True)
 class ViewMetrics:
-    """One view's figures.
+    """The figures of one view.
 
     Attributes:
         name: the view's.
@@ -66,7 +66,7 @@ class ViewMetrics:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Figures of a set of views.
+    """The figures of a set of views.
 
     Attributes:
         mean: of each modality, means over the views that have the figure.
@@ -206,7 +206,7 @@ class _Measure(NamedTuple):
     lpips: Lpips | None
 
     def figures(self, modality: Modality, photo: Pixels | None, rendering: Rendering) -> Figures:
-        """What ``figure_names`` lists for a modality, of one view."""
+        """The figures of one modality in one view, by ``figure_names``."""
         names = figure_names(modality)
         if photo is None or modality not in rendering:
             return all_missing(

@@ -46,7 +46,14 @@ class Truth:
         depth: Float[Tensor, "h w"] | None,
         temperature: TemperatureRange | None,
     ) -> Figures:
-        """Score one view.
+        """Score one view against the exact truth.
+
+        Args:
+            name: the view's.
+            thermal: rendered normalised temperatures, [H, W, 1]; None without them.
+            photo: the thermal photo; None without one.
+            depth: rendered z-depth of the thermal camera, scene units, [H, W]; None without it.
+            temperature: the scene's scale; None without °C.
 
         Returns:
             ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``:

@@ -16,7 +16,7 @@ from mrgs.runs.registry import imported
 
 @dataclass(frozen=True)
 class Format:
-    """A format.
+    """An export format.
 
     Attributes:
         name: the value of ``--format``.

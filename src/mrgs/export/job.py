@@ -51,7 +51,7 @@ class ExportJob:
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
-        """Those of the model that the scene has photos of, RGB first."""
+        """The modalities to write: those of the model that the scene has photos of, RGB first."""
         return tuple(each for each in self.scene.modalities if each in self.baked.modalities)
 
     @cached_property
@@ -69,7 +69,7 @@ class ExportJob:
     def splats(
         self, baked: BakedModel | None = None
     ) -> Iterator[tuple[Modality, SplatArrays, dict[str, Any]]]:
-        """Each of ``modalities``, its splats, and the facts about their file.
+        """Yield each modality to write, its splats, and the facts about their file.
 
         Args:
             baked: the model to take them from; the job's if None.

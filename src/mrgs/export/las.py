@@ -32,7 +32,7 @@ def export(job: ExportJob) -> list[Path]:
 
 
 def require(scene: Scene) -> None:
-    """Check that the files can be written.
+    """Check that LAS files can be written.
 
     Raises:
         ConfigError: laspy is not installed.
@@ -76,7 +76,7 @@ def write_las(path: Path, points: SurfacePoints) -> Path:
 
 
 def require_laspy() -> ModuleType:
-    """The package laspy.
+    """Import the package laspy.
 
     Raises:
         ConfigError: it is not installed.

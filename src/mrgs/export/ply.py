@@ -81,11 +81,11 @@ def splat_columns(splats: SplatArrays) -> dict[str, np.ndarray]:
 
 
 def logit(opacities: Float[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
-    """The inverse of the sigmoid, finite."""
+    """Logit of opacities in [0, 1], [N]; kept finite by ``OPACITY_MARGIN``."""
     inside = opacities.astype(np.float64).clip(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     return (np.log(inside) - np.log1p(-inside)).astype(np.float32)
 
 
 def log_of(scales: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    """Natural logarithm of the standard deviations, finite."""
+    """Natural logarithm of standard deviations [N, 3], floored at ``SMALLEST_SCALE``."""
     return np.log(scales.clip(SMALLEST_SCALE))

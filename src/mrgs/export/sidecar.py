@@ -72,7 +72,7 @@ def loss_facts(loss: BakingLoss) -> dict[str, float | None]:
 
 
 def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
-    """What the colours in a file of one modality mean: palette, values of its first and last
+    """The meaning of the colours in a file of one modality: palette, values of its first and last
     colour, unit.
 
     Empty for a modality of three channels, whose colours are its own.

@@ -59,7 +59,7 @@ class SplatArrays:
 
 @dataclass(frozen=True)
 class ThermalScale:
-    """The colours of temperatures.
+    """The palette of temperatures and its range.
 
     Attributes:
         palette: from cold to warm.
@@ -154,8 +154,8 @@ def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
 
 
 def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedModel:
-    """The same model with one value of each modality per splat: its mean over the cameras that have
-    the splat in their image, in [0, 1].
+    """A copy of the model with one value of each modality per splat: its mean over the cameras that
+    have the splat in their image, in [0, 1].
 
     Closer to the photos than leaving the higher degrees out, whose mean over the directions from
     which a splat was seen is not zero. It averages over at most ``MEAN_OVER`` cameras,

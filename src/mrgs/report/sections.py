@@ -63,7 +63,7 @@ class ShownSpot(NamedTuple):
 
 
 class Spots(NamedTuple):
-    """The hottest and the coldest spots.
+    """The hottest and the coldest spots, as the report shows them.
 
     Attributes:
         view: name of the overview's view.

@@ -9,7 +9,7 @@ from mrgs.errors import ConfigError
 
 
 def require_viser() -> None:
-    """Check that the extra is installed.
+    """Check that viser, the extra ``view``, is installed.
 
     Raises:
         ConfigError: it is not.

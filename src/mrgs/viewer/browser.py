@@ -63,7 +63,7 @@ class Browser:
         self._scheduler.moved()
 
     def close(self) -> None:
-        """Stop drawing."""
+        """Stop drawing for this browser; a picture that is being drawn is finished."""
         self._scheduler.close()
 
     @property

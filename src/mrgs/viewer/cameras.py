@@ -27,7 +27,7 @@ from mrgs.system.atomic import replacing
 
 
 class Pose(NamedTuple):
-    """An orbiting camera.
+    """A viewpoint that orbits a target.
 
     Attributes:
         position: in world coordinates, [3].
@@ -49,7 +49,7 @@ def pinhole(
     width: int,
     height: int,
 ) -> Camera:
-    """A camera with square pixels.
+    """A pinhole camera with square pixels and a centred principal point.
 
     Args:
         wxyz: rotation from the camera's OpenCV axes to the world, a unit quaternion.

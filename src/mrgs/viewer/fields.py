@@ -46,12 +46,12 @@ class PaneImages:
 def render_pane(
     model: Model, camera: Camera, subject: Subject, as_photo_of: Camera | None = None
 ) -> PaneImages:
-    """Render the modalities that are shown.
+    """Render the modalities that the viewer shows.
 
     Args:
         model: to render.
         camera: of the pane, at the size to render.
-        subject: says what is shown.
+        subject: provides the shown modalities and the temperature range.
         as_photo_of: the first camera of a captured view, to show what its cameras would have
             recorded; None to show the model itself.
     """
@@ -93,7 +93,7 @@ def shown_image(
 def photo_images(
     modality: Modality, photo: PosedImage, temperature: TemperatureRange | None
 ) -> PaneImages:
-    """A photo at its own size.
+    """A photo as the images of a pane, at the photo's own size.
 
     Raises:
         SceneError: it cannot be read.

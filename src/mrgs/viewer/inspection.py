@@ -109,7 +109,7 @@ class Inspection:
 
     @property
     def scales(self) -> Scales:
-        """Of the latest sharp picture."""
+        """The colour scales of the latest sharp picture."""
         return self._scales
 
     def picture(self, camera: Camera, coarse: bool) -> UInt8[np.ndarray, "h w 3"]:

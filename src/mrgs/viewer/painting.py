@@ -45,7 +45,12 @@ HIDDEN_BEHIND = 1.05
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """A labelled point in the world, [3]."""
+    """A labelled point.
+
+    Attributes:
+        position: world coordinates, [3].
+        label: drawn beside it.
+    """
 
     position: Float[np.ndarray, "3"]
     label: str
@@ -53,7 +58,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Scales:
-    """What the colours of the current picture mean; without what has not been seen yet.
+    """The scales of a picture's colours; None or absent for what it does not show.
 
     Attributes:
         values: of each one-channel modality.

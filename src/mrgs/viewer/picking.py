@@ -35,7 +35,7 @@ class ValueReading:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What the model has at a point.
+    """The model's values at a point.
 
     Attributes:
         position: in world coordinates, [3].
@@ -68,7 +68,7 @@ class Extreme:
 
 @dataclass(frozen=True)
 class BoxReading:
-    """What is seen in a box.
+    """Minimum, mean and maximum of a box.
 
     Attributes:
         lowest: pixel with the smallest value.
@@ -100,15 +100,16 @@ def read_point(
 
     A value is that of the rendered image. Its deviation is the standard deviation, over all that
     makes up the pixel with its blending weights w_i (the splats, and the background with T_end), of
-    their own values; that of the depth is over the splats. It says how much the model mixes there,
-    at an edge or where its surface is not thin. It is no error bar against the true value.
+    their own values; that of the depth is over the splats. It is large where the
+    model mixes much, at an edge or where its surface is not thin. It is no error bar against the
+    true value.
 
     Args:
         model: to render.
         camera: the image's; its size is that of the rendering.
         u: to the right, 0 to 1 over the image.
         v: down, 0 to 1 over the image.
-        subject: says what is shown.
+        subject: provides the shown modalities and the temperature range.
     """
     column, row = (
         min(int(u * camera.width), camera.width - 1),

@@ -156,7 +156,7 @@ class LiveView:
             self._viewer = None
 
     def close(self) -> None:
-        """Stop serving. Raises nothing."""
+        """Stop the server and cancel what it waits for. Raises nothing."""
         self._source.close()
         viewer = self._served
         self._viewer = self._served = self._model = self._scene = (

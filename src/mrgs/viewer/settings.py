@@ -43,7 +43,7 @@ class Mode:
 
     @property
     def label(self) -> str:
-        """What the panel calls it."""
+        """Label of the mode in the panel."""
         words = [modality.quantity for modality in self.modalities]
         match self.kind:
             case "image":
@@ -166,8 +166,8 @@ class Subject:
 
 
 def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
-    """Those of a model that there are training photos of, the ones with a unit first; all of the
-    model's if the scene is not available."""
+    """The modalities to show: those of the model with training photos, the ones with a unit first;
+    all of the model's if the scene is not available."""
     modalities = model.gaussians.modalities
     if scene is not None:
         modalities = tuple(each for each in modalities if each in scene.modalities)

@@ -26,7 +26,7 @@ MAX_CREDIT_S = 0.5
 
 
 class TrainedSource:
-    """A model that no longer changes."""
+    """Access to a model that no longer changes."""
 
     max_side_px = 1280
     """Longest side of a sharp picture."""
@@ -75,7 +75,7 @@ class LiveSource:
 
     @property
     def waiting(self) -> int:
-        """Jobs that have not had their turn."""
+        """Number of jobs that have not run yet."""
         with self._lock:
             return len(self._jobs)
 

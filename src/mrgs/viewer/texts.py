@@ -17,7 +17,7 @@ EMPTY_HINT = "Nothing there: the model is empty at this point. Click on somethin
 
 
 def paragraph(text: str, color: str = "inherit") -> str:
-    """One escaped line of text."""
+    """A line of text as an HTML paragraph, escaped."""
     return f'<div style="{_STYLE};color:{color};overflow-wrap:anywhere">{html.escape(text)}</div>'
 
 

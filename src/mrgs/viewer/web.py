@@ -78,7 +78,7 @@ class Viewer:
             return list(self._browsers.values())
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server and disconnect all browsers."""
         for browser in self.browsers:
             browser.close()
         with redirect_stdout(io.StringIO()):  # its farewell
@@ -97,8 +97,7 @@ class Viewer:
 
 
 def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
-    """Start to serve a run, and return at once; the arguments and errors are those of
-    ``server.view``."""
+    """Start to serve a run, and return at once; arguments and errors as for ``view``."""
     _require_gaussians(run.model, run.folder.path)
     note = ""
     if is_training(run.folder.path):

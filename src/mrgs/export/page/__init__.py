@@ -12,7 +12,7 @@ __all__ = ["export", "write_page"]
 
 
 def export(job: ExportJob) -> list[Path]:
-    """Write ``page.html``."""
+    """Write ``page.html`` into the job's folder; returns its path."""
     views = [*job.scene.eval, *job.scene.train]
     path = write_page(
         job.baked,

@@ -42,7 +42,7 @@ CLIPPED_SHARE = 5e-4
 
 
 class PackedModel(NamedTuple):
-    """A model as the page carries it.
+    """A compressed model for the page.
 
     Attributes:
         header: ``count``, ``chunk``, ``sh_degree``, ``sh_steps``, ``planes`` (name, type and length
