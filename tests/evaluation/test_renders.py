@@ -11,18 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.evaluation.renders import evaluate_renders, find_renders
-from mrgs.pictures.files import write_float_tiff
+from mrgs.pictures.files import write_float_tiff, write_rendering
 from mrgs.runs.open import load_run
-from mrgs.scene import RGB, THERMAL
+from mrgs.scene import RGB, THERMAL, Rendering, View
 from mrgs.training import make_config, train
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
+from tests.helpers.views import ramp_view, render_with_error
 
 NAMES = ("frame_eval_00002", "frame_eval_00006")
 SPAN_C = 20.0
@@ -281,3 +283,15 @@ def test_a_third_modality_is_read_from_a_folder_of_its_name(renders, small_scene
     rendering = found.rendering(views[0], scene.temperature)
     expected = views[0].images[THERMAL].load().values
     assert rendering[NEAR_INFRARED].image.numpy() == pytest.approx(expected.numpy(), abs=1e-6)
+
+
+def test_values_of_another_modality_with_a_unit_are_read_back(small_scene, tmp_path):
+    """``mrgs render`` writes them as pictures with a scale bar, and as floats, which are scored."""
+    metric = replace(NEAR_INFRARED, unit="W/m²")
+    infrared = ramp_view("v1", rgb=False, thermal=False, nir=True)
+    view = View("v1", {metric: infrared.images[NEAR_INFRARED]})
+    shown = Rendering({metric: render_with_error(infrared)[NEAR_INFRARED]})
+    write_rendering(tmp_path, view, shown, None)
+    assert (tmp_path / "nir" / "v1.png").is_file()
+    renders = find_renders(tmp_path, replace(load_scene(small_scene), eval=(view,)))
+    assert torch.equal(renders.rendering(view, None)[metric].image, shown[metric].image)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -37,11 +37,22 @@ def test_every_mode_fills_the_picture(inspection, camera, mode):
     assert np.abs(coarse.astype(int) - sharp).mean() < 40
 
 
-def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera, monkeypatch):
+@dataclass(frozen=True, eq=False)
+class SceneUpTo(Scene):
+    """A scene that reaches up to a radius about the origin."""
+
+    radius: float = 1.0
+
+    @property
+    def reach(self) -> Reach:
+        return Reach(torch.zeros(3, dtype=torch.float64), self.radius)
+
+
+def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera):
     near_and_far = []
     for radius in (1e3, 1e-3):  # nothing is background, then everything is
-        monkeypatch.setattr(Scene, "reach", Reach(camera.position, radius))
-        inspection = Inspection(subject)
+        scene = SceneUpTo(**vars(subject.scene), radius=radius)
+        inspection = Inspection(replace(subject, scene=scene))
         inspection.settings = Settings(MODES["depth"])
         inspection.picture(camera, coarse=False)
         near_and_far.append((inspection.scales.depth.high, inspection.scales.depth.low))

@@ -1,6 +1,8 @@
 """Score any program's renderings of a scene's held-out views: image files named like the views.
 
-``FOLDER/MODALITY/NAME.png`` (or .jpg), such as ``FOLDER/rgb``; temperatures in one of
+``FOLDER/MODALITY/NAME.png`` (or .jpg), such as ``FOLDER/rgb``. A modality with a unit may be
+``FOLDER/MODALITY_normalised/NAME.tiff`` instead: float32, 0 and 1 at the ends of its range.
+Temperatures are in one of
 
 - ``FOLDER/temperature_c/NAME.tiff``: float32, °C;
 - ``FOLDER/thermal_normalised/NAME.tiff``: float32, 0 and 1 at the ends of the scene's range;
@@ -19,7 +21,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float32
@@ -49,9 +50,7 @@ GREY_TOLERANCE = 2.5 / 255
 
 FLOAT_SUFFIXES = frozenset({".tif", ".tiff"})
 
-ThermalKind = Literal["temperature_c", "thermal_normalised", "thermal"]
-THERMAL_KINDS: tuple[ThermalKind, ...] = get_args(ThermalKind)
-"""Folders of temperatures; the first that exists is read."""
+CELSIUS_FOLDER = "temperature_c"
 
 Convert = Callable[[Path, Decoded, TemperatureRange | None], Tensor]
 """From a decoded image (the path is for messages) to the values that a model would render."""
@@ -62,13 +61,12 @@ class Renders:
     """The image files of one folder.
 
     Attributes:
-        images: of each modality that the folder has, by view name.
-        thermal_kind: folder of the thermal images, which determines their unit.
+        images: of each modality that the folder has, by view name; the name of a file's folder
+            determines what it holds.
         depths: of the thermal camera, by view name; may be empty.
     """
 
     images: Mapping[Modality, Mapping[str, Path]]
-    thermal_kind: ThermalKind
     depths: Mapping[str, Path]
 
     def rendering(self, view: View, temperature: TemperatureRange | None) -> Rendering:
@@ -80,23 +78,28 @@ class Renders:
         blends = {}
         for modality, posed in view.images.items():
             if modality in self.images:
-                path, convert = self.images[modality][view.name], self._convert(modality)
-                image = _read(path, posed.camera, convert, temperature)
+                path = self.images[modality][view.name]
+                image = _read(path, posed.camera, _conversion(modality, path), temperature)
                 blends[modality] = Blend.of_image(image)
         if THERMAL in blends and view.name in self.depths:
             depth = _read_depth(self.depths[view.name], view.images[THERMAL].camera)
             blends[THERMAL] = blends[THERMAL]._replace(depth=depth)
         return Rendering(blends)
 
-    def _convert(self, modality: Modality) -> Convert:
-        """How a modality's files are read."""
-        if modality != THERMAL:
-            return partial(_intensities, modality)
-        return {
-            "temperature_c": _celsius,
-            "thermal_normalised": _floats,
-            "thermal": _temperatures,
-        }[self.thermal_kind]
+
+def _folders(modality: Modality) -> tuple[str, ...]:
+    """Folders of a modality's images; the first that exists is read."""
+    folders = [f"{modality}_normalised"] if modality.is_metric else []
+    if modality == THERMAL:
+        folders.insert(0, CELSIUS_FOLDER)
+    return (*folders, modality.name)
+
+
+def _conversion(modality: Modality, path: Path) -> Convert:
+    """How a modality's file is read."""
+    if path.parent.name == modality.name:
+        return _temperatures if modality == THERMAL else partial(_intensities, modality)
+    return _celsius if path.parent.name == CELSIUS_FOLDER else _floats
 
 
 def evaluate_renders(
@@ -167,15 +170,13 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
     if not folder.is_dir():
         folders = " and ".join(f"{modality}/" for modality in modalities)
         raise RunError(f"{folder} is not a folder: give the folder that holds {folders}")
-    kind: ThermalKind = next(
-        (kind for kind in THERMAL_KINDS if (folder / kind).is_dir()), "thermal"
-    )
     images, wanted = {}, []
     for modality in modalities:
         names = [view.name for view in scene.eval if modality in view.images]
-        place = folder / (kind if modality == THERMAL else modality.name)
-        is_float = modality == THERMAL and kind != "thermal"
-        files = _files(place, names, FLOAT_SUFFIXES if is_float else IMAGE_SUFFIXES)
+        found = [name for name in _folders(modality) if (folder / name).is_dir()]
+        place = folder / next(iter(found), modality.name)
+        suffixes = IMAGE_SUFFIXES if place.name == modality.name else FLOAT_SUFFIXES
+        files = _files(place, names, suffixes)
         if files is not None:
             images[modality] = files
         wanted.append(f"{modality.title} images into {folder / modality.name}")
@@ -188,7 +189,7 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
     depths = None
     if THERMAL in images:
         depths = _files(folder / "depth_thermal", list(images[THERMAL]), FLOAT_SUFFIXES)
-    return Renders(images, kind, depths or {})
+    return Renders(images, depths or {})
 
 
 def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str, Path] | None:
