@@ -39,10 +39,10 @@ def header(subject: Subject, note: str) -> str:
 
 def point(inspection: Inspection) -> str:
     """The point that was read last: value, photo, other modalities, depth and position."""
-    shown = inspection.point
+    shown, subject = inspection.point, inspection.subject
     if shown is None:
-        return _block(html.escape(CLICK_HINT), "mrgs-hint")
-    reading, subject, first = shown.reading, inspection.subject, shown.modality
+        return _block(html.escape(CLICK_HINT), "mrgs-hint", subject)
+    reading, first = shown.reading, shown.modality
     lines = []
     if first is not None:
         lines.append(_value_line(reading.values[first], first, subject))
@@ -60,7 +60,7 @@ def point(inspection: Inspection) -> str:
             )
     lines.append(f"depth {reading.depth:.3f} ± {reading.depth_deviation:.3f} (scene units)")
     lines.append("position " + ", ".join(_number(value, 3) for value in reading.position))
-    return _block("<br>".join(lines), "mrgs-reading")
+    return _block("<br>".join(lines), "mrgs-reading", subject)
 
 
 def _value_line(value: ValueReading, modality: Modality, subject: Subject) -> str:
@@ -80,9 +80,10 @@ def _text(modality: Modality, value: float, subject: Subject) -> str:
     return html.escape(subject.format_value(modality, value))
 
 
-def _block(content: str, name: str) -> str:
+def _block(content: str, name: str, subject: Subject) -> str:
     """As high with a hint as with a reading, so that the controls below do not jump."""
-    return f'<div style="{_STYLE};min-height:96px" class="{name}">{content}</div>'
+    height = 76 + 20 * max(len(subject.readable), 1)
+    return f'<div style="{_STYLE};min-height:{height}px" class="{name}">{content}</div>'
 
 
 def spots(inspection: Inspection) -> str:
