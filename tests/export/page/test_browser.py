@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +158,26 @@ def test_a_third_modality_is_shown_and_read(open_page, with_nir, cameras, tmp_pa
     assert psnr(picture(page), grey) < 25
     read(page, width // 2, height // 2)
     assert "°C" in page.locator("#value").inner_text()
+
+
+def test_a_third_modality_with_a_unit_has_a_scale_of_its_own(open_page, with_nir):
+    metric = replace(NEAR_INFRARED, unit="W/m²")
+
+    def named(values: dict[Modality, Any]) -> dict[Modality, Any]:
+        return {metric if each == metric else each: value for each, value in values.items()}
+
+    model = replace(with_nir, opacities=named(with_nir.opacities), sh=named(with_nir.sh))
+    page = open_page(model, modalities=model.modalities, viewport={"width": 800, "height": 420})
+    title, high = page.locator("#scale-title"), page.locator("#high")
+    assert (title.inner_text(), high.input_value()) == ("Temperature scale, °C", "80.0")
+    page.click("[data-modality=nir]")
+    page.wait_for_selector(SETTLED)
+    assert title.inner_text() == "Near infrared scale, W/m²"
+    assert float(high.input_value()) < 3
+    assert np.ptp(picture(page), axis=2).mean() > 20, "it is not drawn through the palette"
+    page.click("[data-modality=rgb]")
+    page.click("[data-modality=thermal]")
+    assert (title.inner_text(), high.input_value()) == ("Temperature scale, °C", "80.0")
 
 
 def test_palette_range_and_isotherm_change_the_picture(open_page):
