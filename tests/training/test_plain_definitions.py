@@ -15,6 +15,7 @@ SOURCE = Path(__file__).parents[2] / "src"
 
 TRAIN = """
 import sys, warnings
+from pathlib import Path
 from mrgs.errors import MrgsWarning
 from mrgs.training import make_config, train
 
@@ -22,6 +23,14 @@ scene, output, method, steps, plain = sys.argv[1:]
 config = make_config(method, "fast", max_steps=int(steps), resolution=24)
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always", MrgsWarning)
+    unedited = Path(output).with_name("unedited")
+    if unedited.exists():
+        from mrgs.runs.open import load_run
+        run = load_run(unedited, device="cpu")
+        run.render_view(run.load_scene().eval[0])
+        for warning in caught:
+            print("opened:", warning.message)
+        caught.clear()
     train(scene, output, config, device="cpu", plain=plain == "plain")
 for warning in caught:
     if warning.category is MrgsWarning:
@@ -48,6 +57,9 @@ EDITS = {
 }
 """An equation of each operation, as it reads and as it is edited."""
 
+RENDERING = ("temperature_residuals", "color_residuals")
+"""Those that a run that is opened uses as well."""
+
 
 def copied_package(folder: Path) -> Path:
     """A copy with its compiled kernels, which Numba knows by the times of the files."""
@@ -71,7 +83,9 @@ def trained(
 
 
 @pytest.mark.slow
-def test_an_edited_equation_runs_and_one_line_names_its_operation(small_scene, tmp_path):
+def test_an_edited_equation_runs_in_training_and_in_opened_runs_and_one_line_names_it(
+    small_scene, tmp_path
+):
     package = copied_package(tmp_path / "source")
     unedited, printed = trained(package, small_scene, tmp_path / "unedited")
     assert printed == ["numba: True"]
@@ -83,8 +97,11 @@ def test_an_edited_equation_runs_and_one_line_names_its_operation(small_scene, t
         model, printed = trained(package, small_scene, tmp_path / name)
         path.write_text(text, encoding="utf-8")
 
-        assert len(printed) == 2
-        assert printed[0].startswith(f"{name}: the kernel differs from the plain definition")
+        differs = f"{name}: the kernel differs from the plain definition"
+        opened = [line for line in printed if line.startswith("opened: ")]
+        assert [line[8:][: len(differs)] for line in opened] == [differs] * (name in RENDERING)
+        assert len(printed) == len(opened) + 2
+        assert printed[-2].startswith(differs)
         assert not torch.equal(model["gaussians.means"], unedited["gaussians.means"])
 
 
