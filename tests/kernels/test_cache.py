@@ -71,7 +71,7 @@ def package(tmp_path: Path) -> Path:
         folder.mkdir()
         (folder / "__init__.py").touch()
     for name in ("jit.py", "cache.py"):
-        shutil.copy(cache.KERNELS / name, root / "kernels")
+        shutil.copy(cache.FOLDER / name, root / "kernels")
     (root / "rasterizer" / "contract.py").write_text("OFFSET = 1.0\n")
     for name, text in MODULES.items():
         (root / "kernels" / f"{name}.py").write_text(text)
@@ -147,8 +147,8 @@ def test_without_the_lock_a_kernel_is_compiled_after_a_while(package, locks):
 
 def test_a_stamp_covers_what_is_imported_and_nothing_else():
     def sources(name: str) -> set[str]:
-        found = cache._sources(cache.KERNELS / name)
-        return {path.relative_to(cache.KERNELS.parent).as_posix() for path in found}
+        found = cache._sources(cache.FOLDER / name)
+        return {path.relative_to(cache.FOLDER.parent).as_posix() for path in found}
 
     own = {"kernels/jit.py", "kernels/cache.py"}
     assert sources("dense/product.py") == {"kernels/dense/product.py", *own}

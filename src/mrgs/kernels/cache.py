@@ -19,7 +19,7 @@ from filelock import BaseFileLock, FileLock, Timeout
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
-KERNELS = Path(__file__).parent
+FOLDER = Path(__file__).parent
 
 COMPILED_IN = (
     "baselines/thermonerf/hash_grid.py",
@@ -149,10 +149,10 @@ def _sources(path: Path) -> set[Path]:
 @cache
 def _imports(path: Path) -> tuple[Path, ...]:
     """Files that can be compiled into kernels, of those that a file imports."""
-    compiled_in = {KERNELS.parent / name for name in COMPILED_IN}
+    compiled_in = {FOLDER.parent / name for name in COMPILED_IN}
     files = {_file_of(name) for name in _imported_names(ast.parse(path.read_bytes()))}
     return tuple(
-        file for file in files if file and (KERNELS in file.parents or file in compiled_in)
+        file for file in files if file and (FOLDER in file.parents or file in compiled_in)
     )
 
 
@@ -168,10 +168,10 @@ def _imported_names(tree: ast.Module) -> Iterator[str]:
 def _file_of(name: str) -> Path | None:
     """The file of the package that defines a module or a name in a module."""
     package, *parts = name.split(".")
-    if package != KERNELS.parent.name:
+    if package != FOLDER.parent.name:
         return None
     for count in (len(parts), len(parts) - 1):
-        path = KERNELS.parent.joinpath(*parts[: max(count, 0)])
+        path = FOLDER.parent.joinpath(*parts[: max(count, 0)])
         for file in (path.with_suffix(".py"), path / "__init__.py"):
             if file.exists():
                 return file
