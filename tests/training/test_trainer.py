@@ -20,6 +20,7 @@ from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
 from mrgs.training.views import PhotoCache
+from tests.helpers.runs import trained_run
 
 
 def read_log(folder: RunFolder) -> list[dict]:
@@ -39,14 +40,14 @@ def spoil(monkeypatch: pytest.MonkeyPatch, bad_steps: set[int], first: int = 1) 
 
 
 def eventful(make_short_config, method: str):
-    """200 steps in which everything happens on both sides of step 100."""
-    config = make_short_config(method, max_steps=200, sh_every=45, neighbours_every=35)
+    """120 steps in which everything happens on both sides of step 60."""
+    config = make_short_config(method, max_steps=120, sh_every=27, neighbours_every=21)
     schedule = replace(
         config.densification,
         start=5,
-        stop=190,
-        every=25,
-        reset_every=60,
+        stop=114,
+        every=15,
+        reset_every=36,
         gradient_threshold=2e-5,
         clone_below=0.04,
         max_gaussians=2_000,
@@ -198,12 +199,12 @@ def test_a_scene_of_one_modality_prunes_what_it_does_not_see(
 
 
 @pytest.mark.parametrize(
-    ("method", "cut", "degree"), [("mrgs", 100, 0), ("mrgs", 113, 3), ("3dgs-rgbt", 100, 3)]
+    ("method", "cut", "degree"), [("mrgs", 60, 0), ("mrgs", 68, 3), ("3dgs-rgbt", 60, 3)]
 )
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     method, cut, degree, small_scene, tmp_path, make_short_config
 ):
-    # Step 100 densifies, so that there are no neighbours to save; step 113 lies between two
+    # Step 60 densifies, so that there are no neighbours to save; step 68 lies between two
     # densifications.
     config = replace(eventful(make_short_config, method), temperature_sh_degree=degree)
     whole = train(small_scene, tmp_path / "whole", config)
@@ -214,7 +215,7 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     train(small_scene, tmp_path / "parts", make_short_config(max_steps=7), resume=True)
 
     expected, found = load_file(whole.newest_checkpoint()), load_file(parts.newest_checkpoint())
-    assert load_facts(parts.newest_checkpoint()).step == 200
+    assert load_facts(parts.newest_checkpoint()).step == 120
     assert set(found) == set(expected)
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
     logs = [[{**entry, "seconds": None} for entry in read_log(folder)] for folder in (whole, parts)]
@@ -223,15 +224,15 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     counts = {
         entry["step"]: entry["gaussians"] for entry in read_log(whole)
     }  # the test must have met the events
-    assert len({counts[number] for number in (10, 30, 60, 90)}) > 2
-    assert len({counts[number] for number in (110, 130, 160, 190)}) > 2
-    assert expected["gaussians.adam.sh_dc.thermal.step"] == 200  # none was skipped
+    assert len({counts[number] for number in (10, 20, 40, 50)}) > 2
+    assert len({counts[number] for number in (70, 80, 100, 110)}) > 2
+    assert expected["gaussians.adam.sh_dc.thermal.step"] == 120  # none was skipped
 
 
 def test_a_checkpoint_of_a_densification_step_can_be_rendered(
     small_scene, tmp_path, make_short_config
 ):
-    train(small_scene, tmp_path / "run", eventful(make_short_config, "mrgs"), stop_at=100)
+    train(small_scene, tmp_path / "run", eventful(make_short_config, "mrgs"), stop_at=60)
     run = load_run(tmp_path / "run")
     assert "neighbours" not in load_file(run.folder.newest_checkpoint())
     assert run.render(load_scene(small_scene).train[0].camera)[THERMAL].image.isfinite().all()
@@ -371,10 +372,10 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
     ],
 )
 def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
-    owner, name, calls, small_scene, tmp_path, make_short_config, monkeypatch
+    owner, name, calls, small_scene, tmp_path, tmp_path_factory, make_short_config, monkeypatch
 ):
-    config = replace(eventful(make_short_config, "mrgs"), max_steps=80)
-    whole = train(small_scene, tmp_path / "whole", config)
+    config = replace(eventful(make_short_config, "mrgs"), max_steps=64)
+    whole = RunFolder(trained_run(tmp_path_factory, small_scene, config, tmp_path / "whole"))
     fill_memory(monkeypatch, owner, name, calls)
     folder = train(small_scene, tmp_path / "run", config)
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
