@@ -148,10 +148,14 @@ def _sources(path: Path) -> set[Path]:
 
 @cache
 def _imports(path: Path) -> tuple[Path, ...]:
-    """Files that can be compiled into kernels, of those that a file imports."""
+    """Files that can be compiled into kernels, of those that a file imports; this one cannot."""
     compiled_in = {FOLDER.parent / name for name in COMPILED_IN}
     files = {_file_of(name) for name in _imported_names(ast.parse(path.read_bytes()))}
-    return tuple(file for file in files if file and (FOLDER in file.parents or file in compiled_in))
+    return tuple(
+        file
+        for file in files
+        if file and (FOLDER in file.parents or file in compiled_in) and file != Path(__file__)
+    )
 
 
 def _imported_names(tree: ast.Module) -> Iterator[str]:

@@ -19,7 +19,7 @@ from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step
 from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import model_modalities, start_points
 from mrgs.render import Model
-from mrgs.scene import RGB, THERMAL, Scene
+from mrgs.scene import Scene, in_order
 from mrgs.system.gpu import HOST
 from mrgs.training.views import ViewSampler
 
@@ -149,14 +149,15 @@ def initial_state(
     """
     capture = Capture.of(scene)
     strategy = config.densification if strategy is None else strategy
-    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian
-    # from being pruned.
-    shares_opacity = config.shares_opacity or not {RGB, THERMAL} <= set(scene.modalities)
+    # Without photos a modality's opacities never move, and their maximum over the modalities would
+    # keep every Gaussian from being pruned.
+    modalities = model_modalities(scene.modalities)
+    shares_opacity = config.shares_opacity or modalities != in_order(scene.modalities)
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(config.seed)
         field = RadianceField(config.field)
-        all_terms = configured_terms(config, terms, model_modalities(scene.modalities))
+        all_terms = configured_terms(config, terms, modalities)
         field.set_frame(scene.points.positions)
         gaussians = initial_gaussians(
             start_points(scene, config),
@@ -166,12 +167,7 @@ def initial_state(
             strategy.max_gaussians,
             generator,
         )
-    model = Model(
-        gaussians,
-        field,
-        neighbours=None,
-        sh_degree=0,
-    ).to(device)
+    model = Model(gaussians, field, neighbours=None, sh_degree=0).to(device)
     return TrainingState.around(model, all_terms, strategy, config, capture, generator)
 
 

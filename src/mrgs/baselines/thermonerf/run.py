@@ -12,8 +12,9 @@ from mrgs.baselines.thermonerf.checkpoint import load_model
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig, from_yaml
 from mrgs.baselines.thermonerf.frame import Frame
 from mrgs.baselines.thermonerf.model import ThermoNerf
+from mrgs.baselines.thermonerf.pixels import MODALITIES
 from mrgs.errors import DeviceError
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
+from mrgs.scene import Camera, Modality, Rendering
 from mrgs.system.gpu import DeviceName
 from mrgs.system.operation import checking
 from mrgs.training.run_folder import RunFolder
@@ -33,6 +34,10 @@ class ThermoNerfRun(TrainedRun):
 
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:  # noqa: D102
         return self.model.render(cameras)
+
+    @property
+    def modalities(self) -> tuple[Modality, ...]:  # noqa: D102
+        return MODALITIES
 
     @property
     def gaussian_count(self) -> None:  # noqa: D102
@@ -63,7 +68,7 @@ def open_thermonerf(
     config = folder.read_config(from_yaml)
     model, facts = load_model(newest, config)
     with checking(gradients=False):
-        model.render(dict.fromkeys((RGB, THERMAL), _small_camera(model.frame)))
+        model.render(dict.fromkeys(MODALITIES, _small_camera(model.frame)))
     return ThermoNerfRun(folder, config, facts.moved_to(scene), model)
 
 
