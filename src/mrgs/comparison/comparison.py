@@ -49,7 +49,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Comparison:
-    """What came out.
+    """The results of a comparison.
 
     Attributes:
         tables: those for which there was something to show.
@@ -172,7 +172,7 @@ def _renders_outcome(
     options: Options,
     lpips_weights: Path | None,
 ) -> Outcome:
-    """Score another program's renderings; this is cheap, and done anew each time."""
+    """Score another program's renderings; this is cheap, and repeated each time."""
     scores = output / "renders" / name / scene
     try:
         evaluate_renders(

@@ -54,7 +54,7 @@ class KernelCache(FunctionCache):
     """Numba's cache of one function, with a stamp over all sources and a lock."""
 
     _patience = LOCK_SECONDS
-    """For all kernels; 0 after one of them was waited for in vain."""
+    """Seconds to wait, of all kernels; 0 once a wait has timed out."""
 
     def __init__(self, py_func: Any) -> None:
         self._impl_class = _StampedNames

@@ -89,7 +89,7 @@ def check_rendering(model: Model, image_model: ImageModel, *devices: torch.devic
 
 
 def _camera_before(gaussians: Gaussians) -> Camera:
-    """A camera that looks at Gaussians along z, from a distance at which it sees most of them."""
+    """A camera that faces Gaussians along z, from a distance at which most are in view."""
     means = gaussians.means.detach().double().cpu()
     centre = means.median(dim=0).values
     radius = (means - centre).norm(dim=1).median().item()

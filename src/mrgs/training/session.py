@@ -21,7 +21,7 @@ S = TypeVar("S")
 
 @dataclass(frozen=True)
 class Session(Generic[C, S]):
-    """What a training starts from.
+    """The folder, scene, configuration and state that a training starts from.
 
     Attributes:
         folder: the run's folder, locked.

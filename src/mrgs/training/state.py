@@ -88,8 +88,8 @@ class TrainingState:
 
     @property
     def device(self) -> torch.device:
-        """Where it is, but for the order of the views and the generator, which stay with the
-        host."""
+        """Device of the model and the optimizers; the order of the views and the generator stay on
+        the host."""
         return self.model.gaussians.means.device
 
     def refresh_neighbours(self, config: TrainConfig) -> None:
@@ -114,7 +114,7 @@ class TrainingState:
         self.layer_optimizer.zero_grad(set_to_none=True)
 
     def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
-        """Undo a step that was broken off before it moved anything.
+        """Undo a step that failed before it moved anything.
 
         Args:
             step: what ``step`` was before it.
@@ -172,7 +172,7 @@ def initial_state(
 
 
 def learned_layers(terms: Sequence[Term]) -> dict[str, nn.Module]:
-    """What the terms learn, by their names."""
+    """The learned layers of the terms of a loss, by the terms' names."""
     return {term.name: term.learned for term in terms if term.learned is not None}
 
 

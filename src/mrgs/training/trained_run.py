@@ -38,7 +38,7 @@ class TrainedRun(ABC):
     @property
     @abstractmethod
     def modalities(self) -> tuple[Modality, ...]:
-        """Those that the model renders."""
+        """Modalities that the model renders."""
 
     @property
     @abstractmethod

@@ -10,7 +10,7 @@ import torch
 
 from mrgs.baselines.thermonerf.checkpoint import load_model
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig, from_yaml
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.model import ThermoNerf
 from mrgs.baselines.thermonerf.pixels import MODALITIES
 from mrgs.errors import DeviceError
@@ -72,7 +72,7 @@ def open_thermonerf(
     return ThermoNerfRun(folder, config, facts.moved_to(scene), model)
 
 
-def _small_camera(frame: Frame) -> Camera:
+def _small_camera(frame: SceneFrame) -> Camera:
     """A camera in the middle of the scene, of a few rays: enough to compare kernels."""
     K = torch.tensor([[4.0, 0, 4.0], [0, 4.0, 2.0], [0, 0, 1]], dtype=torch.float64)
     viewmat = torch.eye(4, dtype=torch.float64)
