@@ -92,7 +92,7 @@ class Operation(Generic[P, R]):
         """Compute the operation by a kernel if there is one, else by the plain definition."""
         kernel = self.kernel((*args, *kwargs.values()))
         check = _check.get()
-        if kernel is not None and check is not None:
+        if kernel is not None and check is not None and (check.gradients or not self.rejected):
             self._compare(kernel, check, args, kwargs)
         if kernel is None or self.rejected:
             return self.plain(*args, **kwargs)
@@ -141,8 +141,7 @@ class Operation(Generic[P, R]):
             error = math.inf
             problem = f"fails where the plain definition runs ({type(failure).__name__}: {failure})"
         if error <= TOLERANCE:
-            if check.gradients:  # equal values do not take back what was found of the gradients
-                self.rejected = self.name in check.rejected
+            self.rejected = self.name in check.rejected
             return
         self.rejected = True
         if self.name not in check.rejected:
@@ -191,8 +190,8 @@ def checking(gradients: bool = True) -> Iterator[None]:
 
     Both compute the operation from the same inputs; results and gradients (for the same random
     cotangents) may differ by ``TOLERANCE``, as a relative L2 norm. A kernel that differs is not
-    used from then on in this process, until it passes a later check with gradients. torch's random
-    generators are left alone.
+    used from then on in this process, unless it passes a later check with gradients; one without
+    skips it. torch's random generators are left alone.
 
     Args:
         gradients: whether to compare gradients as well as results.
