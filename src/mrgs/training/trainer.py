@@ -25,7 +25,7 @@ from mrgs.training.driver import Driver
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.session import Session, session
+from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
 from mrgs.training.views import PhotoCache, PhotoSource
@@ -86,7 +86,7 @@ def train(
             is kept.
     """
     chosen = gpu.choose_device(device)
-    with session(
+    with start_training(
         scene,
         output,
         config,
@@ -117,7 +117,7 @@ def _response_of(image_model: ImageModel, device: torch.device) -> CameraRespons
 class _Trainer(Driver[StepStatistics]):
     """Trains Gaussians: choose a view, take a step on it, control the density."""
 
-    def __init__(self, run: Session[TrainConfig, TrainingState]) -> None:
+    def __init__(self, run: TrainingStart[TrainConfig, TrainingState]) -> None:
         self._scene, self._config, self._state = run.scene, run.config, run.state
         device = run.state.device
         self._scale = SceneScale(run.scene.extent, run.scene.temperature)

@@ -25,7 +25,7 @@ from mrgs.system.operation import checking
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.driver import Driver
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.session import Session, session
+from mrgs.training.start import TrainingStart, start_training
 
 CHECKED_RAYS = 32
 """Rays on which the kernels are compared with their plain definitions."""
@@ -71,7 +71,7 @@ def train_thermonerf(
             checkpoint is kept.
     """
     require_cpu(device)
-    with session(
+    with start_training(
         scene,
         output,
         config,
@@ -98,7 +98,7 @@ def _config_of(folder: RunFolder) -> ThermoNerfConfig:
 class _Trainer(Driver[ThermoNerfStatistics]):
     """Trains a radiance field."""
 
-    def __init__(self, run: Session[ThermoNerfConfig, TrainingState]) -> None:
+    def __init__(self, run: TrainingStart[ThermoNerfConfig, TrainingState]) -> None:
         self._config, self._state = run.config, run.state
         self._pool = PixelPool(run.scene, run.state.model.frame)
         super().__init__(run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every)

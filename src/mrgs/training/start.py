@@ -20,7 +20,7 @@ S = TypeVar("S")
 
 
 @dataclass(frozen=True)
-class Session(Generic[C, S]):
+class TrainingStart(Generic[C, S]):
     """The folder, scene, configuration and state that a training starts from.
 
     Attributes:
@@ -39,7 +39,7 @@ class Session(Generic[C, S]):
 
 
 @contextmanager
-def session(
+def start_training(
     scene: str | Path,
     output: str | Path,
     config: C,
@@ -49,7 +49,7 @@ def session(
     read_config: Callable[[RunFolder], C],
     initial_state: Callable[[Scene, C], S],
     load_state: Callable[[Path, C], S],
-) -> Iterator[Session[C, S]]:
+) -> Iterator[TrainingStart[C, S]]:
     """Within this block the run's folder is locked, and no other process trains in it.
 
     Args:
@@ -82,4 +82,4 @@ def session(
         else:
             facts = CheckpointFacts.at_start(loaded, scene)
             state = initial_state(loaded, config)
-        yield Session(folder, facts, loaded, config, state)
+        yield TrainingStart(folder, facts, loaded, config, state)
