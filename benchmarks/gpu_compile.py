@@ -1,18 +1,21 @@
 """Compiles every Triton kernel of the package for a GPU that need not be there, and prints what
 each takes as JSON.
 
-``python -m benchmarks.gpu_compile CAPABILITY`` is started by ``gpu_resources``, in a process of its
-own: Triton decides when it is imported whether it interprets.
+``python -m benchmarks.gpu_compile CAPABILITY [NAME ...]`` compiles the named ones, or all;
+``python -m benchmarks.gpu_compile sources`` prints digests of what they are compiled from. Both are
+started by ``gpu_resources`` in processes of their own: Triton decides when it is imported whether
+it interprets.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import io
 import json
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from contextlib import redirect_stdout
 from pathlib import Path
 from types import ModuleType
@@ -63,16 +66,17 @@ def listed(modules: Iterable[ModuleType]) -> dict[str, KernelSpec]:
 
 def unlisted(modules: Iterable[ModuleType], specs: Iterable[KernelSpec]) -> list[str]:
     """Names of the kernels that no list has; what other kernels call is no kernel of its own."""
-    found = {
-        id(value): value
-        for module in modules
-        for value in vars(module).values()
-        if _is_jitted(value)
-    }
+    found = _jitted(modules)
     known = {id(spec.kernel) for spec in specs}
-    called = {name for function in found.values() for name in function.fn.__code__.co_names}
-    missing = [function.fn for key, function in found.items() if key not in known]
+    called = {name for function in found for name in function.fn.__code__.co_names}
+    missing = [function.fn for function in found if id(function) not in known]
     return sorted(f"{fn.__module__}.{fn.__name__}" for fn in missing if fn.__name__ not in called)
+
+
+def _jitted(modules: Iterable[ModuleType]) -> list[Any]:
+    """The functions of modules that Triton compiles, each once."""
+    values = (value for module in modules for value in vars(module).values())
+    return list({id(value): value for value in values if _is_jitted(value)}.values())
 
 
 def _is_jitted(value: object) -> bool:
@@ -92,6 +96,24 @@ def resources(spec: KernelSpec, capability: int) -> dict[str, int]:
     """
     from triton import compile as compile_kernel
     from triton.backends.compiler import GPUTarget
+
+    source = _source(spec)
+    log = io.StringIO()
+    with redirect_stdout(log):
+        compiled = compile_kernel(
+            source,
+            target=GPUTarget("cuda", capability, 32),
+            options={"num_warps": spec.num_warps, "num_stages": spec.num_stages},
+        )
+    return {
+        **parse_log(log.getvalue()),
+        "shared": compiled.metadata.shared,
+        "warps": spec.num_warps,
+    }
+
+
+def _source(spec: KernelSpec) -> Any:
+    """What Triton compiles: the function with the types and constants of its arguments."""
     from triton.compiler import ASTSource
 
     names = spec.kernel.arg_names
@@ -110,19 +132,7 @@ def resources(spec: KernelSpec, capability: int) -> dict[str, int]:
         if str(types[name]).startswith("*")
     }
     constants = {(names.index(name),): value for name, value in spec.constexprs.items()}
-    source = ASTSource(spec.kernel, types, constants, attributes)
-    log = io.StringIO()
-    with redirect_stdout(log):
-        compiled = compile_kernel(
-            source,
-            target=GPUTarget("cuda", capability, 32),
-            options={"num_warps": spec.num_warps, "num_stages": spec.num_stages},
-        )
-    return {
-        **parse_log(log.getvalue()),
-        "shared": compiled.metadata.shared,
-        "warps": spec.num_warps,
-    }
+    return ASTSource(spec.kernel, types, constants, attributes)
 
 
 def parse_log(log: str) -> dict[str, int]:
@@ -146,22 +156,35 @@ def parse_log(log: str) -> dict[str, int]:
     }
 
 
-def compile_all(capability: int) -> dict[str, Any]:
-    """Triton's version, the resources of every specialisation by its name, and the unlisted
-    kernels.
+def compile_listed(capability: int, names: Collection[str] = ()) -> dict[str, dict[str, int]]:
+    """The resources of the specialisations of these names, or of all.
 
     Raises:
         RuntimeError: a specialisation cannot be compiled; the message names it.
     """
+    specs = listed(kernel_modules())
+    return {name: _compiled(name, specs[name], capability) for name in names or specs}
+
+
+def read_sources() -> dict[str, Any]:
+    """Triton's version, the unlisted kernels, and a digest of each specialisation: of its source
+    and of what it calls, of constants, types and launch options. Line numbers do not count."""
     modules = kernel_modules()
     import triton
 
     specs = listed(modules)
-    kernels = {name: _compiled(name, spec, capability) for name, spec in specs.items()}
+    for function in _jitted(modules):
+        function.starting_line_number = 0
+    digests = {
+        name: hashlib.sha256(
+            f"{_source(spec).hash()} {spec.num_warps} {spec.num_stages}".encode()
+        ).hexdigest()[:16]
+        for name, spec in specs.items()
+    }
     return {
         "triton": triton.__version__,
-        "kernels": kernels,
         "unlisted": unlisted(modules, specs.values()),
+        "sources": digests,
     }
 
 
@@ -173,4 +196,6 @@ def _compiled(name: str, spec: KernelSpec, capability: int) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(compile_all(int(sys.argv[1]))))
+    what, *wanted = sys.argv[1:]
+    found = read_sources() if what == "sources" else compile_listed(int(what), wanted)
+    sys.stdout.write(json.dumps(found))

@@ -2,7 +2,7 @@
 machine.
 
     python -m benchmarks.gpu_resources            compare with the table; exit 1 if it got worse
-    python -m benchmarks.gpu_resources --update   write the table anew for the installed Triton
+    python -m benchmarks.gpu_resources --update   rewrite the table for the installed Triton
 
 Each Triton version has its own compiler, and so its own part of the table; docs/gpu.md shows that
 of the newest. Another version is measured by putting it first: ``PYTHONPATH=FOLDER_WITH_TRITON
@@ -27,6 +27,9 @@ from mrgs.system.isolation import child_environment
 
 ROOT = Path(__file__).parents[1]
 TABLE = Path(__file__).parent / "results" / "gpu_resources.json"
+SOURCES = TABLE.with_name("gpu_sources.json")
+"""Digests of what the kernels of the table were compiled from, by Triton's version."""
+
 DOCUMENT = ROOT / "docs" / "gpu.md"
 MARKS = ("<!-- kernels: begin -->", "<!-- kernels: end -->")
 UPDATE = "python -m benchmarks.gpu_resources --update"
@@ -60,27 +63,40 @@ class CompilationError(Exception):
     """The kernels cannot be compiled; the message is the compiler's."""
 
 
-def compile_in_children() -> dict[str, Any]:
-    """Triton's version, the resources of every specialisation by its name and target, and the
-    unlisted kernels.
+def compile_in_children(known: Mapping[str, Kernels] | None = None) -> dict[str, Any]:
+    """Triton's version, the resources of every specialisation by its name and target, the digests
+    of their sources, and the unlisted kernels.
 
     Each target in a process of its own, which compiles, while this one may have Triton interpret.
+
+    Args:
+        known: the committed table, by Triton's version; of kernels whose sources have not changed
+            since it was written, its resources are returned. None compiles all.
 
     Raises:
         CompilationError: a kernel cannot be compiled, or its list does not fit it.
     """
-    with ThreadPoolExecutor() as pool:
-        found = dict(zip(TARGETS, pool.map(_compile, TARGETS.values()), strict=True))
-    first = next(iter(found.values()))
+    found = _child("sources")
+    old = (known or {}).get(found["triton"], {})
+    digests = _read(SOURCES).get(found["triton"], {})
     kernels = {
-        name: {target: found[target]["kernels"][name] for target in found}
-        for name in first["kernels"]
+        name: old[name]
+        for name, digest in found["sources"].items()
+        if name in old and digests.get(name) == digest
     }
-    return {"triton": first["triton"], "unlisted": first["unlisted"], "kernels": kernels}
+    changed = [name for name in found["sources"] if name not in kernels]
+    if changed:
+        with ThreadPoolExecutor() as pool:
+            compiled = pool.map(lambda target: _child(str(target), *changed), TARGETS.values())
+            by_target = dict(zip(TARGETS, compiled, strict=True))
+        kernels |= {
+            name: {target: by_target[target][name] for target in TARGETS} for name in changed
+        }
+    return {**found, "kernels": kernels}
 
 
-def _compile(capability: int) -> dict[str, Any]:
-    """What ``gpu_compile.compile_all`` finds, without any of Triton's variables that are set
+def _child(*arguments: str) -> dict[str, Any]:
+    """What ``benchmarks.gpu_compile`` prints, without any of Triton's variables that are set
     here."""
     paths = [os.environ.get("PYTHONPATH", ""), str(ROOT / "src"), str(ROOT)]
     environment = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
@@ -96,7 +112,7 @@ def _compile(capability: int) -> dict[str, Any]:
             "TRITON_DEFAULT_FP_FUSION": "1",
         }
         child = subprocess.run(
-            [sys.executable, "-m", "benchmarks.gpu_compile", str(capability)],
+            [sys.executable, "-m", "benchmarks.gpu_compile", *arguments],
             env=environment | variables, capture_output=True, text=True, timeout=TIMEOUT_S,
         )  # fmt: skip
     if child.returncode != 0:
@@ -193,8 +209,16 @@ def with_newest(document: str, kernels: Mapping[str, Kernels]) -> str:
 
 def read_table() -> dict[str, Kernels]:
     """The committed table, by Triton's version."""
-    tables: dict[str, Kernels] = json.loads(TABLE.read_text()) if TABLE.exists() else {}
-    return tables
+    return _read(TABLE)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    return found
+
+
+def _write(path: Path, values: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -203,13 +227,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m benchmarks.gpu_resources", description=__doc__.splitlines()[0]
     )
     parser.add_argument(
-        "--update", action="store_true", help="write the table anew for the installed Triton"
+        "--update", action="store_true", help="rewrite the table for the installed Triton"
     )
     options = parser.parse_args(arguments)
     found, known = compile_in_children(), read_table()
     if options.update:
         known[found["triton"]] = found["kernels"]
-        TABLE.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
+        _write(TABLE, known)
+        _write(SOURCES, {**_read(SOURCES), found["triton"]: found["sources"]})
         DOCUMENT.write_text(
             with_newest(DOCUMENT.read_text(encoding="utf-8"), known), encoding="utf-8"
         )

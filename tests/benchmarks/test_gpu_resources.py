@@ -29,6 +29,7 @@ GOOD = {"registers": 40, "spill_stores": 0, "spill_loads": 0, "stack": 0, "share
 def found(version: str = "3.9.0", unlisted: tuple[str, ...] = (), **changes: int) -> dict:
     return {
         "triton": version,
+        "sources": {"blur: blur": "digest"},
         "unlisted": list(unlisted),
         "kernels": {"blur: blur": {"sm_80": GOOD, "sm_90": {**GOOD, **changes}}},
     }
@@ -40,7 +41,8 @@ TABLE_OF_GOOD = {"3.9.0": found()["kernels"]}
 @pytest.mark.slow
 def test_no_kernel_takes_more_than_the_table_says():
     pytest.importorskip("triton")
-    assert worsened(compile_in_children(), read_table()) == []
+    table = read_table()
+    assert worsened(compile_in_children(table), table) == []
 
 
 def test_both_supported_compilers_are_in_the_table():
@@ -177,9 +179,13 @@ def test_the_children_compile_whatever_this_process_does(monkeypatch):
 
     def run(command, env, **options):
         started.append(env)
-        kernels = {"blur: blur": {**GOOD, "registers": int(command[-1])}}
-        answer = {"triton": "3.9.0", "unlisted": [], "kernels": kernels}
-        return SimpleNamespace(returncode=0, stdout=json.dumps(answer), stderr="")
+        return SimpleNamespace(returncode=0, stdout=json.dumps(answer(command)), stderr="")
+
+    def answer(command):
+        if command[-1] == "sources":
+            return {"triton": "3.9.0", "unlisted": [], "sources": {"blur: blur": "new"}}
+        assert command[-1] == "blur: blur"
+        return {"blur: blur": {**GOOD, "registers": int(command[-2])}}
 
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     monkeypatch.setenv("TRITON_PTXAS_PATH", "/somewhere")
@@ -198,6 +204,25 @@ def test_the_children_compile_whatever_this_process_does(monkeypatch):
         }
 
 
+def test_what_has_not_changed_since_the_table_was_written_is_not_compiled(monkeypatch, tmp_path):
+    compiled = []
+
+    def child(what, *names):
+        if what == "sources":
+            return {"triton": "3.9.0", "unlisted": [], "sources": {"a": "1", "b": "2", "c": "3"}}
+        compiled.append((what, *names))
+        return dict.fromkeys(names, GOOD)
+
+    monkeypatch.setattr(gpu_resources, "_child", child)
+    monkeypatch.setattr(gpu_resources, "SOURCES", tmp_path / "sources.json")
+    gpu_resources.SOURCES.write_text(json.dumps({"3.9.0": {"a": "1", "b": "old", "c": "3"}}))
+    old = {"sm_80": {**GOOD, "registers": 99}, "sm_90": GOOD}
+    kernels = compile_in_children({"3.9.0": {"a": old, "b": old}})["kernels"]
+    good = {"sm_80": GOOD, "sm_90": GOOD}
+    assert kernels == {"a": old, "b": good, "c": good}
+    assert sorted(compiled) == [("80", "b", "c"), ("90", "b", "c")]
+
+
 def test_a_kernel_that_does_not_compile_is_told_as_the_compiler_tells_it(monkeypatch):
     failed = SimpleNamespace(returncode=1, stdout="", stderr="CompilationError: at 7:4\n")
     monkeypatch.setattr(gpu_resources.subprocess, "run", lambda *_, **__: failed)
@@ -207,6 +232,7 @@ def test_a_kernel_that_does_not_compile_is_told_as_the_compiler_tells_it(monkeyp
 
 def test_update_writes_the_part_of_the_installed_compiler_alone(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(gpu_resources, "TABLE", tmp_path / TABLE.name)
+    monkeypatch.setattr(gpu_resources, "SOURCES", tmp_path / "sources.json")
     monkeypatch.setattr(gpu_resources, "DOCUMENT", tmp_path / DOCUMENT.name)
     gpu_resources.DOCUMENT.write_text("".join(MARKS))
     monkeypatch.setattr(gpu_resources, "compile_in_children", lambda: found("3.6.0", registers=50))

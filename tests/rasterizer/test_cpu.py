@@ -1,6 +1,6 @@
 """The CPU kernel (float32) against the oracle (float64) on the same numbers.
 
-``python tests/rasterizer/test_cpu.py`` prints the worst errors over the random scenes.
+``python -m tests.rasterizer.test_cpu`` prints the worst errors over the random scenes.
 """
 
 from __future__ import annotations
@@ -15,6 +15,15 @@ import pytest
 import torch
 
 from mrgs.rasterizer import Layer, reference
+from tests.helpers.rasterizers import (
+    assert_same_bits,
+    assert_shows_the_background,
+    assert_small,
+    compare_with_oracle,
+    images_of,
+    random_scene,
+    render_and_differentiate,
+)
 
 SCENES = range(100)
 
@@ -26,19 +35,17 @@ def rasterize():
     return rasterize
 
 
-def scene_of(random_scene: Callable, seed: int):
+def scene_of(seed: int):
     """3 to 60 Gaussians, so that the background shows through some scenes and others are opaque
     throughout."""
     return random_scene(seed, n=3 + 57 * (seed % 10) // 9, dtype=torch.float32)
 
 
-def worst_errors(
-    rasterize: Callable, random_scene: Callable, compare: Callable, seeds: Iterable[int] = SCENES
-):
-    """The largest of each of the errors that ``errors_against_oracle`` names, over the scenes."""
+def worst_errors(rasterize: Callable, seeds: Iterable[int] = SCENES):
+    """The largest of each of the errors that ``compare_with_oracle`` names, over the scenes."""
     worst: dict[str, float] = {}
     for seed in seeds:
-        for name, error in compare(rasterize, scene_of(random_scene, seed), seed=seed).items():
+        for name, error in compare_with_oracle(rasterize, scene_of(seed), seed=seed).items():
             worst[name] = max(worst.get(name, 0.0), error)
     return worst
 
@@ -47,32 +54,24 @@ def worst_errors(
 
 
 @pytest.mark.parametrize("seed", SCENES)
-def test_images_and_gradients_of_random_scenes(
-    rasterize, random_scene, compare_with_oracle, seed, assert_small
-):
-    assert_small(worst_errors(rasterize, random_scene, compare_with_oracle, [seed]))
+def test_images_and_gradients_of_random_scenes(rasterize, seed):
+    assert_small(worst_errors(rasterize, [seed]))
 
 
-def test_few_pixels_are_left_out_of_the_comparison(random_scene):
-    left_out = [
-        scene_of(random_scene, seed).to(torch.float64).pixels_near_a_threshold() for seed in SCENES
-    ]
+def test_few_pixels_are_left_out_of_the_comparison():
+    left_out = [scene_of(seed).to(torch.float64).pixels_near_a_threshold() for seed in SCENES]
     assert torch.stack(left_out).double().mean() < 0.005
 
 
 @pytest.mark.parametrize(
     ("width", "height", "n"), [(1, 1, 4), (3, 50, 30), (64, 48, 60), (101, 75, 700)]
 )
-def test_other_image_sizes_and_a_crowded_scene(
-    rasterize, random_scene, compare_with_oracle, width, height, n, assert_small
-):
+def test_other_image_sizes_and_a_crowded_scene(rasterize, width, height, n):
     assert_small(compare_with_oracle(rasterize, random_scene(1, n, width, height, torch.float32)))
 
 
 @pytest.mark.parametrize("modalities", [("rgb",), ("thermal",), ("thermal", "rgb")])
-def test_one_layer_and_layers_in_the_other_order(
-    rasterize, random_scene, compare_with_oracle, modalities, assert_small
-):
+def test_one_layer_and_layers_in_the_other_order(rasterize, modalities):
     scene = random_scene(11, dtype=torch.float32)
     assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
     both = dict(zip(("rgb", "thermal"), scene.render(rasterize).blends, strict=True))
@@ -81,20 +80,18 @@ def test_one_layer_and_layers_in_the_other_order(
             torch.testing.assert_close(image, image_of_both, rtol=0, atol=1e-6)
 
 
-def test_what_the_kernel_leaves_out_is_what_the_oracle_leaves_out(rasterize, random_scene):
+def test_what_the_kernel_leaves_out_is_what_the_oracle_leaves_out(rasterize):
     from mrgs.rasterizer import reference
 
     for seed in SCENES:
-        scene = scene_of(random_scene, seed)
+        scene = scene_of(seed)
         radii = scene.render(rasterize).radii
         truth = scene.to(torch.float64).render(reference.rasterize).radii
         assert torch.equal(radii > 0, truth > 0), seed
         assert not radii.requires_grad
 
 
-def test_equal_depths_are_blended_in_the_order_of_their_index(
-    rasterize, random_scene, compare_with_oracle, assert_small
-):
+def test_equal_depths_are_blended_in_the_order_of_their_index(rasterize):
     scene = random_scene(4, dtype=torch.float32)
     camera_z = torch.tensor([[0.0, 0.0, 2.0]])
     wall = torch.cat(
@@ -106,9 +103,7 @@ def test_equal_depths_are_blended_in_the_order_of_their_index(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
-    rasterize, random_scene, compare_with_oracle, seed, assert_small
-):
+def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize, seed):
     """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this
     is rare.
 
@@ -124,7 +119,7 @@ def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
     assert_small(errors, gradient_error_max=1e-3)
 
 
-def test_no_offset_is_an_offset_of_zero(rasterize, random_scene, images_of):
+def test_no_offset_is_an_offset_of_zero(rasterize):
     scene = random_scene(6, dtype=torch.float32)
     zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(60, 2)})
     none = replace(scene, tensors=scene.tensors | {"means2d_offset": None})
@@ -138,9 +133,7 @@ def test_no_offset_is_an_offset_of_zero(rasterize, random_scene, images_of):
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(
-    rasterize, random_scene, n, assert_shows_the_background
-):
+def test_an_empty_view_shows_the_background(rasterize, n):
     scene = random_scene(0, n=n, dtype=torch.float32)
     assert_shows_the_background(rasterize, scene)
 
@@ -148,9 +141,7 @@ def test_an_empty_view_shows_the_background(
 # --- the same bits on every run
 
 
-def test_repeated_calls_give_the_same_bits(
-    rasterize, random_scene, render_and_differentiate, assert_same_bits
-):
+def test_repeated_calls_give_the_same_bits(rasterize):
     scene = random_scene(8, 300, 101, 75, torch.float32)
     assert_same_bits(
         render_and_differentiate(rasterize, scene), render_and_differentiate(rasterize, scene)
@@ -158,9 +149,7 @@ def test_repeated_calls_give_the_same_bits(
 
 
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_the_number_of_threads_does_not_change_a_bit(
-    rasterize, random_scene, render_and_differentiate, assert_same_bits
-):
+def test_the_number_of_threads_does_not_change_a_bit(rasterize):
     scene = random_scene(9, 300, 101, 75, torch.float32)
     before = numba.get_num_threads()
     results = []
@@ -173,9 +162,7 @@ def test_the_number_of_threads_does_not_change_a_bit(
     assert_same_bits(*results)
 
 
-def test_two_views_can_be_in_flight(
-    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
-):
+def test_two_views_can_be_in_flight(rasterize):
     """Buffers may be kept between calls, but not those that an earlier result or its backward still
     needs."""
     first, second = (random_scene(seed, dtype=torch.float32).with_leaves() for seed in (12, 13))
@@ -196,9 +183,7 @@ def test_two_views_can_be_in_flight(
 # --- the tensors that callers hand over
 
 
-def test_non_contiguous_inputs(
-    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
-):
+def test_non_contiguous_inputs(rasterize):
     scene = random_scene(14, dtype=torch.float32)
     strided = replace(
         scene,
@@ -220,9 +205,7 @@ def test_non_contiguous_inputs(
     )
 
 
-def test_non_contiguous_cotangents(
-    rasterize, random_scene, render_and_differentiate, assert_same_bits
-):
+def test_non_contiguous_cotangents(rasterize):
     scene = random_scene(15, dtype=torch.float32)
     dense = render_and_differentiate(
         rasterize, scene, lambda images: sum((i * torch.ones_like(i)).sum() for i in images)
@@ -238,7 +221,7 @@ def test_non_contiguous_cotangents(
 
 
 @pytest.mark.parametrize("used", range(6))
-def test_a_loss_on_one_image_only(rasterize, random_scene, used, render_and_differentiate):
+def test_a_loss_on_one_image_only(rasterize, used):
     scene = random_scene(16, dtype=torch.float32)
     _, grads = render_and_differentiate(
         rasterize, scene, lambda images: images[used].square().sum()
@@ -256,9 +239,7 @@ def test_a_loss_on_one_image_only(rasterize, random_scene, used, render_and_diff
         assert not (name.startswith(other) and gradient.any()), name
 
 
-def test_gradients_flow_only_into_what_requires_them(
-    rasterize, random_scene, images_of, render_and_differentiate
-):
+def test_gradients_flow_only_into_what_requires_them(rasterize):
     scene = random_scene(17, dtype=torch.float32)
     _, all_grads = render_and_differentiate(rasterize, scene)
     for name in scene.tensors:
@@ -270,7 +251,7 @@ def test_gradients_flow_only_into_what_requires_them(
     assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
 
 
-def test_inputs_are_left_as_they_were(rasterize, random_scene, render_and_differentiate):
+def test_inputs_are_left_as_they_were(rasterize):
     scene = random_scene(18, dtype=torch.float32)
     before = {name: tensor.clone() for name, tensor in scene.tensors.items()}
     render_and_differentiate(rasterize, scene)
@@ -278,12 +259,9 @@ def test_inputs_are_left_as_they_were(rasterize, random_scene, render_and_differ
 
 
 if __name__ == "__main__":
-    from conftest import errors_against_oracle, make_random_scene
     from mrgs.kernels.rasterize.cpu import rasterize as kernel
 
-    for error_name, largest in worst_errors(
-        kernel, make_random_scene, errors_against_oracle
-    ).items():
+    for error_name, largest in worst_errors(kernel).items():
         print(f"{error_name:26s} {largest:.1e}")
 
 

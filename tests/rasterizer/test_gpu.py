@@ -19,6 +19,15 @@ import mrgs.rasterizer
 from mrgs.errors import MrgsError
 from mrgs.rasterizer import Layer, reference
 from mrgs.system import operation
+from tests.helpers.rasterizers import (
+    assert_same_bits,
+    assert_shows_the_background,
+    assert_small,
+    compare_with_oracle,
+    images_of,
+    random_scene,
+    render_and_differentiate,
+)
 
 
 @pytest.fixture
@@ -52,17 +61,13 @@ def rasterize(gpu_device: str) -> Callable:
 
 
 @pytest.mark.parametrize(("seed", "n"), [(0, 3), (1, 12), (2, 25), (3, 18)])
-def test_images_and_gradients_of_random_scenes(
-    rasterize, random_scene, compare_with_oracle, seed, n, assert_small
-):
+def test_images_and_gradients_of_random_scenes(rasterize, seed, n):
     scene = random_scene(seed, n, dtype=torch.float32)
     assert_small(compare_with_oracle(rasterize, scene, seed=seed))
 
 
 @pytest.mark.parametrize("modalities", [("rgb",), ("thermal",), ("thermal", "rgb")])
-def test_one_layer_and_layers_in_the_other_order(
-    rasterize, random_scene, compare_with_oracle, modalities, assert_small
-):
+def test_one_layer_and_layers_in_the_other_order(rasterize, modalities):
     scene = random_scene(11, 15, 20, 12, dtype=torch.float32)
     assert_small(compare_with_oracle(rasterize, scene, modalities=modalities))
 
@@ -70,13 +75,11 @@ def test_one_layer_and_layers_in_the_other_order(
 @pytest.mark.parametrize(
     ("width", "height", "n"), [(1, 1, 4), (1, 20, 10), (33, 3, 10), (32, 16, 10)]
 )
-def test_other_image_sizes(
-    rasterize, random_scene, compare_with_oracle, width, height, n, assert_small
-):
+def test_other_image_sizes(rasterize, width, height, n):
     assert_small(compare_with_oracle(rasterize, random_scene(1, n, width, height, torch.float32)))
 
 
-def test_pixels_that_are_finished_early(rasterize, random_scene, compare_with_oracle, assert_small):
+def test_pixels_that_are_finished_early(rasterize):
     """A wall of opaque Gaussians before all others: the walks stop long before the lists do."""
     scene = random_scene(4, 30, 20, 12, dtype=torch.float32)
     tensors = dict(scene.tensors)
@@ -95,9 +98,7 @@ def test_pixels_that_are_finished_early(rasterize, random_scene, compare_with_or
     assert_small(compare_with_oracle(rasterize, scene))
 
 
-def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
-    rasterize, random_scene, compare_with_oracle, assert_small
-):
+def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize):
     """Where α = 0.999 the opacity and the exponent get no gradient; in the other random scenes this
     is rare.
 
@@ -113,9 +114,7 @@ def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(
     assert_small(errors, gradient_error_max=1e-3)
 
 
-def test_equal_depths_are_blended_in_the_order_of_their_index(
-    rasterize, random_scene, compare_with_oracle, assert_small
-):
+def test_equal_depths_are_blended_in_the_order_of_their_index(rasterize):
     scene = random_scene(4, 20, 20, 12, dtype=torch.float32)
     camera_z = torch.tensor([[0.0, 0.0, 2.0]])
     wall = torch.cat(
@@ -152,9 +151,7 @@ def test_needles_keep_their_alpha(rasterize) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 30])
-def test_an_empty_view_shows_the_background(
-    rasterize, random_scene, n, assert_shows_the_background
-):
+def test_an_empty_view_shows_the_background(rasterize, n):
     scene = random_scene(0, n, 20, 12, dtype=torch.float32)
     assert_shows_the_background(rasterize, scene)
 
@@ -173,9 +170,7 @@ def test_a_gaussian_without_a_usable_size_is_left_out(rasterize, size: float) ->
 # --- the same bits, and what callers hand over
 
 
-def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(
-    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
-):
+def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(rasterize):
     first, second = (
         random_scene(seed, 6, 20, 12, torch.float32).with_leaves() for seed in (12, 13)
     )
@@ -193,9 +188,7 @@ def test_repeated_calls_give_the_same_bits_and_views_can_be_in_flight(
         )
 
 
-def test_non_contiguous_inputs_and_cotangents(
-    rasterize, random_scene, images_of, render_and_differentiate, assert_same_bits
-):
+def test_non_contiguous_inputs_and_cotangents(rasterize):
     scene = random_scene(14, 10, 20, 12, torch.float32)
     strided = replace(
         scene,
@@ -217,16 +210,14 @@ def test_non_contiguous_inputs_and_cotangents(
     assert_same_bits(([*images_of(raster), raster.radii], grads), dense)
 
 
-def test_a_loss_on_one_image_only(rasterize, random_scene, render_and_differentiate):
+def test_a_loss_on_one_image_only(rasterize):
     scene = random_scene(16, 10, 20, 12, torch.float32)
     _, grads = render_and_differentiate(rasterize, scene, lambda images: images[4].square().sum())
     assert grads["means"].any()
     assert not any(gradient.any() for name, gradient in grads.items() if name.startswith("rgb"))
 
 
-def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(
-    rasterize, random_scene, images_of
-):
+def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(rasterize):
     scene = random_scene(6, 10, 20, 12, torch.float32)
     zero = replace(scene, tensors=scene.tensors | {"means2d_offset": torch.zeros(10, 2)})
     none = replace(
@@ -238,9 +229,7 @@ def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(
         assert torch.equal(image, image_of_none)
 
 
-def test_many_tiles_are_numbered_by_wider_integers(
-    rasterize, random_scene, monkeypatch, render_and_differentiate, assert_same_bits
-):
+def test_many_tiles_are_numbered_by_wider_integers(rasterize, monkeypatch):
     from mrgs.kernels.rasterize.gpu import rasterize as function
 
     scene = random_scene(7, 10, 20, 12, torch.float32)
@@ -249,7 +238,7 @@ def test_many_tiles_are_numbered_by_wider_integers(
     assert_same_bits(render_and_differentiate(rasterize, scene), expected)
 
 
-def test_too_many_pairs_are_refused(rasterize, random_scene, monkeypatch):
+def test_too_many_pairs_are_refused(rasterize, monkeypatch):
     from mrgs.kernels.rasterize.gpu import rasterize as function
 
     monkeypatch.setattr(inspect.getmodule(function), "_MOST_PAIRS", 3)
@@ -291,7 +280,7 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) ->
         raster.blends[0].image.sum().backward()
 
 
-def test_what_the_kernels_take_is_handed_to_them(gpu_device, random_scene, monkeypatch) -> None:
+def test_what_the_kernels_take_is_handed_to_them(gpu_device, monkeypatch) -> None:
     called, imported = [], operation._imported
 
     def noting(*arguments):
@@ -319,7 +308,7 @@ def test_what_the_kernels_take_is_handed_to_them(gpu_device, random_scene, monke
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("modalities", [("rgb", "thermal"), ("rgb",), ("thermal",)])
-def test_crowded_scenes(rasterize, random_scene, compare_with_oracle, modalities):
+def test_crowded_scenes(rasterize, modalities):
     """More pixels and Gaussians: a coordinate of 300 has an error of 3e-5 px in float32."""
     scene = random_scene(1, 2000, 300, 200, torch.float32)
     errors = compare_with_oracle(rasterize, scene, modalities=modalities)
@@ -329,16 +318,14 @@ def test_crowded_scenes(rasterize, random_scene, compare_with_oracle, modalities
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("seed", range(20))
-def test_more_random_scenes(rasterize, random_scene, compare_with_oracle, seed, assert_small):
+def test_more_random_scenes(rasterize, seed):
     assert_small(
         compare_with_oracle(rasterize, random_scene(seed, 60, dtype=torch.float32), seed=seed)
     )
 
 
 @pytest.mark.gpu
-def test_many_gaussians_give_the_same_bits_on_every_run(
-    rasterize, random_scene, render_and_differentiate, assert_same_bits
-):
+def test_many_gaussians_give_the_same_bits_on_every_run(rasterize):
     scene = random_scene(8, 50_000, 1280, 720, torch.float32)
     scene = replace(scene, tensors=scene.tensors | {"scales": 0.05 * scene.tensors["scales"]})
     assert_same_bits(

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from mrgs.rasterizer import reference
 from mrgs.rasterizer.contract import Layer
 from mrgs.rasterizer.reference import rasterize
+from tests.helpers.rasterizers import random_scene
 
 WIDTH, HEIGHT = 21, 15
 FX, FY, CX, CY = 20.0, 24.0, 10.5, 7.5  # the principal point is the centre of the pixel (10, 7)
@@ -171,7 +172,7 @@ def test_radii_are_zero_for_what_no_pixel_can_see():
     assert not radii.requires_grad
 
 
-def test_the_radius_is_where_alpha_reaches_the_threshold_in_the_more_opaque_layer(random_scene):
+def test_the_radius_is_where_alpha_reaches_the_threshold_in_the_more_opaque_layer():
     scene = random_scene(5)
     raster, t = scene.render(rasterize), scene.tensors
     camera = (scene.viewmat, scene.K, scene.width, scene.height)
@@ -224,7 +225,7 @@ def walk_pixel(scene, modality, column, row):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_random_scenes_against_plain_loops(random_scene, seed):
+def test_random_scenes_against_plain_loops(seed):
     scene = random_scene(seed)
     raster = scene.render(rasterize)
     rng = np.random.default_rng(seed)
@@ -249,7 +250,7 @@ def assert_same_images(raster, other, atol=1e-9):
 
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**20), axis=st.integers(0, 2**20))
-def test_moving_world_and_camera_together_changes_nothing(random_scene, seed, axis):
+def test_moving_world_and_camera_together_changes_nothing(seed, axis):
     scene = random_scene(seed, n=20)
     rng = np.random.default_rng(axis)
     turn, shift = Rotation.random(random_state=rng), rng.uniform(-3, 3, 3)
@@ -272,7 +273,7 @@ def test_moving_world_and_camera_together_changes_nothing(random_scene, seed, ax
 
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**20), order=st.permutations(range(20)))
-def test_the_order_of_rows_does_not_matter_when_depths_differ(random_scene, seed, order):
+def test_the_order_of_rows_does_not_matter_when_depths_differ(seed, order):
     scene = random_scene(seed, n=20)
     shuffled = {k: v if "background" in k else v[list(order)] for k, v in scene.tensors.items()}
     raster, shuffled_raster = (
@@ -285,7 +286,7 @@ def test_the_order_of_rows_does_not_matter_when_depths_differ(random_scene, seed
 
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**20), factor=st.floats(0.01, 100))
-def test_only_the_direction_of_a_quaternion_matters(random_scene, seed, factor):
+def test_only_the_direction_of_a_quaternion_matters(seed, factor):
     scene = random_scene(seed, n=20)
     for sign in (-1, 1):
         scaled = replace(
@@ -294,7 +295,7 @@ def test_only_the_direction_of_a_quaternion_matters(random_scene, seed, factor):
         assert_same_images(scene.render(rasterize), scaled.render(rasterize))
 
 
-def test_each_layer_is_blended_as_if_it_were_alone(random_scene):
+def test_each_layer_is_blended_as_if_it_were_alone():
     scene = random_scene(3)
     both = scene.render(rasterize)
     for i, modality in enumerate(("rgb", "thermal")):
@@ -303,7 +304,7 @@ def test_each_layer_is_blended_as_if_it_were_alone(random_scene):
             assert torch.equal(image, image_of_both)
 
 
-def test_chunks_change_neither_images_nor_gradients(random_scene, monkeypatch):
+def test_chunks_change_neither_images_nor_gradients(monkeypatch):
     results = []
     for elements in (2**30, 1000):
         monkeypatch.setattr(reference, "CHUNK_ELEMENTS", elements)
@@ -316,7 +317,7 @@ def test_chunks_change_neither_images_nor_gradients(random_scene, monkeypatch):
 
 
 @pytest.mark.parametrize("n", [0, 5])
-def test_nothing_visible_shows_the_background(random_scene, n):
+def test_nothing_visible_shows_the_background(n):
     scene = random_scene(0, n=n).with_leaves()
     behind = scene.tensors["means"].detach() - 100 * scene.viewmat[2, :3]
     scene = replace(scene, tensors=scene.tensors | {"means": behind.requires_grad_()})
@@ -344,7 +345,7 @@ unchecked_rasterize = unwrap(
     ("name", "shape"),
     [("means", (20, 2)), ("quats", (20, 3)), ("scales", (19, 3)), ("means2d_offset", (20, 3))],
 )
-def test_wrong_shapes_are_named(random_scene, name, shape):
+def test_wrong_shapes_are_named(name, shape):
     scene = random_scene(0, n=20)
     broken = replace(scene, tensors=scene.tensors | {name: torch.zeros(shape, dtype=torch.float64)})
     with pytest.raises(
@@ -354,7 +355,7 @@ def test_wrong_shapes_are_named(random_scene, name, shape):
         broken.render(unchecked_rasterize)
 
 
-def test_wrong_layers_cameras_and_sizes_are_named(random_scene):
+def test_wrong_layers_cameras_and_sizes_are_named():
     scene = random_scene(0, n=20)
     with pytest.raises(ValueError, match="one layer or two, got 0"):
         scene.render(unchecked_rasterize, ())

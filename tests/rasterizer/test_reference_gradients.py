@@ -9,9 +9,10 @@ import torch
 
 from mrgs.rasterizer import reference
 from mrgs.rasterizer.reference import rasterize
+from tests.helpers.rasterizers import random_cotangents, random_scene
 
 
-def smooth_scene(random_scene, seed):
+def smooth_scene(seed):
     """Four large, half transparent Gaussians over an 5 × 4 image: far from every threshold, at
     which α and T jump.
 
@@ -45,8 +46,8 @@ def smooth_scene(random_scene, seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_gradcheck_of_every_input(random_scene, seed):
-    scene = smooth_scene(random_scene, seed).with_leaves()
+def test_gradcheck_of_every_input(seed):
+    scene = smooth_scene(seed).with_leaves()
 
     def images(*tensors):
         raster = replace(scene, tensors=dict(zip(scene.tensors, tensors, strict=True))).render(
@@ -62,9 +63,7 @@ def test_gradcheck_of_every_input(random_scene, seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_gradient_of_a_crowded_scene_against_central_differences(
-    random_scene, random_cotangents, seed
-):
+def test_gradient_of_a_crowded_scene_against_central_differences(seed):
     """Along random directions in the space of all inputs; pixels near a threshold have no weight in
     the loss."""
     scene = random_scene(seed).with_leaves()

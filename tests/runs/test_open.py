@@ -8,9 +8,12 @@ import torch
 
 import mrgs
 from mrgs.errors import DeviceError, RunError, SceneError
+from mrgs.evaluation import evaluate_run
+from mrgs.field import RadianceField
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.scene import RGB, THERMAL, Rendering
+from mrgs.system.operation import PLAIN_VARIABLE
 from mrgs.training import make_config, train
 from tests.helpers.runs import trained_run
 from tests.helpers.scenes import write_scene
@@ -133,3 +136,25 @@ def test_a_gpu_renders_what_the_cpu_does_into_the_hosts_memory(run):
     assert on_gpu.model.gaussians.means.device.type == "cpu"
     observed = on_gpu.camera_response(rendering, view.camera)
     assert observed[THERMAL].image.isfinite().all()
+
+
+def test_without_kernels_an_opened_run_has_the_same_scores(run, monkeypatch):
+    metrics = evaluate_run(run)
+    monkeypatch.setenv(PLAIN_VARIABLE, "1")
+    plain = evaluate_run(load_run(run.folder.path))
+    assert plain.mean.keys() == metrics.mean.keys() == {RGB, THERMAL}
+    for modality, figures in metrics.mean.items():
+        numbers = {name: value for name, value in figures.items() if isinstance(value, float)}
+        assert "psnr" in numbers
+        found = {name: plain.mean[modality][name] for name in numbers}
+        assert found == pytest.approx(numbers, rel=1e-3, abs=1e-4)
+
+
+def test_opening_a_run_does_not_take_back_what_a_training_found_of_gradients(run):
+    heat = vars(RadianceField)["temperature_residuals"]
+    heat.rejected = True
+    try:
+        load_run(run.folder.path)
+        assert heat.rejected
+    finally:
+        heat.rejected = False

@@ -159,7 +159,7 @@ def _is_module(parts: list[str]) -> bool:
 
 def test_what_is_compiled_into_kernels_makes_them_stale():
     """Constants of other rooms that a Numba file imports are among the sources of the stamp."""
-    from mrgs.kernels.jit import COMPILED_IN
+    from mrgs.kernels.cache import COMPILED_IN
 
     imported = set()
     for path in sorted(SOURCE.joinpath("kernels").rglob("*.py")):

@@ -18,6 +18,7 @@ from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
 from mrgs.training.state import TrainingState
+from tests.helpers.training import short_config, tensors_of
 
 VIEWPOINT = Viewpoint((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
 FACTS = CheckpointFacts(
@@ -36,8 +37,8 @@ FACTS = CheckpointFacts(
 
 
 @pytest.fixture
-def config(make_short_config):
-    return make_short_config()
+def config():
+    return short_config()
 
 
 @pytest.fixture
@@ -69,13 +70,13 @@ def change_header(path: Path, **changes) -> None:
     save_file(load_file(path), path, {"mrgs": json.dumps(header)})
 
 
-def test_everything_comes_back(state, path, config, snapshot):
+def test_everything_comes_back(state, path, config):
     state.skipped_in_a_row += 2
     save(path, state, FACTS)
     found, facts = load_state(path, config), load_facts(path)
     assert facts == FACTS
     assert load_facts(path) == FACTS
-    expected, tensors = snapshot(state), snapshot(found)
+    expected, tensors = tensors_of(state), tensors_of(found)
     assert set(tensors) == set(expected)
     assert [name for name in expected if not torch.equal(tensors[name], expected[name])] == []
     assert (found.step, found.skipped_in_a_row) == (2, 2)

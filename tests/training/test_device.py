@@ -29,6 +29,7 @@ from mrgs.system import gpu
 from mrgs.training import step as step_module
 from mrgs.training.state import initial_state
 from mrgs.training.step import control_density, training_step
+from tests.helpers.training import short_config, tensors_of
 
 aten = torch.ops.aten
 
@@ -132,12 +133,12 @@ def harmonic(config: TrainConfig) -> TrainConfig:
 
 
 @pytest.fixture
-def start(small_scene, make_short_config):
+def start(small_scene):
     """Ten Gaussians, images of 8×6, and a step on them; the neighbours are known, and the first
     camera is copied."""
 
     def make(method: str, **changes: Any):
-        config = harmonic(make_short_config(method, sh_every=1, **changes))
+        config = harmonic(short_config(method, sh_every=1, **changes))
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
         scene = load_scene(small_scene, resolution=8)
         state = initial_state(scene, config)
@@ -195,12 +196,10 @@ def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("method", METHODS)
-def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(
-    method, small_scene, make_short_config, telling_of_waits
-):
+def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, telling_of_waits):
     """The length of the rasterizer's list, and nothing else."""
     device = torch.device("cuda")
-    config = harmonic(make_short_config(method, sh_every=1))
+    config = harmonic(short_config(method, sh_every=1))
     scene = load_scene(small_scene)
     state = initial_state(scene, config, device)
     view = scene.train[0]
@@ -256,9 +255,7 @@ def test_the_check_can_fail(reader, start, gpu_device, monkeypatch):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_all_of_a_step_is_on_one_device(
-    method, small_scene, make_short_config, snapshot, gpu_device, monkeypatch
-):
+def test_all_of_a_step_is_on_one_device(method, small_scene, gpu_device, monkeypatch):
     """Tensors without contents tell which device they are on, and refuse those of another."""
     if gpu_device != "cpu":
         pytest.skip("where there is a GPU, a step on it tells the same")
@@ -281,7 +278,7 @@ def test_all_of_a_step_is_on_one_device(
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
     device = torch.device("meta")
-    config = harmonic(make_short_config(method, sh_every=1, image_model=EVERY_PART))
+    config = harmonic(short_config(method, sh_every=1, image_model=EVERY_PART))
     scene = load_scene(small_scene, resolution=8)
     state = initial_state(scene, config, device)
     if config.field.neighbours_k > 0:
@@ -300,12 +297,12 @@ def test_all_of_a_step_is_on_one_device(
         control_density(state, result, config, scale.extent)
         assert result.statistics.step == number
         assert result.statistics._measured.device == device
-    for name, tensor in snapshot(state).items():
+    for name, tensor in tensors_of(state).items():
         assert tensor.device == device or name.endswith(".step"), name
 
 
 @pytest.mark.parametrize("method", ["mrgs-plus", "3dgs-rgbt"])
-def test_the_kernels_train_as_the_cpu_does(method, start, snapshot):
+def test_the_kernels_train_as_the_cpu_does(method, start):
     """Two steps with every kernel of a GPU against two with those of the CPU, all on CPU
     tensors."""
     pytest.importorskip("triton")
@@ -322,7 +319,7 @@ def test_the_kernels_train_as_the_cpu_does(method, start, snapshot):
             on_gpu = by_gpu()()
         on_cpu = by_cpu()()
         if tolerance == 1e-4:
-            moments_on_gpu, moments_on_cpu = snapshot(found), snapshot(expected)
+            moments_on_gpu, moments_on_cpu = tensors_of(found), tensors_of(expected)
         assert on_gpu.loss == pytest.approx(on_cpu.loss, rel=tolerance)
         assert on_gpu.terms == pytest.approx(on_cpu.terms, rel=10 * tolerance)
         assert on_gpu.thermal_error == pytest.approx(on_cpu.thermal_error, rel=tolerance)

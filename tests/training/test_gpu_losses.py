@@ -26,6 +26,7 @@ from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from mrgs.system import gpu
 from mrgs.training.state import learned_layers
+from tests.helpers.gaussians import random_gaussians
 
 
 def image(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -159,7 +160,7 @@ def without_values(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_no_loss_makes_the_host_wait(without_values, masked, make_gaussians):
+def test_no_loss_makes_the_host_wait(without_values, masked):
     config = make_config("mrgs", "fast")
     parts = ImageModelConfig(point_spread=True, thermal_gain=True)
     size, viewpoints = (30, 20), (Viewpoint((0, 0, 0), (0, 0, 1)),) * 4
@@ -185,7 +186,7 @@ def test_no_loss_makes_the_host_wait(without_values, masked, make_gaussians):
         observed,
         {each: photo(each.channels) for each in modalities},
         dict.fromkeys(modalities, camera),
-        make_gaussians(1),
+        random_gaussians(1),
         SceneScale(2.0, TemperatureRange(10.0, 30.0)),
     )
     terms = configured_terms(changed)

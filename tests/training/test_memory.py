@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from mrgs.data import load_scene
 from mrgs.method.config import make_config
+from mrgs.scene import THERMAL, View
 from mrgs.training.memory import estimate_bytes, peak_memory_bytes
+from tests.helpers.gaussians import NEAR_INFRARED
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
@@ -21,6 +25,25 @@ def test_the_baseline_needs_less(small_scene):
         estimate_bytes(scene, make_config(method), 10_000) for method in ("3dgs-rgbt", "mrgs")
     )
     assert baseline < full
+
+
+def test_every_modality_counts(small_scene):
+    """A band with one channel: an opacity, 16 spherical harmonics, and images of its own."""
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    with_a_band = replace(
+        scene,
+        train=tuple(
+            View(view.name, {**view.images, NEAR_INFRARED: view.images[THERMAL]})
+            for view in scene.train
+        ),
+    )
+    per_gaussian, with_band = (
+        estimate_bytes(given, config, 1_001) - estimate_bytes(given, config, 1_000)
+        for given in (scene, with_a_band)
+    )
+    floats_with_adam = 4 * (1 + 16)
+    assert with_band - per_gaussian == 4 * floats_with_adam
+    assert estimate_bytes(with_a_band, config, 0) > estimate_bytes(scene, config, 0)
 
 
 def test_peak_is_that_of_a_process_with_torch_in_it():

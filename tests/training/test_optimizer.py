@@ -9,7 +9,7 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig, are_finite, set_rates
 from mrgs.scene import RGB, THERMAL, Gaussians
-from tests.helpers.gaussians import NEAR_INFRARED
+from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
 
 EXTENT = 2.0
 
@@ -29,8 +29,8 @@ def rows_of(gaussians: Gaussians, rows: torch.Tensor) -> Gaussians:
     )
 
 
-def test_a_step_is_adams(make_gaussians):
-    gaussians, config = make_gaussians(6), OptimizerConfig()
+def test_a_step_is_adams():
+    gaussians, config = random_gaussians(6), OptimizerConfig()
     expected = gaussians.means.clone().requires_grad_()
     adam = torch.optim.Adam([expected], lr=config.means_at(0.5) * EXTENT, eps=1e-15)
     optimizer = GaussianOptimizer(gaussians, config, EXTENT)
@@ -43,12 +43,12 @@ def test_a_step_is_adams(make_gaussians):
     assert optimizer.gaussians.means.grad is None
 
 
-def test_kept_rows_go_on_as_if_the_others_had_never_been(make_gaussians):
+def test_kept_rows_go_on_as_if_the_others_had_never_been():
     everything, kept = torch.arange(6), torch.tensor([4, 1, 3])
-    start = make_gaussians(6)
+    start = random_gaussians(6)
     optimizer = GaussianOptimizer(rows_of(start, everything), OptimizerConfig(), EXTENT)
     alone = GaussianOptimizer(rows_of(start, kept), OptimizerConfig(), EXTENT)
-    added = make_gaussians(2, seed=9)
+    added = random_gaussians(2, seed=9)
     for seed in range(4):
         if seed == 2:
             optimizer.replace_rows(kept, added)
@@ -67,11 +67,11 @@ def test_kept_rows_go_on_as_if_the_others_had_never_been(make_gaussians):
         )  # a row's place decides the rounding
 
 
-def test_new_rows_start_without_moments(make_gaussians):
-    optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
+def test_new_rows_start_without_moments():
+    optimizer = GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT)
     give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
     optimizer.step(0.0)
-    added = make_gaussians(2, seed=9)
+    added = random_gaussians(2, seed=9)
     optimizer.replace_rows(torch.tensor([2]), added)
     state = optimizer.state()
     for name, tensor in optimizer.gaussians.tensors().items():
@@ -84,14 +84,16 @@ def test_new_rows_start_without_moments(make_gaussians):
 
 
 @pytest.mark.parametrize("steps_before", [0, 2])
-def test_empty_columns_survive(steps_before, make_gaussians):
+def test_empty_columns_survive(steps_before):
     """3DGS_RGB-T has no thermal opacity of its own and no embedding, MrGS no higher degrees of the
     temperature."""
-    optimizer = GaussianOptimizer(make_gaussians(5, shares_opacity=True), OptimizerConfig(), EXTENT)
+    optimizer = GaussianOptimizer(
+        random_gaussians(5, shares_opacity=True), OptimizerConfig(), EXTENT
+    )
     for seed in range(steps_before):
         give_gradients(optimizer.gaussians, torch.arange(5), seed)
         optimizer.step(0.0)
-    optimizer.replace_rows(torch.tensor([0, 2]), make_gaussians(1, shares_opacity=True))
+    optimizer.replace_rows(torch.tensor([0, 2]), random_gaussians(1, shares_opacity=True))
     give_gradients(optimizer.gaussians, torch.arange(3), seed=7)
     optimizer.step(0.5)
     shapes = {name: tuple(tensor.shape) for name, tensor in optimizer.gaussians.tensors().items()}
@@ -103,8 +105,8 @@ def test_empty_columns_survive(steps_before, make_gaussians):
 
 
 @pytest.mark.parametrize("shares_opacity", [True, False])
-def test_opacities_are_limited_and_forget_their_moments(shares_opacity, make_gaussians):
-    optimizer = GaussianOptimizer(make_gaussians(8, shares_opacity), OptimizerConfig(), EXTENT)
+def test_opacities_are_limited_and_forget_their_moments(shares_opacity):
+    optimizer = GaussianOptimizer(random_gaussians(8, shares_opacity), OptimizerConfig(), EXTENT)
     optimizer.limit_opacities(0.6)  # before the first step there are no moments yet
     give_gradients(optimizer.gaussians, torch.arange(8), seed=0)
     optimizer.step(0.0)
@@ -122,15 +124,19 @@ def test_opacities_are_limited_and_forget_their_moments(shares_opacity, make_gau
     assert (state["adam.means.exp_avg"] != 0).all()
 
 
-def test_the_state_goes_on_exactly(make_gaussians):
+def test_the_state_goes_on_exactly():
     def steps(optimizer: GaussianOptimizer, seeds: range) -> GaussianOptimizer:
         for seed in seeds:
             give_gradients(optimizer.gaussians, torch.arange(4), seed)
             optimizer.step(0.1 * seed)
         return optimizer
 
-    whole = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(6)).state()
-    part = steps(GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT), range(3)).state()
+    whole = steps(
+        GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT), range(6)
+    ).state()
+    part = steps(
+        GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT), range(3)
+    ).state()
     saved = {name: tensor.clone() for name, tensor in part.items()}
     gaussians = Gaussians.from_tensors(
         {name: tensor for name, tensor in saved.items() if not name.startswith("adam.")}
@@ -143,8 +149,8 @@ def test_the_state_goes_on_exactly(make_gaussians):
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_values_that_are_not_finite_are_found(value, make_gaussians):
-    optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
+def test_values_that_are_not_finite_are_found(value):
+    optimizer = GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT)
     loss = torch.tensor(1.0)
     assert are_finite(loss, optimizer.gradients())  # none yet
     assert not are_finite(value * loss, optimizer.gradients())
@@ -156,10 +162,10 @@ def test_values_that_are_not_finite_are_found(value, make_gaussians):
     assert are_finite(loss, optimizer.gradients())
 
 
-def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_bits(make_gaussians):
+def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_bits():
     """Before the first step too, when there are no moments."""
     optimizer, plain = (
-        GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT) for _ in range(2)
+        GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT) for _ in range(2)
     )
     good = torch.tensor(True)
     for seed in range(3):
@@ -178,10 +184,8 @@ def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_b
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
 
-def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(
-    make_gaussians, monkeypatch
-):
-    optimizer = GaussianOptimizer(make_gaussians(4), OptimizerConfig(), EXTENT)
+def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(monkeypatch):
+    optimizer = GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT)
     give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
     optimizer.step(0.5)
     before = {name: tensor.clone() for name, tensor in optimizer.state().items()}
@@ -195,7 +199,7 @@ def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(
     with monkeypatch.context() as patch:
         patch.setattr(torch, "cat", cat)
         with pytest.raises(torch.cuda.OutOfMemoryError):
-            optimizer.replace_rows(torch.tensor([0, 2]), make_gaussians(3))
+            optimizer.replace_rows(torch.tensor([0, 2]), random_gaussians(3))
     after = optimizer.state()
     assert set(after) == set(before)
     assert all(torch.equal(after[name], before[name]) for name in before)
@@ -208,11 +212,11 @@ def test_learning_rate_of_the_means_decays_between_its_ends():
     assert config.means_at(1.0) == pytest.approx(1e-4)
 
 
-def test_every_parameter_has_its_learning_rate(make_gaussians):
+def test_every_parameter_has_its_learning_rate():
     config = OptimizerConfig(
         opacities=1.0, sh_dc=2.0, sh_rest=3.0, temperature_dc=4.0, temperature_rest=5.0
     )
-    names = make_gaussians(1, modalities=(RGB, THERMAL, NEAR_INFRARED)).tensors()
+    names = random_gaussians(1, modalities=(RGB, THERMAL, NEAR_INFRARED)).tensors()
     assert {name: config.of(name) for name in names} == {
         "means": config.means, "quats": config.quats, "log_scales": config.log_scales,
         "opacity_logit.rgb": 1.0, "opacity_logit.thermal": 1.0, "opacity_logit.nir": 1.0,
@@ -235,13 +239,13 @@ def test_impossible_learning_rates_are_named(options, message):
         replace(OptimizerConfig(), **options)
 
 
-def test_rates_fall_at_the_end_alone(make_gaussians):
+def test_rates_fall_at_the_end_alone():
     config = OptimizerConfig(slowdown_from=0.5, slowdown_to=0.01)
     assert [config.slowdown_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == pytest.approx(
         [1, 1, 0.1, 0.01]
     )
     assert OptimizerConfig().slowdown_at(1.0) == 1.0
-    optimizer = GaussianOptimizer(make_gaussians(6), config, EXTENT)
+    optimizer = GaussianOptimizer(random_gaussians(6), config, EXTENT)
     give_gradients(optimizer.gaussians, torch.arange(6), seed=0)
     before = optimizer.gaussians.quats.detach().clone()
     optimizer.step(1.0)

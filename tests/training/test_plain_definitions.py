@@ -11,6 +11,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from tests.helpers.runs import made_once
+
 SOURCE = Path(__file__).parents[2] / "src"
 
 TRAIN = """
@@ -18,11 +20,18 @@ import sys, warnings
 from mrgs.errors import MrgsWarning
 from mrgs.training import make_config, train
 
-scene, output, method, steps, plain = sys.argv[1:]
-config = make_config(method, "fast", max_steps=int(steps), resolution=24)
+scene, output, mode, *opened = sys.argv[1:]
+config = make_config("mrgs", "fast", max_steps=5, resolution=24)
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always", MrgsWarning)
-    train(scene, output, config, device="cpu", plain=plain == "plain")
+    for path in opened:
+        from mrgs.runs.open import load_run
+        run = load_run(path, device="cpu")
+        run.render_view(run.load_scene().eval[0])
+        for warning in caught:
+            print("opened:", warning.message)
+        caught.clear()
+    train(scene, output, config, device="cpu", plain=mode == "plain")
 for warning in caught:
     if warning.category is MrgsWarning:
         print(warning.message)
@@ -48,50 +57,75 @@ EDITS = {
 }
 """An equation of each operation, as it reads and as it is edited."""
 
+RENDERING = ("temperature_residuals", "color_residuals")
+"""Those that a run that is opened uses as well."""
+
 
 def copied_package(folder: Path) -> Path:
-    """A copy with its compiled kernels, which Numba knows by the times of the files."""
+    """A copy with its compiled kernels."""
     shutil.copytree(SOURCE / "mrgs", folder / "mrgs")
     return folder
 
 
 def trained(
-    package: Path, scene: Path, output: Path, steps: int = 20, mode: str = "kernels"
+    package: Path, scene: Path, output: Path, *opened: Path, mode: str = "kernels"
 ) -> tuple[dict[str, torch.Tensor], list[str]]:
-    """The parameters after a training by a copy of the package, and what it printed."""
-    command = [sys.executable, "-c", TRAIN, str(scene), str(output), "mrgs", str(steps), mode]
+    """The parameters after a training by a copy of the package, which opened some runs before, and
+    what it printed."""
     path = [str(package), *filter(None, sys.path)]
     run = subprocess.run(
-        [*command[:2], f"import sys; sys.path[:0] = {path!r}\n{TRAIN}", *command[3:]],
+        [
+            *(sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}\n{TRAIN}"),
+            *map(str, (scene, output, mode, *opened)),
+        ],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
-    (checkpoint,) = (output / "checkpoints").glob("*.safetensors")
-    return load_file(checkpoint), run.stdout.splitlines()
+    return parameters(output), run.stdout.splitlines()
+
+
+def parameters(run: Path) -> dict[str, torch.Tensor]:
+    (checkpoint,) = (run / "checkpoints").glob("*.safetensors")
+    return load_file(checkpoint)
+
+
+@pytest.fixture
+def unedited(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run by the package as it is, without a warning."""
+
+    def make(folder: Path) -> None:
+        _, printed = trained(SOURCE, small_scene, folder)
+        assert printed == ["numba: True"]
+
+    return made_once(tmp_path_factory, "unedited", make)
 
 
 @pytest.mark.slow
-def test_an_edited_equation_runs_and_one_line_names_its_operation(small_scene, tmp_path):
+def test_an_edited_equation_runs_in_training_and_in_opened_runs_and_one_line_names_it(
+    small_scene, unedited, tmp_path
+):
     package = copied_package(tmp_path / "source")
-    unedited, printed = trained(package, small_scene, tmp_path / "unedited")
-    assert printed == ["numba: True"]
+    expected = parameters(unedited)
     for name, (file, before, after) in EDITS.items():
         path = package / "mrgs" / file
         text = path.read_text(encoding="utf-8")
         assert text.count(before) == 1
         path.write_text(text.replace(before, after), encoding="utf-8")
-        model, printed = trained(package, small_scene, tmp_path / name)
+        model, printed = trained(package, small_scene, tmp_path / name, unedited)
         path.write_text(text, encoding="utf-8")
 
-        assert len(printed) == 2
-        assert printed[0].startswith(f"{name}: the kernel differs from the plain definition")
-        assert not torch.equal(model["gaussians.means"], unedited["gaussians.means"])
+        differs = f"{name}: the kernel differs from the plain definition"
+        opened = [line for line in printed if line.startswith("opened: ")]
+        assert [line[8:][: len(differs)] for line in opened] == [differs] * (name in RENDERING)
+        assert len(printed) == len(opened) + 2
+        assert printed[-2].startswith(differs)
+        assert not torch.equal(model["gaussians.means"], expected["gaussians.means"])
 
 
 @pytest.mark.slow
-def test_a_plain_training_needs_no_numba_and_learns_the_same(small_scene, tmp_path):
-    by_kernels, _ = trained(SOURCE, small_scene, tmp_path / "kernels", steps=5)
-    plain, printed = trained(SOURCE, small_scene, tmp_path / "plain", steps=5, mode="plain")
+def test_a_plain_training_needs_no_numba_and_learns_the_same(small_scene, unedited, tmp_path):
+    plain, printed = trained(SOURCE, small_scene, tmp_path / "plain", mode="plain")
     assert printed == ["numba: False"]
+    by_kernels = parameters(unedited)
     for name in ("gaussians.means", "gaussians.sh_dc.rgb", "gaussians.embedding"):
         torch.testing.assert_close(plain[name], by_kernels[name], rtol=1e-3, atol=1e-3)

@@ -12,6 +12,7 @@ from mrgs.method.losses.photometric import LossConfig, photometric_loss
 from mrgs.method.losses.term import SceneScale
 from mrgs.scene import RGB, THERMAL, Modality, Pixels
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
+from tests.helpers.training import short_config, tensors_of
 
 Photos: TypeAlias = dict[Modality, Pixels]
 
@@ -40,12 +41,10 @@ def do_step(state, scene, config, number: int = 0, photos: Photos | None = None)
 
 
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
-def test_a_step_moves_every_parameter_that_the_method_has(
-    method, make_start, make_short_config, snapshot
-):
-    config = make_short_config(method, sh_every=1)
+def test_a_step_moves_every_parameter_that_the_method_has(method, make_start):
+    config = short_config(method, sh_every=1)
     scene, state = make_start(config)
-    before = snapshot(state)
+    before = tensors_of(state)
     for number in range(3):
         statistics = take(state, scene, config, number)
         assert (statistics.step, statistics.gaussians, statistics.skipped) == (
@@ -54,15 +53,15 @@ def test_a_step_moves_every_parameter_that_the_method_has(
             False,
         )
     assert state.step == 3
-    after = snapshot(state)
+    after = tensors_of(state)
     frame = ("field.center", "field.scale")
     for name, tensor in before.items():
         if tensor.numel() > 0 and not name.startswith(frame):
             assert not torch.equal(after[name], tensor), name
 
 
-def test_the_loss_is_the_weighted_sum_of_its_terms(make_start, make_short_config):
-    config = make_short_config()
+def test_the_loss_is_the_weighted_sum_of_its_terms(make_start):
+    config = short_config()
     scene, state = make_start(config)
     statistics = take(state, scene, config)
     terms = statistics.terms
@@ -96,33 +95,31 @@ def poison_photo(monkeypatch, photos: Photos) -> Photos:
 
 
 @pytest.mark.parametrize("poison", [poison_loss, poison_gradient, poison_photo])
-def test_a_step_that_is_not_finite_changes_nothing(
-    poison, make_start, make_short_config, snapshot, monkeypatch
-):
-    config = make_short_config()
+def test_a_step_that_is_not_finite_changes_nothing(poison, make_start, monkeypatch):
+    config = short_config()
     scene, state = make_start(config)
     for number in range(2):
         take(state, scene, config, number)
-    before = snapshot(state)
+    before = tensors_of(state)
     with monkeypatch.context() as patch:
         poisoned = poison(patch, photos_of(scene.train[2]))
         for in_a_row in (1, 2):
             assert take(state, scene, config, 2, poisoned).skipped
             assert state.skipped_in_a_row == in_a_row
-    after = snapshot(state)
+    after = tensors_of(state)
     assert set(after) == set(before)
     assert [name for name in before if not torch.equal(after[name], before[name])] == []
     assert (state.step, state.skipped_in_a_row) == (4, 2)
 
     assert not take(state, scene, config, 3).skipped
     assert state.skipped_in_a_row == 0
-    assert all(tensor.isfinite().all() for tensor in snapshot(state).values())
+    assert all(tensor.isfinite().all() for tensor in tensors_of(state).values())
 
 
-def test_ignored_pixels_do_not_matter(make_start, make_short_config, snapshot):
+def test_ignored_pixels_do_not_matter(make_start):
     """Whatever stands in them, the same parameters come out, but for SSIM's windows that reach into
     them."""
-    config = make_short_config(loss=LossConfig(dssim=0.0))
+    config = short_config(loss=LossConfig(dssim=0.0))
 
     def after(value: float) -> dict[str, torch.Tensor]:
         scene, state = make_start(config)
@@ -135,14 +132,14 @@ def test_ignored_pixels_do_not_matter(make_start, make_short_config, snapshot):
         }
         statistics = take(state, scene, config, photos=hidden)
         assert not statistics.skipped
-        return {**snapshot(state), "error": torch.tensor(statistics.thermal_error)}
+        return {**tensors_of(state), "error": torch.tensor(statistics.thermal_error)}
 
     first, second = after(0.1), after(0.9)
     assert [name for name in first if not torch.equal(first[name], second[name])] == []
 
 
-def test_the_harmonics_follow_the_schedule(make_start, make_short_config):
-    config = make_short_config(sh_every=2)
+def test_the_harmonics_follow_the_schedule(make_start):
+    config = short_config(sh_every=2)
     scene, state = make_start(config)
     degrees = []
     for number in range(6):
@@ -155,9 +152,9 @@ def test_the_harmonics_follow_the_schedule(make_start, make_short_config):
     ("method", "moves"), [("mrgs", [True, False, True]), ("3dgs-rgbt", [True, True, True])]
 )
 def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
-    method, moves, make_start, make_short_config
+    method, moves, make_start
 ):
-    config = make_short_config(method, sh_every=1, temperature_sh_degree=3)
+    config = short_config(method, sh_every=1, temperature_sh_degree=3)
     scene, state = make_start(config)
     gradients, moment = [], "adam.sh_rest.thermal.exp_avg_sq"
     for number in range(3):
@@ -167,10 +164,8 @@ def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
     assert gradients == moves
 
 
-def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(
-    make_start, make_short_config
-):
-    config = make_short_config(neighbours_every=3)
+def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_start):
+    config = short_config(neighbours_every=3)
     schedule = replace(config.densification, start=0, every=4, stop=100, gradient_threshold=0.0)
     config = replace(config, densification=schedule)
     scene, state = make_start(config)
@@ -187,10 +182,8 @@ def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(
 
 
 @pytest.mark.parametrize("distant_points", [False, True])
-def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(
-    distant_points, make_start, make_short_config
-):
-    config = make_short_config(distant_points=distant_points)
+def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(distant_points, make_start):
+    config = short_config(distant_points=distant_points)
     schedule = replace(
         config.densification, start=0, stop=9, every=4, reset_every=2, gradient_threshold=1e9
     )
@@ -206,10 +199,8 @@ def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(
     assert count - len(state.model.gaussians) == (0 if distant_points else 3)
 
 
-def test_density_control_starts_the_statistics_anew_and_resets_opacities(
-    make_start, make_short_config
-):
-    config = make_short_config()
+def test_density_control_starts_the_statistics_anew_and_resets_opacities(make_start):
+    config = short_config()
     schedule = replace(
         config.densification, start=0, every=2, stop=4, reset_every=3, gradient_threshold=0.0
     )
@@ -230,10 +221,8 @@ def test_density_control_starts_the_statistics_anew_and_resets_opacities(
     assert state.model.gaussians.opacity(THERMAL).max() <= 0.01 + 1e-6
 
 
-def test_density_control_learns_nothing_of_a_step_that_is_not_finite(
-    make_start, make_short_config, monkeypatch
-):
-    config = make_short_config()
+def test_density_control_learns_nothing_of_a_step_that_is_not_finite(make_start, monkeypatch):
+    config = short_config()
     schedule = replace(
         config.densification, start=0, every=2, stop=9, reset_every=2, gradient_threshold=0.0
     )

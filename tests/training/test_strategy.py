@@ -21,6 +21,7 @@ from mrgs.method.config import METHODS
 from mrgs.method.density import DensityUpdate
 from mrgs.runs import registry
 from mrgs.runs.registry import find_method, registered_methods
+from tests.helpers.training import short_config
 
 
 @dataclass(frozen=True)
@@ -91,10 +92,8 @@ def assert_same(first, second):
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
 
-def test_a_strategy_of_ones_own_trains_logs_resumes_and_opens(
-    small_scene, tmp_path, make_short_config
-):
-    config = make_short_config(max_steps=12)
+def test_a_strategy_of_ones_own_trains_logs_resumes_and_opens(small_scene, tmp_path):
+    config = short_config(max_steps=12)
     mine = Duplicate(every=4, max_gaussians=27)
     whole = train(small_scene, tmp_path / "whole", config, strategy=mine)
     parts = train(small_scene, tmp_path / "parts", config, strategy=mine, stop_at=6)
@@ -109,19 +108,17 @@ def test_a_strategy_of_ones_own_trains_logs_resumes_and_opens(
     assert open_run(whole.path).gaussian_count == 27
 
 
-def test_the_cap_of_a_strategy_holds_at_the_start(small_scene, tmp_path, make_short_config):
+def test_the_cap_of_a_strategy_holds_at_the_start(small_scene, tmp_path):
     folder = train(
-        small_scene, tmp_path, make_short_config(max_steps=1), strategy=Blind(max_gaussians=9)
+        small_scene, tmp_path, short_config(max_steps=1), strategy=Blind(max_gaussians=9)
     )
     assert open_run(folder.path).gaussian_count == 9
     with pytest.raises(ConfigError, match="max_gaussians must be at least 1, not 0"):
         Blind(max_gaussians=0)
 
 
-def test_a_term_of_ones_own_is_weighed_learned_logged_and_saved(
-    small_scene, tmp_path, make_short_config
-):
-    config = make_short_config(max_steps=10)
+def test_a_term_of_ones_own_is_weighed_learned_logged_and_saved(small_scene, tmp_path):
+    config = short_config(max_steps=10)
     statistics = []
     whole = train(
         small_scene, tmp_path / "whole", config, terms=[Sizes()], on_step=statistics.append
@@ -139,12 +136,12 @@ def test_a_term_of_ones_own_is_weighed_learned_logged_and_saved(
     assert 0.01 - 1e-4 < rest / terms["boltzmann"] < 0.05 + 1e-4
 
 
-def test_a_term_takes_the_place_of_one_of_its_name(small_scene, tmp_path, make_short_config):
+def test_a_term_takes_the_place_of_one_of_its_name(small_scene, tmp_path):
     statistics = []
     train(
         small_scene,
         tmp_path,
-        make_short_config("3dgs-rgbt", max_steps=2),
+        short_config("3dgs-rgbt", max_steps=2),
         terms=[DarkPhotos()],
         on_step=statistics.append,
     )
@@ -161,10 +158,8 @@ def test_a_term_takes_the_place_of_one_of_its_name(small_scene, tmp_path, make_s
         ),
     ],
 )
-def test_a_run_goes_on_with_what_it_began_with(
-    options, message, small_scene, tmp_path, make_short_config
-):
-    config = make_short_config(max_steps=3)
+def test_a_run_goes_on_with_what_it_began_with(options, message, small_scene, tmp_path):
+    config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(), terms=[Sizes()], stop_at=1)
     with pytest.raises(RunError, match=message):
         train(small_scene, tmp_path, config, resume=True, **options)

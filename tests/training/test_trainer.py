@@ -20,6 +20,8 @@ from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
 from mrgs.training.views import PhotoCache
+from tests.helpers.runs import trained_run
+from tests.helpers.training import short_config
 
 
 def read_log(folder: RunFolder) -> list[dict]:
@@ -38,15 +40,15 @@ def spoil(monkeypatch: pytest.MonkeyPatch, bad_steps: set[int], first: int = 1) 
     monkeypatch.setattr(step, "total_loss", total_loss)
 
 
-def eventful(make_short_config, method: str):
-    """200 steps in which everything happens on both sides of step 100."""
-    config = make_short_config(method, max_steps=200, sh_every=45, neighbours_every=35)
+def eventful(method: str):
+    """120 steps in which everything happens on both sides of step 60."""
+    config = short_config(method, max_steps=120, sh_every=27, neighbours_every=21)
     schedule = replace(
         config.densification,
         start=5,
-        stop=190,
-        every=25,
-        reset_every=60,
+        stop=114,
+        every=15,
+        reset_every=36,
         gradient_threshold=2e-5,
         clone_below=0.04,
         max_gaussians=2_000,
@@ -54,10 +56,8 @@ def eventful(make_short_config, method: str):
     return replace(config, densification=schedule)
 
 
-def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(
-    make_scene, make_short_config
-):
-    config = make_short_config("mrgs-plus")
+def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(make_scene):
+    config = short_config("mrgs-plus")
     scene = load_scene(make_scene())
     without_celsius = replace(scene, temperature=None)
     colors_alone = replace(
@@ -72,15 +72,15 @@ def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(
             (colors_alone, config),
             (scene, replace(config, temperature_sh_degree=1)),
             (without_celsius, replace(config, temperature_sh_degree=0)),
-            (scene, make_short_config("3dgs-rgbt")),
+            (scene, short_config("3dgs-rgbt")),
         )
     ]
     assert bands == [0, 15, 0, 3, 0, 15]
 
 
-def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
+def test_training_learns_the_scene(small_scene, tmp_path):
     statistics = []
-    folder = train(small_scene, tmp_path / "run", make_short_config(), on_step=statistics.append)
+    folder = train(small_scene, tmp_path / "run", short_config(), on_step=statistics.append)
     assert [entry.step for entry in statistics] == list(range(1, 61))
     assert statistics[-1].gaussians == 25
     first, last = statistics[:6], statistics[-6:]  # one round of the views
@@ -101,10 +101,8 @@ def test_training_learns_the_scene(small_scene, tmp_path, make_short_config):
         ).abs().mean() < 0.5 * photo.mean()  # half the error of a black image
 
 
-def test_run_folder_holds_configuration_log_and_two_checkpoints(
-    small_scene, tmp_path, make_short_config
-):
-    config = make_short_config(max_steps=45, checkpoint_every=10)
+def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp_path):
+    config = short_config(max_steps=45, checkpoint_every=10)
     folder = train(small_scene, tmp_path / "a" / "run", config)
     names = sorted(
         path.relative_to(folder.path).as_posix()
@@ -133,22 +131,20 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(
     assert facts.peak_memory_bytes > 2**20
 
 
-def test_pixels_of_different_cameras_are_not_held_against_each_other(
-    make_scene, tmp_path, make_short_config
-):
+def test_pixels_of_different_cameras_are_not_held_against_each_other(make_scene, tmp_path):
     statistics = []
-    config = make_short_config("mrgs-plus", max_steps=2)
+    config = short_config("mrgs-plus", max_steps=2)
     train(make_scene(two_cameras=True), tmp_path / "run", config, on_step=statistics.append)
     assert "opaque" not in statistics[0].terms
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
+def test_every_method_trains(method, small_scene, tmp_path):
     statistics = []
     folder = train(
         small_scene,
         tmp_path / "run",
-        make_short_config(method, max_steps=3),
+        short_config(method, max_steps=3),
         on_step=statistics.append,
     )
     assert [entry.skipped for entry in statistics] == [False] * 3
@@ -171,11 +167,9 @@ def test_every_method_trains(method, small_scene, tmp_path, make_short_config):
         ({"two_cameras": True}, {"rgb", "thermal"}),
     ],
 )
-def test_every_kind_of_scene_trains(
-    options, terms, method, make_scene, tmp_path, make_short_config
-):
+def test_every_kind_of_scene_trains(options, terms, method, make_scene, tmp_path):
     statistics = []
-    config = make_short_config(method, max_steps=3)
+    config = short_config(method, max_steps=3)
     folder = train(make_scene(**options), tmp_path / "run", config, on_step=statistics.append)
     assert [entry.skipped for entry in statistics] == [False] * 3
     assert set(statistics[0].terms) & {"rgb", "thermal"} == terms
@@ -186,10 +180,8 @@ def test_every_kind_of_scene_trains(
 
 
 @pytest.mark.parametrize("options", [{"rgb": False}, {"thermal": False}])
-def test_a_scene_of_one_modality_prunes_what_it_does_not_see(
-    options, make_scene, tmp_path, make_short_config
-):
-    config = make_short_config(max_steps=40)
+def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene, tmp_path):
+    config = short_config(max_steps=40)
     schedule = replace(config.densification, start=20, every=40, stop=40, gradient_threshold=1e9)
     config = replace(config, densification=replace(schedule, prune_opacity=0.11, reset_opacity=0.5))
     folder = train(make_scene(**options), tmp_path / "run", config)
@@ -198,23 +190,23 @@ def test_a_scene_of_one_modality_prunes_what_it_does_not_see(
 
 
 @pytest.mark.parametrize(
-    ("method", "cut", "degree"), [("mrgs", 100, 0), ("mrgs", 113, 3), ("3dgs-rgbt", 100, 3)]
+    ("method", "cut", "degree"), [("mrgs", 60, 0), ("mrgs", 68, 3), ("3dgs-rgbt", 60, 3)]
 )
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
-    method, cut, degree, small_scene, tmp_path, make_short_config
+    method, cut, degree, small_scene, tmp_path
 ):
-    # Step 100 densifies, so that there are no neighbours to save; step 113 lies between two
+    # Step 60 densifies, so that there are no neighbours to save; step 68 lies between two
     # densifications.
-    config = replace(eventful(make_short_config, method), temperature_sh_degree=degree)
+    config = replace(eventful(method), temperature_sh_degree=degree)
     whole = train(small_scene, tmp_path / "whole", config)
     parts = train(small_scene, tmp_path / "parts", config, stop_at=cut)
     assert load_facts(parts.newest_checkpoint()).step == cut
     # The caller's configuration and torch's own generator must not matter.
     torch.rand(7)
-    train(small_scene, tmp_path / "parts", make_short_config(max_steps=7), resume=True)
+    train(small_scene, tmp_path / "parts", short_config(max_steps=7), resume=True)
 
     expected, found = load_file(whole.newest_checkpoint()), load_file(parts.newest_checkpoint())
-    assert load_facts(parts.newest_checkpoint()).step == 200
+    assert load_facts(parts.newest_checkpoint()).step == 120
     assert set(found) == set(expected)
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
     logs = [[{**entry, "seconds": None} for entry in read_log(folder)] for folder in (whole, parts)]
@@ -223,23 +215,21 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     counts = {
         entry["step"]: entry["gaussians"] for entry in read_log(whole)
     }  # the test must have met the events
-    assert len({counts[number] for number in (10, 30, 60, 90)}) > 2
-    assert len({counts[number] for number in (110, 130, 160, 190)}) > 2
-    assert expected["gaussians.adam.sh_dc.thermal.step"] == 200  # none was skipped
+    assert len({counts[number] for number in (10, 20, 40, 50)}) > 2
+    assert len({counts[number] for number in (70, 80, 100, 110)}) > 2
+    assert expected["gaussians.adam.sh_dc.thermal.step"] == 120  # none was skipped
 
 
-def test_a_checkpoint_of_a_densification_step_can_be_rendered(
-    small_scene, tmp_path, make_short_config
-):
-    train(small_scene, tmp_path / "run", eventful(make_short_config, "mrgs"), stop_at=100)
+def test_a_checkpoint_of_a_densification_step_can_be_rendered(small_scene, tmp_path):
+    train(small_scene, tmp_path / "run", eventful("mrgs"), stop_at=60)
     run = load_run(tmp_path / "run")
     assert "neighbours" not in load_file(run.folder.newest_checkpoint())
     assert run.render(load_scene(small_scene).train[0].camera)[THERMAL].image.isfinite().all()
 
 
-def test_the_seed_decides(small_scene, tmp_path, make_short_config):
+def test_the_seed_decides(small_scene, tmp_path):
     def final(name: str, seed: int) -> torch.Tensor:
-        folder = train(small_scene, tmp_path / name, make_short_config(max_steps=5, seed=seed))
+        folder = train(small_scene, tmp_path / name, short_config(max_steps=5, seed=seed))
         return load_file(folder.newest_checkpoint())["gaussians.sh_dc.rgb"]
 
     first = final("a", seed=1)
@@ -247,10 +237,8 @@ def test_the_seed_decides(small_scene, tmp_path, make_short_config):
     assert not torch.equal(first, final("c", seed=2))
 
 
-def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(
-    small_scene, tmp_path, make_short_config
-):
-    config = make_short_config(max_steps=60, checkpoint_every=20)
+def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(small_scene, tmp_path):
+    config = short_config(max_steps=60, checkpoint_every=20)
     whole = train(small_scene, tmp_path / "whole", config)
 
     class PowerCutError(Exception):
@@ -272,32 +260,30 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_whoever_watches_may_stop_the_run(small_scene, tmp_path, make_short_config):
+def test_whoever_watches_may_stop_the_run(small_scene, tmp_path):
     folder = train(
         small_scene,
         tmp_path / "run",
-        make_short_config(),
+        short_config(),
         on_step=lambda statistics: statistics.step == 7,
     )
     assert load_facts(folder.newest_checkpoint()).step == 7
 
 
-def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path, make_short_config):
+def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path):
     told = []
-    config = make_short_config(max_steps=4)
+    config = short_config(max_steps=4)
     folder = train(
         small_scene, tmp_path / "run", config, stop_at=2, on_start=lambda *facts: told.append(facts)
     )
-    other = make_short_config("3dgs-rgbt")
+    other = short_config("3dgs-rgbt")
     train(small_scene, folder.path, other, resume=True, on_start=lambda *facts: told.append(facts))
     assert [(scene.name, given) for scene, given in told] == [(small_scene.name, config)] * 2
 
 
-def test_steps_that_are_not_finite_are_skipped_and_counted(
-    small_scene, tmp_path, make_short_config, monkeypatch
-):
+def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {2, 3, 5, 6})
-    folder = train(small_scene, tmp_path / "run", make_short_config(max_steps=8))
+    folder = train(small_scene, tmp_path / "run", short_config(max_steps=8))
     log = read_log(folder)
     assert [entry["step"] for entry in log] == [2, 3, 5, 6, 8]
     assert all(entry["skipped"] == "the loss or a gradient was not finite" for entry in log[:4])
@@ -305,11 +291,9 @@ def test_steps_that_are_not_finite_are_skipped_and_counted(
     assert all(tensor.isfinite().all() for tensor in load_file(folder.newest_checkpoint()).values())
 
 
-def test_three_skipped_steps_in_a_row_end_the_run(
-    small_scene, tmp_path, make_short_config, monkeypatch
-):
+def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {4, 5, 6})
-    config = make_short_config(max_steps=20, checkpoint_every=2)
+    config = short_config(max_steps=20, checkpoint_every=2)
     with pytest.raises(TrainingError) as caught:
         train(small_scene, tmp_path / "run", config)
     kept = tmp_path / "run/checkpoints/step_000004.safetensors"
@@ -321,26 +305,22 @@ def test_three_skipped_steps_in_a_row_end_the_run(
     assert RunFolder(tmp_path / "run").newest_checkpoint() == kept
 
 
-def test_skipped_steps_are_counted_across_a_resume(
-    small_scene, tmp_path, make_short_config, monkeypatch
-):
+def test_skipped_steps_are_counted_across_a_resume(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {4, 5, 6})
-    config = make_short_config(max_steps=20)
+    config = short_config(max_steps=20)
     train(small_scene, tmp_path / "run", config, stop_at=5)
     with pytest.raises(TrainingError, match="at step 6"):
         train(small_scene, tmp_path / "run", config, resume=True)
 
 
-def test_without_a_checkpoint_the_error_says_so(
-    small_scene, tmp_path, make_short_config, monkeypatch
-):
+def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {1, 2, 3})
     with pytest.raises(TrainingError, match="there is no checkpoint yet"):
-        train(small_scene, tmp_path / "run", make_short_config())
+        train(small_scene, tmp_path / "run", short_config())
     with pytest.raises(
         RunError, match="run has no checkpoint yet: train it first, without --resume"
     ):
-        train(small_scene, tmp_path / "run", make_short_config(), resume=True)
+        train(small_scene, tmp_path / "run", short_config(), resume=True)
 
 
 def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls: set[int]) -> None:
@@ -371,10 +351,10 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
     ],
 )
 def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
-    owner, name, calls, small_scene, tmp_path, make_short_config, monkeypatch
+    owner, name, calls, small_scene, tmp_path, tmp_path_factory, monkeypatch
 ):
-    config = replace(eventful(make_short_config, "mrgs"), max_steps=80)
-    whole = train(small_scene, tmp_path / "whole", config)
+    config = replace(eventful("mrgs"), max_steps=64)
+    whole = RunFolder(trained_run(tmp_path_factory, small_scene, config, tmp_path / "whole"))
     fill_memory(monkeypatch, owner, name, calls)
     folder = train(small_scene, tmp_path / "run", config)
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
@@ -382,23 +362,19 @@ def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
 
-def test_photos_for_which_there_is_no_memory_are_not_fetched(
-    small_scene, tmp_path, make_short_config, monkeypatch
-):
+def test_photos_for_which_there_is_no_memory_are_not_fetched(small_scene, tmp_path, monkeypatch):
     released = []
     fill_memory(monkeypatch, PhotoCache, "fetch", {0})
     monkeypatch.setattr(PhotoCache, "release", lambda self: released.append(self))
     monkeypatch.setattr(
         torch.cuda, "empty_cache", lambda: pytest.fail("the step itself had enough memory")
     )
-    train(small_scene, tmp_path / "run", make_short_config(max_steps=2))
+    train(small_scene, tmp_path / "run", short_config(max_steps=2))
     assert len(released) == 1
 
 
-def test_where_memory_stays_full_the_last_good_step_is_kept(
-    small_scene, tmp_path, make_short_config, monkeypatch
-):
-    config = make_short_config(max_steps=20)
+def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_path, monkeypatch):
+    config = short_config(max_steps=20)
     whole = train(small_scene, tmp_path / "whole", config)
     with monkeypatch.context() as patch:
         fill_memory(patch, step, "total_loss", {5, 6})
@@ -417,11 +393,11 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(
 
 
 def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
-    small_scene, tmp_path, make_short_config, monkeypatch
+    small_scene, tmp_path, monkeypatch
 ):
     fill_memory(monkeypatch, step, "total_loss", {0, 1})
     with pytest.raises(TrainingError) as caught:
-        train(small_scene, tmp_path / "run", make_short_config())
+        train(small_scene, tmp_path / "run", short_config())
     assert str(caught.value) == (
         "the GPU's memory does not suffice for step 1 with 25 Gaussians; there is no checkpoint "
         "yet: "
@@ -429,26 +405,24 @@ def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
     )
 
 
-def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(
-    small_scene, tmp_path, make_short_config
-):
+def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(small_scene, tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(DeviceError, match="use --device cpu"):
-        train(small_scene, tmp_path / "run", make_short_config(), device="cuda")
+        train(small_scene, tmp_path / "run", short_config(), device="cuda")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_checkpoint_says_which_device_it_was(small_scene, tmp_path, make_short_config):
-    folder = train(small_scene, tmp_path / "run", make_short_config(max_steps=1))
+def test_the_checkpoint_says_which_device_it_was(small_scene, tmp_path):
+    folder = train(small_scene, tmp_path / "run", short_config(max_steps=1))
     assert load_facts(folder.newest_checkpoint()).device == "cpu"
 
 
 @pytest.mark.parametrize(("second", "expected"), [("cpu", 2**40), ("NVIDIA H200", 2**30)])
 def test_the_peak_of_memory_is_that_of_one_device(
-    second, expected, small_scene, tmp_path, make_short_config, monkeypatch
+    second, expected, small_scene, tmp_path, monkeypatch
 ):
-    config = make_short_config(max_steps=2)
+    config = short_config(max_steps=2)
     for title, peak, stop_at in (("cpu", 2**40, 1), (second, 2**30, 2)):
         monkeypatch.setattr(driver.gpu, "device_title", lambda device, title=title: title)
         monkeypatch.setattr(driver, "peak_memory_bytes", lambda device, peak=peak: peak)
@@ -458,12 +432,12 @@ def test_the_peak_of_memory_is_that_of_one_device(
 
 
 def test_steps_that_are_looked_at_later_are_counted_all_the_same(
-    small_scene, tmp_path, make_short_config, monkeypatch
+    small_scene, tmp_path, monkeypatch
 ):
     """As on a GPU, where the driver looks every tenth step."""
-    monkeypatch.setattr(driver, "LOOK_EVERY", {"cpu": 10})
+    monkeypatch.setattr(driver, "CHECK_EVERY", {"cpu": 10})
     spoil(monkeypatch, {2, 3, 12, 13, 14})
-    config = make_short_config(max_steps=60, checkpoint_every=5)
+    config = short_config(max_steps=60, checkpoint_every=5)
     with pytest.raises(
         TrainingError, match="3 steps in a row gave values that are not finite, at step 14"
     ):
@@ -475,8 +449,8 @@ def test_steps_that_are_looked_at_later_are_counted_all_the_same(
 
 @pytest.mark.gpu
 @pytest.mark.parametrize(("first", "second"), [("cpu", "cuda"), ("cuda", "cpu")])
-def test_a_run_goes_on_on_another_device(first, second, small_scene, tmp_path, make_short_config):
-    config = eventful(make_short_config, "mrgs-plus")
+def test_a_run_goes_on_on_another_device(first, second, small_scene, tmp_path):
+    config = eventful("mrgs-plus")
     folder = train(small_scene, tmp_path / "run", config, stop_at=110, device=first)
     train(small_scene, folder.path, config, resume=True, device=second)
     facts = load_facts(folder.newest_checkpoint())
@@ -486,8 +460,8 @@ def test_a_run_goes_on_on_another_device(first, second, small_scene, tmp_path, m
     assert all(tensor.isfinite().all() for tensor in load_file(folder.newest_checkpoint()).values())
 
 
-def test_a_run_is_never_overwritten(small_scene, tmp_path, make_short_config):
-    config = make_short_config(max_steps=1)
+def test_a_run_is_never_overwritten(small_scene, tmp_path):
+    config = short_config(max_steps=1)
     folder = train(small_scene, tmp_path / "run", config)
     before = folder.newest_checkpoint().read_bytes()
     with pytest.raises(
@@ -497,14 +471,14 @@ def test_a_run_is_never_overwritten(small_scene, tmp_path, make_short_config):
     assert folder.newest_checkpoint().read_bytes() == before
 
 
-def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path, make_short_config):
+def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path):
     with pytest.raises(SceneError, match="nowhere"):
-        train(tmp_path / "nowhere", tmp_path / "run", make_short_config())
+        train(tmp_path / "nowhere", tmp_path / "run", short_config())
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path, make_short_config):
-    config = make_short_config(max_steps=4)
+def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path):
+    config = short_config(max_steps=4)
     folder = train(small_scene, tmp_path / "run", config, stop_at=2)
     other = make_scene()
     content = json.loads((other / "transforms.json").read_text())
@@ -517,9 +491,9 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path, ma
     )
 
 
-def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path, make_short_config):
+def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path):
     torch.manual_seed(3)
     expected = torch.rand(4)
     torch.manual_seed(3)
-    train(small_scene, tmp_path / "run", make_short_config(max_steps=2))
+    train(small_scene, tmp_path / "run", short_config(max_steps=2))
     assert torch.equal(torch.rand(4), expected)

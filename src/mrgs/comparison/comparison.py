@@ -49,7 +49,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Comparison:
-    """The result of a comparison.
+    """The results of a comparison.
 
     Attributes:
         tables: all that have contents.
@@ -177,7 +177,7 @@ def _renders_outcome(
     options: Options,
     lpips_weights: Path | None,
 ) -> Outcome:
-    """Score another program's renderings; this is cheap and repeated at each call."""
+    """Score another program's renderings; this is cheap, and repeated each time."""
     scores = output / "renders" / name / scene
     try:
         evaluate_renders(

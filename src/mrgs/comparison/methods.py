@@ -55,7 +55,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Options:
-    """The methods to compare, and the settings that all runs share.
+    """Methods to compare, and the settings that all runs share.
 
     Attributes:
         methods: any that are registered, in the order of the tables' rows.

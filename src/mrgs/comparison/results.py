@@ -92,7 +92,7 @@ class Cell(NamedTuple):
 
 
 def kind_of(figure: str) -> Kind:
-    """Properties of one of ``figure_keys``."""
+    """Kind of a figure, by its key (one of ``figure_keys``)."""
     group, _, key = figure.partition(".")
     return RUN_KINDS[figure] if figure in RUN_KINDS else IMAGE_KINDS[key or group]
 

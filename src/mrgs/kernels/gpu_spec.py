@@ -27,7 +27,7 @@ class KernelSpec(NamedTuple):
         num_warps: warps of 32 threads per program.
         num_stages: iterations of a loop whose loads may be in flight at once; 3 is what Triton
             takes for a launch that does not say.
-        variant: what tells this specialisation from the others of its kernel ("fused", "rgb");
+        variant: distinguishes this specialisation from the others of its kernel ("fused", "rgb");
             empty if there is only this one.
     """
 

@@ -10,47 +10,25 @@ Three arithmetics, each with a parallel variant:
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Callable
 from functools import partial
-from pathlib import Path
+from typing import Any
 
 from numba import njit
+from numba.extending import is_jitted
 
-_PACKAGE = Path(__file__).parents[1]
-
-COMPILED_IN = (
-    "baselines/thermonerf/hash_grid.py",
-    "field/spherical_harmonics.py",
-    "rasterizer/contract.py",
-    "rasterizer/splat.py",
-)
-"""Files outside of ``kernels`` whose constants are compiled into kernels."""
+from mrgs.kernels.cache import keep_on_disk
 
 
-def drop_stale_kernels(folder: Path, others: Iterable[Path] = ()) -> None:
-    """Delete the compiled kernels below a folder if any source below it, or any other file that
-    they were compiled from, has changed.
+def _compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """``njit`` with kernels on disk; without a function, the decorator."""
+    if function is None:
+        return partial(_compiled, **options)
+    dispatcher = njit(error_model="numpy", **options)(function)
+    if is_jitted(dispatcher):  # not so with NUMBA_DISABLE_JIT
+        keep_on_disk(dispatcher)
+    return dispatcher
 
-    Numba looks at a kernel's own file only, but kernels take constants and functions from each
-    other's files.
-    """
-    sources = [*sorted(folder.rglob("*.py")), *others]
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
-    stamp = folder / "__pycache__" / "kernels.sha256"
-    with suppress(OSError):  # a folder that cannot be written to holds no kernels either
-        if not stamp.exists() or stamp.read_text() != digest:
-            for pattern in ("*.nbi", "*.nbc"):
-                for path in folder.rglob(f"__pycache__/{pattern}"):
-                    path.unlink(missing_ok=True)
-            stamp.parent.mkdir(exist_ok=True)
-            stamp.write_text(digest)
-
-
-drop_stale_kernels(Path(__file__).parent, [_PACKAGE / name for name in COMPILED_IN])
-
-_compiled = partial(njit, cache=True, error_model="numpy")
 
 strict_kernel = _compiled
 strict_parallel_kernel = partial(_compiled, parallel=True)

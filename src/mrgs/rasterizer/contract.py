@@ -51,7 +51,7 @@ class Layer(NamedTuple):
 
 
 class Raster(NamedTuple):
-    """What a rasterizer returns.
+    """The result of a rasterizer.
 
     Attributes:
         blends: one Blend per layer, in the order of the layers.

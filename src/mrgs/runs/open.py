@@ -19,6 +19,7 @@ from mrgs.scene import Camera, Modality, Rendering
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training.checkpoint import load_model
+from mrgs.training.kernel_check import check_rendering
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.trained_run import TrainedRun
 
@@ -79,6 +80,10 @@ def open_run(
         device: where it renders, whatever it was trained on; "auto" takes the GPU where there is
             one that the method can use.
 
+    Warns:
+        MrgsWarning: a kernel that rendering uses differs from the plain definition of its
+            operation, which is then used in its place.
+
     Raises:
         RunError: the folder is not a run, its method is not registered, or its checkpoint cannot be
             used.
@@ -135,5 +140,6 @@ def open_gaussians(
     config = folder.read_config(from_yaml)
     model, facts, image_model = load_model(newest, config)
     chosen = gpu.choose_device(device)
+    check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
     model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)

@@ -169,8 +169,8 @@ def _triton_obstacle() -> str | None:
 
 
 def _header_folders() -> list[Path]:
-    """Where Python.h is looked for when Triton compiles: its own choice first, then what a C
-    compiler is told."""
+    """Where Python.h is looked for when Triton compiles: its own choice first, then the options of
+    a C compiler."""
     scheme = sysconfig.get_default_scheme()
     if (
         scheme == "posix_local"

@@ -2,9 +2,9 @@
 
 ``@operation`` marks the plain definition, which is the one to read and to edit. A call asks the
 table of kernels (``mrgs.kernels``) for one that takes the device and the type of the tensors, and
-runs the plain definition if there is none. At the start of a training every kernel in use is
-compared with its plain definition (``checking``): where they differ, because someone has edited an
-equation and not yet its kernel, the plain definition runs from then on.
+runs the plain definition if there is none. At the start of a training, and when a run is opened,
+every kernel in use is compared with its plain definition (``checking``): where they differ, because
+someone has edited an equation and not yet its kernel, the plain definition runs from then on.
 """
 
 from __future__ import annotations
@@ -91,8 +91,9 @@ class Operation(Generic[P, R]):
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Compute the operation by a kernel if there is one, else by the plain definition."""
         kernel = self.kernel((*args, *kwargs.values()))
-        if kernel is not None and _rejected_by_check.get() is not None:
-            self._check(kernel, args, kwargs)
+        check = _check.get()
+        if kernel is not None and check is not None and (check.gradients or not self.rejected):
+            self._compare(kernel, check, args, kwargs)
         if kernel is None or self.rejected:
             return self.plain(*args, **kwargs)
         result = kernel(*args, **kwargs)
@@ -121,25 +122,30 @@ class Operation(Generic[P, R]):
             return None
         return _imported(entry.function)
 
-    def _check(
-        self, kernel: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]
+    def _compare(
+        self,
+        kernel: Callable[..., Any],
+        check: _Check,
+        args: tuple[Any, ...],
+        kwargs: dict[str, Any],
     ) -> None:
         """Compare the kernel with the plain definition; a warning where it is rejected."""
-        warned = _rejected_by_check.get()
-        assert warned is not None
-        expected = _outcome(self.plain, self.measure, args, kwargs)
+        outcome = partial(
+            _outcome, measure=self.measure, gradients=check.gradients, args=args, kwargs=kwargs
+        )
+        expected = outcome(self.plain)
         try:
-            error = _relative_error(_outcome(kernel, self.measure, args, kwargs), expected)
+            error = _relative_error(outcome(kernel), expected)
             problem = f"differs from the plain definition (relative error {error:.2g})"
         except Exception as failure:  # a kernel may do anything with arguments new to it
             error = math.inf
             problem = f"fails where the plain definition runs ({type(failure).__name__}: {failure})"
         if error <= TOLERANCE:
-            self.rejected = self.name in warned
+            self.rejected = self.name in check.rejected
             return
         self.rejected = True
-        if self.name not in warned:
-            warned.add(self.name)
+        if self.name not in check.rejected:
+            check.rejected.add(self.name)
             warnings.warn(
                 f"{self.__name__}: the kernel {problem}; the plain definition is used, slower",
                 MrgsWarning,
@@ -179,25 +185,36 @@ def plainly(enabled: bool = True) -> Iterator[None]:
 
 
 @contextmanager
-def checking() -> Iterator[None]:
+def checking(gradients: bool = True) -> Iterator[None]:
     """Within this block every kernel is compared with its plain definition before it is used.
 
     Both compute the operation from the same inputs; results and gradients (for the same random
     cotangents) may differ by ``TOLERANCE``, as a relative L2 norm. A kernel that differs is not
-    used from then on in this process. torch's random generators are left alone.
+    used from then on in this process, unless it passes a later check with gradients; one without
+    skips it. torch's random generators are left alone.
+
+    Args:
+        gradients: whether to compare gradients as well as results.
 
     Warns:
         MrgsWarning: a kernel differs from its plain definition, or fails.
     """
-    token = _rejected_by_check.set(set())
+    token = _check.set(_Check(gradients, set()))
     try:
         yield
     finally:
-        _rejected_by_check.reset(token)
+        _check.reset(token)
+
+
+class _Check(NamedTuple):
+    """A block of ``checking``: what it compares, and the names of operations that it rejected."""
+
+    gradients: bool
+    rejected: set[str]
 
 
 _plain_blocks = 0
-_rejected_by_check: ContextVar[set[str] | None] = ContextVar("mrgs_rejected", default=None)
+_check: ContextVar[_Check | None] = ContextVar("mrgs_check", default=None)
 
 
 @cache
@@ -240,19 +257,22 @@ class _Outcome(NamedTuple):
 def _outcome(
     function: Callable[..., Any],
     measure: Callable[..., Tensor] | None,
+    gradients: bool,
     args: tuple[Any, ...],
     kwargs: dict[str, Any],
 ) -> _Outcome | None:
     """What a function makes of copies of the arguments; None if it does not handle them."""
     args, kwargs = _copied(args), {name: _copied(value) for name, value in kwargs.items()}
     inputs = [tensor for tensor in _tensors((args, list(kwargs.values()))) if tensor.requires_grad]
-    with torch.enable_grad():
+    with torch.set_grad_enabled(gradients):
         result = function(*args, **kwargs)
     if result is NotImplemented:
         return None
     if measure is not None:
         result = measure(result, *args, **kwargs)
     results = list(_tensors(result))
+    if not gradients:
+        return _Outcome(results, [])
     generator = torch.Generator().manual_seed(0)
     cotangents = [
         torch.randn(tensor.shape, generator=generator, dtype=tensor.dtype).to(tensor.device)
@@ -262,13 +282,13 @@ def _outcome(
     if not (depend and inputs):
         no_gradients = [torch.zeros_like(tensor) for tensor in inputs]
         return _Outcome([tensor.detach() for tensor in results], no_gradients)
-    gradients = torch.autograd.grad(
+    found = torch.autograd.grad(
         [results[place] for place in depend],
         inputs,
         [cotangents[place] for place in depend],
         materialize_grads=True,
     )
-    return _Outcome([tensor.detach() for tensor in results], list(gradients))
+    return _Outcome([tensor.detach() for tensor in results], list(found))
 
 
 def _copied(value: Any) -> Any:

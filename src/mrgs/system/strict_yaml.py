@@ -38,7 +38,7 @@ def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = N
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """What YAML says, plain values only.
+    """Parse YAML with plain values only.
 
     Raises:
         ConfigError: not YAML.

@@ -33,7 +33,7 @@ FORMAT = 5
 
 
 class CheckpointFacts(NamedTuple):
-    """What a checkpoint says about its run besides the tensors.
+    """The facts about a run that its checkpoints hold besides the tensors.
 
     Attributes:
         step: steps done.
@@ -71,7 +71,7 @@ class CheckpointFacts(NamedTuple):
         return cls(0, place, capture, scene.temperature, 0.0, 0, 0, modalities=modalities)
 
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:
-        """The same with the place where the scene is now, if that is given."""
+        """These facts with the scene's current path, if one is given."""
         return self if path is None else self._replace(scene=str(Path(path).resolve()))
 
 
@@ -164,7 +164,7 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
 
 
 def facts_to_resume(path: Path, scene: Scene, scene_path: str | Path) -> CheckpointFacts:
-    """The facts of a checkpoint that is trained on, with the place where its scene is now.
+    """The facts of a checkpoint that is trained on, with the current path of its scene.
 
     Raises:
         RunError: not a whole checkpoint of this format, of another scene, or of fewer modalities.
@@ -366,7 +366,7 @@ def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def _layer_moments(optimizer: torch.optim.Adam) -> dict[str, Tensor]:
-    """Moments by the place of their parameter."""
+    """Moments by the index of their parameter."""
     return {
         f"{place}.{key}": value
         for place, parameter in enumerate(layer_parameters(optimizer))

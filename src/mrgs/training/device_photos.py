@@ -17,7 +17,7 @@ grow in number."""
 
 class DevicePhotos:
     """Photos on a GPU: kept there while they fit, the others copied from the host, ahead of their
-    turn if told to.
+    turn on request.
 
     Args:
         device: a CUDA device.
@@ -72,7 +72,7 @@ class DevicePhotos:
 
 
 class Copied(NamedTuple):
-    """An image on its way to the GPU, and what tells that it has arrived."""
+    """An image on its way to the GPU, and the event of its arrival."""
 
     pixels: Pixels
     arrived: torch.cuda.Event | None

@@ -1,4 +1,4 @@
-"""What drives a training of any method through its steps, and keeps the run's folder up to date."""
+"""The training loop of any method: steps, log and checkpoints."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.run_folder import RunFolder
 
 LOG_EVERY = 10
-LOOK_EVERY = {"cpu": 1, "cuda": LOG_EVERY}
-"""Steps after which the driver looks whether some were skipped; to look at a GPU is to wait for
-it."""
+CHECK_EVERY = {"cpu": 1, "cuda": LOG_EVERY}
+"""Steps after which the driver checks whether some were skipped; on a GPU the host waits for
+that."""
 
 MAX_SKIPPED_IN_A_ROW = 3
 
 
 @runtime_checkable
 class Statistics(Protocol):
-    """What every method's step measures; see ``StepStatistics``."""
+    """The measurements of one training step, of any method."""
 
     @property
     def step(self) -> int:
-        """Its number, from 1."""
+        """Number of the step, from 1."""
 
     @property
     def loss(self) -> float:
-        """Of the step; not finite if it was skipped."""
+        """L_total of the step; not finite if the step was skipped."""
 
     @property
     def terms(self) -> Mapping[str, float]:
-        """Parts of the loss, unweighted."""
+        """Unweighted terms of the loss, by name."""
 
     @property
     def thermal_error(self) -> float | None:
@@ -48,11 +48,11 @@ class Statistics(Protocol):
 
     @property
     def gaussians(self) -> int | None:
-        """N; None for a method without Gaussians."""
+        """Number of Gaussians; None for a method without Gaussians."""
 
     @property
     def skipped(self) -> bool:
-        """Whether nothing was changed, because a value was not finite."""
+        """Whether the step changed nothing, because a value was not finite."""
 
 
 S = TypeVar("S", bound=Statistics)
@@ -82,8 +82,8 @@ class Driver(ABC, Generic[S]):
         self._max_steps = max_steps
         self._checkpoint_every = checkpoint_every
         self._device = device
-        self._look_every = LOOK_EVERY[device.type]
-        self._unseen: list[S] = []
+        self._check_every = CHECK_EVERY[device.type]
+        self._unchecked: list[S] = []
         self._bad_in_a_row = self._skipped_in_a_row
         self._step_done = facts.step
         self._skipped_steps = facts.skipped_steps
@@ -91,7 +91,7 @@ class Driver(ABC, Generic[S]):
 
     @abstractmethod
     def _take_step(self) -> S:
-        """Do the next step."""
+        """Take the next training step."""
 
     @property
     @abstractmethod
@@ -103,15 +103,15 @@ class Driver(ABC, Generic[S]):
         """Write everything needed to resume exactly."""
 
     def run(self, stop_at: int | None, on_step: Callable[[S], bool | None] | None) -> None:
-        """Step until the end of the schedule, or until somebody asks to stop; the last step is
+        """Step until the end of the schedule, or until ``on_step`` returns True; the last step is
         checkpointed."""
         last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
         while self._step_done < last:
             statistics = self._take_step()
             self._step_done = statistics.step
-            self._unseen.append(statistics)
-            if self._step_done % self._look_every == 0:
-                self._look()
+            self._unchecked.append(statistics)
+            if self._step_done % self._check_every == 0:
+                self._note_skipped_steps()
             if self._step_done % LOG_EVERY == 0 or self._step_done == self._max_steps:
                 self._log(statistics)
             if on_step is not None and on_step(statistics) is True:
@@ -119,10 +119,10 @@ class Driver(ABC, Generic[S]):
             if self._step_done % self._checkpoint_every == 0 or self._step_done == last:
                 self._save()
 
-    def _look(self) -> None:
-        """Note the steps that were skipped since this was last done."""
-        unseen, self._unseen = self._unseen, []
-        for statistics in unseen:
+    def _note_skipped_steps(self) -> None:
+        """Log and count the steps that were skipped since the last call."""
+        unchecked, self._unchecked = self._unchecked, []
+        for statistics in unchecked:
             self._bad_in_a_row = self._bad_in_a_row + 1 if statistics.skipped else 0
             if statistics.skipped:
                 self._note_skipped(statistics)
@@ -166,7 +166,7 @@ class Driver(ABC, Generic[S]):
         return max(self._facts.peak_memory_bytes if is_same else 0, peak_memory_bytes(self._device))
 
     def _save(self) -> None:
-        self._look()
+        self._note_skipped_steps()
         facts = self._facts._replace(
             step=self._step_done,
             train_seconds=self._seconds(),

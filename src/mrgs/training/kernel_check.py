@@ -1,4 +1,5 @@
-"""The check at the start of a training: do the kernels compute what their plain definitions say?"""
+"""Do the kernels compute what their plain definitions say? Checked when a training starts, and when
+a trained model is opened."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from mrgs.field import nearest_neighbours
+from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
@@ -46,7 +48,8 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             cameras = {
                 modality: camera.with_width(WIDTH_PX) for modality, camera in view.cameras.items()
             }
-            model = _sampled(state.model, config, next(iter(cameras.values())))
+            seen = rows_in_view(state.model.gaussians, next(iter(cameras.values())))
+            model = _sampled(state.model, seen, config.sh_degree_at(config.max_steps))
             degrees = {THERMAL: config.temperature_sh_degree_at(config.max_steps)}
             rendering, _ = render(model, cameras, degrees)
             photos = {
@@ -57,6 +60,46 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             scale = SceneScale(scene.extent, scene.temperature)
             context = LossContext(rendering, observed, photos, cameras, model.gaussians, scale)
             term_values(state.terms, context)
+
+
+def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:
+    """Render a sample of a trained model, and compare the results of each kernel with those of its
+    plain definition.
+
+    A kernel that differs is not used from then on in this process (``operation.checking``). The
+    camera is a new one that has the sample before it.
+
+    Args:
+        model: on any device; left as it is.
+        image_model: of its cameras, in the host's memory.
+        devices: where it is going to be rendered.
+
+    Warns:
+        MrgsWarning: a kernel differs from its plain definition.
+    """
+    if len(model.gaussians) == 0:
+        return
+    sample = _sampled(model, None, model.sh_degree)
+    camera = _camera_before(sample.gaussians)
+    cameras = dict.fromkeys(sample.gaussians.modalities, camera)
+    with checking(gradients=False), torch.no_grad():
+        for device in devices:
+            rendering = render(sample.to(device), cameras)[0].cpu()
+            image_model.expected(rendering, camera)
+
+
+def _camera_before(gaussians: Gaussians) -> Camera:
+    """A camera that faces Gaussians along z, from a distance at which most are in view."""
+    means = gaussians.means.detach().double().cpu()
+    centre = means.median(dim=0).values
+    radius = (means - centre).norm(dim=1).median().item()
+    largest = gaussians.scales.detach().amax(dim=1).median().item()
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, 3] = -centre
+    viewmat[2, 3] += 2 * radius + 3 * largest
+    f, c = float(WIDTH_PX), WIDTH_PX / 2
+    K = torch.tensor([[f, 0, c], [0, f, c], [0, 0, 1]], dtype=torch.float64)
+    return Camera(K, viewmat, WIDTH_PX, WIDTH_PX)
 
 
 def _chosen(views: Sequence[View]) -> list[int]:
@@ -70,29 +113,26 @@ def _chosen(views: Sequence[View]) -> list[int]:
     return chosen
 
 
-def _sampled(model: Model, config: TrainConfig, camera: Camera) -> Model:
-    """Copies of some Gaussians that the camera sees, under the model's own layers."""
-    rows = _some_rows(model.gaussians, camera)
+def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> Model:
+    """Copies of some Gaussians under the model's own layers, of those in the rows if there are any,
+    else of all; t̂ is not known beforehand."""
+    if rows is None or len(rows) == 0:
+        rows = torch.arange(len(model.gaussians), device=model.gaussians.means.device)
+    count = min(SAMPLED_GAUSSIANS, len(rows))
+    rows = rows[torch.arange(count, device=rows.device) * len(rows) // max(count, 1)]
     copies = {
         name: tensor.detach().index_select(0, rows).requires_grad_()
         for name, tensor in model.gaussians.tensors().items()
     }
     gaussians = model.gaussians.with_tensors(copies)
-    k = config.field.neighbours_k
+    k = model.field.config.neighbours_k
     return replace(
         model,
         gaussians=gaussians,
         neighbours=nearest_neighbours(gaussians.means, k) if k > 0 else None,
-        sh_degree=config.sh_degree_at(config.max_steps),
+        sh_degree=sh_degree,
+        temperature_residuals=None,
     )
-
-
-def _some_rows(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " m"]:
-    seen = rows_in_view(gaussians, camera)
-    if seen is None or len(seen) == 0:
-        seen = torch.arange(len(gaussians), device=gaussians.means.device)
-    count = min(SAMPLED_GAUSSIANS, len(seen))
-    return seen[torch.arange(count, device=seen.device) * len(seen) // max(count, 1)]
 
 
 def _random_photo(

@@ -9,13 +9,17 @@ from typing import TypeVar
 import torch
 
 from mrgs.method.camera_model.image_model import Capture
-from mrgs.method.config import TrainConfig
-from mrgs.scene import Scene
+from mrgs.method.config import MAX_DEGREE, TrainConfig
+from mrgs.method.start.start_points import model_modalities
+from mrgs.scene import THERMAL, Scene
 from mrgs.training.views import CACHE_BYTES
 
 Result = TypeVar("Result")
 
 _FLOAT = 4
+_GEOMETRY = 3 + 4 + 3
+"""Centre, rotation and scales; each modality adds an opacity and its spherical harmonics."""
+
 _ADAM_COPIES = 4
 """Parameter, gradient and two moments."""
 
@@ -32,7 +36,11 @@ _PIXEL_FLOATS = 40
 def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     """Memory that training needs with this many Gaussians, roughly."""
     field = config.field
-    parameters = 3 + 4 + 3 + 2 + 48 + (config.temperature_sh_degree_of(Capture.of(scene)) + 1) ** 2
+    temperature_degree = config.temperature_sh_degree_of(Capture.of(scene))
+    parameters = _GEOMETRY
+    for modality in model_modalities(scene.modalities):
+        degree = temperature_degree if modality == THERMAL else MAX_DEGREE
+        parameters += 1 + modality.channels * (degree + 1) ** 2
     activations = 0
     if field.residuals:
         parameters += field.embedding_width

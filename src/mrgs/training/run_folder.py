@@ -19,7 +19,7 @@ CHECKPOINTS_KEPT = 2
 
 @runtime_checkable
 class RunConfig(Protocol):
-    """What the configuration of every method has; it is a dataclass besides."""
+    """The fields of every method's configuration, which is a dataclass."""
 
     @property
     def method(self) -> str:
@@ -35,7 +35,7 @@ class RunConfig(Protocol):
 
     @property
     def seed(self) -> int:
-        """Of every random choice."""
+        """Seed of every random choice."""
 
     @property
     def checkpoint_every(self) -> int:
@@ -67,7 +67,7 @@ class RunFolder:
         return self.path / "log.jsonl"
 
     def checkpoint_file(self, step: int) -> Path:
-        """Where the checkpoint of a step stands."""
+        """Path of the checkpoint of a step."""
         return self.path / "checkpoints" / f"step_{step:06d}.safetensors"
 
     def checkpoints(self) -> list[Path]:

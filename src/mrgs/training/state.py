@@ -19,7 +19,7 @@ from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step
 from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import model_modalities, start_points
 from mrgs.render import Model
-from mrgs.scene import RGB, THERMAL, Scene
+from mrgs.scene import Scene, in_order
 from mrgs.system.gpu import HOST
 from mrgs.training.views import ViewSampler
 
@@ -88,8 +88,8 @@ class TrainingState:
 
     @property
     def device(self) -> torch.device:
-        """Where it is, but for the order of the views and the generator, which stay with the
-        host."""
+        """Device of the model and the optimizers; the order of the views and the generator stay on
+        the host."""
         return self.model.gaussians.means.device
 
     def refresh_neighbours(self, config: TrainConfig) -> None:
@@ -114,7 +114,7 @@ class TrainingState:
         self.layer_optimizer.zero_grad(set_to_none=True)
 
     def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
-        """Undo a step that was broken off before it moved anything.
+        """Undo a step that failed before it moved anything.
 
         Args:
             step: what ``step`` was before it.
@@ -149,14 +149,15 @@ def initial_state(
     """
     capture = Capture.of(scene)
     strategy = config.densification if strategy is None else strategy
-    # Without photos a modality's opacities never move, and max(o_c, o_t) would keep every Gaussian
-    # from being pruned.
-    shares_opacity = config.shares_opacity or not {RGB, THERMAL} <= set(scene.modalities)
+    # Without photos a modality's opacities never move, and their maximum over the modalities would
+    # keep every Gaussian from being pruned.
+    modalities = model_modalities(scene.modalities)
+    shares_opacity = config.shares_opacity or modalities != in_order(scene.modalities)
     generator = torch.Generator().manual_seed(config.seed)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(config.seed)
         field = RadianceField(config.field)
-        all_terms = configured_terms(config, terms, model_modalities(scene.modalities))
+        all_terms = configured_terms(config, terms, modalities)
         field.set_frame(scene.points.positions)
         gaussians = initial_gaussians(
             start_points(scene, config),
@@ -166,17 +167,12 @@ def initial_state(
             strategy.max_gaussians,
             generator,
         )
-    model = Model(
-        gaussians,
-        field,
-        neighbours=None,
-        sh_degree=0,
-    ).to(device)
+    model = Model(gaussians, field, neighbours=None, sh_degree=0).to(device)
     return TrainingState.around(model, all_terms, strategy, config, capture, generator)
 
 
 def learned_layers(terms: Sequence[Term]) -> dict[str, nn.Module]:
-    """What the terms learn, by their names."""
+    """The learned layers of the terms of a loss, by the terms' names."""
     return {term.name: term.learned for term in terms if term.learned is not None}
 
 

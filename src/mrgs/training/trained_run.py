@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering, Scene, TemperatureRange, View
+from mrgs.scene import THERMAL, Camera, Modality, Rendering, Scene, TemperatureRange, View
 from mrgs.training.checkpoint import CheckpointFacts, require_same_scene
 from mrgs.training.run_folder import RunConfig, RunFolder
 
@@ -36,9 +36,9 @@ class TrainedRun(ABC):
         """Render each modality from its camera, without gradients."""
 
     @property
+    @abstractmethod
     def modalities(self) -> tuple[Modality, ...]:
-        """Those that the model renders."""
-        return (RGB, THERMAL)
+        """Modalities that the model renders."""
 
     @property
     @abstractmethod

@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import torch
 
-from mrgs.data import load_scene
 from mrgs.errors import TrainingError
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
@@ -19,7 +18,6 @@ from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
-from mrgs.system.operation import plainly
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
@@ -27,6 +25,7 @@ from mrgs.training.driver import Driver
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
 from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
 from mrgs.training.views import PhotoCache, PhotoSource
@@ -87,30 +86,24 @@ def train(
             is kept.
     """
     chosen = gpu.choose_device(device)
-    folder = RunFolder(output)
-    if resume:
-        folder.newest_checkpoint()
-        config = folder.read_config(from_yaml)
-    else:
-        folder.require_new()
-    loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    with folder.training(config, resume), plainly(plain):
-        if resume:
-            newest = folder.newest_checkpoint()
-            facts = checkpoint.facts_to_resume(newest, loaded, scene)
-            state = checkpoint.load_state(newest, config, chosen, strategy, terms)
-            folder.cut_log(facts.step)
-        else:
-            facts = CheckpointFacts.at_start(loaded, scene)
-            state = initial_state(loaded, config, chosen, strategy, terms)
-        trainer = _Trainer(folder, facts, loaded, config, state)
+    with start_training(
+        scene,
+        output,
+        config,
+        resume=resume,
+        plain=plain,
+        read_config=lambda folder: folder.read_config(from_yaml),
+        initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
+        load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
+    ) as run:
+        trainer = _Trainer(run)
         if on_start is not None:
-            on_start(loaded, config)
+            on_start(run.scene, run.config)
         if on_model is not None:
-            on_model(state.model, _response_of(state.image_model, chosen))
-        check_kernels(state, loaded, config)
+            on_model(run.state.model, _response_of(run.state.image_model, chosen))
+        check_kernels(run.state, run.scene, run.config)
         trainer.run(stop_at, on_step)
-    return folder
+    return run.folder
 
 
 def _response_of(image_model: ImageModel, device: torch.device) -> CameraResponse:
@@ -124,21 +117,14 @@ def _response_of(image_model: ImageModel, device: torch.device) -> CameraRespons
 class _Trainer(Driver[StepStatistics]):
     """Trains Gaussians: choose a view, take a step on it, control the density."""
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        facts: CheckpointFacts,
-        scene: Scene,
-        config: TrainConfig,
-        state: TrainingState,
-    ) -> None:
-        device = state.device
-        self._scene = scene
-        self._config = config
-        self._state = state
-        self._scale = SceneScale(scene.extent, scene.temperature)
+    def __init__(self, run: TrainingStart[TrainConfig, TrainingState]) -> None:
+        self._scene, self._config, self._state = run.scene, run.config, run.state
+        device = run.state.device
+        self._scale = SceneScale(run.scene.extent, run.scene.temperature)
         self._photos: PhotoSource = PhotoCache() if device == HOST else DevicePhotos(device)
-        super().__init__(folder, facts, config.max_steps, config.checkpoint_every, device)
+        super().__init__(
+            run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device
+        )
 
     def _take_step(self) -> StepStatistics:
         result = self._with_enough_memory(self._step_on_next_view)

@@ -112,5 +112,5 @@ def change_each(pixels: Pixels, change: Callable[[Tensor], Tensor]) -> Pixels:
 
 
 def bytes_of(pixels: Pixels) -> int:
-    """Of values and mask together."""
+    """Size of an image's values and mask, in bytes."""
     return pixels.values.nbytes + (0 if pixels.valid is None else pixels.valid.nbytes)

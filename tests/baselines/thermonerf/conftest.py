@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -18,6 +18,8 @@ def one_torch_thread() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def unit_frame() -> Frame:
+def unit_frame() -> SceneFrame:
     """Centred at the world's origin, its radius one unit."""
-    return Frame(torch.zeros(3, dtype=torch.float64), radius=1.0, near=0.1, middle=3.0, far=100.0)
+    return SceneFrame(
+        torch.zeros(3, dtype=torch.float64), radius=1.0, near=0.1, middle=3.0, far=100.0
+    )

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.rays import CameraRays
 from mrgs.scene import Camera
 
@@ -23,7 +23,7 @@ def some_camera(width: int, height: int, angle: float) -> Camera:
 
 def test_rays_pass_through_the_centres_of_their_pixels():
     cameras = [some_camera(7, 5, 0.3), some_camera(4, 6, -1.0)]
-    frame = Frame(torch.tensor([0.5, 1.0, -2.0], dtype=torch.float64), 2.5, 0.1, 1.0, 10.0)
+    frame = SceneFrame(torch.tensor([0.5, 1.0, -2.0], dtype=torch.float64), 2.5, 0.1, 1.0, 10.0)
     rays = CameraRays(cameras, frame)
     assert len(rays) == 35 + 24
     through = rays.through(torch.arange(len(rays)))

@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from torch import Tensor
 
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.model import ThermoNerf
 from mrgs.baselines.thermonerf.step import TrainingState, make_state, new_model
 from mrgs.errors import RunError
@@ -100,7 +100,7 @@ def _model(path: Path, tensors: dict[str, Tensor], config: ThermoNerfConfig) -> 
             radius > 0 and 0 <= near < far and middle > 0 and tensors["frame.centre"].shape == (3,)
         ):
             raise ValueError("the frame has no size")
-        model = new_model(config, Frame(tensors["frame.centre"], radius, near, middle, far))
+        model = new_model(config, SceneFrame(tensors["frame.centre"], radius, near, middle, far))
         prefix = "model."
         model.load_state_dict(
             {

@@ -15,14 +15,14 @@ NEAR_SHARE = 0.5
 NEAR_QUANTILE = 0.01
 FAR_FACTOR = 100.0
 """Rays are followed from half the distance at which the nearest hundredth of the start points lies
-to this many times their median distance: beyond it nothing can be told from infinity."""
+to this many times their median distance: beyond it nothing is distinguishable from infinity."""
 
 MOST_POINTS = 5_000
 """Start points that are looked at from every camera."""
 
 
-class Frame(NamedTuple):
-    """A scene's place and size.
+class SceneFrame(NamedTuple):
+    """Centre and size of a scene, and the range in which rays are sampled.
 
     Attributes:
         centre: median of the start points, world coordinates, [3].
@@ -44,7 +44,7 @@ class Frame(NamedTuple):
         return (positions - self.centre.to(positions)) / self.radius
 
 
-def frame_of(scene: Scene) -> Frame:
+def frame_of(scene: Scene) -> SceneFrame:
     """The frame that a scene's start points and training cameras give."""
     points = scene.points.positions.double()
     centre = points.median(dim=0).values
@@ -53,7 +53,7 @@ def frame_of(scene: Scene) -> Frame:
     distances = _distances(points[:: max(1, len(points) // MOST_POINTS)], scene)
     near = NEAR_SHARE * distances.quantile(NEAR_QUANTILE).item()
     middle = max(distances.median().item(), smallest)
-    return Frame(centre, radius, near / radius, middle / radius, FAR_FACTOR * middle / radius)
+    return SceneFrame(centre, radius, near / radius, middle / radius, FAR_FACTOR * middle / radius)
 
 
 def _distances(points: Float[Tensor, "n 3"], scene: Scene) -> Float[Tensor, " m"]:

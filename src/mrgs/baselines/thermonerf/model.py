@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
 from mrgs.baselines.thermonerf.field import Field, Proposal, harmonics_of
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays
 from mrgs.baselines.thermonerf.sampling import Spacing, even_edges, resample
 from mrgs.baselines.thermonerf.volume import composite, median_distance, render_weights
@@ -24,7 +24,7 @@ ALL_ROWS = slice(None)
 
 
 class Samples(NamedTuple):
-    """What the weights along the rays are; edges are in normalised distance s.
+    """Weights along the rays; edges are in normalised distance s.
 
     Attributes:
         edges: of the field's intervals, [R, S + 1].
@@ -40,7 +40,7 @@ class Samples(NamedTuple):
 
 
 class Traced(NamedTuple):
-    """What rays see.
+    """Values, depths and weights of traced rays.
 
     Attributes:
         values: colours or normalised temperatures of the rays that were asked for them, by
@@ -65,7 +65,7 @@ class ThermoNerf(nn.Module):
         frame: of the scene.
     """
 
-    def __init__(self, config: ThermoNerfConfig, frame: Frame) -> None:
+    def __init__(self, config: ThermoNerfConfig, frame: SceneFrame) -> None:
         super().__init__()
         self.frame = frame
         self.field = Field(config.field)
@@ -112,7 +112,7 @@ class ThermoNerf(nn.Module):
         return Traced(values, depth, alphas, samples)
 
     def render(self, cameras: Mapping[Modality, Camera]) -> Rendering:
-        """Render the modalities that have a camera, without gradients; one pass serves all if the
+        """Render the modalities that have a camera, without gradients; one pass renders all if the
         cameras coincide."""
         used = list(cameras.values())
         is_shared = bool(used) and all(camera.coincides_with(used[0]) for camera in used)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays
 from mrgs.scene import RGB, THERMAL, Modality, PosedImage, Scene
 
@@ -18,7 +18,7 @@ MODALITIES = (RGB, THERMAL)
 
 
 class Target(NamedTuple):
-    """What rays of a batch should see.
+    """Photo values that the rays of a batch are compared with.
 
     Attributes:
         rows: the rays.
@@ -41,7 +41,7 @@ class Batch(NamedTuple):
 class _Photos:
     """The pixels of one modality and their rays, in the order of ``CameraRays``."""
 
-    def __init__(self, images: list[PosedImage], frame: Frame) -> None:
+    def __init__(self, images: list[PosedImage], frame: SceneFrame) -> None:
         loaded = [image.load() for image in images]
         self.rays = CameraRays([image.camera for image in images], frame)
         self.values = torch.cat([pixels.values.flatten(0, 1) for pixels in loaded])
@@ -56,7 +56,7 @@ class _Photos:
             self.valid = torch.cat([mask.flatten() for mask in masks])
 
     def target(self, pixels: Int64[Tensor, " r"], start: int) -> Target:
-        """What the rays through these pixels should see; their rows begin at ``start``."""
+        """The photo values of these pixels, for rays whose rows begin at ``start``."""
         valid = None if self.valid is None else self.valid[pixels]
         return Target(slice(start, start + len(pixels)), self.values[pixels], valid)
 
@@ -64,8 +64,8 @@ class _Photos:
 class PixelPool:
     """Draws rays at random over all training views.
 
-    Where the images of each view share a camera, a ray serves all modalities; else each modality
-    has an equal share of the rays.
+    Where the images of each view share a camera, a ray is used for all modalities; else each
+    modality has an equal share of the rays.
 
     Args:
         scene: its training photos are read and kept.
@@ -75,7 +75,7 @@ class PixelPool:
         SceneError: a photo cannot be read.
     """
 
-    def __init__(self, scene: Scene, frame: Frame) -> None:
+    def __init__(self, scene: Scene, frame: SceneFrame) -> None:
         views = [view.images for view in scene.train]
         self._photos = {
             modality: _Photos([images[modality] for images in views if modality in images], frame)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.baselines.thermonerf.frame import Frame
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.scene import Camera
 
 
@@ -35,7 +35,7 @@ class CameraRays:
         frame: of the scene.
     """
 
-    def __init__(self, cameras: list[Camera], frame: Frame) -> None:
+    def __init__(self, cameras: list[Camera], frame: SceneFrame) -> None:
         self._widths = torch.tensor([camera.width for camera in cameras])
         counts = torch.tensor([camera.width * camera.height for camera in cameras])
         self._ends = counts.cumsum(dim=0)

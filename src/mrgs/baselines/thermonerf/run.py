@@ -6,12 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from mrgs.baselines.thermonerf.checkpoint import load_model
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig, from_yaml
+from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.model import ThermoNerf
+from mrgs.baselines.thermonerf.pixels import MODALITIES
 from mrgs.errors import DeviceError
 from mrgs.scene import Camera, Modality, Rendering
 from mrgs.system.gpu import DeviceName
+from mrgs.system.operation import checking
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.trained_run import TrainedRun
 
@@ -31,6 +36,10 @@ class ThermoNerfRun(TrainedRun):
         return self.model.render(cameras)
 
     @property
+    def modalities(self) -> tuple[Modality, ...]:  # noqa: D102
+        return MODALITIES
+
+    @property
     def gaussian_count(self) -> None:  # noqa: D102
         return None
 
@@ -45,6 +54,10 @@ def open_thermonerf(
         scene: the scene's folder, if it has moved since training.
         device: "auto" or "cpu".
 
+    Warns:
+        MrgsWarning: a kernel that rendering uses differs from the plain definition of its
+            operation, which is then used in its place.
+
     Raises:
         RunError: the folder is not a run, or its checkpoint cannot be used.
         DeviceError: the GPU was asked for.
@@ -54,7 +67,17 @@ def open_thermonerf(
     newest = folder.newest_checkpoint()
     config = folder.read_config(from_yaml)
     model, facts = load_model(newest, config)
+    with checking(gradients=False):
+        model.render(dict.fromkeys(MODALITIES, _small_camera(model.frame)))
     return ThermoNerfRun(folder, config, facts.moved_to(scene), model)
+
+
+def _small_camera(frame: SceneFrame) -> Camera:
+    """A camera in the middle of the scene, of a few rays: enough to compare kernels."""
+    K = torch.tensor([[4.0, 0, 4.0], [0, 4.0, 2.0], [0, 0, 1]], dtype=torch.float64)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, 3] = -frame.centre
+    return Camera(K, viewmat, 8, 4)
 
 
 def require_cpu(device: DeviceName) -> None:

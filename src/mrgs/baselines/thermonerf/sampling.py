@@ -56,7 +56,7 @@ def even_edges(
     rays: int, count: int, generator: torch.Generator | None, like: Float[Tensor, "..."]
 ) -> Float[Tensor, "{rays} {count}+1"]:
     """Edges of ``count`` intervals; a generator shifts the inner ones at random, so that training
-    sees every place."""
+    covers every distance."""
     edges = torch.linspace(0, 1, count + 1, dtype=like.dtype).expand(rays, -1)
     if generator is None:
         return edges

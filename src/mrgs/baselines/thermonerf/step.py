@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
-from mrgs.baselines.thermonerf.frame import Frame, frame_of
+from mrgs.baselines.thermonerf.frame import SceneFrame, frame_of
 from mrgs.baselines.thermonerf.losses import distortion_loss, interlevel_loss, squared_error
 from mrgs.baselines.thermonerf.model import ThermoNerf, Traced
 from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
@@ -40,7 +40,7 @@ class TrainingState:
 
 
 class ThermoNerfStatistics(NamedTuple):
-    """What a step measured.
+    """The measurements of one training step.
 
     Attributes:
         step: its number, from 1.
@@ -69,7 +69,7 @@ def initial_state(scene: Scene, config: ThermoNerfConfig) -> TrainingState:
     )
 
 
-def new_model(config: ThermoNerfConfig, frame: Frame) -> ThermoNerf:
+def new_model(config: ThermoNerfConfig, frame: SceneFrame) -> ThermoNerf:
     """An untrained model."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)

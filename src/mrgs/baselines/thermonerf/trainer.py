@@ -18,14 +18,14 @@ from mrgs.baselines.thermonerf.step import (
     initial_state,
     training_step,
 )
-from mrgs.data import load_scene
 from mrgs.errors import RunError
 from mrgs.scene import Scene
 from mrgs.system.gpu import DeviceName
-from mrgs.system.operation import checking, plainly
-from mrgs.training.checkpoint import CheckpointFacts, facts_to_resume
+from mrgs.system.operation import checking
+from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.driver import Driver
 from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import TrainingStart, start_training
 
 CHECKED_RAYS = 32
 """Rays on which the kernels are compared with their plain definitions."""
@@ -71,47 +71,37 @@ def train_thermonerf(
             checkpoint is kept.
     """
     require_cpu(device)
-    folder = RunFolder(output)
-    if resume:
-        folder.newest_checkpoint()
-        if folder.method != METHOD:
-            raise RunError(f"{folder.path} is a run of {folder.method}, not of {METHOD}")
-        config = folder.read_config(from_yaml)
-    else:
-        folder.require_new()
-    loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    with folder.training(config, resume), plainly(plain):
-        if resume:
-            newest = folder.newest_checkpoint()
-            facts = facts_to_resume(newest, loaded, scene)
-            state = checkpoint.load_state(newest, config)
-            folder.cut_log(facts.step)
-        else:
-            facts = CheckpointFacts.at_start(loaded, scene)
-            state = initial_state(loaded, config)
-        trainer = _Trainer(folder, facts, loaded, config, state)
+    with start_training(
+        scene,
+        output,
+        config,
+        resume=resume,
+        plain=plain,
+        read_config=_config_of,
+        initial_state=initial_state,
+        load_state=checkpoint.load_state,
+    ) as run:
+        trainer = _Trainer(run)
         if on_start is not None:
-            on_start(loaded, config)
+            on_start(run.scene, run.config)
         trainer.check_kernels()
         trainer.run(stop_at, on_step)
-    return folder
+    return run.folder
+
+
+def _config_of(folder: RunFolder) -> ThermoNerfConfig:
+    if folder.method != METHOD:
+        raise RunError(f"{folder.path} is a run of {folder.method}, not of {METHOD}")
+    return folder.read_config(from_yaml)
 
 
 class _Trainer(Driver[ThermoNerfStatistics]):
     """Trains a radiance field."""
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        facts: CheckpointFacts,
-        scene: Scene,
-        config: ThermoNerfConfig,
-        state: TrainingState,
-    ) -> None:
-        self._config = config
-        self._state = state
-        self._pool = PixelPool(scene, state.model.frame)
-        super().__init__(folder, facts, config.max_steps, config.checkpoint_every)
+    def __init__(self, run: TrainingStart[ThermoNerfConfig, TrainingState]) -> None:
+        self._config, self._state = run.config, run.state
+        self._pool = PixelPool(run.scene, run.state.model.frame)
+        super().__init__(run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every)
 
     def check_kernels(self) -> None:
         """Compare the kernels in use with their plain definitions; the training stays the same."""

@@ -36,8 +36,8 @@ MEAN_X, SQUARES, PRODUCT, MEAN_Y, ERROR = range(0, 5 * BLOCK, BLOCK)
 """Where a block holds μ_x, S, P, μ_y, then the derivatives by them in their place, and 1 − SSIM."""
 
 
-class Comparison(NamedTuple):
-    """What is compared and where the results go; float32 or float64 throughout.
+class ImagePair(NamedTuple):
+    """Two images to compare and the arrays for the results; float32 or float64 throughout.
 
     Attributes:
         x: an image as it lies in memory, [H, W·C], C-contiguous as all arrays here.
@@ -49,8 +49,8 @@ class Comparison(NamedTuple):
         scalars: [dssim, 1 − dssim, c1, c2], the shares of 1 − SSIM and of L1, and SSIM's
             stabilisers.
         grad_x: receives the gradient by x, [H, W·C]; [0, 0] if not wanted.
-        grad_y: receives the gradient by y; likewise.
-        errors: receives 1 − SSIM of each value; likewise.
+        grad_y: receives the gradient by y, [H, W·C]; [0, 0] if not wanted.
+        errors: receives 1 − SSIM of each value, [H, W·C]; [0, 0] if not wanted.
         sums: of zeros, float64, [number of strips, W·C]; receives each strip's sums over its rows.
     """
 

@@ -8,7 +8,7 @@ The mathematics is that of ``mrgs.kernels.ssim.compare_cpu``: with the window w 
 
 The first kernel stores the derivatives by the moments and sums the errors; the second filters the
 derivatives. A program walks down a strip of rows, one thread for each value of a row. Each row is
-filtered along itself by eleven loads, which the L1 cache serves; down the rows, ten sums in
+filtered along itself by eleven loads, which come from the L1 cache; down the rows, ten sums in
 registers wait for the rows that they lack, so that no moment touches memory. Sums are taken in a
 fixed order: the same bits on every run.
 """
@@ -258,8 +258,8 @@ def gradients_kernel(
             tl.store(gradient_y + at, tl.where(counts, gradient, 0.0), mask=mask)
 
 
-class Comparison(NamedTuple):
-    """What the kernels made of two images.
+class ComparedImages(NamedTuple):
+    """The weighted L1 and SSIM of two images, with gradients.
 
     Attributes:
         total: Σ weights (l1 |x − y| + dssim (1 − SSIM)), float64, on the images' device.
@@ -281,7 +281,7 @@ def compare(
     scalars: tuple[float, float, float, float],
     by_y: bool,
     wants_errors: bool,
-) -> Comparison:
+) -> ComparedImages:
     """L1 and SSIM of two float32 images, without a host round trip.
 
     Args:
@@ -313,7 +313,7 @@ def compare(
     given |= dict(zip((*SIZES, *SCALARS), (*sizes, *scalars), strict=True))
     for spec in _specs(by_y, wants_errors):
         spec.launch(grid, given)
-    return Comparison(totals.sum(dtype=torch.float64), gradient_x, gradient_y, errors)
+    return ComparedImages(totals.sum(dtype=torch.float64), gradient_x, gradient_y, errors)
 
 
 def _specs(by_y: bool, wants_errors: bool) -> tuple[KernelSpec, KernelSpec]:

@@ -29,7 +29,7 @@ def compare(
     gradients = [x.new_empty(in_memory if tensor.requires_grad else (0, 0)) for tensor in (x, y)]
     sums = torch.zeros(math.ceil(height / STRIP_ROWS), width * channels, dtype=torch.float64)
     compare_cpu.compare(
-        compare_cpu.Comparison(
+        compare_cpu.ImagePair(
             x=x.detach().reshape(in_memory).contiguous().numpy(),
             y=y.detach().reshape(in_memory).contiguous().numpy(),
             weights=weights.detach().repeat_interleave(channels, dim=1).numpy(),

@@ -21,10 +21,10 @@ class Dissimilarity(NamedTuple):
     """Two images compared.
 
     Attributes:
-        total: the weighted sum over all values; on a GPU a tensor that stays there, so that nobody
-            waits for it.
+        total: the weighted sum over all values; on a GPU a tensor that stays there, so that the
+            host need not wait.
         grad_x: its gradient by x, [H, W, C]; None unless x asks for one.
-        grad_y: its gradient by y; likewise.
+        grad_y: its gradient by y, [H, W, C]; None unless y asks for one.
         errors: 1 − SSIM of each value, if wanted.
     """
 

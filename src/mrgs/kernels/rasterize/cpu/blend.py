@@ -101,6 +101,31 @@ def log2_gaussian(splats, record, dx, dy):
 
 
 @strict_inlined_kernel()
+def contribution(planes, at, splats, record, layer, gaussian):
+    """What one layer of a splat contributes to a vector of pixels; the transmittance behind it is
+    stored.
+
+    Args:
+        planes, at: the tile's planes, and the offset of the vector in the layer's first plane.
+        splats, record: the records, and the offset of this splat's.
+        layer: the layer's part of the record.
+        gaussian: G' at the pixels.
+
+    Returns:
+        o G', α = min(0.999, o G'), whether it blends, its weight α T (0 where it does not), and the
+        transmittance behind it.
+    """
+    transmittance = load(planes, at + TRANSMITTANCE)
+    unclamped = broadcast(read(splats, record + layer)) * gaussian
+    alpha = minimum(unclamped, broadcast(ALPHA_MAX))
+    blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
+    weight = select(blends, alpha * transmittance, broadcast(ZERO))
+    transmittance = transmittance - weight
+    store(planes, at + TRANSMITTANCE, transmittance)
+    return unclamped, alpha, blends, weight, transmittance
+
+
+@strict_inlined_kernel()
 def _accumulate(planes, at, weight, value):
     store(planes, at, load(planes, at) + weight * broadcast(value))
 
@@ -119,12 +144,7 @@ def _blend_layer(planes, at, splats, record, layer, channels, gaussian):
         channels: 3 or 1.
         gaussian: G' at the pixels.
     """
-    transmittance = load(planes, at + TRANSMITTANCE)
-    alpha = minimum(broadcast(read(splats, record + layer)) * gaussian, broadcast(ALPHA_MAX))
-    blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
-    weight = select(blends, alpha * transmittance, broadcast(ZERO))
-    transmittance = transmittance - weight
-    store(planes, at + TRANSMITTANCE, transmittance)
+    _, _, _, weight, transmittance = contribution(planes, at, splats, record, layer, gaussian)
     _accumulate(planes, at + DEPTH, weight, read(splats, record + splat.DEPTH))
     for channel in range(channels):
         feature = read(splats, record + layer + 1 + channel)

@@ -17,15 +17,14 @@ from mrgs.kernels.jit import strict_inlined_kernel, strict_kernel, strict_parall
 from mrgs.kernels.rasterize.cpu.blend import (
     ALL_VECTORS,
     ALPHA_MAX,
-    ALPHA_MIN,
     DEPTH,
     FEATURES,
     ONE,
     TILE_PIXELS,
-    TRANSMITTANCE,
     TRANSMITTANCE_MIN,
     VECTOR_ROWS,
     ZERO,
+    contribution,
     interleaved,
     log2_gaussian,
     open_transmittance,
@@ -39,7 +38,6 @@ from mrgs.kernels.rasterize.cpu.simd import (
     lane_columns,
     lane_rows,
     load,
-    minimum,
     pointer,
     prefetch,
     read,
@@ -99,13 +97,9 @@ def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussia
             features.
     """
     sum_alpha, sum_depth, sum_0, sum_1, sum_2 = sums
-    transmittance = load(planes, at + TRANSMITTANCE)
-    unclamped = broadcast(read(splats, record + layer)) * gaussian
-    alpha = minimum(unclamped, broadcast(ALPHA_MAX))
-    blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
-    weight = select(blends, alpha * transmittance, broadcast(ZERO))
-    transmittance = transmittance - weight
-    store(planes, at + TRANSMITTANCE, transmittance)
+    unclamped, alpha, blends, weight, transmittance = contribution(
+        planes, at, splats, record, layer, gaussian
+    )
     grad = load(planes, at + DEPTH)
     own = grad * broadcast(read(splats, record + splat.DEPTH))
     sum_depth = sum_depth + weight * grad

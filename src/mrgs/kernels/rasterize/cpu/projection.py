@@ -248,6 +248,12 @@ def _camera_point_gradient(
 
 
 @strict_kernel()
+def _combination(a, x, b, y):
+    """a x + b y of two vectors."""
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
+
+
+@strict_kernel()
 def _geometry_gradient(
     i, g, means, quats, scales, viewmat, K, width, height,
     grad_means, grad_quats, grad_scales, grad_means2d,
@@ -266,35 +272,15 @@ def _geometry_gradient(
     grad_mean, (hxx, hxy, hyy) = _screen_gradients(xx, xy, yy, g)
     grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
     # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
-    gn0 = (
-        2 * (hxx * n0[0] + hxy * n1[0]),
-        2 * (hxx * n0[1] + hxy * n1[1]),
-        2 * (hxx * n0[2] + hxy * n1[2]),
-    )
-    gn1 = (
-        2 * (hxy * n0[0] + hyy * n1[0]),
-        2 * (hxy * n0[1] + hyy * n1[1]),
-        2 * (hxy * n0[2] + hyy * n1[2]),
-    )
+    gn0 = _combination(2 * hxx, n0, 2 * hxy, n1)
+    gn1 = _combination(2 * hxy, n0, 2 * hyy, n1)
     for k in range(3):
         grad_scales[i, k] = gn0[k] * p0[k] + gn1[k] * p1[k]
     gp0, gp1 = _scaled(gn0, scales, i), _scaled(gn1, scales, i)
     grad_rotation = (
-        (
-            m0[0] * gp0[0] + m1[0] * gp1[0],
-            m0[0] * gp0[1] + m1[0] * gp1[1],
-            m0[0] * gp0[2] + m1[0] * gp1[2],
-        ),
-        (
-            m0[1] * gp0[0] + m1[1] * gp1[0],
-            m0[1] * gp0[1] + m1[1] * gp1[1],
-            m0[1] * gp0[2] + m1[1] * gp1[2],
-        ),
-        (
-            m0[2] * gp0[0] + m1[2] * gp1[0],
-            m0[2] * gp0[1] + m1[2] * gp1[1],
-            m0[2] * gp0[2] + m1[2] * gp1[2],
-        ),
+        _combination(m0[0], gp0, m1[0], gp1),
+        _combination(m0[1], gp0, m1[1], gp1),
+        _combination(m0[2], gp0, m1[2], gp1),
     )
     gw, gx, gy, gz = _quaternion_gradient(quats, i, length, grad_rotation)
     grad_quats[i, 0], grad_quats[i, 1], grad_quats[i, 2], grad_quats[i, 3] = gw, gx, gy, gz

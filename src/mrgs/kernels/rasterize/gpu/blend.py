@@ -34,7 +34,7 @@ from mrgs.kernels.rasterize.gpu.constants import (
 from mrgs.kernels.rasterize.gpu.jit import device_function
 
 TURNS = tl.constexpr(2)
-"""So many splats are blended between two looks at whether any pixel of the tile is still
+"""So many splats are blended between two checks whether any pixel of the tile is still
 unfinished. The code of these turns stands one after the other, so that the loads of one need not
 wait for the registers of the one before."""
 

@@ -29,8 +29,8 @@ TILE_WIDTH = tl.constexpr(16)
 TILE_HEIGHT = tl.constexpr(8)
 TILE_PIXELS = tl.constexpr(16 * 8)
 """One warp blends a tile, each thread four of its pixels: whether any pixel is left, and the sums
-over the pixels, are then told within the warp, without a barrier; and small images still give many
-tiles to many processors."""
+over the pixels, are then shared within the warp, without a barrier; and small images still give
+many tiles to many processors."""
 
 SLACK_PX = tl.constexpr(1e-3)
 """Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a

@@ -1,0 +1,85 @@
+"""How a training of any method begins: the run's folder is locked, the scene read, and the state
+made or loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from mrgs.data import load_scene
+from mrgs.scene import Scene
+from mrgs.system.operation import plainly
+from mrgs.training.checkpoint import CheckpointFacts, facts_to_resume
+from mrgs.training.run_folder import RunConfig, RunFolder
+
+C = TypeVar("C", bound=RunConfig)
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class TrainingStart(Generic[C, S]):
+    """The folder, scene, configuration and state that a training starts from.
+
+    Attributes:
+        folder: the run's folder, locked.
+        facts: of the checkpoint that is continued, or of step 0.
+        scene: at the run's resolution.
+        config: in force.
+        state: all that changes during training.
+    """
+
+    folder: RunFolder
+    facts: CheckpointFacts
+    scene: Scene
+    config: C
+    state: S
+
+
+@contextmanager
+def start_training(
+    scene: str | Path,
+    output: str | Path,
+    config: C,
+    *,
+    resume: bool,
+    plain: bool,
+    read_config: Callable[[RunFolder], C],
+    initial_state: Callable[[Scene, C], S],
+    load_state: Callable[[Path, C], S],
+) -> Iterator[TrainingStart[C, S]]:
+    """Within this block the run's folder is locked, and no other process trains in it.
+
+    Args:
+        scene: the scene's folder.
+        output: the run's folder; must not hold a run unless ``resume``.
+        config: what to train; a resumed run keeps its own.
+        resume: continue the run from its newest checkpoint.
+        plain: run the plain definitions of all operations instead of kernels.
+        read_config: the configuration of the run that is continued.
+        initial_state: the state at step 0.
+        load_state: the state in a checkpoint.
+
+    Raises:
+        SceneError: the scene cannot be used.
+        RunError: the output folder cannot be used.
+    """
+    folder = RunFolder(output)
+    if resume:
+        folder.newest_checkpoint()
+        config = read_config(folder)
+    else:
+        folder.require_new()
+    loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
+    with folder.training(config, resume), plainly(plain):
+        if resume:
+            newest = folder.newest_checkpoint()
+            facts = facts_to_resume(newest, loaded, scene)
+            state = load_state(newest, config)
+            folder.cut_log(facts.step)
+        else:
+            facts = CheckpointFacts.at_start(loaded, scene)
+            state = initial_state(loaded, config)
+        yield TrainingStart(folder, facts, loaded, config, state)
