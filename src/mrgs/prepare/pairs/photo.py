@@ -41,10 +41,10 @@ class Photo:
         origin: path of the camera's original file without the extension, relative to the folder of
             photos.
         kind: what it holds.
-        size: width and height in pixels; None where the header does not tell.
+        size: width and height in pixels; None if the header does not say.
         embedded: whether a photo in visible light lies inside.
         exif: facts about the photo.
-        focal_mm: focal length of the lens; None if the file does not say.
+        focal_mm: focal length in mm; None if the file does not say.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class Photo:
 
     @property
     def is_thermal(self) -> bool:
-        """Whether the content says that it is thermal; a plain image may be, too."""
+        """Whether the content is thermal for certain; a plain image may be thermal as well."""
         return self.kind != "image"
 
 
