@@ -328,7 +328,7 @@ def test_a_target_gives_metres(photos, fakes, tmp_path, monkeypatch):
         made.scene / "transforms.json"
     )  # for other scenes of this camera
     assert camera.lens.fx == 41.0
-    assert camera.thermal_from_rgb[0, 3] == pytest.approx(-0.06)
+    assert camera.extrinsics[0, 3] == pytest.approx(-0.06)
 
 
 def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, tmp_path):

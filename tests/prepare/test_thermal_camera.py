@@ -91,10 +91,10 @@ def test_views_with_poses_are_calibrated(calibrate, asked):
     calibrate(thermal_fov_deg=50.0)
     ((pairs, points, options, _),) = asked
     assert [(pair.name, pair.visible.tolist()) for pair in pairs] == [("b", [0, 1])]
-    assert pairs[0].rgb.load().values.shape == (30, 40, 3)
+    assert pairs[0].photo.load().values.shape == (30, 40, 3)
     assert pairs[0].load_thermal().values.shape == (24, 32, 1)
     assert len(points.positions) == 3
-    assert (options.field_of_view_deg, options.thermal_lens, options.thermal_from_rgb) == (
+    assert (options.field_of_view_deg, options.thermal_lens, options.extrinsics) == (
         50.0,
         None,
         None,
@@ -131,13 +131,13 @@ def test_a_file_is_taken_as_it_is(calibrate, asked, write):
     calibrate(thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
     options = asked[0][2]
     assert options.thermal_lens == Lens(32, 24, 40.0, 40.0, 16.0, 12.0, (-0.3, 0.1, 0.0, 0.0))
-    assert options.thermal_from_rgb.tolist() == MOTION
+    assert options.extrinsics.tolist() == MOTION
 
 
 def test_without_metres_the_lens_alone_is_taken(calibrate, asked, write):
     calibrate(False, thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
     assert asked[0][2].thermal_lens is not None
-    assert asked[0][2].thermal_from_rgb is None
+    assert asked[0][2].extrinsics is None
     with pytest.raises(
         SceneError,
         match="offset is in metres, and these photos have no scale; give a known distance",

@@ -68,9 +68,7 @@ def write_scene(work: Work) -> None:
         split=_split(views, held_out, posed),
         facts={
             **_georeference(work.georeference),
-            **(
-                {"thermal_from_rgb_m": rig.thermal_from_rgb.tolist()} if rig and work.metric else {}
-            ),
+            **({"thermal_from_rgb_m": rig.extrinsics.tolist()} if rig and work.metric else {}),
         },
     )
 

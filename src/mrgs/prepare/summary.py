@@ -65,7 +65,7 @@ def summarize_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bo
             ("There are only thermal images." if alone else "One camera serves both images.",)
         )
     width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
-    baseline = float(rig.thermal_from_rgb[:3, 3].norm())
+    baseline = float(rig.extrinsics[:3, 3].norm())
     scale = rig.target.metres_per_unit if rig.target is not None and not metric else None
     offset = (
         f"{100 * baseline * (scale or 1.0):.1f} cm"

@@ -36,12 +36,12 @@ class ThermalCamera:
     Attributes:
         lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find
             them.
-        thermal_from_rgb: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to
+        extrinsics: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to
             find it.
     """
 
     lens: Lens | None
-    thermal_from_rgb: Float64[Tensor, "4 4"] | None
+    extrinsics: Float64[Tensor, "4 4"] | None
 
 
 def read_thermal_camera(path: Path) -> ThermalCamera:
@@ -165,7 +165,7 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
     lens = motion = None
     if (file := options.thermal_camera) is not None:
         given = read_thermal_camera(file)
-        lens, motion = given.lens, given.thermal_from_rgb if metric else None
+        lens, motion = given.lens, given.extrinsics if metric else None
         if lens is None and motion is None:
             raise scene_error(
                 file,
@@ -183,7 +183,7 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
             )
     return RigOptions(
         thermal_lens=lens,
-        thermal_from_rgb=motion,
+        extrinsics=motion,
         field_of_view_deg=options.thermal_fov_deg,
         target=options.target,
         metres_per_unit=1.0 if metric else None,
@@ -206,8 +206,8 @@ def in_metres_of_target(
         f"{georeference.text.removeprefix('The scale is arbitrary. ')}",
     )
     views = tuple(replace(view, correction=_scaled(view.correction, metres)) for view in rig.views)
-    thermal_from_rgb = _scaled(rig.thermal_from_rgb, metres)
-    return georeference, replace(rig, thermal_from_rgb=thermal_from_rgb, views=views)
+    extrinsics = _scaled(rig.extrinsics, metres)
+    return georeference, replace(rig, extrinsics=extrinsics, views=views)
 
 
 def _scaled(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:

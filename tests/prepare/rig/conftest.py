@@ -81,7 +81,7 @@ class Room:
     motions: list[torch.Tensor]
 
     lens: Lens = THERMAL
-    thermal_from_rgb: torch.Tensor = THERMAL_FROM_RGB
+    extrinsics: torch.Tensor = THERMAL_FROM_RGB
 
     def errors_px(self, found: RigCalibration) -> list[float]:
         """For each pair, the median distance between where its thermal camera shows points and
@@ -91,10 +91,10 @@ class Room:
             world = torch.cat(
                 [self.points.positions.double(), torch.ones(len(self.points.positions), 1)], dim=1
             )
-            rgb = world @ pair.rgb.camera.viewmat.T
-            true = self.pixels(self.lens, rgb @ (self.motions[index] @ self.thermal_from_rgb).T)
+            rgb = world @ pair.photo.camera.viewmat.T
+            true = self.pixels(self.lens, rgb @ (self.motions[index] @ self.extrinsics).T)
             own = self.pixels(
-                found.lens, rgb @ (found.views[index].correction @ found.thermal_from_rgb).T
+                found.lens, rgb @ (found.views[index].correction @ found.extrinsics).T
             )
             seen = ((true > 0) & (true < (self.lens.width, self.lens.height))).all(axis=1)
             errors.append(float(np.median(np.linalg.norm(own - true, axis=1)[seen])))

@@ -26,7 +26,7 @@ def errors_px(found: Corners | None, true: np.ndarray) -> np.ndarray:
     """Distances of the corners from the true ones, in the order that fits best."""
     assert found is not None
     return min(
-        (np.linalg.norm(each.pixels - true, axis=1) for each in found.turned()), key=np.median
+        (np.linalg.norm(each.pixels - true, axis=1) for each in found.orderings()), key=np.median
     )
 
 
@@ -72,7 +72,7 @@ def test_a_board_with_as_many_rows_as_columns(make_board, draw_board):
     image, true = draw_board(make_board(FRONTAL, inner=(5, 5)), LENS)
     found = detect_chessboard(image, (5, 5))
     assert errors_px(found, true).max() < 0.1
-    assert len(found.turned()) == 4
+    assert len(found.orderings()) == 4
     assert found.spacing.shape == (5, 5)
 
 

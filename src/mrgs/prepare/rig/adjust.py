@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Float64, Int64
@@ -44,14 +44,7 @@ class Observations:
     @classmethod
     def joined(cls, parts: Sequence[Observations]) -> Observations:
         """The observations of several parts, in their order."""
-        return cls(
-            views=torch.cat([part.views for part in parts]),
-            points=torch.cat([part.points for part in parts]),
-            pixels=torch.cat([part.pixels for part in parts]),
-            information=torch.cat([part.information for part in parts]),
-            independent=torch.cat([part.independent for part in parts]),
-            kinds=torch.cat([part.kinds for part in parts]),
-        )
+        return cls(*(torch.cat([getattr(p, each.name) for p in parts]) for each in fields(cls)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from mrgs.prepare.rig.model import (
 )
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
-from mrgs.prepare.rig.target import SeenTarget, see_target
+from mrgs.prepare.rig.target import ObservedTarget, observe_target
 from mrgs.scene import PointCloud
 from mrgs.scene.view import spread
 
@@ -82,7 +82,7 @@ def calibrate_rig(
     target = (
         None
         if options.target is None
-        else see_target(pairs, options.target, options.metres_per_unit, report)
+        else observe_target(pairs, options.target, options.metres_per_unit, report)
     )
     reduced, size = _reduced(pairs, points, target, report)
     guess = _guess(reduced, size, target, options, report)
@@ -99,7 +99,7 @@ def calibrate_rig(
 def _reduced(
     pairs: Sequence[RigPair],
     points: PointCloud,
-    target: SeenTarget | None,
+    target: ObservedTarget | None,
     report: Callable[[str, int, int], None],
 ) -> tuple[list[ReducedPair], tuple[int, int]]:
     """The usable pairs at working size, and the thermal images' width and height."""
@@ -128,7 +128,7 @@ def _reduced(
 def _guess(
     pairs: Sequence[ReducedPair],
     size: tuple[int, int],
-    target: SeenTarget | None,
+    target: ObservedTarget | None,
     options: RigOptions,
     report: Callable[[str, int, int], None],
 ) -> Guess | None:
@@ -137,7 +137,7 @@ def _guess(
     Raises:
         SceneError: no guess stands out.
     """
-    if options.thermal_lens is not None and options.thermal_from_rgb is not None:
+    if options.thermal_lens is not None and options.extrinsics is not None:
         return None
     if target is not None:
         return target.guess(*size)
@@ -183,8 +183,8 @@ def _start(
         rig[6:9] = torch.tensor([-down / guess.focal_widths, right / guess.focal_widths, -turn])
     if options.thermal_lens is not None:
         rig[LENS], sigma[LENS] = lens_parameters(options.thermal_lens), 0.0
-    if options.thermal_from_rgb is not None:
-        rig[POSE], sigma[POSE] = motion_parameters(options.thermal_from_rgb), 0.0
+    if options.extrinsics is not None:
+        rig[POSE], sigma[POSE] = motion_parameters(options.extrinsics), 0.0
     motion_sigma = torch.tensor(
         3 * [_MOTION_SIGMA_RAD] + 3 * [_MOTION_SIGMA_DEPTHS * depth], dtype=torch.float64
     )
@@ -226,7 +226,7 @@ def _result(
     motion_px = float(np.median(_motion_px(adjusted.cameras, observations, len(reduced))))
     return RigCalibration(
         lens=adjusted.cameras.lens(*size),
-        thermal_from_rgb=adjusted.cameras.thermal_from_rgb(),
+        extrinsics=adjusted.cameras.extrinsics(),
         views=views,
         residual_px=(float(np.median(residuals)), float(np.quantile(residuals, 0.9))),
         uncertainty_px=uncertainty_px,

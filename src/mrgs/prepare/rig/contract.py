@@ -23,7 +23,7 @@ class RigPair:
 
     Attributes:
         name: for messages.
-        rgb: the photo, undistorted, with its pose.
+        photo: undistorted, with its pose.
         load_thermal: reads the thermal photo as the camera took it (distorted); one channel in any
             unit.
         visible: indices of the points that this photo was seen to see (the tracks of structure from
@@ -31,20 +31,20 @@ class RigPair:
     """
 
     name: str
-    rgb: PosedImage
+    photo: PosedImage
     load_thermal: Callable[[], Pixels]
     visible: Int64[Tensor, " k"] | None = None
 
 
 @dataclass(frozen=True)
 class ChessboardTarget:
-    """A chessboard that both cameras see in some pairs, standing still or moved from pair to pair.
+    """A chessboard that both cameras see in some pairs, stationary or moved from pair to pair.
 
     Attributes:
         inner: how many corners, where four squares meet, there are in a row and in a column; a
             board of 7×6 squares has 6×5.
-        square_m: width of a square in metres; None if it is not known. With it, a target that
-            stands still tells the scale of the scene.
+        square_m: width of a square in metres; None if it is not known. With it, a stationary
+            target gives the scale of the scene.
 
     Raises:
         ConfigError: numbers that no chessboard has.
@@ -76,7 +76,7 @@ class RigOptions:
     Attributes:
         thermal_lens: intrinsics and distortion of the thermal camera, taken as they are; None to
             find them.
-        thermal_from_rgb: rigid motion from the RGB camera to the thermal camera [4, 4] in scene
+        extrinsics: rigid motion from the RGB camera to the thermal camera [4, 4] in scene
             units, taken as it is; None to find it.
         field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the
             search to ±10 %.
@@ -87,7 +87,7 @@ class RigOptions:
     """
 
     thermal_lens: Lens | None = None
-    thermal_from_rgb: Float64[Tensor, "4 4"] | None = None
+    extrinsics: Float64[Tensor, "4 4"] | None = None
     field_of_view_deg: float | None = None
     target: ChessboardTarget | None = None
     metres_per_unit: float | None = None
@@ -122,15 +122,15 @@ class TargetFit:
 
     Attributes:
         pairs: how many pairs show it in both images.
-        still: how many photos show it at one place in the world; 0 if it was moved.
+        stationary: number of photos that show it at the same place in the world; 0 if it was moved.
         residual_px: median and 90 % quantile of its corners' distances from where the result puts
             them, in thermal pixels.
-        metres_per_unit: of the scene; None unless the target stands still and the width of its
+        metres_per_unit: of the scene; None unless the target is stationary and the width of its
             squares is known.
     """
 
     pairs: int
-    still: int
+    stationary: int
     residual_px: tuple[float, float]
     metres_per_unit: float | None
 
@@ -141,7 +141,7 @@ class RigCalibration:
 
     Attributes:
         lens: the thermal camera's intrinsics and distortion, for its photos as they are.
-        thermal_from_rgb: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in
+        extrinsics: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in
             scene units.
         views: one for each pair, in their order.
         residual_px: median and 90 % quantile of the distances of what was matched, in thermal
@@ -154,7 +154,7 @@ class RigCalibration:
     """
 
     lens: Lens
-    thermal_from_rgb: Float64[Tensor, "4 4"]
+    extrinsics: Float64[Tensor, "4 4"]
     views: tuple[RigView, ...]
     residual_px: tuple[float, float]
     uncertainty_px: float
@@ -162,6 +162,6 @@ class RigCalibration:
     warnings: tuple[str, ...]
     target: TargetFit | None = None
 
-    def viewmat(self, index: int, rgb_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
+    def viewmat(self, index: int, photo_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
         """World to the thermal camera of a pair, from world to its RGB camera."""
-        return self.views[index].correction @ self.thermal_from_rgb @ rgb_viewmat
+        return self.views[index].correction @ self.extrinsics @ photo_viewmat

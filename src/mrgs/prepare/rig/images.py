@@ -10,18 +10,17 @@ from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
+from mrgs.data.images import LUMINANCE
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.contract import RigPair
 from mrgs.prepare.rig.depth import FEWEST_POINTS, InverseDepth, inverse_depth
 from mrgs.scene import Camera, Pixels
 
-RGB_WIDTH_PX = 640
+PHOTO_WIDTH_PX = 640
 THERMAL_WIDTH_PX = 320
 """More tells nothing more of images as soft as thermal ones: patches are placed to a tenth of a
 pixel."""
-
-_LUMA = (0.299, 0.587, 0.114)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +43,14 @@ class ReducedPair:
 
     Attributes:
         name: the pair's.
-        rgb: the photo's luma.
-        camera: of ``rgb``.
-        depth: of what ``rgb`` shows.
+        photo: its luma.
+        camera: of ``photo``.
+        depth: of what ``photo`` shows.
         thermal: the thermal image, distorted.
     """
 
     name: str
-    rgb: Plane
+    photo: Plane
     camera: Camera
     depth: InverseDepth
     thermal: Plane
@@ -73,8 +72,8 @@ def reduced_pair(
     """
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
-    camera = pair.rgb.camera
-    camera = camera.with_width(min(RGB_WIDTH_PX, camera.width))
+    camera = pair.photo.camera
+    camera = camera.with_width(min(PHOTO_WIDTH_PX, camera.width))
     visible = (
         None
         if pair.visible is None
@@ -86,7 +85,7 @@ def reduced_pair(
     reduced = min(THERMAL_WIDTH_PX, width)
     return ReducedPair(
         name=pair.name,
-        rgb=grey_plane(pair.rgb.load(), pair.name).resized(camera.width, camera.height),
+        photo=grey_plane(pair.photo.load(), pair.name).resized(camera.width, camera.height),
         camera=camera,
         depth=depth,
         thermal=grey_plane(thermal, pair.name).resized(
@@ -122,7 +121,7 @@ def grey_plane(pixels: Pixels, name: str) -> Plane:
         SceneError: no pixel counts.
     """
     values: Tensor = pixels.values
-    grey = values[..., 0] if values.shape[-1] == 1 else (values * torch.tensor(_LUMA)).sum(dim=-1)
+    grey = values[..., 0] if values.shape[-1] == 1 else (values * LUMINANCE).sum(dim=-1)
     valid = torch.isfinite(grey) if pixels.valid is None else pixels.valid & torch.isfinite(grey)
     if not valid.any():
         raise SceneError(f"no pixel of {name} can be used; remove the pair")

@@ -47,7 +47,7 @@ class ThermalCameras:
         fx, fy = torch.tensor([log_fx, log_fx + log_aspect], dtype=torch.float64).exp().tolist()
         return Lens(width, height, fx, fy, cx, cy, (k1, k2, 0.0, 0.0))
 
-    def thermal_from_rgb(self) -> Float64[Tensor, "4 4"]:
+    def extrinsics(self) -> Float64[Tensor, "4 4"]:
         """The rig's motion."""
         return rigid_motion(self.rig[POSE])
 

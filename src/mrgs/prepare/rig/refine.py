@@ -89,7 +89,7 @@ def refine(
 
 
 @dataclass(frozen=True, eq=False)
-class _Comparison:
+class _ComparedPair:
     """A pair at a level: the photo seen from the thermal camera, and the structures of both
     images."""
 
@@ -101,7 +101,7 @@ class _Comparison:
 
 def _compared(
     pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
-) -> Iterator[_Comparison]:
+) -> Iterator[_ComparedPair]:
     """The pairs, with the cameras as they are known so far; ``scale`` is thermal file pixels per
     compared pixel."""
     lens = cameras.lens(*size)
@@ -109,12 +109,12 @@ def _compared(
     height = max(1, round(size[1] * width / size[0]))
     rays, scale = thermal_rays(lens, width, height), size[0] / width
     for view, pair in enumerate(pairs):
-        rgb_from_thermal = torch.linalg.inv(
-            cameras.correction(view) @ cameras.thermal_from_rgb()
+        photo_from_thermal = torch.linalg.inv(
+            cameras.correction(view) @ cameras.extrinsics()
         ).numpy()
-        warped = warp(pair, rays, rgb_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
+        warped = warp(pair, rays, photo_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
         thermal = pair.thermal.resized(width, height)
-        yield _Comparison(
+        yield _ComparedPair(
             warped,
             Masked(structure(thermal.values, level.blur_px, thermal.valid), thermal.valid),
             Masked(structure(warped.values, level.blur_px, warped.seen), warped.seen),

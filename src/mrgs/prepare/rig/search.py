@@ -149,7 +149,7 @@ def _photo(
 ) -> tuple[Float32[np.ndarray, "c s s"], Float32[np.ndarray, "s s"]]:
     """The structure of the photo, scaled and turned about its principal point, in the middle of a
     square."""
-    values = pair.rgb.values
+    values = pair.photo.values
     if scale < 1:
         values = gaussian_filter(values, 0.5 * np.sqrt(1 / scale**2 - 1))
     x, y = np.meshgrid(np.arange(side) + 0.5 - side / 2, np.arange(side) + 0.5 - side / 2)
@@ -157,8 +157,8 @@ def _photo(
     u = cos * x - sin * y + pair.camera.K[0, 2].item()
     v = sin * x + cos * y + pair.camera.K[1, 2].item()
     seen = (u > 0) & (u < pair.camera.width) & (v > 0) & (v < pair.camera.height)
-    if pair.rgb.valid is not None:
-        seen &= sampled(pair.rgb.valid.astype(np.float32), u, v) > 0.5
+    if pair.photo.valid is not None:
+        seen &= sampled(pair.photo.valid.astype(np.float32), u, v) > 0.5
     return structure(sampled(values, u, v), _BLUR_PX, seen), seen.astype(np.float32)
 
 

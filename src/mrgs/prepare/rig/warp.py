@@ -44,7 +44,7 @@ def thermal_rays(lens: Lens, width: int, height: int) -> Float[np.ndarray, "h w 
 def warp(
     pair: ReducedPair,
     rays: Float[np.ndarray, "h w 3"],
-    rgb_from_thermal: Float[np.ndarray, "4 4"],
+    photo_from_thermal: Float[np.ndarray, "4 4"],
     spacing: float,
 ) -> Warped:
     """The photo from the thermal camera.
@@ -55,11 +55,11 @@ def warp(
     Args:
         pair: the photo with its depth.
         rays: of the thermal pixels, from ``thermal_rays``.
-        rgb_from_thermal: the rigid motion between the two cameras' axes.
+        photo_from_thermal: the rigid motion between the two cameras' axes.
         spacing: of the thermal pixels, in photo pixels; the photo is blurred accordingly.
     """
-    directions = np.einsum("ij,hwj->hwi", rgb_from_thermal[:3, :3], rays)
-    centre = rgb_from_thermal[:3, 3]
+    directions = np.einsum("ij,hwj->hwi", photo_from_thermal[:3, :3], rays)
+    centre = photo_from_thermal[:3, 3]
     fx, fy, cx, cy = pair.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     inverse: Float[np.ndarray, "h w"] = np.full(rays.shape[:2], pair.depth.median)
     ahead = directions[..., 2] > 0.1
@@ -77,9 +77,9 @@ def warp(
         & (v > 1)
         & (v < pair.camera.height - 1)
     )
-    if pair.rgb.valid is not None:
-        seen &= sampled(pair.rgb.valid.astype(np.float32), u, v) > 0.99
-    photo = pair.rgb.values
+    if pair.photo.valid is not None:
+        seen &= sampled(pair.photo.valid.astype(np.float32), u, v) > 0.99
+    photo = pair.photo.values
     if spacing > 1:
         photo = gaussian_filter(photo, 0.5 * np.sqrt(spacing**2 - 1))
     return Warped(sampled(photo, u, v).astype(np.float32), points, seen)

@@ -27,7 +27,7 @@ def homography(
     return np.linalg.inv(normal_b) @ matrix @ normal_a
 
 
-def mapped(
+def transformed(
     matrix: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
     """Points under a projective map."""
@@ -66,9 +66,9 @@ def plane_pose(
     start = np.concatenate([rotvec_from_matrix(u @ v), columns[:, 2]])
     flat = np.column_stack([plane, np.zeros(len(plane))])
 
-    def misses(pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, " k"]:
+    def residuals(pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, " k"]:
         points = flat @ matrix_from_rotvec(pose[:3]).T + pose[3:]
         return (points[:, :2] / points[:, 2:] - rays).ravel()
 
-    pose = least_squares(misses, start, x_scale="jac").x
+    pose = least_squares(residuals, start, x_scale="jac").x
     return rigid_transform(matrix_from_rotvec(pose[:3]), pose[3:]).numpy()
