@@ -386,6 +386,45 @@ def test_nothing_is_done_twice(made, monkeypatch, photo, photos):
     assert read == ["1_rgb.jpg", "0_rgb.jpg", "1_rgb.jpg", "2_rgb.jpg"]
 
 
+def test_a_refused_photo_is_not_read_again(made, scene, photo, photos):
+    """Its refusal is kept like an image, until the photo or an override changes."""
+    cut = photo("celsius")[:200]
+    first = made({**SET, "1_t.tif": cut})
+    assert [item.name for item in first.skipped] == ["1"]
+    assert "1_t.tif: " in first.skipped[0].reason
+    results = contents(scene / "prepare")
+    assert made({}) == first
+    assert contents(scene / "prepare") == results
+    cache = Cache(scene / "prepare")
+    convert_photos(find_pairs(photos({})), scene, Overrides(), cache, quiet)
+    assert cache.made == 0
+    convert_photos(find_pairs(photos({})), scene, Overrides(unit="fahrenheit"), cache, quiet)
+    assert cache.made == 3
+    assert [view.name for view in made({"1_t.tif": "celsius"}).views] == ["0", "1", "2"]
+
+
+def test_a_photo_without_permission_is_read_again(photos, scene):
+    """Permissions change neither size nor time: such a refusal is not kept."""
+    root = photos(SET)
+    pairing = find_pairs(root)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("builtins.open", denied(root / "1_rgb.jpg", open))
+        found = converted(pairing, scene)
+    assert "1_rgb.jpg: cannot be" in found.skipped[0].reason
+    assert converted(pairing, scene).skipped == ()
+
+
+def denied(secret: Path, original):
+    """A function that reads files, for a user who may not read one of them."""
+
+    def read(path, *arguments, **options):
+        if str(path) == str(secret):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return original(path, *arguments, **options)
+
+    return read
+
+
 def test_an_image_that_was_removed_is_made_again(made, scene):
     first = made(SET)
     (scene / "images/1.jpg").unlink()
@@ -446,7 +485,7 @@ def test_a_full_disk(made, monkeypatch, scene):
         if len(written) == 1 and path.suffix == ".jpg":
             write(path, content[:10])
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if scene in path.parents:
+        if path.suffix == ".jpg":
             written.append(path)
         return write(path, content)
 
