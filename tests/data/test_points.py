@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.capture import Notes
 from mrgs.data.points import RANDOM_POINTS, point_cloud, random_points
+from mrgs.data.sources import Notes
 from mrgs.scene import Camera
 
 K = torch.tensor([[50.0, 0, 32], [0, 50.0, 24], [0, 0, 1]], dtype=torch.float64)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.data.capture import FilenameLists, Notes
+from mrgs.data.sources import FilenameLists, Notes
 from mrgs.data.splits import assign_splits
 
 

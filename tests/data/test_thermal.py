@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.capture import Notes
 from mrgs.data.images import probe
+from mrgs.data.sources import Notes
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import SceneError
 from mrgs.scene import TemperatureRange

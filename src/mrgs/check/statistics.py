@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from mrgs.data.thermal import LUMINANCE
+from mrgs.data.images import LUMINANCE
 from mrgs.errors import SceneError
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.scene import Modality, Pixels, PosedImage, TemperatureRange, View

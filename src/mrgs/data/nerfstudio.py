@@ -20,7 +20,6 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.capture import Capture, FilenameLists, ImageSource, Notes, Shot
 from mrgs.data.colmap_model import find_model, read_points3d
 from mrgs.data.files import (
     ImageFinder,
@@ -37,6 +36,7 @@ from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
+from mrgs.data.sources import FilenameLists, ImageSource, Notes, SceneSource, ViewSource
 from mrgs.scene import RGB, Modality, PointCloud, known_modalities
 
 MOST_MODALITIES = 16
@@ -76,7 +76,7 @@ def find_transforms(root: Path) -> Path | None:
     return contained(root, others[0].name, root) if others else None
 
 
-def read_transforms(root: Path, file: Path) -> Capture:
+def read_transforms(root: Path, file: Path) -> SceneSource:
     """Understand a nerfstudio scene; images are looked up, not decoded.
 
     Args:
@@ -189,21 +189,21 @@ class _Reader:
             )
         return modality
 
-    def capture(self) -> Capture:
+    def capture(self) -> SceneSource:
         frames = self.top.get("frames")
         if not isinstance(frames, list) or not frames:
             raise scene_error(
                 self.file,
                 f'"frames" is {shown(frames)}, not a list of frames; export the file again',
             )
-        shots = [self._shot(frame, f"frame {index}") for index, frame in enumerate(frames)]
+        views = [self._view(frame, f"frame {index}") for index, frame in enumerate(frames)]
         for modality in self.modalities:
-            missing = sum(modality not in shot.images for shot in shots)
-            if modality != RGB and 0 < missing < len(shots):
-                self.notes.decide(f"{missing} of {len(shots)} frames have no {modality} image.")
-        return Capture(self.root, self.file, shots, self._points(), self.notes, self._lists())
+            missing = sum(modality not in view.images for view in views)
+            if modality != RGB and 0 < missing < len(views):
+                self.notes.decide(f"{missing} of {len(views)} frames have no {modality} image.")
+        return SceneSource(self.root, self.file, views, self._points(), self.notes, self._lists())
 
-    def _shot(self, frame: object, what: str) -> Shot:
+    def _view(self, frame: object, what: str) -> ViewSource:
         if not isinstance(frame, dict):
             raise scene_error(
                 self.file, f"{what} is {shown(frame)}, not an object; export the file again"
@@ -216,7 +216,7 @@ class _Reader:
         images = {
             modality: self._source(modality, frame, path, what) for modality, path in paths.items()
         }
-        return Shot(key, images)
+        return ViewSource(key, images)
 
     def _source(
         self, modality: Modality, frame: Mapping[str, Any], path: Path, what: str

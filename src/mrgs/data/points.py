@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mrgs.data.capture import Notes
+from mrgs.data.sources import Notes
 from mrgs.scene import Camera, PointCloud
 
 RANDOM_POINTS = 20_000

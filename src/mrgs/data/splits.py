@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Literal
 
-from mrgs.data.capture import FilenameLists, Notes
+from mrgs.data.sources import FilenameLists, Notes
 
 Split = Literal["train", "eval", "unused"]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from mrgs.data.capture import Notes
 from mrgs.data.files import contained, finite_number, is_file, read_json_object, scene_error
-from mrgs.data.images import LUMINANCE, Kind, decode
+from mrgs.data.images import Kind, decode, with_channels
+from mrgs.data.sources import Notes
 from mrgs.scene import TemperatureRange
 
 BOUNDS_FILES = ("temperature_bounds.json", "thermal/temperature_bounds.json")
@@ -93,7 +93,7 @@ def decode_thermal(
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
 
-    Integers are spread over the range already; °C in a float image are mapped by ``temperature``
+    Integers span the range already; °C in a float image are mapped by ``temperature``
     and not clamped.
 
     Raises:
@@ -101,7 +101,7 @@ def decode_thermal(
     """
     values, valid, kind = decode(path)
     if kind == "colour":
-        return values @ LUMINANCE[:, None], valid
+        return with_channels(values, 1), valid
     if kind == "float":
         if temperature is None:
             raise scene_error(

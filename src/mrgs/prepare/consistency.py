@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from mrgs.data.thermal import LUMINANCE
+from mrgs.data.images import LUMINANCE
 from mrgs.prepare.rig.images import sampled
 from mrgs.scene import Camera, PointCloud
 from mrgs.scene.view import spread

@@ -1,11 +1,10 @@
-"""The files of a prepared scene beside its images: cameras, split, start points and temperature
+"""The files of a prepared scene besides its images: cameras, split, start points and temperature
 bounds."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,9 @@ from mrgs.data.transforms import (
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
-from mrgs.scene import THERMAL, PointCloud
+from mrgs.scene import THERMAL, Modality, PointCloud
 from mrgs.system.atomic import remove
 
 
@@ -63,12 +63,12 @@ def write_scene(work: Work) -> None:
         scene / TRANSFORMS,
         [_frame(view, posed, rig) for view in views],
         lens=posed.lenses[views[0].name] if _one_lens(posed) else None,
-        thermal_lens=_thermal_lens(scene, views, posed, rig),
+        lenses=_thermal_lens(scene, views, posed, rig),
         points=POINTS if len(posed.points.positions) else None,
         split=_split(views, held_out, posed),
         facts={
             **_georeference(work.georeference),
-            **({"thermal_from_rgb_m": rig.extrinsics.tolist()} if rig and work.metric else {}),
+            **({EXTRINSICS: rig.extrinsics.tolist()} if rig and work.metric else {}),
         },
     )
 
@@ -113,31 +113,17 @@ def _thermal_lens(
     views: Sequence[ConvertedView],
     reconstruction: Reconstruction,
     rig: RigCalibration | None,
-) -> Lens | None:
+) -> dict[Modality, Lens]:
     """The thermal camera's intrinsics, if they differ from those of the posed images."""
     if rig is not None:
-        return rig.lens
+        return {THERMAL: rig.lens}
     if reconstruction.images == THERMAL:
-        return None
+        return {}
     info = probe(scene / views[0].images[THERMAL].file)
     lens = reconstruction.lenses[views[0].name]
     if (info.width, info.height) == (lens.width, lens.height):
-        return None
-    return _resized(lens, info.width, info.height)
-
-
-def _resized(lens: Lens, width: int, height: int) -> Lens:
-    """The same rays on another pixel grid."""
-    x, y = width / lens.width, height / lens.height
-    return replace(
-        lens,
-        width=width,
-        height=height,
-        fx=lens.fx * x,
-        fy=lens.fy * y,
-        cx=lens.cx * x,
-        cy=lens.cy * y,
-    )
+        return {}
+    return {THERMAL: lens.resized(info.width, info.height)}
 
 
 def _split(
@@ -151,7 +137,7 @@ def _split(
 
 
 def _georeference(georeference: Georeference | None) -> dict[str, Any]:
-    """What other programs may want to know of the world; this project's reader does not need it."""
+    """Facts about the world for other programs; ``load_scene`` does not need them."""
     if georeference is None:
         return {}
     origin = georeference.origin

@@ -1,4 +1,4 @@
-"""The thermal camera of a set of photos: given by a file, or calibrated from the photos."""
+"""The thermal camera of a set of photos: read from a file, or calibrated from the photos."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.data.capture import ImageSource
 from mrgs.data.files import read_json_object, scene_error, shown
 from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation
+from mrgs.data.sources import ImageSource
 from mrgs.errors import ConfigError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
@@ -24,8 +24,12 @@ from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform
 
+EXTRINSICS = "thermal_from_rgb_m"
+"""Key of the rigid motion [4, 4] from RGB camera to thermal camera axes, metres, in
+``transforms.json`` and in the file of a thermal camera."""
+
 SHAPE_TOLERANCE = 0.01
-"""Width over height may differ by this share between two images of one camera: sizes are whole
+"""Aspect ratios of two images of one camera may differ by this share, because sizes are whole
 numbers."""
 
 
@@ -55,11 +59,9 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
         SceneError: the file cannot be read, holds neither, or a camera that cannot be used.
     """
     content = read_json_object(path)
-    own, motion = content.get("thermal_camera"), content.get("thermal_from_rgb_m")
+    own, motion = content.get("thermal_camera"), content.get(EXTRINSICS)
     if own is None and motion is None:
-        raise scene_error(
-            path, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them"
-        )
+        raise scene_error(path, f"holds neither thermal_camera nor {EXTRINSICS}; add one of them")
     lens = matrix = None
     if own is not None:
         if not isinstance(own, dict):
@@ -71,8 +73,8 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
                 "thermal_camera is distorted by more than k1 and k2; calibrate it with these alone",
             )
     if motion is not None:
-        given = matrix_from_json(motion, (3, 4), "thermal_from_rgb_m", path)
-        rotation = nearest_rotation(given[:3, :3], "thermal_from_rgb_m", path)
+        given = matrix_from_json(motion, (3, 4), EXTRINSICS, path)
+        rotation = nearest_rotation(given[:3, :3], EXTRINSICS, path)
         matrix = rigid_transform(rotation, given[:3, 3])
     return ThermalCamera(lens, matrix)
 

@@ -92,7 +92,10 @@ RGB = Modality("rgb", 3, title="RGB")
 THERMAL = Modality("thermal", 1, unit="°C")
 """Temperatures, normalised by the scene's :class:`TemperatureRange`."""
 
-_known: dict[str, Modality] = {modality.name: modality for modality in (RGB, THERMAL)}
+BUILT_IN = (RGB, THERMAL)
+"""Known to every reader, in the order in which views list them."""
+
+_known: dict[str, Modality] = {modality.name: modality for modality in BUILT_IN}
 
 
 def register_modality(modality: Modality) -> Modality:
@@ -121,7 +124,7 @@ def known_modalities() -> tuple[Modality, ...]:
 def in_order(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
     """Each once: RGB first, thermal second, the others by name."""
     found = set(modalities)
-    built_in = [modality for modality in (RGB, THERMAL) if modality in found]
+    built_in = [modality for modality in BUILT_IN if modality in found]
     return (*built_in, *sorted(found - set(built_in)))
 
 

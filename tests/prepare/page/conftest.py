@@ -35,7 +35,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
     """Only to be read."""
     scene = tmp_path_factory.mktemp("prepared") / "table & chairs"
     capture = read_transforms(TABLETOP, TABLETOP / "transforms.json")
-    shots = capture.shots[::8]
+    shots = capture.views[::8]
     views = []
     for folder in IMAGE_FOLDERS.values():
         (scene / folder).mkdir(parents=True)
