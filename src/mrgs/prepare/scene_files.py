@@ -40,7 +40,7 @@ def write_scene(work: Work) -> None:
 
     Every ``eval_every``-th view is held out, beginning with the first, as in Mip-NeRF 360 and 3DGS.
     Bounds that are not given are the range of the views' temperatures, rounded outwards to whole
-    degrees. Without a rig one camera serves both images; if their sizes differ, both are taken to
+    degrees. Without a rig one camera took both images; if their sizes differ, both are taken to
     show the same field of view.
 
     Raises:

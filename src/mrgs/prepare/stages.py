@@ -38,7 +38,6 @@ from mrgs.prepare.summary import (
 )
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, in_metres_of_target
 from mrgs.prepare.work import Work, stage
-from mrgs.scene import THERMAL
 from mrgs.scene.modality import in_order
 
 
@@ -132,7 +131,7 @@ def thermal_camera(work: Work) -> Summary:
     )
     if work.georeference is not None:
         work.georeference, work.rig = in_metres_of_target(work.georeference, found)
-    return summarize_thermal_camera(found, posed.images == THERMAL, metric)
+    return summarize_thermal_camera(found, posed.images, metric)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Summaries of what the stages found, for the terminal and the page."""
+"""Summaries of the stages' results, for the terminal and the page."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, Summary
 from mrgs.prepare.rig import RigCalibration
+from mrgs.scene import THERMAL, Modality
 
 SCALE_TOLERANCE = 0.03
 """Two sources of the scene's scale may differ by this share."""
@@ -21,8 +22,7 @@ def summarize_pairs(pairing: Pairing) -> Summary:
 
 
 def summarize_photos(photos: ConvertedPhotos) -> Summary:
-    """What the photos hold. A warning that several photos share is given once, with their
-    number."""
+    """Cameras and temperatures of the photos; each warning once, with the number of its photos."""
     views = photos.views
     ranges = [view.range_c for view in views if view.range_c is not None]
     cameras = sorted({view.facts.camera for view in views if view.facts.camera is not None})
@@ -49,7 +49,7 @@ def summarize_photos(photos: ConvertedPhotos) -> Summary:
 
 
 def summarize_poses(reconstruction: Reconstruction) -> Summary:
-    """Source of the poses, and their reprojection error."""
+    """Source of the poses and their reprojection error."""
     lines = [reconstruction.source]
     if reconstruction.reprojection_px is not None:
         lines[0] += f" Reprojection error {reconstruction.reprojection_px:.2f} px."
@@ -58,11 +58,18 @@ def summarize_poses(reconstruction: Reconstruction) -> Summary:
     return Summary(tuple(lines), reconstruction.warnings)
 
 
-def summarize_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -> Summary:
-    """The lens, the offset and how well they fit, where there are two cameras."""
+def summarize_thermal_camera(rig: RigCalibration | None, posed: Modality, metric: bool) -> Summary:
+    """Field of view, offset and residuals of the thermal camera.
+
+    Args:
+        rig: None if there is no second camera.
+        posed: of the images with poses.
+        metric: whether the unit of the scene's world is the metre.
+    """
     if rig is None:
+        alone = posed == THERMAL
         return Summary(
-            ("There are only thermal images." if alone else "One camera serves both images.",)
+            ("There are only thermal images." if alone else "One camera took both images.",)
         )
     width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
     baseline = float(rig.extrinsics[:3, 3].norm())

@@ -83,7 +83,7 @@ def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
     """Calibrate the thermal camera from the posed photos and what the user knows about it.
 
     Returns:
-        The calibration in the scene's world; None if one camera serves both images of a pair, or if
+        The calibration in the scene's world; None if one camera took both images of a pair, or if
         there are only thermal images.
 
     Raises:

@@ -49,7 +49,7 @@ class Work:
         poses: of the images, in the world of the reconstruction; None until found.
         georeference: from that world to the scene's; None until found.
         rig: the thermal camera, calibrated in the scene's world; None until found, and where one
-            camera serves both images.
+            camera took both images.
     """
 
     photos: Path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -143,19 +143,6 @@ def _horizontal_axes(world: World) -> tuple[Float[np.ndarray, "3"], Float[np.nda
     return np.cross(ahead, world.up), ahead
 
 
-class _DrawnCamera(NamedTuple):
-    name: str
-    held_out: bool
-    outline: str
-
-
-class _ScaleBar(NamedTuple):
-    x: int
-    y: int
-    length: float
-    label: str
-
-
 def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray, "3"]) -> Markup:
     """An orthographic drawing as SVG: x along ``right``, y along ``upwards``."""
     axes = np.stack([right, -upwards])
@@ -171,7 +158,7 @@ def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray
     for name, camera in world.cameras.items():
         apex = (camera.position.numpy() @ axes.T - origin) * scale
         outline = _outline(apex, _cone(camera, length) @ axes.T * scale)
-        cameras.append(_DrawnCamera(name, name in world.held_out, outline))
+        cameras.append((name, name in world.held_out, outline))
     return render(
         "prepare/page/plan.svg",
         size=_PLAN_PX,
@@ -209,15 +196,15 @@ def _dots(
     return [(color, "".join(dots)) for color, dots in by_color.items()]
 
 
-def _scale_bar(world: World, scale: float) -> _ScaleBar:
-    """A round length, with its unit where that is known."""
+def _scale_bar(world: World, scale: float) -> tuple[float, str]:
+    """A round length in pixels of the drawing, and its label."""
     length = round_length(_BAR_SHARE * _PLAN_PX / scale)
     label = (
         f"{length:g} m"
         if world.metric
         else f"{length:g} unit{'' if length == 1 else 's'}, scale not known"
     )
-    return _ScaleBar(14, _PLAN_PX - 14, length * scale, label)
+    return length * scale, label
 
 
 def round_length(most: float) -> float:
