@@ -25,7 +25,7 @@ from mrgs.prepare.contract import (
     Reconstruction,
     Skipped,
 )
-from mrgs.prepare.rig import RigCalibration, RigView
+from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.scene import RGB, THERMAL, PointCloud
 
 EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosition(48.1, -11.5))

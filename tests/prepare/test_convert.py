@@ -16,7 +16,7 @@ from mrgs.prepare import PrepareOptions, convert, stages
 from mrgs.prepare.cache import Cache
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
 from mrgs.prepare.convert import convert_photos
-from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
 

@@ -22,7 +22,7 @@ from mrgs.prepare import PrepareOptions, prepare, stages, thermal_camera
 from mrgs.prepare.cache import stamps
 from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
-from mrgs.prepare.rig import ChessboardTarget, RigCalibration, RigView, TargetFit
+from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
 
@@ -51,8 +51,7 @@ class Fakes:
     failed: tuple[Skipped, ...] = ()
     fails: str = ""
 
-    def reconstruct(self, images, cameras, work, progress, *, modality) -> Reconstruction:
-        assert cameras.keys() == images.keys()
+    def reconstruct(self, images, work, progress, *, modality) -> Reconstruction:
         self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
         return replace(existing_poses(self.poses, images), images=modality)

@@ -19,7 +19,7 @@ from mrgs.data.undistort import pinhole_of
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions
 from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
-from mrgs.prepare.rig import RigCalibration, RigView
+from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud

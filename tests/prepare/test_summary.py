@@ -14,7 +14,7 @@ from mrgs.prepare.contract import (
     Reconstruction,
     Skipped,
 )
-from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
+from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
 from mrgs.prepare.summary import (
     summarize_pairs,
     summarize_photos,

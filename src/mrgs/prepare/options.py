@@ -10,7 +10,7 @@ from typing import Literal
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import ConfigError
 from mrgs.prepare.georeference import KnownDistance
-from mrgs.prepare.rig import ChessboardTarget
+from mrgs.prepare.rig.contract import ChessboardTarget
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from mrgs.data.transforms import (
 )
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
 from mrgs.scene import THERMAL, Modality, PointCloud

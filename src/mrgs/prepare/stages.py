@@ -25,11 +25,11 @@ from mrgs.prepare.contract import (
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import poses_of_photos
 from mrgs.prepare.georeference import georeference
-from mrgs.prepare.page import write_page
-from mrgs.prepare.pairs import find_pairs
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.page.write import write_page
+from mrgs.prepare.pairs.find import find_pairs
+from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.scene_files import write_scene
-from mrgs.prepare.sfm import reconstruct
+from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.summary import (
     summarize_pairs,
     summarize_photos,
@@ -85,9 +85,7 @@ def poses(work: Work) -> Summary:
 
     def find() -> Reconstruction:
         if given is None:
-            cameras = dict.fromkeys(files, "one")  # sets of several cameras have been refused
-            folder = work.scene / CACHE_FOLDER
-            return reconstruct(files, cameras, folder, work.progress, modality=modality)
+            return reconstruct(files, work.scene / CACHE_FOLDER, work.progress, modality=modality)
         found = poses_of_photos(given, work.pairing.pairs, files)
         return replace(found, images=modality)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, Summary
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.scene import THERMAL, Modality
 
 SCALE_TOLERANCE = 0.03

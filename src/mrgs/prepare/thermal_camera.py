@@ -19,7 +19,8 @@ from mrgs.data.sources import ImageSource
 from mrgs.errors import ConfigError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform

@@ -21,7 +21,7 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.georeference import apply
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.rig.contract import RigCalibration
 
 
 def _no_progress(step: str, done: int, total: int) -> None:

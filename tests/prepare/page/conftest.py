@@ -19,7 +19,7 @@ from mrgs.prepare.contract import (
     StageReport,
 )
 from mrgs.prepare.convert import IMAGE_FOLDERS
-from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
+from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, PointCloud

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.prepare.page import write_page
+from mrgs.prepare.page.write import write_page
 from mrgs.prepare.work import Work
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing
-from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)

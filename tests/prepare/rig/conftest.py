@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig import RigCalibration, RigPair
+from mrgs.prepare.rig.contract import RigCalibration, RigPair
 from mrgs.prepare.rig.model import rigid_motion
 from mrgs.prepare.rig.warp import thermal_rays
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.prepare.rig import RigOptions, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import RigOptions
 from mrgs.scene import Pixels, PointCloud
 
 KNOWN_FIELD = RigOptions(field_of_view_deg=56.0)

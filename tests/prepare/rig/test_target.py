@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare.rig import ChessboardTarget, RigOptions, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import ChessboardTarget, RigOptions
 
 STILL = (0.15, 0.25, 0.1, -0.475, -0.42, 2.6)
 TARGET = ChessboardTarget((6, 5), 0.16)

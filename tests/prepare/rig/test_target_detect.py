@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig.target import Corners, detect_chessboard
+from mrgs.prepare.rig.target.detect import Corners, detect_chessboard
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
 LENS = Lens(200, 150, 190.0, 190.0, 100.0, 75.0)

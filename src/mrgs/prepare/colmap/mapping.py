@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from mrgs.prepare.colmap.job import MODEL_FOLDER, POINTS_FILE, REPORT_FILE, Job, Report
+from mrgs.prepare.colmap.job import (
+    MODEL_FOLDER,
+    POINTS_FILE,
+    REPORT_FILE,
+    ReconstructionJob,
+    Report,
+)
 from mrgs.prepare.colmap.matching import SEED
 
 MIN_TRACK = 3
@@ -25,7 +31,7 @@ FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
 """Of the first pair, and of each further image; COLMAP's are 100 and 30."""
 
 
-def map_images(job: Job, report: Report) -> None:
+def map_images(job: ReconstructionJob, report: Report) -> None:
     """Make the model, or nothing if it is there. Where no two images fit, its report says so and it
     has no points."""
     if (job.folder / MODEL_FOLDER).is_dir():
@@ -43,7 +49,7 @@ def map_images(job: Job, report: Report) -> None:
     os.replace(fresh, job.folder / MODEL_FOLDER)
 
 
-def _models(job: Job, report: Report) -> list[pycolmap.Reconstruction]:
+def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruction]:
     """All models; they do not share images but at their borders."""
     total, registered = len(job.files), 0
 
@@ -110,7 +116,7 @@ def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Pat
     )
 
 
-def _report(job: Job, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
+def _report(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
     """What happened to each image."""
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}

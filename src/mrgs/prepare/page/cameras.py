@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrgs.data.lens import Lens
 from mrgs.prepare.contract import Georeference
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.rig.contract import RigCalibration
 
 
 class RigFacts(NamedTuple):

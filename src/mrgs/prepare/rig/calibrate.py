@@ -23,7 +23,7 @@ from mrgs.prepare.rig.model import (
 )
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
-from mrgs.prepare.rig.target import ObservedTarget, observe_target
+from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target
 from mrgs.scene import PointCloud
 from mrgs.scene.view import spread
 
