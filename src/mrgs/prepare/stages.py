@@ -1,14 +1,14 @@
-"""The stages of ``prepare``, in the order of the data.
+"""The stages of ``prepare``, in order. Each adds its result to the work and returns a summary.
 
-Each takes from the cache what an earlier call found, unless something that it follows from has
-changed.
+A stage takes its result from the cache, unless something that it depends on has changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
@@ -27,6 +27,7 @@ from mrgs.prepare.existing import poses_of_photos
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.page.write import write_page
 from mrgs.prepare.pairs.find import find_pairs
+from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.sfm.reconstruct import reconstruct
@@ -36,14 +37,13 @@ from mrgs.prepare.summary import (
     summarize_poses,
     summarize_thermal_camera,
 )
-from mrgs.prepare.thermal_camera import calibrate_thermal_camera, in_metres_of_target
-from mrgs.prepare.work import Work, stage
+from mrgs.prepare.thermal_camera import Calibrate, calibrate_thermal_camera, in_metres_of_target
+from mrgs.prepare.work import Work
 from mrgs.scene.modality import in_order
 
 
-@stage("pairs")
 def pairs(work: Work) -> Summary:
-    """Which photos belong together; follows from the names and times of all files."""
+    """Which photos belong together; depends on the names and times of all files."""
     rule, table, tolerance_s = (
         work.options.pairs,
         work.options.pair_table,
@@ -59,7 +59,6 @@ def pairs(work: Work) -> Summary:
     return summarize_pairs(work.pairing)
 
 
-@stage("images")
 def images(work: Work) -> Summary:
     """The photos of all pairs as colours and temperatures; each pair is cached on its own."""
     work.images = convert_photos(
@@ -73,10 +72,9 @@ def images(work: Work) -> Summary:
     return summarize_photos(work.images)
 
 
-@stage("poses")
-def poses(work: Work) -> Summary:
-    """Where the cameras were; follows from the content of the posed images, so that other
-    temperatures do not matter."""
+def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) -> Summary:
+    """Camera poses, given or by ``reconstruct``; they depend on the posed images alone, so that
+    other temperatures do not matter."""
     views = work.images.views
     modality = in_order(modality for view in views for modality in view.images)[0]
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
@@ -97,7 +95,6 @@ def poses(work: Work) -> Summary:
     return summarize_poses(work.poses)
 
 
-@stage("scale and north")
 def scale_and_north(work: Work) -> Summary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
     found, distance = work.posed, work.options.known_distance
@@ -112,10 +109,9 @@ def scale_and_north(work: Work) -> Summary:
     return Summary((work.georeference.text,), work.georeference.warnings)
 
 
-@stage("thermal camera")
-def thermal_camera(work: Work) -> Summary:
-    """Lens and offset of the thermal camera. A target may also give the scale, which then changes
-    the scene's world."""
+def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> Summary:
+    """Intrinsics and extrinsics of the thermal camera. A target may also give the scale, which then
+    changes the scene's world."""
     options, posed, metric = work.options, work.posed, work.metric
     file = options.thermal_camera
     content = None if file is None else digest(file)
@@ -125,7 +121,7 @@ def thermal_camera(work: Work) -> Summary:
         "thermal camera",
         RigCalibration | None,
         (posed, metric, images, known),
-        lambda: calibrate_thermal_camera(work),
+        lambda: calibrate_thermal_camera(work, calibrate),
     )
     if work.georeference is not None:
         work.georeference, work.rig = in_metres_of_target(work.georeference, found)
@@ -141,9 +137,8 @@ class WrittenScene:
     range_c: tuple[float, float] | None
 
 
-@stage("scene files")
-def scene_files(work: Work) -> Summary:
-    """``transforms.json``, points and bounds; they are read once, to be sure that they can be."""
+def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -> Summary:
+    """``transforms.json``, points and bounds; ``load_scene`` reads them once as a check."""
 
     def write() -> WrittenScene:
         write_scene(work)
@@ -167,9 +162,8 @@ def scene_files(work: Work) -> Summary:
     return Summary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
 
 
-@stage("page")
-def page(work: Work) -> Summary:
-    """The HTML page that shows what was found."""
+def page(work: Work, write_page: Callable[..., Path] = write_page) -> Summary:
+    """The HTML page that shows the results."""
     said = [(report.title, report.lines, report.warnings) for report in work.reports]
     name = work.cache.get(
         "page",
@@ -182,8 +176,8 @@ def page(work: Work) -> Summary:
 
 
 @contextmanager
-def page_on_error(work: Work) -> Iterator[None]:
-    """On an error of the photos, write a page of what was found so far: it often shows the cause.
+def page_on_error(work: Work, write_page: Callable[..., Path] = write_page) -> Iterator[None]:
+    """On an error of the photos, write a page of the results so far: it often shows the cause.
 
     Raises:
         SceneError: that of the block; it names the page if there is one.

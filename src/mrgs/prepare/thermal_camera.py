@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -80,8 +81,18 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
     return ThermalCamera(lens, matrix)
 
 
-def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
-    """Calibrate the thermal camera from the posed photos and what the user knows about it.
+Calibrate = Callable[..., RigCalibration]
+"""Such as :func:`mrgs.prepare.rig.calibrate.calibrate_rig`."""
+
+
+def calibrate_thermal_camera(
+    work: Work, calibrate: Calibrate = calibrate_rig
+) -> RigCalibration | None:
+    """Calibrate the thermal camera from the posed photos and the user's options.
+
+    Args:
+        work: with images and poses.
+        calibrate: called with the pairs, the points, the rig's options and progress.
 
     Returns:
         The calibration in the scene's world; None if one camera took both images of a pair, or if
@@ -102,7 +113,7 @@ def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
         return None
     pairs = [_rig_pair(view, work.scene, posed) for view in views]
     known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
-    return calibrate_rig(pairs, posed.points, known, work.progress)
+    return calibrate(pairs, posed.points, known, work.progress)
 
 
 def _check_unused(options: PrepareOptions) -> None:
