@@ -12,7 +12,7 @@ from PIL import Image
 
 from mrgs.data.lens import Lens
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare import PrepareOptions, thermal_camera
+from mrgs.prepare import PrepareOptions
 from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
 from mrgs.prepare.work import Work
@@ -48,15 +48,13 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list:
-    """What the calibration is called with, instead of calibrating."""
-    calls: list = []
-    monkeypatch.setattr(thermal_camera, "calibrate_rig", lambda *arguments: calls.append(arguments))
-    return calls
+def asked() -> list:
+    """The arguments of each call of the calibration, which is not done."""
+    return []
 
 
 @pytest.fixture
-def calibrate(tmp_path: Path) -> Callable[..., object]:
+def calibrate(tmp_path: Path, asked: list) -> Callable[..., object]:
     """Calls the stage on two views, one of them without a pose."""
     for folder, size in (("images", (40, 30)), ("thermal", (32, 24))):
         (tmp_path / folder).mkdir()
@@ -82,7 +80,7 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
         work = Work(tmp_path, tmp_path, PrepareOptions(**options))
         work.images, work.poses = ConvertedPhotos(views, ()), replace(found, images=images)
         work.georeference = replace(IDENTITY, metric=metric)
-        return calibrate_thermal_camera(work)
+        return calibrate_thermal_camera(work, lambda *arguments: asked.append(arguments))
 
     return called
 

@@ -9,6 +9,7 @@ from mrgs.errors import SceneError
 from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import RigOptions
 from mrgs.scene import Pixels, PointCloud
+from tests.helpers.rig_room import build_room
 
 KNOWN_FIELD = RigOptions(field_of_view_deg=56.0)
 
@@ -36,8 +37,8 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
     assert torch.equal(world_to_thermal, expected)
 
 
-def test_inverted_contrast_does_not_matter(make_room):
-    room = make_room(views=3, inverted=True)
+def test_inverted_contrast_does_not_matter():
+    room = build_room(views=3, inverted=True)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.2
 
@@ -49,8 +50,8 @@ def test_a_result_repeats(room):
     assert found.lens == again.lens
 
 
-def test_shutters_that_do_not_fire_together_are_corrected_and_told(make_room):
-    room = make_room(views=4, motion_rad=0.012)
+def test_shutters_that_do_not_fire_together_are_corrected_and_told():
+    room = build_room(views=4, motion_rad=0.012)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.8
     assert len(found.warnings) == 1

@@ -10,6 +10,7 @@ from mrgs.prepare.rig.target.detect import Corners
 from mrgs.prepare.rig.target.localise import localise
 from mrgs.prepare.rig.target.sightings import Sighting
 from mrgs.scene import Camera
+from tests.helpers.rig_room import make_board
 
 K = torch.tensor([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]], dtype=torch.float64)
 STILL = (0.3, -0.4, 0.2, -0.25, -0.2, 1.5)
@@ -39,7 +40,7 @@ def nearest(points: np.ndarray, truth: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("inner", [(6, 5), (4, 4)])
-def test_a_target_that_stands_still_is_placed_and_tells_its_size(inner, make_board):
+def test_a_target_that_stands_still_is_placed_and_tells_its_size(inner):
     board = make_board(STILL, inner=inner, square_m=0.12)
     step = 1 if inner[0] == inner[1] else 2
     made = [sighting(view, board, camera(view), quarters=step * view % 4) for view in range(5)]
@@ -55,7 +56,7 @@ def test_a_target_that_stands_still_is_placed_and_tells_its_size(inner, make_boa
     assert np.ptp(worlds, axis=0).max() < 0.01
 
 
-def test_a_target_that_is_moved_is_placed_by_the_width_of_its_squares(make_board):
+def test_a_target_that_is_moved_is_placed_by_the_width_of_its_squares():
     boards = [
         make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2 + 0.05 * view, 1.0 + 0.1 * view))
         for view in range(4)
@@ -67,7 +68,7 @@ def test_a_target_that_is_moved_is_placed_by_the_width_of_its_squares(make_board
         assert np.linalg.norm(points - truth, axis=1).max() < 0.01
 
 
-def test_one_that_is_moved_among_those_that_stand_still(make_board):
+def test_one_that_is_moved_among_those_that_stand_still():
     boards = [make_board(STILL)] * 4 + [make_board((0.0, 0.1, 0.0, 0.1, -0.2, 1.3))]
     made = [sighting(view, board, camera(view)) for view, board in enumerate(boards)]
     found = localise([each for each, _ in made])
@@ -75,7 +76,7 @@ def test_one_that_is_moved_among_those_that_stand_still(make_board):
     assert np.linalg.norm(found.points[4] - made[4][1], axis=1).max() < 0.015
 
 
-def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told(make_board):
+def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told():
     boards = [make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2, 1.0 + 0.1 * view)) for view in range(4)]
     moved = [sighting(view, board, camera(view))[0] for view, board in enumerate(boards)]
     same_place = [
