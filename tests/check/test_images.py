@@ -76,20 +76,24 @@ def test_images_of_several_sizes_are_told(tabletop):
     assert "The thermal images are not of one size: 1 of 160×120 px, 27 of 320×240 px" in problem
 
 
-def test_flat_thermal_images_are_told(tabletop):
-    def flat(pixels: Pixels) -> Pixels:
+@pytest.mark.parametrize("modality", [RGB, THERMAL])
+def test_uniform_images_are_told(tabletop, modality):
+    """Those of a camera whose lens cap was on."""
+
+    def uniform(pixels: Pixels) -> Pixels:
         return replace(pixels, values=torch.full_like(pixels.values, 0.3))
 
     changed = tabletop.changed(
-        lambda view: with_image(view, THERMAL, lambda image: repainted(image, flat)),
+        lambda view: with_image(view, modality, lambda image: repainted(image, uniform)),
         every=100,
         first=2,
     )
-    texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
-    ]
-    assert any(
-        f"The thermal image of 1 view ({tabletop.scene.train[2].name}) is flat" in t for t in texts
+    problems = image_problems(changed.scene, list(changed.statistics.values()))
+    (found,) = [problem for problem in problems if "uniform" in problem.text]
+    assert (found.severity, found.text) == (
+        "warning",
+        f"The {modality.title} image of 1 view ({tabletop.scene.train[2].name}) is uniform: all "
+        f"its pixels have nearly the same value, as behind a lens cap.",
     )
 
 

@@ -1,7 +1,7 @@
 """COLMAP scenes: RGBT-Scenes (``rgb/`` and ``thermal/``), thermal-only ones like TI-NSD, and plain
 ``images/``.
 
-Where only one image of a pair is registered, its camera serves both. Where both are (``rgb/a.jpg``
+Where only one image of a pair is registered, both have its camera. Where both are (``rgb/a.jpg``
 and ``thermal/a.jpg`` in one reconstruction), each keeps its own.
 """
 
@@ -35,8 +35,8 @@ class _Images:
     files: dict[str, Path]
 
     def key_of(self, name: str) -> str | None:
-        """The key that a name in the reconstruction stands for: the whole path, or the file's stem
-        if only one fits."""
+        """The key of a name in the reconstruction: the whole path, or the file's stem if only one
+        matches; None if there is none."""
         path = without_image_suffix(PurePosixPath(name).as_posix())
         for candidate in (path, path.removeprefix(f"{self.folder}/")):
             if candidate in self.files:
@@ -49,8 +49,8 @@ class _Images:
 def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
     """Read a COLMAP scene; images are looked up, not decoded.
 
-    A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it is taken for thermal images
-    where a ``temperature_bounds.json`` is there, or where none of its images has colour channels.
+    A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it holds thermal images
+    if a ``temperature_bounds.json`` is there, or if none of its images has colour channels.
 
     Args:
         root: the scene's folder, resolved.

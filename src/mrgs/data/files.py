@@ -13,8 +13,8 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
 MAX_MAGNITUDE = 1e7
-"""Larger positions, pixel counts and focal lengths are taken for damage: float32 could not tell
-their places apart."""
+"""Larger positions, pixel counts and focal lengths are treated as damage: float32 has too few
+digits for them."""
 
 
 def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:

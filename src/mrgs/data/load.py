@@ -24,7 +24,7 @@ from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
     """Read a scene folder.
 
-    Understood are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`)
+    Supported are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`)
     and, where there is none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see
     :mod:`mrgs.data.colmap`). All headers are checked here; pixels are decoded, undistorted to a
     pinhole (:func:`mrgs.data.undistort.pinhole_of`) and reduced only when ``PosedImage.load`` is

@@ -45,7 +45,7 @@ IMAGE_CHANNELS = (1, 3)
 _TAKEN = re.compile(
     r"images|.*masks|sparse|truth|train|val|test|eval|temperature_c|thermal_normalised|depth_.*"
 )
-"""Names of other folders, in scenes and among renderings, that a modality's would be taken for."""
+"""Names of other folders, in scenes and among renderings, that a modality must not have."""
 _PERSPECTIVE_MODELS = {
     "OPENCV",
     "PINHOLE",
@@ -58,7 +58,7 @@ _FISHEYE_MODELS = {"OPENCV_FISHEYE"}
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
-"""What nerfstudio applied to COLMAP's world before it wrote ``applied_transform`` into the file."""
+"""Transform of COLMAP's world by versions of nerfstudio that wrote no ``applied_transform``."""
 
 
 def find_transforms(root: Path) -> Path | None:
@@ -77,7 +77,7 @@ def find_transforms(root: Path) -> Path | None:
 
 
 def read_transforms(root: Path, file: Path) -> SceneSource:
-    """Understand a nerfstudio scene; images are looked up, not decoded.
+    """Read a nerfstudio scene; images are looked up, not decoded.
 
     Args:
         root: the scene's folder, resolved; all paths in the file are relative to it.
@@ -102,7 +102,7 @@ def lens_from_json(
         image: has the size that ``values`` may leave out.
 
     Raises:
-        SceneError: a number is missing or cannot be, or the model is not known.
+        SceneError: a number is missing or invalid, or the model is not known.
     """
 
     def number(name: str, default: float | None = None) -> float:

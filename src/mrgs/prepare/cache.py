@@ -1,8 +1,8 @@
-"""What stages and single photos were converted to, kept between calls.
+"""Results of stages and of single photos, kept between calls.
 
-:class:`Cache` alone decides what is done again. A result lies in one safetensors file, with the
-fingerprint of everything that it follows from. Reading one runs no code, and a file that does not
-fit is ignored: its result is made again.
+:class:`Cache` alone decides what is recomputed. A result is one safetensors file with the
+fingerprint of everything that it depends on. Reading one runs no code; a file that does not match
+is ignored.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ _BLOCK_BYTES = 2**20
 
 @dataclass(frozen=True)
 class Stored:
-    """A result that was found in a file; it may be None."""
+    """A result read from a file; its value may be None."""
 
     value: Any
 
 
 class Cache:
-    """Results by name; each is made once, until something that it follows from changes.
+    """Results by name; each is computed once, until something that it depends on changes.
 
     Attributes:
         folder: keeps the results.
-        made: how many results were made rather than found, so far.
+        made: number of results that were computed rather than found, so far.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -74,9 +74,9 @@ class Cache:
         Args:
             name: of the result, and of its file.
             kind: type of the result, or that type or None.
-            depends: values that the result follows from.
-            make: makes the result.
-            files: other files that the result consists of; it is made again if one is missing.
+            depends: values that the result depends on.
+            make: computes the result.
+            files: other files of the result; it is recomputed if one is missing.
 
         Raises:
             RunError: the result cannot be written (permissions, a full disk).
@@ -92,7 +92,7 @@ class Cache:
         return result
 
     def forget(self, name: str) -> None:
-        """Remove a result, so that it is made again."""
+        """Remove a result, so that it is recomputed."""
         self._file(name).unlink(missing_ok=True)
 
     def _file(self, name: str) -> Path:
@@ -101,7 +101,7 @@ class Cache:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes out of a folder, which is made if it is missing.
+    """Lock a folder against other processes; it is created if it is missing.
 
     Raises:
         RunError: the folder cannot be made, or another process works in it.
@@ -125,7 +125,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def fingerprint(*values: Any) -> str:
-    """A digest of values that can be stored: equal for equal values, on every machine."""
+    """SHA-256 of values that can be stored; equal for equal values, on every machine."""
     digest = hashlib.sha256()
     tensors: list[Tensor] = []
     digest.update(json.dumps([_encode(value, tensors) for value in values]).encode())
@@ -136,7 +136,7 @@ def fingerprint(*values: Any) -> str:
 
 
 def save(path: Path, value: Any, made_from: str) -> None:
-    """Write a result; ``made_from`` is the fingerprint of everything that it follows from.
+    """Write a result; ``made_from`` is the fingerprint of everything that it depends on.
 
     Raises:
         RunError: the file cannot be written (permissions, a full disk).
@@ -151,8 +151,13 @@ def save(path: Path, value: Any, made_from: str) -> None:
 
 
 def load(path: Path, kind: Any, made_from: str) -> Stored | None:
-    """The result that ``save`` wrote, of a type or of a type or None; None if there is none that
-    follows from that."""
+    """The result that ``save`` wrote with this fingerprint; None if there is none.
+
+    Args:
+        path: of the file.
+        kind: type of the result, or that type or None.
+        made_from: the fingerprint.
+    """
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata()
@@ -173,7 +178,7 @@ def load(path: Path, kind: Any, made_from: str) -> Stored | None:
 
 
 def _encode(value: Any, tensors: list[Tensor]) -> Any:
-    """A value as JSON; tensors are put aside, and their place in the list stands for them."""
+    """A value as JSON; tensors are appended to the list, and their index is their value."""
     if value is None or isinstance(value, str | int | float):
         return value
     if isinstance(value, Tensor):
@@ -198,7 +203,7 @@ def _encode(value: Any, tensors: list[Tensor]) -> Any:
 
 
 def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """The value of a type that ``_encode`` made JSON of."""
+    """The value of a type from the JSON of ``_encode``."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (types.UnionType, typing.Union):
         (hint,) = (option for option in arguments if option is not type(None))

@@ -1,4 +1,4 @@
-"""Poses given by the user, from COLMAP or in nerfstudio's format."""
+"""Poses given by the user, as a COLMAP model or in nerfstudio's format."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def prepare(
     *,
     steps: Steps = _STEPS,
 ) -> Preparation:
-    """Make a scene for ``train`` from a folder of photos, and a page that shows what was found.
+    """Make a scene for ``train`` from a folder of photos, and a page that shows the results.
 
     The photos are only read. Results are kept in ``SCENE/prepare``: the same call resumes after an
     interruption, and repeats only what depends on a changed photo or option.
@@ -64,14 +64,15 @@ def prepare(
     Args:
         photos: folder of the photos.
         scene: folder to make, or one that an earlier call made.
-        options: what is known about the photos.
-        progress: called with "stage: step", and how many of the step's parts are done and there are
-            (0 of 0 if that is not known).
+        options: facts about the photos.
+        progress: called with "stage: step", the number of the step's parts that are done, and of
+            all (0 and 0 if not known).
         report: called with the report of each finished stage.
         steps: other functions for the slow steps.
 
     Raises:
-        SceneError: the photos cannot be used: no pairs, fewer than three poses, no thermal camera.
+        SceneError: the photos cannot be used: no pairs, fewer than three poses, or the thermal
+            camera cannot be calibrated.
         RunError: the scene's folder cannot be written, holds something else, or is in use.
         ConfigError: an option that does not fit the photos.
     """

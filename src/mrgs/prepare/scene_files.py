@@ -35,7 +35,7 @@ def write_scene(work: Work) -> None:
     ``load_scene`` reads them.
 
     Only views with a pose are in the scene, in the order of the converted views. The transforms are
-    written last, so that an unfinished folder is not taken for a scene. Points and bounds of an
+    written last, so that an unfinished folder is not read as a scene. Points and bounds of an
     earlier call are removed if there are none now.
 
     Every ``eval_every``-th view is held out, beginning with the first, as in Mip-NeRF 360 and 3DGS.

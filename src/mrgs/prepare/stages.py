@@ -164,11 +164,11 @@ def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -
 
 def page(work: Work, write_page: Callable[..., Path] = write_page) -> Summary:
     """The HTML page that shows the results."""
-    said = [(report.title, report.lines, report.warnings) for report in work.reports]
+    reported = [(report.title, report.lines, report.warnings) for report in work.reports]
     name = work.cache.get(
         "page",
         str,
-        (said, work.skipped, work.images, work.posed, work.rig, work.georeference),
+        (reported, work.skipped, work.images, work.posed, work.rig, work.georeference),
         lambda: write_page(work).name,
         lambda name: [work.scene / name],
     )

@@ -39,7 +39,7 @@ class Work:
     Attributes:
         photos: folder of the photos.
         scene: folder of the scene.
-        options: what the user knows about the photos.
+        options: facts about the photos.
         on_progress: called with "stage: step", and how many of the step's parts are done and there
             are (0 of 0 if that is not known).
         on_report: called with each stage's report.

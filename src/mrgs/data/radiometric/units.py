@@ -1,4 +1,4 @@
-"""What the numbers of a file mean: multiples of °C, K or °F, given by the user or told apart by
+"""What the numbers of a file mean: multiples of °C, K or °F, given by the user or recognised by
 plausibility."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _COLDEST_MIDDLE_C, _HOTTEST_MIDDLE_C = -30.0, 100.0
 """Where the middle of the pixels is expected."""
 
 _ENOUGH = 100_000
-"""So many pixels are enough to tell units apart."""
+"""Number of pixels from which the unit is recognised."""
 
 FLOAT_UNITS = ("celsius", "kelvin")
 INTEGER_UNITS = ("celsius*100", "kelvin*100", "celsius*10", "kelvin*10")

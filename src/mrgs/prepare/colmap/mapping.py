@@ -1,5 +1,4 @@
-"""Incremental mapping: poses and points from verified matches, and the largest model of them into
-files."""
+"""Incremental mapping: poses and points from verified matches; the largest model is written."""
 
 from __future__ import annotations
 
@@ -25,15 +24,14 @@ from mrgs.prepare.colmap.matching import SEED
 MIN_TRACK = 3
 MAX_ERROR_PX = 2.0
 FEW_IMAGES = 8
-"""In smaller sets points that two images see are used as well."""
+"""In smaller sets, points that only two images see are used as well."""
 
 FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
 """Of the first pair, and of each further image; COLMAP's are 100 and 30."""
 
 
 def map_images(job: ReconstructionJob, report: Report) -> None:
-    """Make the model, or nothing if it is there. Where no two images fit, its report says so and it
-    has no points."""
+    """Compute the model unless it exists. Where no two images match, it has a report only."""
     if (job.folder / MODEL_FOLDER).is_dir():
         return
     models = sorted(_models(job, report), key=lambda model: model.num_reg_images(), reverse=True)
@@ -50,7 +48,7 @@ def map_images(job: ReconstructionJob, report: Report) -> None:
 
 
 def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruction]:
-    """All models; they do not share images but at their borders."""
+    """All models; they share images at their borders only."""
     total, registered = len(job.files), 0
 
     def start() -> None:
@@ -87,7 +85,7 @@ def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruct
 
 
 def _drop_noise(model: pycolmap.Reconstruction, images: int) -> None:
-    """Points that few images see, or that are far from where they were seen."""
+    """Delete points with short tracks or large reprojection errors."""
     least = MIN_TRACK if images >= FEW_IMAGES else 2
     poor = [
         number
@@ -117,7 +115,7 @@ def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Pat
 
 
 def _report(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
-    """What happened to each image."""
+    """Features, matches and group of each image."""
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         features = {

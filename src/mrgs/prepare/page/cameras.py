@@ -1,4 +1,4 @@
-"""Facts about the lenses, and about the thermal camera relative to the RGB camera."""
+"""Facts about the lenses, and about the thermal camera relative to the other camera."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def lens_text(lens: Lens) -> str:
 
 
 def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFacts:
-    """The thermal camera relative to the RGB camera: summary, and a row for each view."""
+    """The calibrated thermal camera: facts, and a row for each view."""
     metric = georeference is not None and georeference.metric
     median, most = rig.residual_px
     rows = [
@@ -99,7 +99,7 @@ def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFact
 
 
 def _offset(extrinsics: Float64[Tensor, "4 4"], metric: bool) -> str:
-    """How far the thermal camera stands from the RGB camera, and in which direction."""
+    """Distance and direction of the thermal camera from the photos' camera."""
     position = -extrinsics[:3, :3].T @ extrinsics[:3, 3]
     factor, unit, digits = (100.0, "cm", 1) if metric else (1.0, "scene units", 4)
     words = (("right", "left"), ("below", "above"), ("ahead", "behind"))

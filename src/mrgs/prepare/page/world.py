@@ -20,7 +20,7 @@ MOST_POINTS = 4000
 _PLAN_POINTS = 1500
 _PLAN_PX = 440
 _TRIM = 0.08
-"""Share of the points, at each end of each axis, that does not widen what is shown."""
+"""Share of the points, at each end of each axis, that does not extend the drawing."""
 
 _BAR_SHARE = 0.25
 
@@ -55,7 +55,8 @@ def world_of(
     metric: bool,
     north: bool,
 ) -> World:
-    """The world; without north, up is where the cameras' upper edges point on average."""
+    """Cameras and points for drawing; without north, up is the mean direction of the cameras' upper
+    edges."""
     up = np.array([0.0, 0.0, 1.0])
     if not north and cameras:
         mean = (
@@ -76,7 +77,7 @@ def world_of(
 
 
 def orbit_facts(world: World) -> dict[str, Any]:
-    """What the 3D view draws; positions as 16-bit integers in steps of ``step`` from ``low``."""
+    """Data of the 3D view; positions are 16-bit integers in steps of ``step`` from ``low``."""
     positions = np.stack([camera.position.numpy() for camera in world.cameras.values()])
     low, high = _box(world, positions)
     size, diagonal = float((high - low).max()), float(np.linalg.norm(high - low))
@@ -116,7 +117,7 @@ def _slopes(camera: Camera) -> Float[np.ndarray, "2"]:
 
 
 def frustum_size(positions: Float[np.ndarray, "n 3"], size: float) -> float:
-    """Drawn depth of the cameras' pyramids: visible, and hardly touching their neighbours."""
+    """Drawn depth of the cameras' pyramids: large enough to see, and hardly touching each other."""
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(distances, np.inf)
     nearest = np.median(distances.min(axis=1)) if len(positions) > 1 else np.inf

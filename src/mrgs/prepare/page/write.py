@@ -1,4 +1,4 @@
-"""The page of a prepared scene, so that mistakes in the photos are seen before training."""
+"""The page of a prepared scene, which shows mistakes before training."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
 
     One file that needs nothing from the network: warnings, stages with their times, cameras and
     points, each view's photo and thermal image and their overlay, temperatures, lenses, and what
-    was skipped. Its views are what ``load_scene`` reads, so that it shows what training will see.
+    was skipped. Its views are what ``load_scene`` reads, exactly as training will read them.
 
     Args:
-        work: a scene in preparation; what its stages have not found yet is left out. If there are
+        work: a scene in preparation; results that are not there yet are left out. If there are
             poses, but no scene files, the views are shown without them.
         without_pose: views to be listed with the skipped ones.
 
@@ -112,7 +112,7 @@ def write_scene_page(
 
 @dataclass(frozen=True, eq=False)
 class _Content:
-    """What several sections show.
+    """Content that several sections share.
 
     Attributes:
         total: number of converted views.
@@ -174,7 +174,7 @@ def _content(work: Work) -> _Content:
 
 
 def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
-    """The views by name, and what each is for."""
+    """The views by name, with their status."""
     views = {view.name: (view, "training") for view in scene.train}
     return views | {view.name: (view, "held out") for view in scene.eval}
 

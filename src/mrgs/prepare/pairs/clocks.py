@@ -10,10 +10,10 @@ from jaxtyping import Float64, Int64
 from scipy.optimize import linear_sum_assignment
 
 _NEARLY = 0.9
-"""An offset that pairs so large a part of what another one pairs is as good as it."""
+"""An offset with this share of another one's pairs is as good."""
 
 _TRIED = 24
-"""So many of the most frequent differences of two times are tried as offsets."""
+"""Number of the most frequent differences of two times that are tried as offsets."""
 
 _LOOKED_AT = 50_000
 """Of the differences sorted by frequency, only so many are searched."""
@@ -22,7 +22,7 @@ _FEWEST = 3
 """Fewer pairs than this prove no offset."""
 
 _RANK_S = 1e-5
-"""Photos of the same second are told apart by their order, as if so far apart."""
+"""Photos of the same second are ordered as if they were this far apart, seconds."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""All files of a folder of photos: those that can be photos, and why the others cannot."""
+"""The files of a folder of photos: possible photos, and why the others are skipped."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def take_inventory(root: Path) -> Inventory:
 
 def _files(root: Path) -> Iterator[Path]:
     """All files, and links to folders; hidden ones, such as those that macOS leaves on cards, are
-    no one's photos."""
+    skipped."""
     for parent, folders, names in os.walk(root, onerror=_raise):
         folders[:] = [name for name in folders if not name.startswith(".")]
         linked = [name for name in folders if os.path.islink(os.path.join(parent, name))]
@@ -89,7 +89,7 @@ def _raise(error: OSError) -> None:
 
 
 def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
-    """Of files that hold the same thermal photo, the best; the others are left out.
+    """Of files that hold the same thermal photo, the best; the others are skipped.
 
     Files of one stem in one folder are the same shot, and so are a DJI R-JPEG and the one file of
     that stem elsewhere that it was converted to.

@@ -1,4 +1,4 @@
-"""What the names of files and folders say: which camera took a photo, and at which moment."""
+"""Camera and time of a photo from the names of its file and folders."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _LONGEST_NAME = 100
 
 @dataclass(frozen=True)
 class StemFacts:
-    """What the stem of a file's name says.
+    """Facts in the stem of a file's name.
 
     Attributes:
         key: the stem without camera suffix and time.
@@ -115,7 +115,7 @@ def _by_words(stem: str) -> StemFacts:
 
 
 def _word_and_number(part: str) -> tuple[str, str]:
-    """``ir0001`` and ``0001ir`` hold a word and a number; any other part is taken for a word."""
+    """``ir0001`` and ``0001ir`` hold a word and a number; any other part is a word."""
     if part.lower() in _WORDS[THERMAL]:
         return part, ""
     if found := re.fullmatch(r"([A-Za-z]+)([0-9]+)", part):

@@ -1,4 +1,4 @@
-"""The header of one file in a folder of photos: what it shows, which camera took it, and when."""
+"""The header of a file in a folder of photos: content, camera and time."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def _inspect(path: Path, relative: PurePosixPath) -> Photo | str:
 
 
 def _head(path: Path) -> bytes:
-    """The beginning of a file, which tells its kind; of a JPEG with FLIR's record the whole file,
-    because the record may be longer."""
+    """The beginning of a file, from which its kind is recognised; the whole file for a JPEG with
+    FLIR's record, which may be longer."""
     try:
         with path.open("rb") as file:
             start = file.read(_HEAD_BYTES)
@@ -102,7 +102,7 @@ def _head(path: Path) -> bytes:
 
 
 def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
-    """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is looked into."""
+    """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is parsed."""
     is_jpeg = data.startswith(jpeg.SIGNATURE)
     record = jpeg.flir_record(data, path) if is_jpeg else None
     if data.startswith(fff.SIGNATURES):

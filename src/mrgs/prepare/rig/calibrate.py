@@ -1,4 +1,4 @@
-"""Calibration of a rig's thermal camera from the photos themselves."""
+"""Calibration of a rig's thermal camera from the photos."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ that do not, never both."""
 
 
 _MOVING = 1.0
-"""A larger median motion of the pairs, in pixels, is a warning."""
+"""A larger median motion of the pairs, in pixels, gives a warning."""
 
-# What is taken for likely: one standard deviation each.
+# Standard deviations of the prior.
 _FOCAL_SIGMA = 0.1
 _ASPECT_SIGMA = 0.005
 _CENTRE_SIGMA_WIDTHS = 0.03
@@ -58,24 +58,24 @@ def calibrate_rig(
     options: RigOptions | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RigCalibration:
-    """Find the thermal camera's intrinsics, radial distortion and motion against the RGB camera.
+    """Calibrate the thermal camera's intrinsics, radial distortion and extrinsics.
 
-    First the focal length and the direction, by correlating edges over all scales and shifts
-    (``search``); or from the corners of a target, which then count as observations to the end
-    (``target``). Then, from coarse to fine (``refine``): each photo is warped through its depth
-    into the thermal camera, patches of it are found in the thermal image, and one adjustment over
-    all pairs moves the cameras (``adjust``). Every pair has a small motion of its own besides the
-    rig's, because two shutters rarely fire together.
+    A first guess of focal length and direction comes from correlating edges over all scales and
+    shifts (``search``), or from the corners of a target, which remain observations to the end
+    (``target``). Then, from coarse to fine (``refine``), each photo is warped through its depth
+    into the thermal camera, patches of it are matched in the thermal image, and a bundle adjustment
+    over all pairs updates the cameras (``adjust``). Every pair has a small motion of its own
+    besides the rig's, because two shutters rarely fire together.
 
     Args:
         pairs: photos with poses, and their thermal images; all thermal images of one size.
-        points: what structure from motion triangulated, in the world of the poses.
-        options: what is known beforehand.
-        progress: called with a stage's name, and how many of its steps are done and there are.
+        points: triangulated by structure from motion, in the world of the poses.
+        options: known quantities; None if nothing is known.
+        progress: called with a step's name, the number of its parts that are done, and of all.
 
     Raises:
         SceneError: too few pairs or points, thermal images of different sizes, images that do not
-            tell, or a target that is not seen or that tells nothing.
+            determine the camera, or a target that is not found or cannot be located.
     """
     options = options or RigOptions()
     report = progress or (lambda stage, done, total: None)
@@ -164,8 +164,8 @@ def _guess(
 def _start(
     pairs: Sequence[ReducedPair], size: tuple[int, int], guess: Guess | None, options: RigOptions
 ) -> tuple[ThermalCameras, Prior]:
-    """The cameras to start from, and what is likely. The guess's shift is taken for a turn of the
-    thermal camera."""
+    """The initial cameras and the prior. The guess's shift becomes a rotation of the thermal
+    camera."""
     width, height = size
     depth = float(np.median([1 / pair.depth.median for pair in pairs]))
     rig = torch.zeros(RIG, dtype=torch.float64)
@@ -258,7 +258,7 @@ def _unseen(name: str) -> RigView:
 
 
 def _motion_px(cameras: ThermalCameras, observations: Observations, count: int) -> list[float]:
-    """How far each pair's own motion moves its patches."""
+    """Displacement of each pair's patches by its own motion, median, in thermal pixels."""
     moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
     still = project(
         cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points

@@ -1,4 +1,4 @@
-"""The images of a pair at the sizes that the calibration works with."""
+"""The images of a pair at the working size of the calibration."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from mrgs.scene import Camera, Pixels
 
 PHOTO_WIDTH_PX = 640
 THERMAL_WIDTH_PX = 320
-"""More tells nothing more of images as soft as thermal ones: patches are placed to a tenth of a
-pixel."""
+"""More pixels add nothing in images as soft as thermal ones, where patches are matched to a tenth
+of a pixel."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A grey image; ``valid`` is None where all pixels count."""
+    """A grey image [H, W] and the mask of its usable pixels; None if all are."""
 
     values: Float32[np.ndarray, "h w"]
     valid: Bool[np.ndarray, "h w"] | None = None
 
     def resized(self, width: int, height: int) -> Plane:
-        """On another grid of the same field of view; low-pass filtered where it becomes coarser."""
+        """The same field of view on another pixel grid, low-pass filtered if that is coarser."""
         valid = None if self.valid is None else torch.from_numpy(self.valid)
         values, valid = resize(torch.from_numpy(self.values)[..., None], valid, width, height)
         return Plane(values[..., 0].numpy(), None if valid is None else valid.numpy())
@@ -44,9 +44,9 @@ class ReducedPair:
     Attributes:
         name: the pair's.
         photo: its luma.
-        camera: of ``photo``.
-        depth: of what ``photo`` shows.
-        thermal: the thermal image, distorted.
+        camera: of ``photo``, at its working size.
+        depth: of the surfaces in ``photo``.
+        thermal: the thermal image, with lens distortion.
     """
 
     name: str
@@ -100,13 +100,19 @@ def sampled(
     v: Float[np.ndarray, "*n"],
     step: float = 1.0,
 ) -> Float[np.ndarray, "*n"]:
-    """Bilinear values at pixel positions; ``step`` pixels lie between two values. The border's
-    beyond the border."""
+    """Bilinear interpolation at pixel positions (u, v); the value at the border beyond it.
+
+    Args:
+        values: on a grid with one value per ``step`` pixels.
+        u: columns, in pixels.
+        v: rows, in pixels.
+        step: distance of two values, in pixels.
+    """
     return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
 
 
 def too_few_points(names: list[str]) -> SceneError:
-    """That too few photos see enough sparse points."""
+    """The error of too few photos with enough sparse points."""
     return SceneError(
         f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or "
         "more sparse points; take more overlapping photos, or say that one camera took both images",
@@ -115,10 +121,10 @@ def too_few_points(names: list[str]) -> SceneError:
 
 
 def grey_plane(pixels: Pixels, name: str) -> Plane:
-    """The luma of a photo, or the only channel; pixels that do not count get the median.
+    """The luma of a photo, or the only channel; unusable pixels get the median.
 
     Raises:
-        SceneError: no pixel counts.
+        SceneError: no pixel is usable.
     """
     values: Tensor = pixels.values
     grey = values[..., 0] if values.shape[-1] == 1 else (values * LUMINANCE).sum(dim=-1)

@@ -79,7 +79,7 @@ def refined(
     """Saddle points to a fraction of a pixel; NaN where there is none.
 
     A second-degree polynomial is fitted to the values around, with Gaussian weights; its stationary
-    point is taken for the next centre (Lucchese and Mitra, 2002).
+    point is the next centre (Lucchese and Mitra, 2002).
 
     Args:
         image: any unit.
