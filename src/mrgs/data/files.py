@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import reprlib
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -57,6 +59,27 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
+
+
+def visible_files(folder: Path) -> Iterator[Path]:
+    """All files below a folder, and links to folders, which are not followed. Hidden files and
+    folders, such as those that macOS leaves on memory cards, are skipped.
+
+    Raises:
+        SceneError: a folder cannot be listed.
+    """
+
+    def refuse(error: OSError) -> None:
+        raise scene_error(
+            error.filename, f"cannot be read ({error.strerror}); give a folder that is readable"
+        ) from None
+
+    for parent, folders, names in os.walk(folder, onerror=refuse):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        linked = [name for name in folders if os.path.islink(os.path.join(parent, name))]
+        for name in [*names, *linked]:
+            if not name.startswith("."):
+                yield Path(parent, name)
 
 
 def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:

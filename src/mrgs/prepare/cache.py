@@ -10,12 +10,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -26,7 +24,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from mrgs.data.files import scene_error
+from mrgs.data.files import visible_files
 from mrgs.errors import MrgsError, RunError
 from mrgs.scene import Modality, modality_named
 from mrgs.system.atomic import replacing
@@ -42,11 +40,8 @@ FORMAT = 3
 _BLOCK_BYTES = 2**20
 
 
-@dataclass(frozen=True)
-class Stored:
-    """A result read from a file; its value may be None."""
-
-    value: Any
+MISSING = object()
+"""Returned for a result that is not stored; a stored result may be None."""
 
 
 class Cache:
@@ -84,8 +79,8 @@ class Cache:
         file = self._file(name)
         made_from = fingerprint(FORMAT, name, *depends)
         stored = load(file, kind, made_from)
-        if stored is not None and all(path.is_file() for path in files(stored.value)):
-            return stored.value
+        if stored is not MISSING and all(path.is_file() for path in files(stored)):
+            return stored
         self.made += 1
         result = make()
         save(file, result, made_from)
@@ -150,8 +145,8 @@ def save(path: Path, value: Any, made_from: str) -> None:
         save_file(named, temporary, metadata)
 
 
-def load(path: Path, kind: Any, made_from: str) -> Stored | None:
-    """The result that ``save`` wrote with this fingerprint; None if there is none.
+def load(path: Path, kind: Any, made_from: str) -> Any:
+    """The result that ``save`` wrote with this fingerprint; ``MISSING`` if there is none.
 
     Args:
         path: of the file.
@@ -162,9 +157,9 @@ def load(path: Path, kind: Any, made_from: str) -> Stored | None:
         with safe_open(path, "pt") as file:
             metadata = file.metadata()
             if metadata["made_from"] != made_from:
-                return None
+                return MISSING
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        return Stored(_decode(kind, json.loads(metadata["value"]), tensors))
+        return _decode(kind, json.loads(metadata["value"]), tensors)
     except (
         OSError,
         SafetensorError,
@@ -174,7 +169,7 @@ def load(path: Path, kind: Any, made_from: str) -> Stored | None:
         RecursionError,
         MrgsError,
     ):
-        return None
+        return MISSING
 
 
 def _encode(value: Any, tensors: list[Tensor]) -> Any:
@@ -235,27 +230,17 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
 def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
     """Path, size in bytes, mtime and ctime (ns) of every file below a folder, sorted.
 
-    Links are followed. Hidden files and folders are skipped.
+    Links to files are followed. Hidden files and folders are skipped.
 
     Raises:
         SceneError: the folder cannot be listed.
     """
-    try:
-        found = []
-        for parent, folders, names in os.walk(folder, onerror=_raise):
-            folders[:] = [name for name in folders if not name.startswith(".")]
-            for name in names:
-                path = Path(parent, name)
-                if not name.startswith("."):
-                    status = path.stat() if path.exists() else path.lstat()
-                    times = status.st_mtime_ns, status.st_ctime_ns
-                    found.append((path.relative_to(folder).as_posix(), status.st_size, *times))
-        return tuple(sorted(found))
-    except OSError as error:
-        raise scene_error(
-            error.filename or folder,
-            f"cannot be read ({error.strerror}); give a folder of photos that is readable",
-        ) from None
+    found = []
+    for path in visible_files(folder):
+        status = path.stat() if path.exists() else path.lstat()
+        name = path.relative_to(folder).as_posix()
+        found.append((name, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
+    return tuple(sorted(found))
 
 
 def digest(path: Path) -> str:
@@ -268,7 +253,3 @@ def digest(path: Path) -> str:
         return found.hexdigest()
     except OSError:
         return ""
-
-
-def _raise(error: OSError) -> None:
-    raise error

@@ -79,28 +79,13 @@ def _frame(
     """One view as nerfstudio describes it, with a thermal image."""
     viewmat, viewmats = reconstruction.viewmats[view.name], {}
     if rig is not None:
-        viewmats[THERMAL] = rig.viewmat(_pair_index(rig, view.name), viewmat)
+        viewmats[THERMAL] = rig.viewmat(view.name, viewmat)
     return frame_json(
         viewmat,
         None if reconstruction.images == THERMAL else view.images[reconstruction.images].file,
         {THERMAL: view.images[THERMAL].file},
         lens=None if _one_lens(reconstruction) else reconstruction.lenses[view.name],
         viewmats=viewmats,
-    )
-
-
-def _pair_index(rig: RigCalibration, name: str) -> int:
-    """Index of the view among the rig's pairs.
-
-    Raises:
-        SceneError: the view was not among them.
-    """
-    for index, view in enumerate(rig.views):
-        if view.name == name:
-            return index
-    raise SceneError(
-        f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate it "
-        f"too"
     )
 
 

@@ -24,14 +24,6 @@ from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig.contract import RigCalibration
 
 
-def _no_progress(step: str, done: int, total: int) -> None:
-    pass
-
-
-def _no_report(report: StageReport) -> None:
-    pass
-
-
 @dataclass(eq=False)
 class Work:
     """A scene in preparation: the user's input, and the results of the stages so far.
@@ -55,8 +47,8 @@ class Work:
     photos: Path
     scene: Path
     options: PrepareOptions = field(default_factory=PrepareOptions)
-    on_progress: Progress = _no_progress
-    on_report: Callable[[StageReport], None] = _no_report
+    on_progress: Progress = lambda step, done, total: None
+    on_report: Callable[[StageReport], None] = lambda report: None
     reports: list[StageReport] = field(default_factory=list)
     pairing: Pairing = field(default_factory=lambda: Pairing((), (), ""))
     images: ConvertedPhotos = field(default_factory=lambda: ConvertedPhotos((), ()))

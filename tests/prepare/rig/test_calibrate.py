@@ -32,7 +32,7 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
         "searching the thermal camera",
         "matching",
     ]
-    world_to_thermal = found.viewmat(2, room.pairs[2].photo.camera.viewmat)
+    world_to_thermal = found.viewmat(room.pairs[2].name, room.pairs[2].photo.camera.viewmat)
     expected = found.views[2].correction @ found.extrinsics @ room.pairs[2].photo.camera.viewmat
     assert torch.equal(world_to_thermal, expected)
 

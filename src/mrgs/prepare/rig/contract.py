@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.scene import Pixels, PosedImage
 
 FEWEST_CORNERS = 3
@@ -161,6 +161,16 @@ class RigCalibration:
     warnings: tuple[str, ...]
     target: TargetFit | None = None
 
-    def viewmat(self, index: int, photo_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
-        """World to the thermal camera of a pair [4, 4], from world to its photo's camera [4, 4]."""
-        return self.views[index].correction @ self.extrinsics @ photo_viewmat
+    def viewmat(self, name: str, photo_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
+        """World to the thermal camera of a pair [4, 4], from world to its photo's camera [4, 4].
+
+        Raises:
+            SceneError: the pair was not calibrated.
+        """
+        for view in self.views:
+            if view.name == name:
+                return view.correction @ self.extrinsics @ photo_viewmat
+        raise SceneError(
+            f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate "
+            f"it too"
+        )

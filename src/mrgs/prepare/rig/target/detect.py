@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter, map_coordinates, zoom
+from scipy.ndimage import gaussian_filter, zoom
 
+from mrgs.prepare.rig.images import sampled
 from mrgs.prepare.rig.target.lattice import Cell, lattices
 from mrgs.prepare.rig.target.plane import homography, transformed
 from mrgs.prepare.rig.target.saddles import Saddles, find_saddles, refined
@@ -188,18 +189,10 @@ def _alternating(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
     along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     smooth = gaussian_filter(image, _QUARTER_SQUARES / 3 * float(corners.spacing.min()))
     a, b, c, d = (
-        _sampled(smooth, grid + _QUARTER_SQUARES * (i * along + j * down))
+        sampled(smooth, *np.moveaxis(grid + _QUARTER_SQUARES * (i * along + j * down), -1, 0))
         for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))
     )
     brighter = np.minimum(a, c) > np.maximum(b, d)
     darker = np.maximum(a, c) < np.minimum(b, d)
     even = np.indices(brighter.shape).sum(axis=0) % 2 == 0
     return bool((np.where(even, brighter, darker)).all() or np.where(even, darker, brighter).all())
-
-
-def _sampled(
-    image: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "*n 2"]
-) -> Float[np.ndarray, "*n"]:
-    return map_coordinates(
-        image, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1, mode="nearest"
-    )
