@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from mrgs.prepare.contract import Summary
+from mrgs.prepare.contract import StageSummary
 from mrgs.prepare.work import Work
 
 
-def first_stage(work: Work) -> Summary:
+def first_stage(work: Work) -> StageSummary:
     work.progress("looking", 1, 2)
     found = work.cache.get("first", str, (), lambda: "found")
-    return Summary((f"It is {found}.",), ("Mind the step.",))
+    return StageSummary((f"It is {found}.",), ("Mind the step.",))
 
 
 def test_a_stage_is_done_once_and_reported_twice(tmp_path):

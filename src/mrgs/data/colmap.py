@@ -15,7 +15,7 @@ from mrgs.data.colmap_model import ColmapModel, RegisteredImage, read_images, re
 from mrgs.data.files import ImageFinder, is_file, scene_error, shown, without_image_suffix
 from mrgs.data.images import probe
 from mrgs.data.points import point_cloud
-from mrgs.data.sources import ImageSource, Notes, SceneSource, ViewSource
+from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource
 from mrgs.data.thermal import BOUNDS_FILES
 from mrgs.scene import RGB, THERMAL, Modality
 
@@ -59,7 +59,7 @@ def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
     Raises:
         SceneError: the reconstruction is damaged, names no image, or names one that is missing.
     """
-    notes = Notes()
+    notes = ReadingNotes()
     finder = ImageFinder(root)
     file = model.file("images")
     registered = read_images(model)
@@ -76,7 +76,7 @@ def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
     return SceneSource(root, file, views, point_cloud(*read_points3d(model), notes), notes)
 
 
-def _image_folders(root: Path, finder: ImageFinder, notes: Notes) -> list[_Images]:
+def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list[_Images]:
     """The image files of each modality that has any, RGB first."""
     images = []
     for modality, names in FOLDERS.items():

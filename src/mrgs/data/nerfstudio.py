@@ -36,7 +36,7 @@ from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
-from mrgs.data.sources import FilenameLists, ImageSource, Notes, SceneSource, ViewSource
+from mrgs.data.sources import FilenameLists, ImageSource, ReadingNotes, SceneSource, ViewSource
 from mrgs.scene import RGB, Modality, PointCloud, known_modalities
 
 MOST_MODALITIES = 16
@@ -86,7 +86,7 @@ def read_transforms(root: Path, file: Path) -> SceneSource:
     Raises:
         SceneError: the file is damaged, or an image that it names is missing.
     """
-    return _Reader(root, file).capture()
+    return _TransformsReader(root, file).capture()
 
 
 def lens_from_json(
@@ -140,7 +140,7 @@ def lens_from_json(
     return checked_lens(lens, what, file)
 
 
-class _Reader:
+class _TransformsReader:
     """Holds what every step needs: the folder, the file's content and the notes."""
 
     def __init__(self, root: Path, file: Path) -> None:
@@ -148,7 +148,7 @@ class _Reader:
         self.file = file
         self.top = read_json_object(file)
         self.images = ImageFinder(root)
-        self.notes = Notes()
+        self.notes = ReadingNotes()
         self.modalities = self._modalities()
 
     def _modalities(self) -> tuple[Modality, ...]:

@@ -14,7 +14,7 @@ from mrgs.data.lens import Lens
 from mrgs.scene import Modality, PointCloud
 
 
-class Notes:
+class ReadingNotes:
     """What the reader decided or repaired, one sentence each.
 
     Attributes:
@@ -92,5 +92,5 @@ class SceneSource:
     file: Path
     views: Sequence[ViewSource]
     points: PointCloud | None
-    notes: Notes
+    notes: ReadingNotes
     lists: FilenameLists = field(default_factory=FilenameLists)

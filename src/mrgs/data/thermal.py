@@ -11,13 +11,13 @@ from torch import Tensor
 
 from mrgs.data.files import contained, finite_number, is_file, read_json_object, scene_error
 from mrgs.data.images import Kind, decode, with_channels
-from mrgs.data.sources import Notes
+from mrgs.data.sources import ReadingNotes
 from mrgs.scene import TemperatureRange
 
 BOUNDS_FILES = ("temperature_bounds.json", "thermal/temperature_bounds.json")
 
 
-def read_bounds(root: Path, notes: Notes) -> TemperatureRange | None:
+def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
     """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
     without a file.
 
@@ -58,7 +58,7 @@ def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
     return _range(low, max(high, low + 1.0), paths[0].parent)
 
 
-def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Notes) -> Kind:
+def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
     """The common kind of all thermal images; notes what follows from it.
 
     Raises:

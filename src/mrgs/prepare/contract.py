@@ -197,7 +197,7 @@ class Georeference:
 
 
 @dataclass(frozen=True)
-class Summary:
+class StageSummary:
     """The result of a stage, for the user.
 
     Attributes:

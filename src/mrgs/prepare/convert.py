@@ -51,7 +51,7 @@ Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
 
 
-class _Settings(NamedTuple):
+class _Conversion(NamedTuple):
     """How a pair is converted: the scene's folder, the user's overrides, the unit that was guessed
     for numbers in this file format, and the orientations."""
 
@@ -62,7 +62,7 @@ class _Settings(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Outcome:
+class _CachedPair:
     """What a pair was converted to; else why it cannot be used."""
 
     view: ConvertedView | None
@@ -115,7 +115,7 @@ def convert_photos(
         progress("reading and writing", index, len(pairing.pairs))
         suffix = pair.photos[THERMAL].suffix.lower()
         unit = units.get(suffix)
-        outcome = _cached(pair, _Settings(scene, overrides, unit, orientations), cache)
+        outcome = _cached(pair, _Conversion(scene, overrides, unit, orientations), cache)
         if (view := outcome.view) is None:
             skipped.append(Skipped(pair.name, outcome.refusal))
             continue
@@ -134,31 +134,31 @@ def convert_photos(
     return ConvertedPhotos(tuple(views), tuple(skipped), _differing_parameters(views))
 
 
-def _cached(pair: PhotoPair, settings: _Settings, cache: Cache) -> _Outcome:
+def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache) -> _CachedPair:
     """The pair's view or refusal, from the cache if its photos and images are unchanged."""
 
-    def make() -> _Outcome:
+    def make() -> _CachedPair:
         try:
-            return _Outcome(_convert(pair, stamp, settings))
+            return _CachedPair(_convert(pair, stamp, settings))
         except SceneError as error:
             if not all(digest(path) for path in pair.photos.values()):
                 raise  # permissions or a network drive, which the next call may find restored
-            return _Outcome(None, str(error))
+            return _CachedPair(None, str(error))
 
     try:
         stamp = _stamp(pair)
         return cache.get(
             f"{VIEWS}/{pair.name}",
-            _Outcome,
+            _CachedPair,
             (_VERSION, pair, stamp, *settings[1:]),
             make,
             lambda found: [settings.scene / file for file in found.files],
         )
     except SceneError as error:
-        return _Outcome(None, str(error))
+        return _CachedPair(None, str(error))
 
 
-def _convert(pair: PhotoPair, stamp: Stamp, settings: _Settings) -> ConvertedView:
+def _convert(pair: PhotoPair, stamp: Stamp, settings: _Conversion) -> ConvertedView:
     """Read a pair, rotate it upright and write it.
 
     Raises:

@@ -23,7 +23,7 @@ from mrgs.data.images import probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import point_cloud
-from mrgs.data.sources import Notes
+from mrgs.data.sources import ReadingNotes
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud
@@ -101,7 +101,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     )
 
 
-def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, Notes]:
+def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes]:
     """Poses by the names of their images without folders and extension, points, the name of the
     file, and what was repaired."""
     if folder.suffix == ".json" and is_file(folder):
@@ -118,7 +118,7 @@ def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, s
             folder,
             f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one",
         )
-    notes = Notes()
+    notes = ReadingNotes()
     poses = [
         RegisteredImage(_stem(image.name), image.lens, image.viewmat)
         for image in read_images(model)
@@ -128,7 +128,7 @@ def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, s
 
 def _from_transforms(
     root: Path, file: Path
-) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, Notes]:
+) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes]:
     source = read_transforms(root, file)
     poses = []
     for view in source.views:

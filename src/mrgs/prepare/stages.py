@@ -19,7 +19,7 @@ from mrgs.prepare.contract import (
     Pairing,
     Reconstruction,
     StageReport,
-    Summary,
+    StageSummary,
     TooFewPosesError,
 )
 from mrgs.prepare.convert import convert_photos
@@ -42,7 +42,7 @@ from mrgs.prepare.work import Work
 from mrgs.scene.modality import in_order
 
 
-def pairs(work: Work) -> Summary:
+def pairs(work: Work) -> StageSummary:
     """Which photos belong together; depends on the names and times of all files."""
     rule, table, tolerance_s = (
         work.options.pairs,
@@ -59,7 +59,7 @@ def pairs(work: Work) -> Summary:
     return summarize_pairs(work.pairing)
 
 
-def images(work: Work) -> Summary:
+def images(work: Work) -> StageSummary:
     """The photos of all pairs as colours and temperatures; each pair is cached on its own."""
     work.images = convert_photos(
         work.pairing,
@@ -72,7 +72,7 @@ def images(work: Work) -> Summary:
     return summarize_photos(work.images)
 
 
-def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) -> Summary:
+def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) -> StageSummary:
     """Camera poses, given or by ``reconstruct``; they depend on the posed images alone, so that
     other temperatures do not matter."""
     views = work.images.views
@@ -95,7 +95,7 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) 
     return summarize_poses(work.poses)
 
 
-def scale_and_north(work: Work) -> Summary:
+def scale_and_north(work: Work) -> StageSummary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
     found, distance = work.posed, work.options.known_distance
     as_given = work.options.poses is not None
@@ -106,10 +106,10 @@ def scale_and_north(work: Work) -> Summary:
         (found, gps, distance, as_given),
         lambda: georeference(found, gps, distance, as_given=as_given),
     )
-    return Summary((work.georeference.text,), work.georeference.warnings)
+    return StageSummary((work.georeference.text,), work.georeference.warnings)
 
 
-def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> Summary:
+def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> StageSummary:
     """Intrinsics and extrinsics of the thermal camera. A target may also give the scale, which then
     changes the scene's world."""
     options, posed, metric = work.options, work.posed, work.metric
@@ -137,7 +137,7 @@ class WrittenScene:
     range_c: tuple[float, float] | None
 
 
-def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -> Summary:
+def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -> StageSummary:
     """``transforms.json``, points and bounds; ``load_scene`` reads them once as a check."""
 
     def write() -> WrittenScene:
@@ -159,10 +159,10 @@ def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -
     bounds = "no °C"
     if written.range_c is not None:
         bounds = "{:g} °C to {:g} °C".format(*written.range_c)
-    return Summary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
+    return StageSummary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
 
 
-def page(work: Work, write_page: Callable[..., Path] = write_page) -> Summary:
+def page(work: Work, write_page: Callable[..., Path] = write_page) -> StageSummary:
     """The HTML page that shows the results."""
     reported = [(report.title, report.lines, report.warnings) for report in work.reports]
     name = work.cache.get(
@@ -172,7 +172,7 @@ def page(work: Work, write_page: Callable[..., Path] = write_page) -> Summary:
         lambda: write_page(work).name,
         lambda name: [work.scene / name],
     )
-    return Summary((f"{work.scene / name}",))
+    return StageSummary((f"{work.scene / name}",))
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, Summary
+from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, StageSummary
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.scene import THERMAL, Modality
 
@@ -13,15 +13,15 @@ SCALE_TOLERANCE = 0.03
 """Two sources of the scene's scale may differ by this share."""
 
 
-def summarize_pairs(pairing: Pairing) -> Summary:
+def summarize_pairs(pairing: Pairing) -> StageSummary:
     """How many pairs there are, and how they were found."""
     lines = [f"{_count(len(pairing.pairs), 'pair')}. {pairing.rule}"]
     if pairing.skipped:
         lines.append(f"{_count(len(pairing.skipped), 'file')} skipped.")
-    return Summary(tuple(lines), pairing.warnings)
+    return StageSummary(tuple(lines), pairing.warnings)
 
 
-def summarize_photos(photos: ConvertedPhotos) -> Summary:
+def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
     """Cameras and temperatures of the photos; each warning once, with the number of its photos."""
     views = photos.views
     ranges = [view.range_c for view in views if view.range_c is not None]
@@ -42,23 +42,25 @@ def summarize_photos(photos: ConvertedPhotos) -> Summary:
     for view in views:
         for text in view.facts.warnings:
             by_text.setdefault(text, []).append(view.name)
-    return Summary(
+    return StageSummary(
         tuple(lines),
         (*photos.warnings, *(_with_photos(text, names) for text, names in by_text.items())),
     )
 
 
-def summarize_poses(reconstruction: Reconstruction) -> Summary:
+def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
     """Source of the poses and their reprojection error."""
     lines = [reconstruction.source]
     if reconstruction.reprojection_px is not None:
         lines[0] += f" Reprojection error {reconstruction.reprojection_px:.2f} px."
     if reconstruction.failed:
         lines.append(f"{_count(len(reconstruction.failed), 'image')} without a pose.")
-    return Summary(tuple(lines), reconstruction.warnings)
+    return StageSummary(tuple(lines), reconstruction.warnings)
 
 
-def summarize_thermal_camera(rig: RigCalibration | None, posed: Modality, metric: bool) -> Summary:
+def summarize_thermal_camera(
+    rig: RigCalibration | None, posed: Modality, metric: bool
+) -> StageSummary:
     """Field of view, offset and residuals of the thermal camera.
 
     Args:
@@ -68,7 +70,7 @@ def summarize_thermal_camera(rig: RigCalibration | None, posed: Modality, metric
     """
     if rig is None:
         alone = posed == THERMAL
-        return Summary(
+        return StageSummary(
             ("There are only thermal images." if alone else "One camera took both images.",)
         )
     width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
@@ -88,7 +90,7 @@ def summarize_thermal_camera(rig: RigCalibration | None, posed: Modality, metric
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
-    return Summary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
+    return StageSummary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
 
 
 def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from mrgs.prepare.contract import (
     Reconstruction,
     Skipped,
     StageReport,
-    Summary,
+    StageSummary,
 )
 from mrgs.prepare.georeference import apply
 from mrgs.prepare.options import PrepareOptions
@@ -82,7 +82,7 @@ class Work:
         """Report progress within the current stage; a :data:`Progress`."""
         self.on_progress(f"{self._title}: {step}", done, total)
 
-    def run(self, title: str, stage: Callable[..., Summary], *arguments: Any) -> None:
+    def run(self, title: str, stage: Callable[..., StageSummary], *arguments: Any) -> None:
         """Run a stage, which adds its results to the work, and report its summary.
 
         Args:

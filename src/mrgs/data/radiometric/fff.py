@@ -24,7 +24,7 @@ _MAX_ENTRIES = 4096
 ByteOrder = Literal["<", ">"]
 
 
-class Fields:
+class RecordFields:
     """Numbers at given offsets of a record; None where the record is too short to hold them."""
 
     def __init__(self, data: bytes, order: ByteOrder) -> None:
