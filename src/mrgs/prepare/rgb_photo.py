@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PIL import Image, JpegImagePlugin
+from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from mrgs.data.files import read_bytes, scene_error
@@ -17,8 +18,6 @@ from mrgs.data.images import probe
 from mrgs.data.radiometric import VisibleImage, read_exif
 from mrgs.data.radiometric.exif import clean_text
 
-_MAKE, _MODEL = 0x010F, 0x0110
-_EXIF_IFD, _DATE_TIME_ORIGINAL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x9003, 0x920A, 0xA405
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -130,15 +129,15 @@ def _kept_exif(original: Image.Image) -> bytes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             main = original.getexif()
-            photo = main.get_ifd(_EXIF_IFD)
-            texts = {tag: clean_text(main.get(tag)) for tag in (_MAKE, _MODEL)}
+            photo = main.get_ifd(IFD.Exif)
+            texts = {tag: clean_text(main.get(tag)) for tag in (Base.Make, Base.Model)}
             kept.update({tag: text for tag, text in texts.items() if text is not None})
             details = {
-                _DATE_TIME_ORIGINAL: clean_text(photo.get(_DATE_TIME_ORIGINAL)),
-                _FOCAL_LENGTH: _focal_length_mm(photo.get(_FOCAL_LENGTH)),
-                _FOCAL_LENGTH_35MM: _short(photo.get(_FOCAL_LENGTH_35MM)),
+                Base.DateTimeOriginal: clean_text(photo.get(Base.DateTimeOriginal)),
+                Base.FocalLength: _focal_length_mm(photo.get(Base.FocalLength)),
+                Base.FocalLengthIn35mmFilm: _short(photo.get(Base.FocalLengthIn35mmFilm)),
             }
-            kept.get_ifd(_EXIF_IFD).update(
+            kept.get_ifd(IFD.Exif).update(
                 {tag: value for tag, value in details.items() if value is not None}
             )
             return kept.tobytes()

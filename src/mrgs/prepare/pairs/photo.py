@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from PIL import Image
+from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import read_bytes
 from mrgs.data.radiometric import ExifFacts, dji, fff, jpeg, read_exif
@@ -29,7 +30,6 @@ _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw",
     ".raf", ".orf", ".rw2",
 }  # fmt: skip
-_EXIF_IFD, _FOCAL_LENGTH = 0x8769, 0x920A
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
             )  # of damaged tags; the photo's pixels are judged when they are read
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 size, mode = image.size, image.mode
-                focal_mm = _focal_mm(image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_LENGTH))
+                focal_mm = _focal_mm(image.getexif().get_ifd(IFD.Exif).get(Base.FocalLength))
     except Exception:  # Pillow's readers of damaged headers raise almost anything
         return "cannot be decoded as an image; copy or export it again"
     exif = read_exif(data)

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter, zoom
 
 from mrgs.prepare.rig.images import sampled
 from mrgs.prepare.rig.target.lattice import Cell, lattices
-from mrgs.prepare.rig.target.plane import homography, transformed
+from mrgs.prepare.rig.target.plane import board_points, homography, transformed
 from mrgs.prepare.rig.target.saddles import Saddles, find_saddles, refined
 
 _LARGEST_PX = 1280
@@ -139,13 +139,10 @@ def _fitted(
 ) -> Corners | None:
     """The board's corners from those in ``cells``; None if it is not there."""
     columns, rows = inner
-    every = (
-        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        .reshape(-1, 2)
-        .astype(float)
-    )
     known = np.array(list(cells), dtype=float)
-    pixels = transformed(homography(known, saddles.pixels[list(cells.values())]), every)
+    pixels = transformed(
+        homography(known, saddles.pixels[list(cells.values())]), board_points(*inner)
+    )
     for (column, row), point in cells.items():
         pixels[row * columns + column] = saddles.pixels[point]
     grid = pixels.reshape(rows, columns, 2)

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.target.detect import Corners
-from mrgs.prepare.rig.target.plane import plane_pose
+from mrgs.prepare.rig.target.plane import board_points, plane_pose
 from mrgs.prepare.rig.target.sightings import Sighting
 from mrgs.scene.rotations import matrix_from_rotvec
 from mrgs.scene.view import spread
@@ -99,7 +99,8 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Targ
     Raises:
         SceneError: the target is not stationary, and the width of its squares is not known.
     """
-    plane = _plane(sightings[0])
+    rows, columns, _ = sightings[0].photo.grid.shape
+    plane = board_points(columns, rows)
     views = [_board_poses(sighting, plane) for sighting in sightings]
     board, stationary = _stationary_board(views, plane)
     if board is None and square is None:
@@ -139,16 +140,6 @@ def _board_poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_B
         axes[:2, 3] = origin
         poses.append(_BoardPose(ordering, motion @ axes))
     return poses
-
-
-def _plane(sighting: Sighting) -> Float[np.ndarray, "n 2"]:
-    """The corners on the board, row by row, a square being 1 wide."""
-    rows, columns, _ = sighting.photo.grid.shape
-    return (
-        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        .reshape(-1, 2)
-        .astype(np.float64)
-    )
 
 
 def _stationary_board(

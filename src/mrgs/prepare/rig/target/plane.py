@@ -1,4 +1,4 @@
-"""Planes seen in perspective."""
+"""A plane in perspective."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform, rotvec_from_matrix
+
+
+def board_points(columns: int, rows: int) -> Float[np.ndarray, "n 2"]:
+    """The inner corners on a board whose squares are 1 wide: x, y, row by row."""
+    grid = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    return np.stack(grid, axis=-1).reshape(-1, 2)
 
 
 def homography(
