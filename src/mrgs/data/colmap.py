@@ -20,7 +20,7 @@ from mrgs.data.thermal import BOUNDS_FILES
 from mrgs.scene import RGB, THERMAL, Modality
 
 FOLDERS = {RGB: ("rgb", "images"), THERMAL: ("thermal",)}
-"""Where the images of each modality may lie; the first folder that is there is used."""
+"""Possible folders of each modality's images; the first that exists is used."""
 
 Registered = dict[tuple[Modality, str], RegisteredImage]
 """Registered images by modality and key."""

@@ -41,7 +41,7 @@ from mrgs.scene import RGB, Modality, PointCloud, known_modalities
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)
-"""Of the image files that are read."""
+"""Supported numbers of channels in image files."""
 _TAKEN = re.compile(
     r"images|.*masks|sparse|truth|train|val|test|eval|temperature_c|thermal_normalised|depth_.*"
 )
@@ -152,7 +152,7 @@ class _TransformsReader:
         self.modalities = self._modalities()
 
     def _modalities(self) -> tuple[Modality, ...]:
-        """Those that frames may have: the known ones, and those that the file lists."""
+        """Modalities of the frames: the known ones, and those that the file lists."""
         listed = self.top.get("modalities", [])
         if not isinstance(listed, list) or len(listed) > MOST_MODALITIES:
             raise scene_error(

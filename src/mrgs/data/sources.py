@@ -15,7 +15,7 @@ from mrgs.scene import Modality, PointCloud
 
 
 class ReadingNotes:
-    """What the reader decided or repaired, one sentence each.
+    """Decisions and repairs of the reader, one sentence each.
 
     Attributes:
         all: every sentence in order, for ``Scene.notes``.

@@ -1,4 +1,4 @@
-"""Which views are learnt from, and which are held out."""
+"""Split of the views: training and evaluation."""
 
 from __future__ import annotations
 

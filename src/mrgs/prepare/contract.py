@@ -67,7 +67,7 @@ class TooFewPosesError(SceneError):
 
 @dataclass(frozen=True)
 class Pairing:
-    """Which photos belong together.
+    """The pairs of a folder of photos.
 
     Attributes:
         pairs: in natural order of their names.
@@ -230,7 +230,7 @@ class StageReport:
 
 @dataclass(frozen=True)
 class Preparation:
-    """What ``prepare`` returns.
+    """Result of ``prepare``.
 
     Attributes:
         scene: the scene's folder.

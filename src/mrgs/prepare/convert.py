@@ -36,7 +36,7 @@ from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.atomic import remove, replacing
 
 IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
-"""Of the scene's folder."""
+"""Folders of the images in the scene's folder."""
 
 VIEWS = "photos"
 """The folder in the cache that holds a result for each pair."""
@@ -52,8 +52,8 @@ Orientations = Mapping[Modality, int]
 
 
 class _Conversion(NamedTuple):
-    """How a pair is converted: the scene's folder, the user's overrides, the unit that was guessed
-    for numbers in this file format, and the orientations."""
+    """Settings for the conversion of a pair: the scene's folder, the user's overrides, the unit
+    that was guessed for numbers in this file format, and the orientations."""
 
     scene: Path
     overrides: Overrides
@@ -63,7 +63,7 @@ class _Conversion(NamedTuple):
 
 @dataclass(frozen=True)
 class _CachedPair:
-    """What a pair was converted to; else why it cannot be used."""
+    """The view of a pair; else the reason why it cannot be used."""
 
     view: ConvertedView | None
     refusal: str = ""

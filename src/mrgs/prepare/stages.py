@@ -130,7 +130,7 @@ def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> StageSum
 
 @dataclass(frozen=True)
 class WrittenScene:
-    """What training will read: numbers of views, lowest and highest temperature in °C."""
+    """Numbers of views, and lowest and highest temperature in °C, as training will read them."""
 
     train: int
     eval: int

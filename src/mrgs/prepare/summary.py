@@ -14,7 +14,7 @@ SCALE_TOLERANCE = 0.03
 
 
 def summarize_pairs(pairing: Pairing) -> StageSummary:
-    """How many pairs there are, and how they were found."""
+    """Number of pairs, and the rule that found them."""
     lines = [f"{_count(len(pairing.pairs), 'pair')}. {pairing.rule}"]
     if pairing.skipped:
         lines.append(f"{_count(len(pairing.skipped), 'file')} skipped.")

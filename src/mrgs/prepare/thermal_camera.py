@@ -170,7 +170,7 @@ def _load(path: Path) -> Pixels:
 
 
 def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
-    """What the user knows of the thermal camera, in scene units.
+    """The user's options for the thermal camera, in scene units.
 
     Raises:
         SceneError: the camera's file does not fit the thermal images, or its offset cannot be used

@@ -1,4 +1,4 @@
-"""What EXIF says of the camera, the time, the place and the orientation."""
+"""Facts in EXIF data: camera, time, position and orientation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GpsPosition:
 
 @dataclass(frozen=True)
 class ExifFacts:
-    """What EXIF says; None where it does not, or where it is damaged.
+    """Facts in EXIF data; None where one is missing or damaged.
 
     Attributes:
         make: the maker of the camera.

@@ -9,7 +9,7 @@ import pycolmap
 from mrgs.prepare.colmap.job import ReconstructionJob, Report, threads
 
 CAMERA = 1
-"""Its number in the database."""
+"""Number of the camera in the database."""
 
 CAMERA_MODEL = "SIMPLE_RADIAL"
 MAX_FEATURES = 4096

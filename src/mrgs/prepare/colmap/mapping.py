@@ -27,7 +27,7 @@ FEW_IMAGES = 8
 """In smaller sets, points that only two images see are used as well."""
 
 FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
-"""Of the first pair, and of each further image; COLMAP's are 100 and 30."""
+"""Fewest matches of the first pair and of each further image; COLMAP's are 100 and 30."""
 
 
 def map_images(job: ReconstructionJob, report: Report) -> None:

@@ -21,7 +21,7 @@ LARGE_UP_TO = 60
 """Up to this many pairs the thumbnails are large."""
 
 MOST_SHOWN = 120
-"""Of more pairs than this, only some are shown."""
+"""Largest number of pairs that are shown."""
 
 _BAR_PX = 420
 

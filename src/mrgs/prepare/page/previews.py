@@ -97,7 +97,7 @@ def preview_of_files(
 
 
 def views_text(names: Sequence[str], most: int = 5) -> str:
-    """How many views, and the first of them by name, in a sentence."""
+    """Number of views and the names of the first ones, for a sentence."""
     shown = ", ".join(names[:most])
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{len(names)} view{'' if len(names) == 1 else 's'} ({shown}{more})"

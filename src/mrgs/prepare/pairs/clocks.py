@@ -16,7 +16,7 @@ _TRIED = 24
 """Number of the most frequent differences of two times that are tried as offsets."""
 
 _LOOKED_AT = 50_000
-"""Of the differences sorted by frequency, only so many are searched."""
+"""Number of differences, the most frequent first, that are searched."""
 
 _FEWEST = 3
 """Fewer pairs than this prove no offset."""
@@ -27,7 +27,7 @@ _RANK_S = 1e-5
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How far the clock of the first camera is ahead of that of the second.
+    """Offset between the clocks of two cameras.
 
     Attributes:
         seconds: time on the first clock minus time on the second, at the same moment.

@@ -140,7 +140,7 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
     "image": _image,
     "dji": _image,
 }
-"""What inspects a file of each kind."""
+"""The function that inspects a file of each kind."""
 
 
 def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:

@@ -53,7 +53,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Match:
-    """What a rule finds.
+    """Pairs found by a rule.
 
     Attributes:
         pairs: in natural order of the reference photos.

@@ -117,7 +117,7 @@ class RigView:
 
 @dataclass(frozen=True)
 class TargetFit:
-    """How well the calibration fits the target.
+    """Fit of the calibration to the target.
 
     Attributes:
         pairs: number of pairs that show it in both images.

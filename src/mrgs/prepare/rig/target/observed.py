@@ -95,7 +95,7 @@ class ObservedTarget:
         )
 
     def fit(self, adjusted: Adjusted, observations: Observations) -> TargetFit:
-        """How the adjusted cameras fit the target."""
+        """Reprojection errors of the target's corners in the adjusted cameras, and its scale."""
         residuals = adjusted.residual_px[observations.kinds == CORNERS]
         if not len(residuals):
             residuals = torch.full((1,), torch.nan)

@@ -1,4 +1,4 @@
-"""Which pairs show the target, and which of its corners is which."""
+"""Detection of the target in all pairs, and the order of its corners."""
 
 from __future__ import annotations
 
