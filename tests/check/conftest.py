@@ -11,7 +11,7 @@ from mrgs.check.poses import pose_problems
 from mrgs.check.problems import Problem
 from mrgs.check.statistics import ViewStatistics, measure_view
 from mrgs.data import load_scene
-from mrgs.scene import Pixels, PosedImage, Scene, View
+from mrgs.scene import Scene, View
 
 TABLETOP = Path(__file__).parents[2] / "examples" / "tabletop"
 
@@ -53,11 +53,6 @@ class Checked:
         )
 
 
-def with_pixels(image: PosedImage, change: Callable[[Pixels], Pixels]) -> PosedImage:
-    """The image with other pixels."""
-    return replace(image, load=lambda: change(image.load()))
-
-
 @pytest.fixture(scope="session")
 def tabletop() -> Checked:
     """The bundled scene with every second of its training views; only to be read."""
@@ -67,9 +62,3 @@ def tabletop() -> Checked:
     return Checked(
         scene, {view.name: measure_view(view, "training", scene.temperature, 320) for view in views}
     )
-
-
-@pytest.fixture(scope="session")
-def repainted() -> Callable[[PosedImage, Callable[[Pixels], Pixels]], PosedImage]:
-    """``repainted(image, change)`` has other pixels."""
-    return with_pixels

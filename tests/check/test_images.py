@@ -13,7 +13,7 @@ from mrgs.check.images import image_problems
 from mrgs.check.statistics import sharpness
 from mrgs.data.files import scene_error
 from mrgs.scene import RGB, THERMAL, Pixels, View
-from tests.helpers.changed_views import with_image, without
+from tests.helpers.changed_views import repainted, with_image, without
 
 
 def only_problem(looked, severity: str = "warning"):
@@ -76,24 +76,28 @@ def test_images_of_several_sizes_are_told(tabletop):
     assert "The thermal images are not of one size: 1 of 160×120 px, 27 of 320×240 px" in problem
 
 
-def test_flat_thermal_images_are_told(tabletop, repainted):
-    def flat(pixels: Pixels) -> Pixels:
+@pytest.mark.parametrize("modality", [RGB, THERMAL])
+def test_uniform_images_are_told(tabletop, modality):
+    """Those of a camera whose lens cap was on."""
+
+    def uniform(pixels: Pixels) -> Pixels:
         return replace(pixels, values=torch.full_like(pixels.values, 0.3))
 
     changed = tabletop.changed(
-        lambda view: with_image(view, THERMAL, lambda image: repainted(image, flat)),
+        lambda view: with_image(view, modality, lambda image: repainted(image, uniform)),
         every=100,
         first=2,
     )
-    texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
-    ]
-    assert any(
-        f"The thermal image of 1 view ({tabletop.scene.train[2].name}) is flat" in t for t in texts
+    problems = image_problems(changed.scene, list(changed.statistics.values()))
+    (found,) = [problem for problem in problems if "uniform" in problem.text]
+    assert (found.severity, found.text) == (
+        "warning",
+        f"The {modality.title} image of 1 view ({tabletop.scene.train[2].name}) is uniform: all "
+        f"its pixels have nearly the same value, as behind a lens cap.",
     )
 
 
-def test_saturated_thermal_images_are_told(tabletop, repainted):
+def test_saturated_thermal_images_are_told(tabletop):
     def clipped(pixels: Pixels) -> Pixels:
         return replace(pixels, values=pixels.values.clamp(max=0.27) / 0.27)
 
@@ -108,7 +112,7 @@ def test_saturated_thermal_images_are_told(tabletop, repainted):
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.06), (0.6, 0.0)])
-def test_automatic_gain_is_told(tabletop, repainted, gain, offset):
+def test_automatic_gain_is_told(tabletop, gain, offset):
     def changed_gain(pixels: Pixels) -> Pixels:
         return replace(pixels, values=pixels.values * gain + offset)
 
@@ -125,7 +129,7 @@ def test_automatic_gain_is_told(tabletop, repainted, gain, offset):
     ), texts
 
 
-def test_automatic_exposure_is_told(tabletop, repainted):
+def test_automatic_exposure_is_told(tabletop):
     def darker(pixels: Pixels) -> Pixels:
         return replace(pixels, values=pixels.values * 0.7)
 
@@ -140,7 +144,7 @@ def test_automatic_exposure_is_told(tabletop, repainted):
     lambda image: gaussian_filter(image, (2, 2, 0)),
     lambda image: uniform_filter1d(image, 9, axis=1),
 ])  # fmt: skip
-def test_blurred_photos_are_told(tabletop, repainted, blur):
+def test_blurred_photos_are_told(tabletop, blur):
     def blurred(pixels: Pixels) -> Pixels:
         return replace(pixels, values=torch.from_numpy(blur(pixels.values.numpy())))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.capture import Notes
 from mrgs.data.points import RANDOM_POINTS, point_cloud, random_points
+from mrgs.data.sources import ReadingNotes
 from mrgs.scene import Camera
 
 K = torch.tensor([[50.0, 0, 32], [0, 50.0, 24], [0, 0, 1]], dtype=torch.float64)
@@ -55,7 +55,7 @@ def test_a_single_camera_is_enough():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200, 1e30])
 def test_points_that_float32_cannot_hold_are_dropped(bad):
-    notes = Notes()
+    notes = ReadingNotes()
     cloud = point_cloud(np.array([[0, 0, bad], [1, 2, -75.0]]), None, notes)
     assert cloud.positions.tolist() == [[1, 2, -75]]
     assert cloud.colors.tolist() == [[0.5, 0.5, 0.5]]
@@ -63,11 +63,11 @@ def test_points_that_float32_cannot_hold_are_dropped(bad):
 
 
 def test_no_points_left():
-    assert point_cloud(np.empty((0, 3)), None, Notes()) is None
+    assert point_cloud(np.empty((0, 3)), None, ReadingNotes()) is None
 
 
 def test_the_transform_is_applied():
     turn = np.array([[0, 1, 0, 5], [1, 0, 0, 0], [0, 0, -1, 0]], dtype=float)
-    assert point_cloud(np.array([[1.0, 2, 3]]), None, Notes(), turn).positions.tolist() == [
+    assert point_cloud(np.array([[1.0, 2, 3]]), None, ReadingNotes(), turn).positions.tolist() == [
         [7, 1, -3]
     ]

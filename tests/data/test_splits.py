@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.data.capture import FilenameLists, Notes
+from mrgs.data.sources import FilenameLists, ReadingNotes
 from mrgs.data.splits import assign_splits
 
 
 def split(keys, lists=FilenameLists()):  # noqa: B008
-    notes = Notes()
+    notes = ReadingNotes()
     return "".join(side[0] for side in assign_splits(keys, lists, notes)), notes
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.capture import Notes
 from mrgs.data.images import probe
+from mrgs.data.sources import ReadingNotes
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import SceneError
 from mrgs.scene import TemperatureRange
@@ -27,14 +27,14 @@ def bounds(root: Path, **content) -> None:
 def test_bounds_in_the_scene_or_in_thermal(tmp_path, folder):
     (tmp_path / "thermal").mkdir()
     bounds(tmp_path / folder, absolute_min_temperature=-4.5, absolute_max_temperature=30)
-    notes = Notes()
+    notes = ReadingNotes()
     assert read_bounds(tmp_path, notes) == TemperatureRange(-4.5, 30.0)
     assert notes.all == []
 
 
 def test_swapped_bounds(tmp_path):
     bounds(tmp_path, absolute_min_temperature=30, absolute_max_temperature=-4.5)
-    notes = Notes()
+    notes = ReadingNotes()
     assert read_bounds(tmp_path, notes) == TemperatureRange(-4.5, 30.0)
     assert "swapped" in notes.repaired[0]
 
@@ -61,7 +61,7 @@ def test_swapped_bounds(tmp_path):
 def test_bounds_that_cannot_be_used(tmp_path, content, message):
     bounds(tmp_path, **content)
     with pytest.raises(SceneError, match=f"temperature_bounds.json: .*{message}"):
-        read_bounds(tmp_path, Notes())
+        read_bounds(tmp_path, ReadingNotes())
 
 
 def test_the_range_of_float_images_is_rounded_outwards(tmp_path):
@@ -106,8 +106,8 @@ def test_kinds_that_do_not_fit_together(tmp_path):
     paths = [tmp_path / "a.png", celsius(tmp_path / "b.tiff", 10.0), tmp_path / "c.png"]
     kinds = [(path, probe(path).kind) for path in paths]
     with pytest.raises(SceneError, match=r"b\.tiff: holds °C, but other thermal images do not"):
-        check_kinds(kinds, False, Notes())
-    notes = Notes()
+        check_kinds(kinds, False, ReadingNotes())
+    notes = ReadingNotes()
     assert check_kinds(kinds, True, notes) == "float"
     assert "luminance" in notes.all[0]
-    assert check_kinds(kinds[:1], True, Notes()) == "grey"
+    assert check_kinds(kinds[:1], True, ReadingNotes()) == "grey"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from mrgs.scene import Camera, Modality, PosedImage, View
+from mrgs.scene import Camera, Modality, Pixels, PosedImage, View
 
 
 def with_image(view: View, modality: Modality, change: Callable[[PosedImage], PosedImage]) -> View:
@@ -26,3 +26,8 @@ def with_cameras(view: View, change: Callable[[Camera], Camera]) -> View:
         for modality, image in view.images.items()
     }
     return replace(view, images=images)
+
+
+def repainted(image: PosedImage, change: Callable[[Pixels], Pixels]) -> PosedImage:
+    """The image with other pixels."""
+    return replace(image, load=lambda: change(image.load()))

@@ -44,7 +44,9 @@ def jpg(pixels: np.ndarray, **options) -> bytes:
 
 @dataclass
 class FlirPhoto:
-    """What is written; ``info_fields`` puts packed bytes at offsets of the camera info."""
+    """What is written; ``info_fields`` puts packed bytes at offsets of the camera info,
+    ``raw_content`` replaces the record of the raw image, and records in ``without`` are left
+    out."""
 
     raw: np.ndarray = field(default_factory=lambda: wave(24, 32))
     storage: Literal["bare", "png", "swapped png"] = "bare"
@@ -56,6 +58,8 @@ class FlirPhoto:
     alignment: tuple = (1.5, 3, -4, 10, 20, 30, 40)
     part_bytes: int = 65_525
     exif: Image.Exif | None = None
+    raw_content: bytes | None = None
+    without: tuple[int, ...] = ()
 
     def camera_info(self) -> bytes:
         info = bytearray(0x470)
@@ -93,12 +97,12 @@ class FlirPhoto:
         return header + png(self.raw.byteswap() if self.storage == "swapped png" else self.raw)
 
     def contents(self) -> dict[int, bytes]:
-        """The records by type."""
-        found = {0x20: self.camera_info(), 0x01: self.raw_data()}
+        """The records by type, but for those in ``without``."""
+        found = {0x20: self.camera_info(), 0x01: self.raw_content or self.raw_data()}
         if self.visible is not None:
             found[0x0E] = struct.pack("<16H", 4, *[0] * 15) + self.visible
             found[0x2A] = struct.pack("<f6h", *self.alignment).ljust(64, b"\0")
-        return found
+        return {kind: found[kind] for kind in found if kind not in self.without}
 
     def record(self) -> bytes:
         """The FFF file: header, directory (big-endian), records."""

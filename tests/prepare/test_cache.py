@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition, ObjectParameters, PhotoFacts
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare.cache import Cache, digest, fingerprint, load, locked, save, stamps
+from mrgs.prepare.cache import MISSING, Cache, digest, fingerprint, load, locked, save, stamps
 from mrgs.prepare.contract import (
     ConvertedImage,
     ConvertedPhotos,
@@ -25,7 +25,7 @@ from mrgs.prepare.contract import (
     Reconstruction,
     Skipped,
 )
-from mrgs.prepare.rig import RigCalibration, RigView
+from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.scene import RGB, THERMAL, PointCloud
 
 EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosition(48.1, -11.5))
@@ -57,8 +57,8 @@ def pairing_of(content) -> Pairing:
 def stored_and_read(folder: Path, value, kind):
     save(folder / "result.safetensors", value, "abc")
     stored = load(folder / "result.safetensors", kind, "abc")
-    assert stored is not None
-    return stored.value
+    assert stored is not MISSING
+    return stored
 
 
 @given(contents)
@@ -127,8 +127,8 @@ def test_numbers_that_are_not_finite_come_back(tmp_path):
 
 def test_what_follows_from_something_else_is_not_taken(tmp_path):
     save(tmp_path / "result.safetensors", "value", "abc")
-    assert load(tmp_path / "result.safetensors", str, "abd") is None
-    assert load(tmp_path / "missing.safetensors", str, "abc") is None
+    assert load(tmp_path / "result.safetensors", str, "abd") is MISSING
+    assert load(tmp_path / "missing.safetensors", str, "abc") is MISSING
 
 
 @pytest.mark.parametrize("damage", [b"", b"{}", b"\xff" * 64, None])
@@ -136,12 +136,12 @@ def test_a_damaged_file_is_as_good_as_none(damage, tmp_path):
     file = tmp_path / "result.safetensors"
     save(file, reconstruction(), "abc")
     file.write_bytes(file.read_bytes()[:-8] if damage is None else damage)
-    assert load(file, Reconstruction, "abc") is None
+    assert load(file, Reconstruction, "abc") is MISSING
 
 
 def test_a_result_of_another_kind_is_not_taken(tmp_path):
     save(tmp_path / "result.safetensors", reconstruction(), "abc")
-    assert load(tmp_path / "result.safetensors", Pairing, "abc") is None
+    assert load(tmp_path / "result.safetensors", Pairing, "abc") is MISSING
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):

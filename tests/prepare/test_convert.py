@@ -16,9 +16,11 @@ from mrgs.prepare import PrepareOptions, convert, stages
 from mrgs.prepare.cache import Cache
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
 from mrgs.prepare.convert import convert_photos
-from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.flir import FlirPhoto
+from tests.helpers.photos import photo
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
 
@@ -80,10 +82,10 @@ def test_a_flir_photo_and_its_visible_photo(made, scene, photos):
     assert found.skipped == found.warnings == ()
 
 
-def test_pixels_without_temperature_are_nan(made, scene, flir):
-    raw = flir().raw
+def test_pixels_without_temperature_are_nan(made, scene):
+    raw = FlirPhoto().raw
     raw[3, 4] = 0
-    (view,) = made({"a.jpg": flir(raw=raw).jpeg()}).views
+    (view,) = made({"a.jpg": FlirPhoto(raw=raw).jpeg()}).views
     assert np.isnan(pixels(scene / view.images[THERMAL].file)).nonzero() == (
         np.array([3]),
         np.array([4]),
@@ -170,7 +172,7 @@ def with_exif(photo: bytes, tags: dict[int, tuple[int, int, bytes]]) -> bytes:
         {0x010F: (3, 1, b"\1\0")},  # Make as a number
     ],
 )
-def test_damaged_exif_does_not_keep_a_photo_from_being_turned(made, scene, photo, damaged):
+def test_damaged_exif_does_not_keep_a_photo_from_being_turned(made, scene, damaged):
     tags = {0x0110: (2, 4, b"X10\0"), 0x0112: (3, 1, b"\6\0")}
     jpeg = with_exif(photo("jpg", size=(32, 16)), tags | damaged)
     made({"rgb/a.jpg": jpeg, "thermal/a.tif": "celsius"})
@@ -181,7 +183,7 @@ def test_damaged_exif_does_not_keep_a_photo_from_being_turned(made, scene, photo
         assert image.getexif().get_ifd(0x8769) == {0x920A: 23.0}
 
 
-def test_exif_that_cannot_be_written_is_left_away(made, scene, photo, monkeypatch):
+def test_exif_that_cannot_be_written_is_left_away(made, scene, monkeypatch):
     def refuse(exif: Image.Exif, offset: int = 8) -> bytes:
         raise struct.error
 
@@ -213,7 +215,7 @@ def test_prepare_turns_images_only_where_it_finds_the_poses(photos, scene):
     )
     for poses, shape in ((None, (32, 16, 3)), (scene, (16, 32, 3))):
         work = Work(root, scene, PrepareOptions(poses=poses), pairing=find_pairs(root))
-        stages.images(work)
+        work.run("images", stages.images)
         assert not work.reports[0].reused
         (view,) = work.images.views
         assert pixels(scene / view.images[RGB].file).shape == shape
@@ -283,10 +285,10 @@ def test_photos_with_and_without_temperatures_are_not_mixed(made, scene):
     assert sorted(contents(scene / "images")) == ["a.jpg"]
 
 
-def test_parameters_that_differ_are_told(made, flir):
-    parameters = flir().parameters
+def test_parameters_that_differ_are_told(made):
+    parameters = FlirPhoto().parameters
     content = {
-        f"{i}.jpg": flir(
+        f"{i}.jpg": FlirPhoto(
             parameters={**parameters, "emissivity": value, "window_c": 20.0 + i}
         ).jpeg()
         for i, value in enumerate((0.9, 0.95))
@@ -299,7 +301,7 @@ def test_parameters_that_differ_are_told(made, flir):
     assert made(content, Overrides(emissivity=0.9)).warnings == ()
 
 
-def test_a_bad_photo_is_left_out(made, photo, scene):
+def test_a_bad_photo_is_left_out(made, scene):
     files = {
         f"{i}_{mark}": kind
         for i in range(4)
@@ -334,8 +336,10 @@ def test_no_pairs(scene):
         converted(Pairing((), (), ""), scene)
 
 
-def test_thermal_photos_of_two_sizes(made, flir):
-    content = {f"{i}.jpg": flir(raw=flir().raw[: 24 - i // 2, :]).jpeg() for i in range(3)}
+def test_thermal_photos_of_two_sizes(made):
+    content = {
+        f"{i}.jpg": FlirPhoto(raw=FlirPhoto().raw[: 24 - i // 2, :]).jpeg() for i in range(3)
+    }
     with pytest.raises(
         SceneError,
         match=r"2\.jpg: its thermal image has 32 x 23 pixels, while 2 such as 0\.jpg have 32 x",
@@ -343,8 +347,10 @@ def test_thermal_photos_of_two_sizes(made, flir):
         made(content)
 
 
-def test_visible_photos_of_two_sizes(made, photo, flir):
-    content = {f"{i}.jpg": flir(visible=photo("jpg", size=(16, 12 + i))).jpeg() for i in range(2)}
+def test_visible_photos_of_two_sizes(made):
+    content = {
+        f"{i}.jpg": FlirPhoto(visible=photo("jpg", size=(16, 12 + i))).jpeg() for i in range(2)
+    }
     with pytest.raises(
         SceneError,
         match=r"1\.jpg: its RGB image has 16 x 13 pixels, while 1 such as 0\.jpg have 16 x 12",
@@ -370,7 +376,7 @@ SET = {
 }
 
 
-def test_nothing_is_done_twice(made, monkeypatch, photo, photos):
+def test_nothing_is_done_twice(made, monkeypatch, photos):
     first = made(SET)
     read = []
     original = convert.read_rgb
@@ -384,6 +390,45 @@ def test_nothing_is_done_twice(made, monkeypatch, photo, photos):
     assert read == ["1_rgb.jpg"]
     made({}, Overrides(unit="fahrenheit"))
     assert read == ["1_rgb.jpg", "0_rgb.jpg", "1_rgb.jpg", "2_rgb.jpg"]
+
+
+def test_a_refused_photo_is_not_read_again(made, scene, photos):
+    """Its refusal is kept like an image, until the photo or an override changes."""
+    cut = photo("celsius")[:200]
+    first = made({**SET, "1_t.tif": cut})
+    assert [item.name for item in first.skipped] == ["1"]
+    assert "1_t.tif: " in first.skipped[0].reason
+    results = contents(scene / "prepare")
+    assert made({}) == first
+    assert contents(scene / "prepare") == results
+    cache = Cache(scene / "prepare")
+    convert_photos(find_pairs(photos({})), scene, Overrides(), cache, quiet)
+    assert cache.made == 0
+    convert_photos(find_pairs(photos({})), scene, Overrides(unit="fahrenheit"), cache, quiet)
+    assert cache.made == 3
+    assert [view.name for view in made({"1_t.tif": "celsius"}).views] == ["0", "1", "2"]
+
+
+def test_a_photo_without_permission_is_read_again(photos, scene):
+    """Permissions change neither size nor time: such a refusal is not kept."""
+    root = photos(SET)
+    pairing = find_pairs(root)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("builtins.open", denied(root / "1_rgb.jpg", open))
+        found = converted(pairing, scene)
+    assert "1_rgb.jpg: cannot be" in found.skipped[0].reason
+    assert converted(pairing, scene).skipped == ()
+
+
+def denied(secret: Path, original):
+    """A function that reads files, for a user who may not read one of them."""
+
+    def read(path, *arguments, **options):
+        if str(path) == str(secret):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return original(path, *arguments, **options)
+
+    return read
 
 
 def test_an_image_that_was_removed_is_made_again(made, scene):
@@ -446,7 +491,7 @@ def test_a_full_disk(made, monkeypatch, scene):
         if len(written) == 1 and path.suffix == ".jpg":
             write(path, content[:10])
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if scene in path.parents:
+        if scene in path.parents and path.suffix == ".jpg":
             written.append(path)
         return write(path, content)
 

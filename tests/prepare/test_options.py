@@ -6,7 +6,7 @@ import pytest
 
 from mrgs.errors import ConfigError
 from mrgs.prepare import KnownDistance, PrepareOptions, parse_known_distance, parse_target
-from mrgs.prepare.rig import ChessboardTarget
+from mrgs.prepare.rig.contract import ChessboardTarget
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,13 @@ from mrgs.data import load_scene
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare import PrepareOptions, prepare, stages, thermal_camera
+from mrgs.prepare import Preparation, PrepareOptions, prepare, stages
 from mrgs.prepare.cache import stamps
 from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
-from mrgs.prepare.rig import ChessboardTarget, RigCalibration, RigView, TargetFit
+from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
+from mrgs.prepare.run import Steps
+from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
 
@@ -51,8 +53,15 @@ class Fakes:
     failed: tuple[Skipped, ...] = ()
     fails: str = ""
 
-    def reconstruct(self, images, cameras, work, progress, *, modality) -> Reconstruction:
-        assert cameras.keys() == images.keys()
+    def prepare(self, *arguments, steps: Steps | None = None, **options) -> Preparation:
+        """``prepare`` with these steps, or else with the stand-ins."""
+        return prepare(*arguments, steps=steps or self.steps, **options)
+
+    @property
+    def steps(self) -> Steps:
+        return Steps(self.reconstruct, self.calibrate, write_page=short_page)
+
+    def reconstruct(self, images, work, progress, *, modality) -> Reconstruction:
         self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
         return replace(existing_poses(self.poses, images), images=modality)
@@ -94,13 +103,9 @@ def posed(photos: Path, small_scene: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def fakes(posed: Path, monkeypatch: pytest.MonkeyPatch) -> Fakes:
-    """Poses as they are known, a thermal camera that is not looked for, and a short page."""
-    found = Fakes(posed)
-    monkeypatch.setattr(stages, "write_page", short_page)
-    monkeypatch.setattr(stages, "reconstruct", found.reconstruct)
-    monkeypatch.setattr(thermal_camera, "calibrate_rig", found.calibrate)
-    return found
+def fakes(posed: Path) -> Fakes:
+    """The known poses, a thermal camera that is not searched for, and a short page."""
+    return Fakes(posed)
 
 
 def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
@@ -132,7 +137,7 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
 
 
 def test_the_thermal_camera_comes_into_the_scene(photos, fakes, tmp_path):
-    prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
+    fakes.prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
     assert fakes.calls == ["poses", "thermal camera"]
     view = load_scene(tmp_path / "scene").train[0]
     between = view.images[THERMAL].camera.viewmat @ torch.linalg.inv(
@@ -205,9 +210,9 @@ def test_only_what_follows_from_a_change_is_done_again(
     change, options, expected, photos, fakes, tmp_path
 ):
     scene = tmp_path / "scene"
-    prepare(photos, scene)
+    fakes.prepare(photos, scene)
     change(photos, scene)
-    made = prepare(photos, scene, options)
+    made = fakes.prepare(photos, scene, options)
     assert [report.title for report in made.stages] == STAGES
     assert [report.title for report in made.stages if not report.reused] == expected
     assert load_scene(scene).train
@@ -216,26 +221,26 @@ def test_only_what_follows_from_a_change_is_done_again(
 def test_after_ctrl_c_the_same_call_goes_on(photos, fakes, tmp_path):
     fakes.fails = "thermal camera"
     with pytest.raises(KeyboardInterrupt):
-        prepare(photos, tmp_path / "scene")
+        fakes.prepare(photos, tmp_path / "scene")
     assert not (tmp_path / "scene" / "transforms.json").exists()
     fakes.fails = ""
-    made = prepare(photos, tmp_path / "scene")
+    made = fakes.prepare(photos, tmp_path / "scene")
     assert [report.title for report in made.stages if report.reused] == STAGES[:4]
     assert fakes.calls == ["poses", "thermal camera", "thermal camera"]
 
 
 def test_a_scene_whose_images_have_changed_is_no_scene_until_it_is_whole(photos, fakes, tmp_path):
-    prepare(photos, tmp_path / "scene")
+    fakes.prepare(photos, tmp_path / "scene")
     fakes.fails = "thermal camera"
     with pytest.raises(KeyboardInterrupt):
-        prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
+        fakes.prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
     with pytest.raises(SceneError, match="no scene found"):
         load_scene(tmp_path / "scene")
 
 
 def test_thermal_photos_alone_are_posed_by_themselves(photos, fakes, tmp_path):
     shutil.rmtree(photos / "rgb")
-    made = prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
+    made = fakes.prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
     assert fakes.calls == ["thermal poses"]
     scene = load_scene(tmp_path / "scene")
     assert scene.modalities == (THERMAL,)
@@ -244,14 +249,14 @@ def test_thermal_photos_alone_are_posed_by_themselves(photos, fakes, tmp_path):
 
 def test_progress_names_the_stage_and_the_step(photos, fakes, tmp_path):
     steps = []
-    prepare(photos, tmp_path / "scene", progress=lambda *step: steps.append(step))
+    fakes.prepare(photos, tmp_path / "scene", progress=lambda *step: steps.append(step))
     assert ("poses: matching", 1, 2) in steps
     assert {step.partition(":")[0] for step, _, _ in steps} == set(STAGES)
 
 
 def test_what_was_left_out_is_told(photos, fakes, tmp_path):
     (photos / "rgb" / "shot_03.png").write_bytes(b"torn")
-    made = prepare(photos, tmp_path / "scene")
+    made = fakes.prepare(photos, tmp_path / "scene")
     assert {item.name for item in made.skipped} >= {"notes.txt", "rgb/shot_03.png"}
     assert not any("shot_03" in path.name for path in (tmp_path / "scene" / "images").iterdir())
 
@@ -278,39 +283,37 @@ def test_a_folder_that_cannot_be_used_is_named_and_left_alone(
     (tmp_path / "photos.txt").write_text("mine")
     before = stamps(tmp_path)
     with pytest.raises(kind, match=message):
-        prepare(*folders(tmp_path))
+        fakes.prepare(*folders(tmp_path))
     assert stamps(tmp_path) == before
 
 
-def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path, monkeypatch):
+def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path):
     def fails(*arguments):
         raise SceneError("the thermal camera cannot be placed: noise")
 
-    prepare(photos, tmp_path / "scene")
-    with monkeypatch.context() as patch:
-        patch.setattr(thermal_camera, "calibrate_rig", fails)
-        with pytest.raises(
-            SceneError, match=r"placed: noise; .*prepare\.html shows what was found so far"
-        ):
-            prepare(photos, tmp_path / "scene", PrepareOptions(thermal_fov_deg=50))
+    fakes.prepare(photos, tmp_path / "scene")
+    steps = replace(fakes.steps, calibrate_rig=fails)
+    with pytest.raises(
+        SceneError, match=r"placed: noise; .*prepare\.html shows what was found so far"
+    ):
+        fakes.prepare(photos, tmp_path / "scene", PrepareOptions(thermal_fov_deg=50), steps=steps)
     shown = (tmp_path / "scene" / "prepare.html").read_text(encoding="utf-8")
     assert "The poses of 8 of 8 photos are those of transforms.json." in shown
     assert shown.endswith("the thermal camera cannot be placed: noise")
     assert not (tmp_path / "scene" / "transforms.json").exists()  # of other options
-    made = prepare(photos, tmp_path / "scene")
+    made = fakes.prepare(photos, tmp_path / "scene")
     assert [report.title for report in made.stages if not report.reused] == ["scene files", "page"]
     assert "cannot be placed" not in made.page.read_text(encoding="utf-8")
 
 
-def test_a_target_gives_metres(photos, fakes, tmp_path, monkeypatch):
+def test_a_target_gives_metres(photos, fakes, tmp_path):
     def calibrate(*arguments) -> RigCalibration:
         return replace(fakes.calibrate(*arguments), target=TargetFit(5, 5, (0.1, 0.2), 2.0))
 
-    before = load_scene(prepare(photos, tmp_path / "scene").scene)
-    monkeypatch.setattr(thermal_camera, "calibrate_rig", calibrate)
-    made = prepare(
-        photos, tmp_path / "scene", PrepareOptions(target=ChessboardTarget((7, 6), 0.05))
-    )
+    before = load_scene(fakes.prepare(photos, tmp_path / "scene").scene)
+    options = PrepareOptions(target=ChessboardTarget((7, 6), 0.05))
+    steps = replace(fakes.steps, calibrate_rig=calibrate)
+    made = fakes.prepare(photos, tmp_path / "scene", options, steps=steps)
     assert made.stages[4].lines[-1] == "The target gives the scale: the scene is in metres."
     after = load_scene(made.scene)
     for old, new in zip(before.train, after.train, strict=True):
@@ -324,11 +327,9 @@ def test_a_target_gives_metres(photos, fakes, tmp_path, monkeypatch):
             old.images[RGB].camera.viewmat[:3, :3], new.images[RGB].camera.viewmat[:3, :3]
         )
     assert torch.allclose(2 * before.points.positions, after.points.positions, atol=1e-5)
-    camera = thermal_camera.read_thermal_camera(
-        made.scene / "transforms.json"
-    )  # for other scenes of this camera
+    camera = read_thermal_camera(made.scene / "transforms.json")  # for other scenes of this camera
     assert camera.lens.fx == 41.0
-    assert camera.thermal_from_rgb[0, 3] == pytest.approx(-0.06)
+    assert camera.extrinsics[0, 3] == pytest.approx(-0.06)
 
 
 def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, tmp_path):
@@ -361,11 +362,11 @@ def test_a_folder_of_the_user_s_that_is_called_prepare_is_left_alone(photos, fak
         RunError,
         match="scene holds something that `mrgs prepare` did not make: choose a new folder",
     ):
-        prepare(photos, tmp_path / "scene")
+        fakes.prepare(photos, tmp_path / "scene")
     assert [path.name for path in (tmp_path / "scene").rglob("*")] == ["prepare", "notes.txt"]
 
 
-def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, monkeypatch):
+def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path):
     told = []
 
     def fails(*arguments, **options):
@@ -377,47 +378,43 @@ def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path, mon
         told.extend((*work.skipped, *without_pose))
         return work.scene / "prepare.html"
 
-    monkeypatch.setattr(stages, "reconstruct", fails)
-    monkeypatch.setattr(stages, "write_page", page)
+    steps = Steps(reconstruct=fails, write_page=page)
     with pytest.raises(
         SceneError, match=r"only 2 of 8 photos could be placed; .*prepare\.html shows"
     ):
-        prepare(photos, tmp_path / "scene")
+        fakes.prepare(photos, tmp_path / "scene", steps=steps)
     assert told == [Skipped("notes.txt", told[0].reason), Skipped("view_3", "too little texture")]
 
 
-def test_a_page_that_cannot_be_written_hides_no_error(photos, fakes, tmp_path, monkeypatch):
+def test_a_page_that_cannot_be_written_hides_no_error(photos, fakes, tmp_path):
     def fails(*arguments, **options):
         raise SceneError("noise")
 
     def full(*arguments, **options):
         raise RunError("the disk is full")
 
-    monkeypatch.setattr(stages, "reconstruct", fails)
-    monkeypatch.setattr(stages, "write_page", full)
+    steps = Steps(reconstruct=fails, write_page=full)
     with pytest.raises(SceneError, match=r"^noise$"):
-        prepare(photos, tmp_path / "scene")
+        fakes.prepare(photos, tmp_path / "scene", steps=steps)
 
 
 def test_two_at_once_are_refused(photos, fakes, tmp_path):
-    prepare(photos, tmp_path / "scene")
+    fakes.prepare(photos, tmp_path / "scene")
     with (
         FileLock(tmp_path / "scene" / "prepare" / ".lock"),
         pytest.raises(RunError, match="by another run: wait"),
     ):
-        prepare(photos, tmp_path / "scene")
+        fakes.prepare(photos, tmp_path / "scene")
 
 
-def test_a_full_disk_is_told_and_the_rest_is_kept(photos, fakes, tmp_path, monkeypatch):
+def test_a_full_disk_is_told_and_the_rest_is_kept(photos, fakes, tmp_path):
     def full(*arguments, **options):
         raise RunError(
             "transforms.json cannot be written (No space left on device): free the place or "
             "choose another"
         )
 
-    with monkeypatch.context() as patch:
-        patch.setattr(stages, "write_scene", full)
-        with pytest.raises(RunError, match="No space left"):
-            prepare(photos, tmp_path / "scene")
-    made = prepare(photos, tmp_path / "scene")
+    with pytest.raises(RunError, match="No space left"):
+        fakes.prepare(photos, tmp_path / "scene", steps=replace(fakes.steps, write_scene=full))
+    made = fakes.prepare(photos, tmp_path / "scene")
     assert [report.title for report in made.stages if not report.reused] == ["scene files", "page"]

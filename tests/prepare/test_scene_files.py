@@ -19,7 +19,7 @@ from mrgs.data.undistort import pinhole_of
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions
 from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
-from mrgs.prepare.rig import RigCalibration, RigView
+from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
@@ -124,10 +124,10 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
     assert [view.name for view in scene.eval] == ["shot_0", "shot_5", "shot_9"]
     views = {view.name: view for view in (*scene.train, *scene.eval)}
     assert set(views) == set(names)
-    for index, name in enumerate(names):
+    for name in names:
         own = viewmat(int(name.rpartition("_")[2]))
         assert_camera(views[name].images[RGB].camera, RGB_LENS, own)
-        assert_camera(views[name].images[THERMAL].camera, THERMAL_LENS, rig.viewmat(index, own))
+        assert_camera(views[name].images[THERMAL].camera, THERMAL_LENS, rig.viewmat(name, own))
     torch.testing.assert_close(scene.points.positions, reconstruct(names).points.positions)
     torch.testing.assert_close(
         scene.points.colors, reconstruct(names).points.colors, atol=1e-6, rtol=0

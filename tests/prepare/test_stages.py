@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from mrgs.prepare.contract import Summary
-from mrgs.prepare.work import Work, stage
+from mrgs.prepare.contract import StageSummary
+from mrgs.prepare.work import Work
 
 
-@stage("first stage")
-def first_stage(work: Work) -> Summary:
+def first_stage(work: Work) -> StageSummary:
     work.progress("looking", 1, 2)
     found = work.cache.get("first", str, (), lambda: "found")
-    return Summary((f"It is {found}.",), ("Mind the step.",))
+    return StageSummary((f"It is {found}.",), ("Mind the step.",))
 
 
 def test_a_stage_is_done_once_and_reported_twice(tmp_path):
@@ -19,7 +18,7 @@ def test_a_stage_is_done_once_and_reported_twice(tmp_path):
         work = Work(
             tmp_path, tmp_path, on_progress=lambda *s: steps.append(s), on_report=reports.append
         )
-        first_stage(work)
+        work.run("first stage", first_stage)
         assert work.reports == reports[-1:]
     assert steps == 2 * [("first stage", 0, 0), ("first stage: looking", 1, 2)]
     assert [report.reused for report in reports] == [False, True]

@@ -14,7 +14,7 @@ from mrgs.prepare.contract import (
     Reconstruction,
     Skipped,
 )
-from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
+from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
 from mrgs.prepare.summary import (
     summarize_pairs,
     summarize_photos,
@@ -103,7 +103,7 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
         more = ("The target is in 5 pairs; residual 0.10 px.", *more)
-    summary = summarize_thermal_camera(rig, False, metric)
+    summary = summarize_thermal_camera(rig, RGB, metric)
     assert summary.lines == (
         f"53.1° wide, {offset} from the RGB camera; residual 0.28 px, uncertainty ±0.36 px.",
         *more,
@@ -117,5 +117,6 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
 
 
 def test_without_a_second_camera_that_is_said():
-    assert summarize_thermal_camera(None, False, True).lines == ("One camera serves both images.",)
-    assert summarize_thermal_camera(None, True, True).lines == ("There are only thermal images.",)
+    assert summarize_thermal_camera(None, RGB, True).lines == ("One camera took both images.",)
+    alone = summarize_thermal_camera(None, THERMAL, True)
+    assert alone.lines == ("There are only thermal images.",)

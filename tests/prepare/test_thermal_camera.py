@@ -12,7 +12,7 @@ from PIL import Image
 
 from mrgs.data.lens import Lens
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare import PrepareOptions, thermal_camera
+from mrgs.prepare import PrepareOptions
 from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
 from mrgs.prepare.work import Work
@@ -48,15 +48,13 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list:
-    """What the calibration is called with, instead of calibrating."""
-    calls: list = []
-    monkeypatch.setattr(thermal_camera, "calibrate_rig", lambda *arguments: calls.append(arguments))
-    return calls
+def asked() -> list:
+    """The arguments of each call of the calibration, which is not done."""
+    return []
 
 
 @pytest.fixture
-def calibrate(tmp_path: Path) -> Callable[..., object]:
+def calibrate(tmp_path: Path, asked: list) -> Callable[..., object]:
     """Calls the stage on two views, one of them without a pose."""
     for folder, size in (("images", (40, 30)), ("thermal", (32, 24))):
         (tmp_path / folder).mkdir()
@@ -82,7 +80,7 @@ def calibrate(tmp_path: Path) -> Callable[..., object]:
         work = Work(tmp_path, tmp_path, PrepareOptions(**options))
         work.images, work.poses = ConvertedPhotos(views, ()), replace(found, images=images)
         work.georeference = replace(IDENTITY, metric=metric)
-        return calibrate_thermal_camera(work)
+        return calibrate_thermal_camera(work, lambda *arguments: asked.append(arguments))
 
     return called
 
@@ -91,10 +89,10 @@ def test_views_with_poses_are_calibrated(calibrate, asked):
     calibrate(thermal_fov_deg=50.0)
     ((pairs, points, options, _),) = asked
     assert [(pair.name, pair.visible.tolist()) for pair in pairs] == [("b", [0, 1])]
-    assert pairs[0].rgb.load().values.shape == (30, 40, 3)
+    assert pairs[0].photo.load().values.shape == (30, 40, 3)
     assert pairs[0].load_thermal().values.shape == (24, 32, 1)
     assert len(points.positions) == 3
-    assert (options.field_of_view_deg, options.thermal_lens, options.thermal_from_rgb) == (
+    assert (options.field_of_view_deg, options.thermal_lens, options.extrinsics) == (
         50.0,
         None,
         None,
@@ -131,13 +129,13 @@ def test_a_file_is_taken_as_it_is(calibrate, asked, write):
     calibrate(thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
     options = asked[0][2]
     assert options.thermal_lens == Lens(32, 24, 40.0, 40.0, 16.0, 12.0, (-0.3, 0.1, 0.0, 0.0))
-    assert options.thermal_from_rgb.tolist() == MOTION
+    assert options.extrinsics.tolist() == MOTION
 
 
 def test_without_metres_the_lens_alone_is_taken(calibrate, asked, write):
     calibrate(False, thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
     assert asked[0][2].thermal_lens is not None
-    assert asked[0][2].thermal_from_rgb is None
+    assert asked[0][2].extrinsics is None
     with pytest.raises(
         SceneError,
         match="offset is in metres, and these photos have no scale; give a known distance",

@@ -16,13 +16,13 @@ from mrgs.scene import RGB, THERMAL, Modality, Scene
 from mrgs.scene.modality import in_order
 
 _SATURATED = 0.02
-"""Of a set's thermal pixels; a view counts as saturated at five times that."""
+"""Share of a set's thermal pixels that gives a warning; a view is named at five times that."""
 
-_FLAT = 0.01
-"""Normalised: an image whose values spread less shows nothing."""
+_UNIFORM = 0.01
+"""An image with a smaller range of values (normalised, 1 % to 99 % quantile) has no content."""
 
 _BLURRED = 0.4
-"""Of the set's median sharpness."""
+"""Share of the set's median sharpness below which an image counts as blurred."""
 
 _FEWEST_TO_COMPARE = 5
 
@@ -30,13 +30,14 @@ _EXPECTED: dict[Modality, tuple[Severity, str]] = {
     THERMAL: ("warning", "temperatures"),
     RGB: ("note", "colours"),
 }
-"""How serious it is that no view has such an image, and what the model will lack."""
+"""Severity if no view has an image of a modality, and what the model will then lack."""
 
 
 def image_problems(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
     """All problems that the pixels show."""
     rules: list[Callable[[Scene, Sequence[ViewStatistics]], list[Problem]]] = [
-        _unreadable, _missing, _without_temperatures, _sizes, _flat, _saturated, _jumps, _blurred,
+        _unreadable, _missing, _without_temperatures, _sizes, _uniform, _saturated, _jumps,
+        _blurred,
     ]  # fmt: skip
     return [problem for rule in rules for problem in rule(scene, statistics)]
 
@@ -94,19 +95,19 @@ def _sizes(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
     return found
 
 
-def _flat(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
-    """Images that show nothing."""
+def _uniform(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
+    """Images without content, in any modality."""
     found = []
     for modality in scene.modalities:
         images = _of_modality(modality, statistics)
-        flat = [name for name, image in images.items() if image.spread < _FLAT]
+        flat = [name for name, image in images.items() if image.spread < _UNIFORM]
         if flat:
             severity: Severity = "error" if len(flat) == len(statistics) else "warning"
             text = (
-                f"The {modality.title} image of {views_text(flat)} is flat: all its pixels are "
-                f"nearly equal."
+                f"The {modality.title} image of {views_text(flat)} is uniform: all its pixels have "
+                f"nearly the same value, as behind a lens cap."
             )
-            found.append(Problem(severity, text, "Replace these images, or leave them out."))
+            found.append(Problem(severity, text, "Leave these views out, or retake the photos."))
     return found
 
 

@@ -9,14 +9,14 @@ from typing import Any
 from mrgs.check.poses import cameras_by_modality
 from mrgs.check.problems import Problem
 from mrgs.check.statistics import ViewStatistics
-from mrgs.data.lens import Lens
+from mrgs.data.transforms import pinhole_lens
 from mrgs.prepare.page.cameras import capitalised, lens_rows
-from mrgs.prepare.page.overlay import thermal_on_rgb
+from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs
 from mrgs.prepare.page.temperatures import temperatures
 from mrgs.prepare.page.world import World, world_of
 from mrgs.prepare.page.write import write_scene_page
-from mrgs.scene import Camera, Scene
+from mrgs.scene import Scene
 from mrgs.scene.view import spread
 
 PAGE = "check.html"
@@ -63,7 +63,7 @@ def _world(scene: Scene) -> World:
 def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]:
     """Views, temperatures and lenses."""
     previews = [statistics[index].preview for index in spread(len(statistics), MOST_SHOWN)]
-    warped = {view.name: thermal_on_rgb(view, scene.points) for view in previews}
+    warped = {view.name: thermal_overlay(view, scene.points) for view in previews}
     overlays = {name: image for name, image in warped.items() if image is not None}
     unit = "" if scene.temperature is None else "°C"
     return {
@@ -78,11 +78,7 @@ def _lenses(scene: Scene) -> list[tuple[str, str]]:
         row
         for modality, cameras in cameras_by_modality(scene).items()
         for row in lens_rows(
-            {name: _lens(camera) for name, camera in cameras.items()}, capitalised(modality.title)
+            {name: pinhole_lens(camera) for name, camera in cameras.items()},
+            capitalised(modality.title),
         )
     ]
-
-
-def _lens(camera: Camera) -> Lens:
-    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    return Lens(camera.width, camera.height, fx, fy, cx, cy)

@@ -18,7 +18,7 @@ from mrgs.scene.rotations import OPENGL_FROM_OPENCV
 from mrgs.scene.view import spread
 
 NO_POINTS = "There are no start points"
-"""How the reader's note begins when it placed the points itself."""
+"""Beginning of the reader's note if the start points are random."""
 
 FEWEST_VIEWS, FEW_VIEWS = 3, 12
 _MOST_POINTS = 1500

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 Severity = Literal["error", "warning", "note"]
-"""It will not train, or the model will be wrong; the model will be worse; it may be intended."""
+"""Error: training fails, or the model will be wrong. Warning: the model will be worse. Note: may be
+intended."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class SceneCheck:
-    """What ``check_scene`` found.
+    """Result of ``check_scene``.
 
     Attributes:
         problems: worst first.

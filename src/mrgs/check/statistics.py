@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from mrgs.data.thermal import LUMINANCE
+from mrgs.data.images import LUMINANCE
 from mrgs.errors import SceneError
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.scene import Modality, Pixels, PosedImage, TemperatureRange, View
@@ -37,7 +37,7 @@ class ImageStatistics:
 
 @dataclass(frozen=True, eq=False)
 class ViewStatistics:
-    """A view in small, and statistics of its pixels.
+    """The preview of a view, and statistics of its pixels.
 
     Attributes:
         preview: the view at the size of the page.
@@ -94,8 +94,8 @@ def _measure(pixels: Pixels) -> ImageStatistics:
 
 
 def sharpness(image: Float[np.ndarray, "h w"]) -> float:
-    """How much of an image's contrast is in its finest details: 0 for a smooth image, about 1 for a
-    crisp one.
+    """Share of an image's contrast in its finest details: 0 for a smooth image, about 1 for a crisp
+    one.
 
     The mean squared difference between neighbours over that at half the resolution, in the
     direction where it is smaller: motion blurs in one direction. It hardly depends on the content.

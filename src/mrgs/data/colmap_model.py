@@ -43,7 +43,7 @@ _PARAMETER_COUNTS = {
 
 @dataclass(frozen=True)
 class ColmapModel:
-    """Where a reconstruction lies, and in which of the two formats (``.txt`` or ``.bin``)."""
+    """Folder of a COLMAP reconstruction, and its format (``.txt`` or ``.bin``)."""
 
     folder: Path
     suffix: str

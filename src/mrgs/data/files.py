@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import reprlib
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -13,8 +15,8 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
 MAX_MAGNITUDE = 1e7
-"""Larger positions, pixel counts and focal lengths are taken for damage: float32 could not tell
-their places apart."""
+"""Larger positions, pixel counts and focal lengths are treated as damage: float32 has too few
+digits for them."""
 
 
 def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
@@ -57,6 +59,27 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
+
+
+def visible_files(folder: Path) -> Iterator[Path]:
+    """All files below a folder, and links to folders, which are not followed. Hidden files and
+    folders, such as those that macOS leaves on memory cards, are skipped.
+
+    Raises:
+        SceneError: a folder cannot be listed.
+    """
+
+    def refuse(error: OSError) -> None:
+        raise scene_error(
+            error.filename, f"cannot be read ({error.strerror}); give a folder that is readable"
+        ) from None
+
+    for parent, folders, names in os.walk(folder, onerror=refuse):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        linked = [name for name in folders if os.path.islink(os.path.join(parent, name))]
+        for name in [*names, *linked]:
+            if not name.startswith("."):
+                yield Path(parent, name)
 
 
 def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:

@@ -37,7 +37,7 @@ values."""
 
 @dataclass(frozen=True)
 class ImageInfo:
-    """What the header of an image file says."""
+    """Size and kind of an image file, from its header."""
 
     width: int
     height: int

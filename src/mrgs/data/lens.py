@@ -13,7 +13,7 @@ not the centre of its first pixel, lies at (0, 0), in COLMAP and nerfstudio as h
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -64,6 +64,19 @@ class Lens:
     def is_pinhole(self) -> bool:
         """Whether the lens has no distortion at all."""
         return not self.fisheye and not any(self.radial) and not any(self.tangential)
+
+    def resized(self, width: int, height: int) -> Lens:
+        """The lens for the same field of view on a pixel grid of this width and height."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * x,
+            fy=self.fy * y,
+            cx=self.cx * x,
+            cy=self.cy * y,
+        )
 
     def distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Normalised coordinates of rays -> distorted normalised coordinates (any shape)."""

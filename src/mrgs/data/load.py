@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from mrgs.data.capture import Capture, Shot
 from mrgs.data.colmap import read_colmap
 from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
 from mrgs.data.files import scene_error
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import RANDOM_POINTS, random_points
 from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
+from mrgs.data.sources import SceneSource, ViewSource
 from mrgs.data.splits import Split, assign_splits
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import ConfigError, MrgsWarning
@@ -24,7 +24,7 @@ from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
     """Read a scene folder.
 
-    Understood are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`)
+    Supported are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`)
     and, where there is none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see
     :mod:`mrgs.data.colmap`). All headers are checked here; pixels are decoded, undistorted to a
     pinhole (:func:`mrgs.data.undistort.pinhole_of`) and reduced only when ``PosedImage.load`` is
@@ -49,18 +49,18 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
             f"resolution is {resolution}; it is a width in pixels and must be at least 1"
         )
     try:
-        capture = _recognise(Path(path))
-        scene = _assemble(capture, resolution, seed)
+        source = _recognise(Path(path))
+        scene = _assemble(source, resolution, seed)
     except OSError as error:  # a folder that may not be listed, a disk that failed
         raise scene_error(
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
         ) from None
-    for text in capture.notes.repaired:
-        warnings.warn(f"{capture.root.name}: {text}", MrgsWarning, stacklevel=2)
+    for text in source.notes.repaired:
+        warnings.warn(f"{source.root.name}: {text}", MrgsWarning, stacklevel=2)
     return scene
 
 
-def _recognise(path: Path) -> Capture:
+def _recognise(path: Path) -> SceneSource:
     if path.suffix == ".json" and path.is_file():
         root, transforms = path.parent.resolve(), path.parent.resolve() / path.name
         return read_transforms(root, transforms)
@@ -79,61 +79,61 @@ def _recognise(path: Path) -> Capture:
     )
 
 
-def _assemble(capture: Capture, resolution: int | None, seed: int) -> Scene:
+def _assemble(source: SceneSource, resolution: int | None, seed: int) -> Scene:
     thermal_kinds = []
-    for shot in capture.shots:
-        for modality, source in shot.images.items():
-            kind = check_files(source).kind
+    for view in source.views:
+        for modality, image in view.images.items():
+            kind = check_files(image).kind
             if modality == THERMAL:
-                thermal_kinds.append((source.path, kind))
-    splits = assign_splits([shot.key for shot in capture.shots], capture.lists, capture.notes)
+                thermal_kinds.append((image.path, kind))
+    splits = assign_splits([view.key for view in source.views], source.lists, source.notes)
     if "train" not in splits:
         raise scene_error(
-            capture.source, "no view is left for training; check the split lists and the file names"
+            source.file, "no view is left for training; check the split lists and the file names"
         )
     temperature = None
     if thermal_kinds:
-        temperature = read_bounds(capture.root, capture.notes)
-        kind = check_kinds(thermal_kinds, temperature is not None, capture.notes)
+        temperature = read_bounds(source.root, source.notes)
+        kind = check_kinds(thermal_kinds, temperature is not None, source.notes)
         if kind == "float" and temperature is None:
-            temperature = _measured_range(capture, splits)
-    names = _unique_names([shot.key for shot in capture.shots])
+            temperature = _measured_range(source, splits)
+    names = _unique_names([view.key for view in source.views])
     views = [
-        _view(name, shot, temperature, resolution)
-        for name, shot in zip(names, capture.shots, strict=True)
+        _view(name, view, temperature, resolution)
+        for name, view in zip(names, source.views, strict=True)
     ]
     train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
-    points = capture.points
+    points = source.points
     if points is None:
-        capture.notes.decide(
+        source.notes.decide(
             f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
         )
         cameras = [camera for view in train for camera in view.cameras.values()]
         points = random_points(cameras, seed)
     return Scene(
-        name=capture.root.name,
+        name=source.root.name,
         train=train,
         eval=tuple(view for view, split in zip(views, splits, strict=True) if split == "eval"),
         points=points,
         temperature=temperature,
-        notes=tuple(capture.notes.all),
+        notes=tuple(source.notes.all),
     )
 
 
-def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRange:
+def _measured_range(source: SceneSource, splits: Sequence[Split]) -> TemperatureRange:
     """The range of the training images, which hold °C."""
-    pairs = zip(capture.shots, splits, strict=True)
+    pairs = zip(source.views, splits, strict=True)
     paths = [
-        shot.images[THERMAL].path
-        for shot, split in pairs
-        if split == "train" and THERMAL in shot.images
+        view.images[THERMAL].path
+        for view, split in pairs
+        if split == "train" and THERMAL in view.images
     ]
     if not paths:
         raise scene_error(
-            capture.source, "no training view has a thermal image; add temperature_bounds.json"
+            source.file, "no training view has a thermal image; add temperature_bounds.json"
         )
     temperature = bounds_of_images(paths)
-    capture.notes.decide(
+    source.notes.decide(
         "There is no temperature_bounds.json: the training images' range is used, "
         f"{temperature.min_c:g} °C to {temperature.max_c:g} °C."
     )
@@ -141,13 +141,13 @@ def _measured_range(capture: Capture, splits: Sequence[Split]) -> TemperatureRan
 
 
 def _view(
-    name: str, shot: Shot, temperature: TemperatureRange | None, resolution: int | None
+    name: str, view: ViewSource, temperature: TemperatureRange | None, resolution: int | None
 ) -> View:
     return View(
         name,
         {
-            modality: posed_image(source, _decoder(modality, temperature), resolution)
-            for modality, source in shot.images.items()
+            modality: posed_image(image, _decoder(modality, temperature), resolution)
+            for modality, image in view.images.items()
         },
     )
 

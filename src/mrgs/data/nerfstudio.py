@@ -20,7 +20,6 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.capture import Capture, FilenameLists, ImageSource, Notes, Shot
 from mrgs.data.colmap_model import find_model, read_points3d
 from mrgs.data.files import (
     ImageFinder,
@@ -37,15 +36,16 @@ from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
+from mrgs.data.sources import FilenameLists, ImageSource, ReadingNotes, SceneSource, ViewSource
 from mrgs.scene import RGB, Modality, PointCloud, known_modalities
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)
-"""Of the image files that are read."""
+"""Supported numbers of channels in image files."""
 _TAKEN = re.compile(
     r"images|.*masks|sparse|truth|train|val|test|eval|temperature_c|thermal_normalised|depth_.*"
 )
-"""Names of other folders, in scenes and among renderings, that a modality's would be taken for."""
+"""Names of other folders, in scenes and among renderings, that a modality must not have."""
 _PERSPECTIVE_MODELS = {
     "OPENCV",
     "PINHOLE",
@@ -58,7 +58,7 @@ _FISHEYE_MODELS = {"OPENCV_FISHEYE"}
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
-"""What nerfstudio applied to COLMAP's world before it wrote ``applied_transform`` into the file."""
+"""Transform of COLMAP's world by versions of nerfstudio that wrote no ``applied_transform``."""
 
 
 def find_transforms(root: Path) -> Path | None:
@@ -76,8 +76,8 @@ def find_transforms(root: Path) -> Path | None:
     return contained(root, others[0].name, root) if others else None
 
 
-def read_transforms(root: Path, file: Path) -> Capture:
-    """Understand a nerfstudio scene; images are looked up, not decoded.
+def read_transforms(root: Path, file: Path) -> SceneSource:
+    """Read a nerfstudio scene; images are looked up, not decoded.
 
     Args:
         root: the scene's folder, resolved; all paths in the file are relative to it.
@@ -86,7 +86,7 @@ def read_transforms(root: Path, file: Path) -> Capture:
     Raises:
         SceneError: the file is damaged, or an image that it names is missing.
     """
-    return _Reader(root, file).capture()
+    return _TransformsReader(root, file).capture()
 
 
 def lens_from_json(
@@ -102,7 +102,7 @@ def lens_from_json(
         image: has the size that ``values`` may leave out.
 
     Raises:
-        SceneError: a number is missing or cannot be, or the model is not known.
+        SceneError: a number is missing or invalid, or the model is not known.
     """
 
     def number(name: str, default: float | None = None) -> float:
@@ -140,7 +140,7 @@ def lens_from_json(
     return checked_lens(lens, what, file)
 
 
-class _Reader:
+class _TransformsReader:
     """Holds what every step needs: the folder, the file's content and the notes."""
 
     def __init__(self, root: Path, file: Path) -> None:
@@ -148,11 +148,11 @@ class _Reader:
         self.file = file
         self.top = read_json_object(file)
         self.images = ImageFinder(root)
-        self.notes = Notes()
+        self.notes = ReadingNotes()
         self.modalities = self._modalities()
 
     def _modalities(self) -> tuple[Modality, ...]:
-        """Those that frames may have: the known ones, and those that the file lists."""
+        """Modalities of the frames: the known ones, and those that the file lists."""
         listed = self.top.get("modalities", [])
         if not isinstance(listed, list) or len(listed) > MOST_MODALITIES:
             raise scene_error(
@@ -189,21 +189,21 @@ class _Reader:
             )
         return modality
 
-    def capture(self) -> Capture:
+    def capture(self) -> SceneSource:
         frames = self.top.get("frames")
         if not isinstance(frames, list) or not frames:
             raise scene_error(
                 self.file,
                 f'"frames" is {shown(frames)}, not a list of frames; export the file again',
             )
-        shots = [self._shot(frame, f"frame {index}") for index, frame in enumerate(frames)]
+        views = [self._view(frame, f"frame {index}") for index, frame in enumerate(frames)]
         for modality in self.modalities:
-            missing = sum(modality not in shot.images for shot in shots)
-            if modality != RGB and 0 < missing < len(shots):
-                self.notes.decide(f"{missing} of {len(shots)} frames have no {modality} image.")
-        return Capture(self.root, self.file, shots, self._points(), self.notes, self._lists())
+            missing = sum(modality not in view.images for view in views)
+            if modality != RGB and 0 < missing < len(views):
+                self.notes.decide(f"{missing} of {len(views)} frames have no {modality} image.")
+        return SceneSource(self.root, self.file, views, self._points(), self.notes, self._lists())
 
-    def _shot(self, frame: object, what: str) -> Shot:
+    def _view(self, frame: object, what: str) -> ViewSource:
         if not isinstance(frame, dict):
             raise scene_error(
                 self.file, f"{what} is {shown(frame)}, not an object; export the file again"
@@ -216,7 +216,7 @@ class _Reader:
         images = {
             modality: self._source(modality, frame, path, what) for modality, path in paths.items()
         }
-        return Shot(key, images)
+        return ViewSource(key, images)
 
     def _source(
         self, modality: Modality, frame: Mapping[str, Any], path: Path, what: str

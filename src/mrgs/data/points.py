@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mrgs.data.capture import Notes
+from mrgs.data.sources import ReadingNotes
 from mrgs.scene import Camera, PointCloud
 
 RANDOM_POINTS = 20_000
@@ -22,7 +22,7 @@ _GREY = 0.5
 def point_cloud(
     positions: NDArray[np.float64],
     colors: NDArray[np.float64] | None,
-    notes: Notes,
+    notes: ReadingNotes,
     transform: NDArray[np.float64] | None = None,
 ) -> PointCloud | None:
     """Points of a file, moved by ``transform`` ([3, 4]; None leaves them), without those that are

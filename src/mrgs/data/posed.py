@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from mrgs.data.capture import ImageSource
 from mrgs.data.files import scene_error
 from mrgs.data.images import ImageInfo, decode, decode_mask, probe, with_channels
 from mrgs.data.lens import Lens
+from mrgs.data.sources import ImageSource
 from mrgs.data.undistort import pinhole_of, resize, undistort
 from mrgs.scene import RGB, Camera, Pixels, PosedImage
 

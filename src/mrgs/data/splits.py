@@ -1,4 +1,4 @@
-"""Which views are learnt from, and which are held out."""
+"""Split of the views: training and evaluation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import Literal
 
-from mrgs.data.capture import FilenameLists, Notes
+from mrgs.data.sources import FilenameLists, ReadingNotes
 
 Split = Literal["train", "eval", "unused"]
 
@@ -17,7 +17,7 @@ convention)."""
 _WORD = re.compile(r"(?<![a-z])(train|eval|test|val)(?![a-z])")
 
 
-def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> list[Split]:
+def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) -> list[Split]:
     """The split of each view.
 
     In this order: explicit lists of file names; the word train, eval, test or val in the file's
@@ -43,7 +43,7 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> li
     return ["eval" if index in held_out else "train" for index in range(len(keys))]
 
 
-def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: Notes) -> list[Split]:
+def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) -> list[Split]:
     """A view in both lists is held out; without a training list, all others are for training."""
     held_out = lists.eval or frozenset()
     train = frozenset(keys) - held_out if lists.train is None else lists.train

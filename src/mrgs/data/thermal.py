@@ -9,15 +9,15 @@ from pathlib import Path
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from mrgs.data.capture import Notes
 from mrgs.data.files import contained, finite_number, is_file, read_json_object, scene_error
-from mrgs.data.images import LUMINANCE, Kind, decode
+from mrgs.data.images import Kind, decode, with_channels
+from mrgs.data.sources import ReadingNotes
 from mrgs.scene import TemperatureRange
 
 BOUNDS_FILES = ("temperature_bounds.json", "thermal/temperature_bounds.json")
 
 
-def read_bounds(root: Path, notes: Notes) -> TemperatureRange | None:
+def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
     """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
     without a file.
 
@@ -58,7 +58,7 @@ def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
     return _range(low, max(high, low + 1.0), paths[0].parent)
 
 
-def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Notes) -> Kind:
+def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
     """The common kind of all thermal images; notes what follows from it.
 
     Raises:
@@ -93,7 +93,7 @@ def decode_thermal(
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
 
-    Integers are spread over the range already; °C in a float image are mapped by ``temperature``
+    Integers span the range already; °C in a float image are mapped by ``temperature``
     and not clamped.
 
     Raises:
@@ -101,7 +101,7 @@ def decode_thermal(
     """
     values, valid, kind = decode(path)
     if kind == "colour":
-        return values @ LUMINANCE[:, None], valid
+        return with_channels(values, 1), valid
     if kind == "float":
         if temperature is None:
             raise scene_error(

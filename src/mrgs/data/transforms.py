@@ -13,7 +13,8 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.scene import RGB, THERMAL, Camera, Modality
+from mrgs.scene import Camera, Modality
+from mrgs.scene.modality import BUILT_IN
 from mrgs.scene.rotations import opengl_camera_to_world
 from mrgs.system.atomic import replacing
 
@@ -58,7 +59,7 @@ def write_transforms(
     frames: Sequence[Mapping[str, Any]],
     *,
     lens: Lens | None = None,
-    thermal_lens: Lens | None = None,
+    lenses: Mapping[Modality, Lens] = EMPTY,
     points: str | None = None,
     split: tuple[Sequence[str], Sequence[str]] | None = None,
     modalities: Iterable[Modality] = (),
@@ -70,19 +71,18 @@ def write_transforms(
         path: of the file.
         frames: see :func:`frame_json`.
         lens: intrinsics that all frames share.
-        thermal_lens: intrinsics that all thermal images share, if they differ from ``lens``.
+        lenses: intrinsics that all images of a modality share, if they differ from ``lens``.
         points: path of the start points, relative to the file.
         split: paths of the training and of the evaluation images; None leaves it to the reader.
-        modalities: of the images; those that not every reader knows are listed.
+        modalities: of the images; all but RGB and thermal are listed in the file.
         facts: further entries.
 
     Raises:
         RunError: the file cannot be written.
     """
     content: dict[str, Any] = {**(facts or {}), **({} if lens is None else lens_json(lens))}
-    if thermal_lens is not None:
-        content["thermal_camera"] = lens_json(thermal_lens)
-    if listed := [each.to_json() for each in modalities if each not in (RGB, THERMAL)]:
+    content |= {f"{modality}_camera": lens_json(own) for modality, own in lenses.items()}
+    if listed := [each.to_json() for each in modalities if each not in BUILT_IN]:
         content["modalities"] = listed
     if points is not None:
         content["ply_file_path"] = points

@@ -1,4 +1,4 @@
-"""From a folder of photos to a scene.
+"""Preparation of a scene from a folder of photos.
 
 The names below are imported on first use: the process that finds the poses needs few of them.
 """

@@ -1,8 +1,8 @@
-"""What stages and single photos were converted to, kept between calls.
+"""Results of stages and of single photos, kept between calls.
 
-:class:`Cache` alone decides what is done again. A result lies in one safetensors file, with the
-fingerprint of everything that it follows from. Reading one runs no code, and a file that does not
-fit is ignored: its result is made again.
+:class:`Cache` alone decides what is recomputed. A result is one safetensors file with the
+fingerprint of everything that it depends on. Reading one runs no code; a file that does not match
+is ignored.
 """
 
 from __future__ import annotations
@@ -10,12 +10,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -26,7 +24,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from mrgs.data.files import scene_error
+from mrgs.data.files import visible_files
 from mrgs.errors import MrgsError, RunError
 from mrgs.scene import Modality, modality_named
 from mrgs.system.atomic import replacing
@@ -42,19 +40,16 @@ FORMAT = 3
 _BLOCK_BYTES = 2**20
 
 
-@dataclass(frozen=True)
-class Stored:
-    """A result that was found in a file; it may be None."""
-
-    value: Any
+MISSING = object()
+"""Returned for a result that is not stored; a stored result may be None."""
 
 
 class Cache:
-    """Results by name; each is made once, until something that it follows from changes.
+    """Results by name; each is computed once, until something that it depends on changes.
 
     Attributes:
         folder: keeps the results.
-        made: how many results were made rather than found, so far.
+        made: number of results that were computed rather than found, so far.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -74,9 +69,9 @@ class Cache:
         Args:
             name: of the result, and of its file.
             kind: type of the result, or that type or None.
-            depends: values that the result follows from.
-            make: makes the result.
-            files: other files that the result consists of; it is made again if one is missing.
+            depends: values that the result depends on.
+            make: computes the result.
+            files: other files of the result; it is recomputed if one is missing.
 
         Raises:
             RunError: the result cannot be written (permissions, a full disk).
@@ -84,15 +79,15 @@ class Cache:
         file = self._file(name)
         made_from = fingerprint(FORMAT, name, *depends)
         stored = load(file, kind, made_from)
-        if stored is not None and all(path.is_file() for path in files(stored.value)):
-            return stored.value
+        if stored is not MISSING and all(path.is_file() for path in files(stored)):
+            return stored
         self.made += 1
         result = make()
         save(file, result, made_from)
         return result
 
     def forget(self, name: str) -> None:
-        """Remove a result, so that it is made again."""
+        """Remove a result, so that it is recomputed."""
         self._file(name).unlink(missing_ok=True)
 
     def _file(self, name: str) -> Path:
@@ -101,7 +96,7 @@ class Cache:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes out of a folder, which is made if it is missing.
+    """Lock a folder against other processes; it is created if it is missing.
 
     Raises:
         RunError: the folder cannot be made, or another process works in it.
@@ -125,7 +120,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def fingerprint(*values: Any) -> str:
-    """A digest of values that can be stored: equal for equal values, on every machine."""
+    """SHA-256 of values that can be stored; equal for equal values, on every machine."""
     digest = hashlib.sha256()
     tensors: list[Tensor] = []
     digest.update(json.dumps([_encode(value, tensors) for value in values]).encode())
@@ -136,7 +131,7 @@ def fingerprint(*values: Any) -> str:
 
 
 def save(path: Path, value: Any, made_from: str) -> None:
-    """Write a result; ``made_from`` is the fingerprint of everything that it follows from.
+    """Write a result; ``made_from`` is the fingerprint of everything that it depends on.
 
     Raises:
         RunError: the file cannot be written (permissions, a full disk).
@@ -150,16 +145,21 @@ def save(path: Path, value: Any, made_from: str) -> None:
         save_file(named, temporary, metadata)
 
 
-def load(path: Path, kind: Any, made_from: str) -> Stored | None:
-    """The result that ``save`` wrote, of a type or of a type or None; None if there is none that
-    follows from that."""
+def load(path: Path, kind: Any, made_from: str) -> Any:
+    """The result that ``save`` wrote with this fingerprint; ``MISSING`` if there is none.
+
+    Args:
+        path: of the file.
+        kind: type of the result, or that type or None.
+        made_from: the fingerprint.
+    """
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata()
             if metadata["made_from"] != made_from:
-                return None
+                return MISSING
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        return Stored(_decode(kind, json.loads(metadata["value"]), tensors))
+        return _decode(kind, json.loads(metadata["value"]), tensors)
     except (
         OSError,
         SafetensorError,
@@ -169,11 +169,11 @@ def load(path: Path, kind: Any, made_from: str) -> Stored | None:
         RecursionError,
         MrgsError,
     ):
-        return None
+        return MISSING
 
 
 def _encode(value: Any, tensors: list[Tensor]) -> Any:
-    """A value as JSON; tensors are put aside, and their place in the list stands for them."""
+    """A value as JSON; tensors are appended to the list, and their index is their value."""
     if value is None or isinstance(value, str | int | float):
         return value
     if isinstance(value, Tensor):
@@ -198,7 +198,7 @@ def _encode(value: Any, tensors: list[Tensor]) -> Any:
 
 
 def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """The value of a type that ``_encode`` made JSON of."""
+    """The value of a type from the JSON of ``_encode``."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (types.UnionType, typing.Union):
         (hint,) = (option for option in arguments if option is not type(None))
@@ -230,27 +230,17 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
 def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
     """Path, size in bytes, mtime and ctime (ns) of every file below a folder, sorted.
 
-    Links are followed. Hidden files and folders are skipped.
+    Links to files are followed. Hidden files and folders are skipped.
 
     Raises:
         SceneError: the folder cannot be listed.
     """
-    try:
-        found = []
-        for parent, folders, names in os.walk(folder, onerror=_raise):
-            folders[:] = [name for name in folders if not name.startswith(".")]
-            for name in names:
-                path = Path(parent, name)
-                if not name.startswith("."):
-                    status = path.stat() if path.exists() else path.lstat()
-                    times = status.st_mtime_ns, status.st_ctime_ns
-                    found.append((path.relative_to(folder).as_posix(), status.st_size, *times))
-        return tuple(sorted(found))
-    except OSError as error:
-        raise scene_error(
-            error.filename or folder,
-            f"cannot be read ({error.strerror}); give a folder of photos that is readable",
-        ) from None
+    found = []
+    for path in visible_files(folder):
+        status = path.stat() if path.exists() else path.lstat()
+        name = path.relative_to(folder).as_posix()
+        found.append((name, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
+    return tuple(sorted(found))
 
 
 def digest(path: Path) -> str:
@@ -263,7 +253,3 @@ def digest(path: Path) -> str:
         return found.hexdigest()
     except OSError:
         return ""
-
-
-def _raise(error: OSError) -> None:
-    raise error

@@ -1,4 +1,4 @@
-"""Whether images agree on the points that they see: an automatic gain or exposure makes them
+"""Whether images agree on the points that they see; automatic gain or exposure makes them
 differ."""
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from mrgs.data.thermal import LUMINANCE
+from mrgs.data.images import LUMINANCE
 from mrgs.prepare.rig.images import sampled
 from mrgs.scene import Camera, PointCloud
 from mrgs.scene.view import spread
 
 FEWEST_VIEWS = 3
-"""A point must be seen by so many images to tell what it looks like."""
+"""Fewest images that must see a point to determine its usual value."""
 
 _FEWEST_POINTS = 30
 _MOST_POINTS = 3000
@@ -31,14 +31,14 @@ _EXPLAINED = 0.6
 
 @dataclass(frozen=True)
 class Agreement:
-    """How an image's values relate to what most images say of the same points: value ≈ gain · usual
-    + offset.
+    """How an image's values relate to the usual values at the same points: value ≈ gain · usual +
+    offset. The usual value of a point is the median over the images that see it.
 
     Attributes:
-        gain: of the image.
+        gain: of the image, relative to most.
         offset: at the middle of the set's values, as a share of the set's range.
         error: median distance from the usual value, as a share of the set's range.
-        corrected: the same after gain and offset have been taken away.
+        corrected: the error after gain and offset have been removed.
     """
 
     gain: float
@@ -59,7 +59,7 @@ def agreements(
 ) -> list[Agreement | None]:
     """The agreement of each image with the others; None where it shares too few points with them.
 
-    What hides points is not told apart: medians over views and points bear that.
+    Occlusions are not detected: medians over views and points are robust to them.
 
     Args:
         images: [H, W] each, in one unit; NaN where not valid; None for a view without one.
@@ -81,7 +81,7 @@ def _values_at_points(
     cameras: Sequence[Camera | None],
     points: PointCloud,
 ) -> Float[np.ndarray, "v n"]:
-    """What each image shows at each point; NaN where it does not see it."""
+    """The value of each image at each point; NaN where the image does not see it."""
     positions = points.positions[spread(len(points.positions), _MOST_POINTS)].double()
     values = np.full((len(images), len(positions)), np.nan)
     for row, image, camera in zip(values, images, cameras, strict=True):

@@ -1,4 +1,4 @@
-"""What the stages of ``prepare`` find: one dataclass for each."""
+"""Results of the stages of ``prepare``: a dataclass for each."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from mrgs.errors import SceneError
 from mrgs.scene import RGB, Modality, PointCloud
 
 Progress = Callable[[str, int, int], None]
-"""Called with a step's name, and how many of its parts are done and there are (0 of 0 where that is
-not known)."""
+"""Called with a step's name, the number of its parts that are done, and of all (0 and 0 if not
+known)."""
 
 MIN_VIEWS = 3
-"""Fewest views with a pose that make a scene."""
+"""Fewest views with a pose in a scene."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Skipped:
 
 
 class TooFewPosesError(SceneError):
-    """Structure from motion placed fewer images than a scene needs.
+    """Structure from motion found fewer poses than a scene needs.
 
     Attributes:
         failed: the images without a pose, and why.
@@ -67,7 +67,7 @@ class TooFewPosesError(SceneError):
 
 @dataclass(frozen=True)
 class Pairing:
-    """Which photos belong together.
+    """The pairs of a folder of photos.
 
     Attributes:
         pairs: in natural order of their names.
@@ -145,16 +145,15 @@ class Reconstruction:
 
     Attributes:
         viewmats: world to camera, OpenCV axes, [4, 4], by the view's name; registered views only.
-        lenses: the lens of each registered view, for its image as it is; views of one camera share
-            theirs.
-        points: what was triangulated.
-        visible: for each registered view, the indices of the points that it saw; None if that is
-            not known.
-        failed: views without a pose, and why.
-        reprojection_px: mean distance of the points from where they were seen; None if that is not
+        lenses: the lens of each registered view, for its image at full size; views of one camera
+            share theirs.
+        points: triangulated ones.
+        visible: for each registered view, the indices of the points that it observes; None if not
             known.
-        source: where the poses are from, one sentence.
-        images: which images the poses belong to.
+        failed: views without a pose, and why.
+        reprojection_px: mean reprojection error of the points; None if not known.
+        source: origin of the poses, one sentence.
+        images: modality of the images with these poses.
         warnings: sentences that the user should read.
     """
 
@@ -180,9 +179,9 @@ class Georeference:
         translation: [3].
         metric: whether the new lengths are metres.
         north: whether the new axes are east, north, up.
-        origin: the place of the new origin on Earth; None if not known.
+        origin: position of the new origin on Earth; None if not known.
         residual_m: median distance of the cameras from their GPS positions; None without GPS.
-        text: what was done, one or two sentences, for the user.
+        text: one or two sentences for the user.
         warnings: sentences that the user should read.
     """
 
@@ -198,8 +197,8 @@ class Georeference:
 
 
 @dataclass(frozen=True)
-class Summary:
-    """What a stage found, for the user.
+class StageSummary:
+    """The result of a stage, for the user.
 
     Attributes:
         lines: one sentence each, the most important first.
@@ -212,11 +211,11 @@ class Summary:
 
 @dataclass(frozen=True)
 class StageReport:
-    """A stage that is done, for the terminal and for the page.
+    """A finished stage, for the terminal and for the page.
 
     Attributes:
         title: of the stage, such as "poses".
-        lines: what it found, one sentence each.
+        lines: its results, one sentence each.
         warnings: sentences that the user should read.
         seconds: how long it took; 0 if its result was reused.
         reused: whether the result of an earlier call was reused.
@@ -231,11 +230,11 @@ class StageReport:
 
 @dataclass(frozen=True)
 class Preparation:
-    """What ``prepare`` returns.
+    """Result of ``prepare``.
 
     Attributes:
         scene: the scene's folder.
-        page: the HTML page that shows what was found.
+        page: the HTML page that shows the results.
         stages: reports, in order.
         skipped: files and views that are not in the scene.
     """

@@ -1,12 +1,14 @@
-"""Photos in, the scene's images out: RGB as the camera wrote it; float32 °C where the thermal photo
-holds temperatures."""
+"""Conversion of photos to the scene's images: RGB as the camera wrote it; float32 °C where the
+thermal photo holds temperatures."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +21,7 @@ from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.measurement import PARAMETER_LIMITS
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import SceneError
-from mrgs.prepare.cache import CACHE_FOLDER, Cache
+from mrgs.prepare.cache import CACHE_FOLDER, Cache, digest
 from mrgs.prepare.contract import (
     ConvertedImage,
     ConvertedPhotos,
@@ -29,36 +31,47 @@ from mrgs.prepare.contract import (
     Progress,
     Skipped,
 )
-from mrgs.prepare.rgb_photo import RgbPhoto, read_embedded, read_rgb, upright
+from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb, upright
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.atomic import remove, replacing
 
 IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
-"""Of the scene's folder."""
+"""Folders of the images in the scene's folder."""
 
 VIEWS = "photos"
-"""The folder in the cache that holds a result for each view."""
+"""The folder in the cache that holds a result for each pair."""
 
-_VERSION = 2
+_VERSION = 3
 """Raise it when the same photos give other images."""
 
-
 Stamp = list[tuple[str, int, int]]
-"""Path, size in bytes and time of change (ns) of a pair's files."""
-
+"""Path, size in bytes and modification time (ns) of a pair's files."""
 
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
 
 
-class _Settings(NamedTuple):
-    """How a pair is converted: the scene's folder, the user's overrides, the unit of numbers that
-    was guessed for this format, and the orientations."""
+class _Conversion(NamedTuple):
+    """Settings for the conversion of a pair: the scene's folder, the user's overrides, the unit
+    that was guessed for numbers in this file format, and the orientations."""
 
     scene: Path
     overrides: Overrides
     unit: str | None
     orientations: Orientations
+
+
+@dataclass(frozen=True)
+class _CachedPair:
+    """The view of a pair; else the reason why it cannot be used."""
+
+    view: ConvertedView | None
+    refusal: str = ""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The images, relative to the scene's folder."""
+        return () if self.view is None else self.view.files
 
 
 def convert_photos(
@@ -72,9 +85,9 @@ def convert_photos(
 ) -> ConvertedPhotos:
     """Read all photos, and write them into ``images`` and ``thermal`` of the scene's folder.
 
-    Images of an earlier call are kept if the photos and the overrides are the same. A pair with a
-    photo that cannot be read is skipped. All photos share one orientation, that of most, and one
-    unit of numbers.
+    Results of an earlier call, refusals included, are kept if the photos and the overrides are the
+    same. A pair with a photo that cannot be read is skipped. All photos of a modality share one
+    orientation, that of most; all numbers in one file format share one unit.
 
     Args:
         pairing: the photos; they are only read.
@@ -83,8 +96,8 @@ def convert_photos(
         overrides: values that replace those in the thermal photos.
         cache: keeps what each pair was converted to.
         progress: called for each pair.
-        turn: turn the images upright by their EXIF orientation; else they stay as stored, as given
-            poses and lenses take them.
+        turn: rotate the images upright by their EXIF orientation; False keeps them as stored,
+            which given poses and lenses are for.
 
     Raises:
         SceneError: no photo can be used, the photos lie where the scene's images are written, or
@@ -102,10 +115,9 @@ def convert_photos(
         progress("reading and writing", index, len(pairing.pairs))
         suffix = pair.photos[THERMAL].suffix.lower()
         unit = units.get(suffix)
-        try:
-            view = _cached(pair, _Settings(scene, overrides, unit, orientations), cache)
-        except SceneError as error:
-            skipped.append(Skipped(pair.name, str(error)))
+        outcome = _cached(pair, _Conversion(scene, overrides, unit, orientations), cache)
+        if (view := outcome.view) is None:
+            skipped.append(Skipped(pair.name, outcome.refusal))
             continue
         views.append(view)
         if view.facts.unit is not None and overrides.unit is None and overrides.bounds_c is None:
@@ -122,20 +134,32 @@ def convert_photos(
     return ConvertedPhotos(tuple(views), tuple(skipped), _differing_parameters(views))
 
 
-def _cached(pair: PhotoPair, settings: _Settings, cache: Cache) -> ConvertedView:
-    """The pair's view, converted unless its images are there."""
-    stamp = _stamp(pair)
-    return cache.get(
-        f"{VIEWS}/{pair.name}",
-        ConvertedView,
-        (_VERSION, pair, stamp, *settings[1:]),
-        lambda: _convert(pair, stamp, settings),
-        lambda view: [settings.scene / file for file in view.files],
-    )
+def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache) -> _CachedPair:
+    """The pair's view or refusal, from the cache if its photos and images are unchanged."""
+
+    def make() -> _CachedPair:
+        try:
+            return _CachedPair(_convert(pair, stamp, settings))
+        except SceneError as error:
+            if not all(digest(path) for path in pair.photos.values()):
+                raise  # permissions or a network drive, which the next call may find restored
+            return _CachedPair(None, str(error))
+
+    try:
+        stamp = _stamp(pair)
+        return cache.get(
+            f"{VIEWS}/{pair.name}",
+            _CachedPair,
+            (_VERSION, pair, stamp, *settings[1:]),
+            make,
+            lambda found: [settings.scene / file for file in found.files],
+        )
+    except SceneError as error:
+        return _CachedPair(None, str(error))
 
 
-def _convert(pair: PhotoPair, stamp: Stamp, settings: _Settings) -> ConvertedView:
-    """Read a pair, turn it upright and write it.
+def _convert(pair: PhotoPair, stamp: Stamp, settings: _Conversion) -> ConvertedView:
+    """Read a pair, rotate it upright and write it.
 
     Raises:
         SceneError: a photo cannot be read, or changes meanwhile.
@@ -146,50 +170,39 @@ def _convert(pair: PhotoPair, stamp: Stamp, settings: _Settings) -> ConvertedVie
     if unit is not None:
         overrides = dataclasses.replace(overrides, unit=unit)
     thermal = read_thermal_photo(source, overrides)
-    rgb = _read_rgb(pair, thermal, orientations)
+    files = {
+        RGB: _rgb_file(pair, thermal, orientations),
+        THERMAL: _thermal_file(thermal, orientations[THERMAL]),
+    }
     if _stamp(pair) != stamp:
         raise scene_error(
             source,
             "this photo or its RGB photo changed while it was read; wait until it is copied",
         )
-    image = upright(Image.fromarray(_pixels(thermal)), orientations[THERMAL])
-    celsius = thermal.temperature_c
     _remove_transforms(scene)
-    images = {}
-    if rgb is not None:
-        images[RGB] = _written(scene, RGB, f"{pair.name}{rgb.suffix}", rgb.size, rgb.save)
-    file = f"{pair.name}{'.png' if celsius is None else '.tiff'}"
-    images[THERMAL] = _written(scene, THERMAL, file, image.size, image.save)
+    images = {
+        modality: _written(scene, f"{IMAGE_FOLDERS[modality]}/{pair.name}{file.suffix}", file)
+        for modality, file in files.items()
+        if file is not None
+    }
     _remove_images(scene, pair.name, keep=[image.file for image in images.values()])
     notes = () if unit is None else (f"The numbers are taken for {unit}.",)
     facts = thermal.facts.adding(notes=notes, visible=None)
-    return ConvertedView(
-        pair.name,
-        images,
-        _merged_exif(pair, facts),
-        facts,
-        None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius))),
-    )
+    celsius = thermal.temperature_c
+    range_c = None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius)))
+    return ConvertedView(pair.name, images, _merged_exif(pair, facts), facts, range_c)
 
 
-def _written(
-    scene: Path,
-    modality: Modality,
-    name: str,
-    size: tuple[int, int],
-    save: Callable[[Path], object],
-) -> ConvertedImage:
-    """An image of a modality, written into its folder of the scene."""
-    file = f"{IMAGE_FOLDERS[modality]}/{name}"
-    with replacing(scene / file) as temporary:
-        save(temporary)
-        sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
-    return ConvertedImage(file, size, sha256)
+def _written(scene: Path, name: str, file: ImageFile) -> ConvertedImage:
+    """The image after it was written into the scene's folder."""
+    with replacing(scene / name) as temporary:
+        temporary.write_bytes(file.content)
+    return ConvertedImage(name, file.size, hashlib.sha256(file.content).hexdigest())
 
 
-def _read_rgb(
+def _rgb_file(
     pair: PhotoPair, thermal: ThermalPhoto, orientations: Orientations
-) -> RgbPhoto | None:
+) -> ImageFile | None:
     if RGB in pair.photos:
         return read_rgb(pair.photos[RGB], orientations[RGB])
     if not pair.embedded:
@@ -200,6 +213,15 @@ def _read_rgb(
             "holds no visible photo, while others do; leave it out, or add its RGB photo",
         )
     return read_embedded(thermal.facts.visible, orientations[THERMAL])
+
+
+def _thermal_file(thermal: ThermalPhoto, orientation: int) -> ImageFile:
+    """A float TIFF in °C, or a grey PNG without temperatures."""
+    image = upright(Image.fromarray(_pixels(thermal)), orientation)
+    suffix, encoder = (".png", "PNG") if thermal.temperature_c is None else (".tiff", "TIFF")
+    file = io.BytesIO()
+    image.save(file, encoder)
+    return ImageFile(file.getvalue(), suffix, image.size)
 
 
 def _pixels(thermal: ThermalPhoto) -> Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]:

@@ -20,7 +20,7 @@ FLATTENING = 1 / 298.257223563
 
 
 def ecef(position: GpsPosition) -> Float64[np.ndarray, "3"]:
-    """Earth-centred coordinates, metres; a height that is not known counts as 0."""
+    """Earth-centred coordinates (ECEF) [3], metres; an unknown height counts as 0."""
     latitude, longitude = np.radians([position.latitude_deg, position.longitude_deg])
     height_m = position.altitude_m or 0.0
     squared_eccentricity = FLATTENING * (2 - FLATTENING)
@@ -31,7 +31,7 @@ def ecef(position: GpsPosition) -> Float64[np.ndarray, "3"]:
 
 
 def enu(positions: Sequence[GpsPosition], origin: GpsPosition) -> Float64[np.ndarray, "n 3"]:
-    """Metres east, north and up of ``origin``, in its tangent plane."""
+    """Positions in metres east, north and up of ``origin`` [N, 3]."""
     latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     up = np.array(

@@ -1,21 +1,19 @@
-"""Poses given by the user, from COLMAP or in nerfstudio's format."""
+"""Poses given by the user, as a COLMAP model or in nerfstudio's format."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 import torch
-from jaxtyping import Float64
-from torch import Tensor
 
-from mrgs.data.capture import Notes
 from mrgs.data.colmap_model import (
     MODEL_FOLDERS,
     ColmapModel,
+    RegisteredImage,
     find_model,
     read_images,
     read_points3d,
@@ -25,6 +23,7 @@ from mrgs.data.images import probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.points import point_cloud
+from mrgs.data.sources import ReadingNotes
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud
@@ -32,15 +31,6 @@ from mrgs.scene.modality import in_order
 
 Item = TypeVar("Item")
 _ASPECT_TOLERANCE = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class _Pose:
-    """An image in the file: its name there, without folders and extension."""
-
-    stem: str
-    lens: Lens
-    viewmat: Float64[Tensor, "4 4"]
 
 
 def poses_of_photos(
@@ -69,10 +59,10 @@ def poses_of_photos(
 
 
 def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
-    """The poses in a folder, for images with the same names (extensions and folders may differ).
+    """The poses in a folder for images with the same names (extensions and folders may differ).
 
-    Understood are a ``transforms.json`` with its images, and COLMAP's models, as in ``mrgs.data``.
-    Where an image is larger or smaller than the one in the file, the lens is scaled.
+    The folder holds a ``transforms.json`` with its images, or a COLMAP model. Where an image is
+    larger or smaller than the one in the file, the lens is scaled.
 
     Args:
         folder: with the poses, or a transforms file.
@@ -111,8 +101,9 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     )
 
 
-def _read(folder: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
-    """Poses, points, the name of the file that has them, and what was mended."""
+def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes]:
+    """Poses by the names of their images without folders and extension, points, the name of the
+    file, and what was repaired."""
     if folder.suffix == ".json" and is_file(folder):
         return _from_transforms(folder.parent.resolve(), folder.parent.resolve() / folder.name)
     if not folder.is_dir():
@@ -127,24 +118,27 @@ def _read(folder: Path) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]
             folder,
             f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one",
         )
-    notes = Notes()
-    poses = [_Pose(_stem(image.name), image.lens, image.viewmat) for image in read_images(model)]
+    notes = ReadingNotes()
+    poses = [
+        RegisteredImage(_stem(image.name), image.lens, image.viewmat)
+        for image in read_images(model)
+    ]
     return poses, point_cloud(*read_points3d(model), notes), model.file("images").name, notes
 
 
 def _from_transforms(
     root: Path, file: Path
-) -> tuple[Sequence[_Pose], PointCloud | None, str, Notes]:
-    capture = read_transforms(root, file)
+) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes]:
+    source = read_transforms(root, file)
     poses = []
-    for shot in capture.shots:
-        source = _first(shot.images)
-        poses.append(_Pose(_stem(shot.key), source.lens, source.viewmat))
-    return poses, capture.points, file.name, capture.notes
+    for view in source.views:
+        image = _first(view.images)
+        poses.append(RegisteredImage(_stem(view.key), image.lens, image.viewmat))
+    return poses, source.points, file.name, source.notes
 
 
 def _first(images: Mapping[Modality, Item]) -> Item:
-    """The image that the poses belong to: of RGB, where it is there."""
+    """The image that the poses belong to: RGB if there is one."""
     return images[in_order(images)[0]]
 
 
@@ -161,37 +155,28 @@ def _stem(name: str) -> str:
     return without_image_suffix(PurePosixPath(name.replace("\\", "/")).name)
 
 
-def _unique(poses: Sequence[_Pose], folder: Path) -> dict[str, _Pose]:
-    counts = Counter(pose.stem for pose in poses)
+def _unique(poses: Sequence[RegisteredImage], folder: Path) -> dict[str, RegisteredImage]:
+    counts = Counter(pose.name for pose in poses)
     if several := sorted(stem for stem, count in counts.items() if count > 1):
         raise scene_error(
             folder,
             f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
             f"in it",
         )
-    return {pose.stem: pose for pose in poses}
+    return {pose.name: pose for pose in poses}
 
 
 def _scaled(lens: Lens, path: Path) -> Lens:
-    """The lens for the image as it is here.
+    """The lens at the size of the image.
 
     Raises:
-        SceneError: the image is of another shape than that of the pose.
+        SceneError: the image has another aspect ratio than that of the pose.
     """
     info = probe(path)
-    across, down = info.width / lens.width, info.height / lens.height
-    if abs(across / down - 1) > _ASPECT_TOLERANCE:
+    if abs(info.width / lens.width / (info.height / lens.height) - 1) > _ASPECT_TOLERANCE:
         raise SceneError(
             f"{path} is {info.width}×{info.height} px, but its pose is for "
             f"{lens.width}×{lens.height} px; "
             "give the photos as they were when the poses were made, not cropped"
         )
-    return replace(
-        lens,
-        width=info.width,
-        height=info.height,
-        fx=lens.fx * across,
-        fy=lens.fy * down,
-        cx=lens.cx * across,
-        cy=lens.cy * down,
-    )
+    return lens.resized(info.width, info.height)

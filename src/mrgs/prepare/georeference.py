@@ -1,5 +1,5 @@
-"""Scale and north of a reconstruction: from GPS, from a known distance, or guessed from how the
-cameras were held."""
+"""Scale and orientation of a reconstruction: from GPS, from a known distance, or estimated from how
+the cameras were held."""
 
 from __future__ import annotations
 
@@ -27,18 +27,16 @@ def georeference(
     *,
     as_given: bool = False,
 ) -> Georeference:
-    """The similarity to a world with z up, in metres and with x east and y north where that can be
-    known.
+    """The similarity to a world with z up, in metres and with x east and y north where possible.
 
     Args:
         reconstruction: poses in any world.
         gps: positions of photos by view; those of views without a pose are ignored.
-        known: a length in a photo; it decides the scale, also against GPS.
-        as_given: the poses come from the user, who knows their world: ``known`` sets the scale, and
-            else they stay.
+        known: a length in a photo; it overrides the scale from GPS.
+        as_given: the poses come from the user: only their scale changes, and only by ``known``.
 
     Raises:
-        SceneError: the known distance cannot be carried into the reconstruction.
+        SceneError: the known distance cannot be measured in the reconstruction.
     """
     scale = None if known is None else known.metres / length_of(known, reconstruction)
     if as_given:
@@ -59,7 +57,7 @@ def georeference(
 
 
 def apply(georeference: Georeference, reconstruction: Reconstruction) -> Reconstruction:
-    """The reconstruction in the new world: poses and points moved."""
+    """The reconstruction with poses and points in the new world."""
     rotation, translation, scale = (
         georeference.rotation,
         georeference.translation,

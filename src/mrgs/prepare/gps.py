@@ -18,25 +18,23 @@ from mrgs.prepare.levelling import centres
 from mrgs.prepare.similarity import RobustFit, Similarity, fit_robustly
 
 MIN_POSITIONS = 4
-"""Three positions fit a similarity rather well whatever they are; the fourth tells whether they are
-to be trusted."""
+"""Any three positions fit a similarity rather well; a fourth shows whether they are reliable."""
 
 MAX_SCALE_ERROR = 0.05
 MAX_TURN_DEG = 5.0
-"""GPS is not used where it leaves more than this open (one standard deviation, stated
-cautiously)."""
+"""GPS is not used if it leaves a larger uncertainty (one standard deviation, a conservative
+estimate)."""
 
 LEAST_NOISE_M = 0.03
-"""Positions in EXIF are not better than this, whatever their residuals say: some phones repeat
+"""Least noise of positions in EXIF, even where their residuals are smaller: some phones repeat
 their last one."""
 
 DISAGREEMENT = 0.1
-"""Of the scale by GPS and that by a known distance, before the user is warned: one of them is a
-mistake."""
+"""Log ratio of the scale by GPS and that by a known distance above which the user is warned."""
 
 
 class UnusableGpsError(Exception):
-    """Why the positions tell nothing of this reconstruction; half a sentence."""
+    """Why the positions cannot be used for this reconstruction; half a sentence."""
 
 
 def place_by_gps(
@@ -48,7 +46,7 @@ def place_by_gps(
     """The similarity to metres east, north and up of the middle one of the positions.
 
     Without heights, and where the cameras stand on a line about which the positions leave the
-    rotation open, ``level`` tells the vertical, and the positions the rest.
+    rotation open, ``level`` gives the vertical, and the positions the rest.
 
     Args:
         reconstruction: poses in any world.

@@ -1,5 +1,4 @@
-"""A length that the user knows, between two pixels of a photo, in the units of the
-reconstruction."""
+"""A known length between two pixels of a photo, in the units of the reconstruction."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from mrgs.errors import SceneError
 from mrgs.prepare.contract import Reconstruction
 
 NEIGHBOURS = 12
-"""Triangulated points that tell how far away a pixel is."""
+"""Number of triangulated points from which the depth of a pixel is interpolated."""
 
 _MIN_NEIGHBOURS = 3
 _SEARCH_SHARE = 0.05
@@ -25,13 +24,13 @@ _REWEIGHTINGS = 10
 
 @dataclass(frozen=True)
 class KnownDistance:
-    """A distance in the world.
+    """A known distance between two points in a photo.
 
     Attributes:
-        view: name of the view in whose image it is seen.
-        pixel_a: one end, (x, y) from the image's upper left corner.
+        view: name of the view.
+        pixel_a: one end, (x, y) in pixels from the image's upper left corner.
         pixel_b: the other end.
-        metres: how long it is.
+        metres: the distance.
     """
 
     view: str
@@ -43,8 +42,8 @@ class KnownDistance:
 def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
     """The known distance in the reconstruction's units.
 
-    Each end lies on its pixel's ray, as deep as the surface through the triangulated points around
-    it.
+    Each end lies on its pixel's ray, at the depth of the surface through the triangulated points
+    around it.
 
     Raises:
         SceneError: the view has no pose, a pixel is outside of its image, no points are near one,

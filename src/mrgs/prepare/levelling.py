@@ -1,4 +1,4 @@
-"""Which way is up, guessed from how the cameras were held."""
+"""The up direction, estimated from how the cameras were held."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _MEAN_WEIGHT = 0.05
 
 
 def centres(reconstruction: Reconstruction, names: Iterable[str]) -> Float64[np.ndarray, "n 3"]:
-    """Where the cameras of these views are."""
+    """Camera centres of views [N, 3], in the world of the reconstruction."""
     viewmats = np.stack([reconstruction.viewmats[name].numpy() for name in names])
     return -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
 
 
 def levelled(reconstruction: Reconstruction) -> Similarity:
-    """Turns z up, and y to where the cameras look on average; the origin is amid the points, and
-    the scale stays."""
+    """The similarity to a world with z up, y along the mean viewing direction, and the origin at
+    the median of the points; the scale is kept."""
     up = up_of_cameras(reconstruction)
     forward = _axes(reconstruction)[:, 2].mean(axis=0)
     ahead = forward - (forward * up).sum() * up
@@ -37,11 +37,10 @@ def levelled(reconstruction: Reconstruction) -> Similarity:
 
 
 def up_of_cameras(reconstruction: Reconstruction) -> Float64[np.ndarray, "3"]:
-    """The unit vector that is square to the rows of all photos, and else up in most of them,
-    however tilted they are.
+    """The unit vector that is perpendicular to the rows of all photos and up in most of them.
 
-    It minimises Σ (u · right_i)² + w Σ |u − up_i|². Cameras that look straight down from changing
-    headings have no up in common: there it is against their view.
+    It minimises Σ (u · right_i)² + w Σ |u − up_i|². Cameras that look straight down with changing
+    headings have no common up: it is then opposite to their viewing direction.
     """
     axes = _axes(reconstruction)
     right, up, forward = axes[:, 0], -axes[:, 1].mean(axis=0), axes[:, 2].mean(axis=0)

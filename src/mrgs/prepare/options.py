@@ -1,4 +1,4 @@
-"""What the user knows about a set of photos."""
+"""Options of ``prepare``: facts about a set of photos."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Literal
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import ConfigError
 from mrgs.prepare.georeference import KnownDistance
-from mrgs.prepare.rig import ChessboardTarget
+from mrgs.prepare.rig.contract import ChessboardTarget
 
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """Options of ``prepare``; by default everything is found from the photos.
+    """Options of ``prepare``; by default everything is determined from the photos.
 
     Attributes:
         overrides: values that replace those stored in the thermal photos.
         pairs: how RGB and thermal photos are paired; ``thermal`` uses the thermal photos only.
         pair_table: a CSV file with the pairs; None for none.
         tolerance_s: maximum time difference within a pair, seconds.
-        poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None to find
-            their poses.
+        poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None for
+            structure from motion.
         one_camera: both images of a pair show the same scene, pixel for pixel; there is no thermal
             camera to calibrate.
         thermal_fov_deg: horizontal field of view of the thermal camera, from its data sheet.

@@ -1,5 +1,5 @@
-"""An RGB photo as the scene's image file: with the camera's bytes if they can be used, else turned
-or converted."""
+"""An RGB photo as the scene's image file: the camera's bytes if possible, else rotated or
+converted."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PIL import Image, JpegImagePlugin
+from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from mrgs.data.files import read_bytes, scene_error
@@ -17,8 +18,6 @@ from mrgs.data.images import probe
 from mrgs.data.radiometric import VisibleImage, read_exif
 from mrgs.data.radiometric.exif import clean_text
 
-_MAKE, _MODEL = 0x010F, 0x0110
-_EXIF_IFD, _DATE_TIME_ORIGINAL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x9003, 0x920A, 0xA405
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -28,18 +27,18 @@ _TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""What turns an image upright, by its EXIF orientation; 1 is upright."""
+"""The transposition to upright by EXIF orientation; 1 is upright."""
 
 _SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
 
 
 @dataclass(frozen=True)
-class RgbPhoto:
-    """An image file to be written.
+class ImageFile:
+    """An image file in memory.
 
     Attributes:
         content: of the file.
-        suffix: ``.jpg`` or ``.png``.
+        suffix: of its name, such as ``.jpg``.
         size: width and height in pixels.
     """
 
@@ -47,21 +46,17 @@ class RgbPhoto:
     suffix: str
     size: tuple[int, int]
 
-    def save(self, path: Path) -> None:
-        """Write the file."""
-        path.write_bytes(self.content)
-
 
 def upright(image: Image.Image, orientation: int) -> Image.Image:
-    """An image with the EXIF orientation ``orientation``, turned upright."""
+    """An image with the given EXIF orientation (1 to 8), rotated upright."""
     return image.transpose(_TURNS[orientation]) if orientation in _TURNS else image
 
 
-def read_rgb(path: Path, orientation: int) -> RgbPhoto:
-    """A photo, turned as one with this EXIF orientation, whatever its own says.
+def read_rgb(path: Path, orientation: int) -> ImageFile:
+    """A photo, rotated upright by the given EXIF orientation; its own orientation is ignored.
 
-    A photo that needs no turning keeps its bytes. Another keeps its format and quality, and of its
-    EXIF the camera, the focal length and the time.
+    A photo that needs no rotation keeps its bytes. Any other keeps its format and quality, and of
+    its EXIF data the camera, the focal length and the time.
 
     Raises:
         SceneError: not a JPEG, PNG or TIFF image, damaged, cut off or too large.
@@ -71,11 +66,11 @@ def read_rgb(path: Path, orientation: int) -> RgbPhoto:
     image = _decoded(data, path)
     suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
     if suffix is not None and orientation == read_exif(data).orientation == 1:
-        return RgbPhoto(data, suffix, image.size)
+        return ImageFile(data, suffix, image.size)
     return _turned(image, orientation, suffix or ".png")
 
 
-def read_embedded(visible: VisibleImage, orientation: int) -> RgbPhoto:
+def read_embedded(visible: VisibleImage, orientation: int) -> ImageFile:
     """The RGB photo embedded in a thermal photo's file.
 
     Raises:
@@ -83,13 +78,13 @@ def read_embedded(visible: VisibleImage, orientation: int) -> RgbPhoto:
     """
     image = Image.fromarray(visible.pixels())
     if orientation == 1 and visible.data.startswith(b"\xff\xd8\xff"):
-        return RgbPhoto(visible.data, ".jpg", image.size)
+        return ImageFile(visible.data, ".jpg", image.size)
     return _turned(image, orientation, ".png")
 
 
-def _turned(image: Image.Image, orientation: int, suffix: str) -> RgbPhoto:
+def _turned(image: Image.Image, orientation: int, suffix: str) -> ImageFile:
     turned = upright(image, orientation)
-    return RgbPhoto(_encoded(turned, image, suffix), suffix, turned.size)
+    return ImageFile(_encoded(turned, image, suffix), suffix, turned.size)
 
 
 def _decoded(data: bytes, path: Path) -> Image.Image:
@@ -134,15 +129,15 @@ def _kept_exif(original: Image.Image) -> bytes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             main = original.getexif()
-            photo = main.get_ifd(_EXIF_IFD)
-            texts = {tag: clean_text(main.get(tag)) for tag in (_MAKE, _MODEL)}
+            photo = main.get_ifd(IFD.Exif)
+            texts = {tag: clean_text(main.get(tag)) for tag in (Base.Make, Base.Model)}
             kept.update({tag: text for tag, text in texts.items() if text is not None})
             details = {
-                _DATE_TIME_ORIGINAL: clean_text(photo.get(_DATE_TIME_ORIGINAL)),
-                _FOCAL_LENGTH: _focal_length_mm(photo.get(_FOCAL_LENGTH)),
-                _FOCAL_LENGTH_35MM: _short(photo.get(_FOCAL_LENGTH_35MM)),
+                Base.DateTimeOriginal: clean_text(photo.get(Base.DateTimeOriginal)),
+                Base.FocalLength: _focal_length_mm(photo.get(Base.FocalLength)),
+                Base.FocalLengthIn35mmFilm: _short(photo.get(Base.FocalLengthIn35mmFilm)),
             }
-            kept.get_ifd(_EXIF_IFD).update(
+            kept.get_ifd(IFD.Exif).update(
                 {tag: value for tag, value in details.items() if value is not None}
             )
             return kept.tobytes()

@@ -1,17 +1,22 @@
-"""From a folder of photos to a scene, stage by stage."""
+"""Preparation of a scene from a folder of photos, stage by stage."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from mrgs.data.files import scene_error
 from mrgs.errors import RunError
 from mrgs.prepare import stages
 from mrgs.prepare.cache import CACHE_FOLDER, locked
-from mrgs.prepare.contract import Preparation, Progress, StageReport
+from mrgs.prepare.contract import Preparation, Progress, Reconstruction, StageReport
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.page.write import PAGE
+from mrgs.prepare.page.write import PAGE, write_page
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.scene_files import write_scene
+from mrgs.prepare.sfm.reconstruct import reconstruct
+from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
 from mrgs.system.atomic import replacing
 
@@ -22,14 +27,36 @@ start over, delete the parent folder.
 """
 
 
+@dataclass(frozen=True)
+class Steps:
+    """The slow steps of ``prepare``; others may be given in their place.
+
+    Attributes:
+        reconstruct: finds the poses.
+        calibrate_rig: finds the thermal camera.
+        write_scene: writes the scene's files.
+        write_page: writes the page.
+    """
+
+    reconstruct: Callable[..., Reconstruction] = reconstruct
+    calibrate_rig: Calibrate = calibrate_rig
+    write_scene: Callable[[Work], None] = write_scene
+    write_page: Callable[..., Path] = write_page
+
+
+_STEPS = Steps()
+
+
 def prepare(
     photos: str | Path,
     scene: str | Path,
     options: PrepareOptions | None = None,
     progress: Progress | None = None,
     report: Callable[[StageReport], None] | None = None,
+    *,
+    steps: Steps = _STEPS,
 ) -> Preparation:
-    """Make a scene for ``train`` from a folder of photos, and a page that shows what was found.
+    """Make a scene for ``train`` from a folder of photos, and a page that shows the results.
 
     The photos are only read. Results are kept in ``SCENE/prepare``: the same call resumes after an
     interruption, and repeats only what depends on a changed photo or option.
@@ -37,13 +64,15 @@ def prepare(
     Args:
         photos: folder of the photos.
         scene: folder to make, or one that an earlier call made.
-        options: what is known about the photos.
-        progress: called with "stage: step", and how many of the step's parts are done and there are
-            (0 of 0 if that is not known).
-        report: called with each stage's report when it is done.
+        options: facts about the photos.
+        progress: called with "stage: step", the number of the step's parts that are done, and of
+            all (0 and 0 if not known).
+        report: called with the report of each finished stage.
+        steps: other functions for the slow steps.
 
     Raises:
-        SceneError: the photos cannot be used: no pairs, fewer than three poses, no thermal camera.
+        SceneError: the photos cannot be used: no pairs, fewer than three poses, or the thermal
+            camera cannot be calibrated.
         RunError: the scene's folder cannot be written, holds something else, or is in use.
         ConfigError: an option that does not fit the photos.
     """
@@ -53,19 +82,19 @@ def prepare(
     _check_folders(work.photos, work.scene)
     with locked(work.cache.folder):
         _write_marker(work.cache.folder)
-        stages.pairs(work)
-        stages.images(work)
-        with stages.page_on_error(work):
-            stages.poses(work)
-            stages.scale_and_north(work)
-            stages.thermal_camera(work)
-        stages.scene_files(work)
-        stages.page(work)
+        work.run("pairs", stages.pairs)
+        work.run("images", stages.images)
+        with stages.page_on_error(work, steps.write_page):
+            work.run("poses", stages.poses, steps.reconstruct)
+            work.run("scale and north", stages.scale_and_north)
+            work.run("thermal camera", stages.thermal_camera, steps.calibrate_rig)
+        work.run("scene files", stages.scene_files, steps.write_scene)
+        work.run("page", stages.page, steps.write_page)
     return Preparation(work.scene, work.scene / PAGE, tuple(work.reports), work.skipped)
 
 
 def _write_marker(folder: Path) -> None:
-    """Say that the folder is the program's own, to the user and to later calls."""
+    """Mark the folder as the program's own, for the user and for later calls."""
     if not (folder / MARKER).exists():
         with replacing(folder / MARKER) as temporary:
             temporary.write_text(MARKER_TEXT, encoding="utf-8")

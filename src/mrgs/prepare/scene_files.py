@@ -1,11 +1,10 @@
-"""The files of a prepared scene beside its images: cameras, split, start points and temperature
+"""The files of a prepared scene besides its images: cameras, split, start points and temperature
 bounds."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,10 @@ from mrgs.data.transforms import (
 )
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.rig.contract import RigCalibration
+from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
-from mrgs.scene import THERMAL, PointCloud
+from mrgs.scene import THERMAL, Modality, PointCloud
 from mrgs.system.atomic import remove
 
 
@@ -35,12 +35,12 @@ def write_scene(work: Work) -> None:
     ``load_scene`` reads them.
 
     Only views with a pose are in the scene, in the order of the converted views. The transforms are
-    written last, so that an unfinished folder is not taken for a scene. Points and bounds of an
+    written last, so that an unfinished folder is not read as a scene. Points and bounds of an
     earlier call are removed if there are none now.
 
     Every ``eval_every``-th view is held out, beginning with the first, as in Mip-NeRF 360 and 3DGS.
     Bounds that are not given are the range of the views' temperatures, rounded outwards to whole
-    degrees. Without a rig one camera serves both images; if their sizes differ, both are taken to
+    degrees. Without a rig one camera took both images; if their sizes differ, both are taken to
     show the same field of view.
 
     Raises:
@@ -63,14 +63,12 @@ def write_scene(work: Work) -> None:
         scene / TRANSFORMS,
         [_frame(view, posed, rig) for view in views],
         lens=posed.lenses[views[0].name] if _one_lens(posed) else None,
-        thermal_lens=_thermal_lens(scene, views, posed, rig),
+        lenses=_thermal_lens(scene, views, posed, rig),
         points=POINTS if len(posed.points.positions) else None,
         split=_split(views, held_out, posed),
         facts={
             **_georeference(work.georeference),
-            **(
-                {"thermal_from_rgb_m": rig.thermal_from_rgb.tolist()} if rig and work.metric else {}
-            ),
+            **({EXTRINSICS: rig.extrinsics.tolist()} if rig and work.metric else {}),
         },
     )
 
@@ -81,28 +79,13 @@ def _frame(
     """One view as nerfstudio describes it, with a thermal image."""
     viewmat, viewmats = reconstruction.viewmats[view.name], {}
     if rig is not None:
-        viewmats[THERMAL] = rig.viewmat(_pair_index(rig, view.name), viewmat)
+        viewmats[THERMAL] = rig.viewmat(view.name, viewmat)
     return frame_json(
         viewmat,
         None if reconstruction.images == THERMAL else view.images[reconstruction.images].file,
         {THERMAL: view.images[THERMAL].file},
         lens=None if _one_lens(reconstruction) else reconstruction.lenses[view.name],
         viewmats=viewmats,
-    )
-
-
-def _pair_index(rig: RigCalibration, name: str) -> int:
-    """Index of the view among the rig's pairs.
-
-    Raises:
-        SceneError: the view was not among them.
-    """
-    for index, view in enumerate(rig.views):
-        if view.name == name:
-            return index
-    raise SceneError(
-        f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate it "
-        f"too"
     )
 
 
@@ -115,31 +98,17 @@ def _thermal_lens(
     views: Sequence[ConvertedView],
     reconstruction: Reconstruction,
     rig: RigCalibration | None,
-) -> Lens | None:
+) -> dict[Modality, Lens]:
     """The thermal camera's intrinsics, if they differ from those of the posed images."""
     if rig is not None:
-        return rig.lens
+        return {THERMAL: rig.lens}
     if reconstruction.images == THERMAL:
-        return None
+        return {}
     info = probe(scene / views[0].images[THERMAL].file)
     lens = reconstruction.lenses[views[0].name]
     if (info.width, info.height) == (lens.width, lens.height):
-        return None
-    return _resized(lens, info.width, info.height)
-
-
-def _resized(lens: Lens, width: int, height: int) -> Lens:
-    """The same rays on another pixel grid."""
-    x, y = width / lens.width, height / lens.height
-    return replace(
-        lens,
-        width=width,
-        height=height,
-        fx=lens.fx * x,
-        fy=lens.fy * y,
-        cx=lens.cx * x,
-        cy=lens.cy * y,
-    )
+        return {}
+    return {THERMAL: lens.resized(info.width, info.height)}
 
 
 def _split(
@@ -153,7 +122,7 @@ def _split(
 
 
 def _georeference(georeference: Georeference | None) -> dict[str, Any]:
-    """What other programs may want to know of the world; this project's reader does not need it."""
+    """Facts about the world for other programs; ``load_scene`` does not need them."""
     if georeference is None:
         return {}
     origin = georeference.origin

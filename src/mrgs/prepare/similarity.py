@@ -1,5 +1,4 @@
-"""The similarity between two sets of corresponding points: by least squares, and in spite of
-outliers."""
+"""The similarity between two sets of corresponding points: by least squares, and robustly."""
 
 from __future__ import annotations
 
@@ -23,19 +22,19 @@ class Similarity:
     translation: Float64[np.ndarray, " d"]
 
     def __call__(self, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "n d"]:
-        """The points moved."""
+        """The points under the similarity [N, d]."""
         return self.scale * np.einsum("ij,nj->ni", self.rotation, points) + self.translation
 
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """A similarity, and how well the points obey it.
+    """A similarity, and how well the points fit it.
 
     Attributes:
         similarity: fitted to the inliers.
-        inliers: points that obey it.
+        inliers: mask of the points that fit it [N].
         sigma: standard deviation of the inliers' coordinates, in units of the target.
-        freedom: coordinates of inliers beyond the numbers that were fitted; 1 at least.
+        freedom: degrees of freedom: coordinates of the inliers minus fitted numbers; at least 1.
     """
 
     similarity: Similarity
@@ -47,7 +46,7 @@ class RobustFit:
 def fit_similarity(
     source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
 ) -> Similarity:
-    """Least squares (Umeyama, 1991)."""
+    """The least-squares similarity from source to target points (Umeyama, 1991)."""
     scales, rotations, translations = _umeyama(source[None], target[None])
     return Similarity(float(scales[0]), rotations[0], translations[0])
 
@@ -58,7 +57,7 @@ def fit_robustly(
     """Least median of squares over random triples, then least squares over the inliers (Rousseeuw
     and Leroy, 1987).
 
-    Up to almost half of the points may be outliers. The same points give the same result.
+    Up to almost half of the points may be outliers. The result is deterministic.
     """
     count, dimensions = source.shape
     best = _least_median(source, target)

@@ -1,14 +1,14 @@
-"""The stages of ``prepare``, in the order of the data.
+"""The stages of ``prepare``, in order. Each adds its result to the work and returns a summary.
 
-Each takes from the cache what an earlier call found, unless something that it follows from has
-changed.
+A stage takes its result from the cache, unless something that it depends on has changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
@@ -19,32 +19,31 @@ from mrgs.prepare.contract import (
     Pairing,
     Reconstruction,
     StageReport,
-    Summary,
+    StageSummary,
     TooFewPosesError,
 )
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import poses_of_photos
 from mrgs.prepare.georeference import georeference
-from mrgs.prepare.page import write_page
-from mrgs.prepare.pairs import find_pairs
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.page.write import write_page
+from mrgs.prepare.pairs.find import find_pairs
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.scene_files import write_scene
-from mrgs.prepare.sfm import reconstruct
+from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.summary import (
     summarize_pairs,
     summarize_photos,
     summarize_poses,
     summarize_thermal_camera,
 )
-from mrgs.prepare.thermal_camera import calibrate_thermal_camera, in_metres_of_target
-from mrgs.prepare.work import Work, stage
-from mrgs.scene import THERMAL
+from mrgs.prepare.thermal_camera import Calibrate, calibrate_thermal_camera, in_metres_of_target
+from mrgs.prepare.work import Work
 from mrgs.scene.modality import in_order
 
 
-@stage("pairs")
-def pairs(work: Work) -> Summary:
-    """Which photos belong together; follows from the names and times of all files."""
+def pairs(work: Work) -> StageSummary:
+    """Which photos belong together; depends on the names and times of all files."""
     rule, table, tolerance_s = (
         work.options.pairs,
         work.options.pair_table,
@@ -60,8 +59,7 @@ def pairs(work: Work) -> Summary:
     return summarize_pairs(work.pairing)
 
 
-@stage("images")
-def images(work: Work) -> Summary:
+def images(work: Work) -> StageSummary:
     """The photos of all pairs as colours and temperatures; each pair is cached on its own."""
     work.images = convert_photos(
         work.pairing,
@@ -74,10 +72,9 @@ def images(work: Work) -> Summary:
     return summarize_photos(work.images)
 
 
-@stage("poses")
-def poses(work: Work) -> Summary:
-    """Where the cameras were; follows from the content of the posed images, so that other
-    temperatures do not matter."""
+def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) -> StageSummary:
+    """Camera poses, given or by ``reconstruct``; they depend on the posed images alone, so that
+    other temperatures do not matter."""
     views = work.images.views
     modality = in_order(modality for view in views for modality in view.images)[0]
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
@@ -86,9 +83,7 @@ def poses(work: Work) -> Summary:
 
     def find() -> Reconstruction:
         if given is None:
-            cameras = dict.fromkeys(files, "one")  # sets of several cameras have been refused
-            folder = work.scene / CACHE_FOLDER
-            return reconstruct(files, cameras, folder, work.progress, modality=modality)
+            return reconstruct(files, work.scene / CACHE_FOLDER, work.progress, modality=modality)
         found = poses_of_photos(given, work.pairing.pairs, files)
         return replace(found, images=modality)
 
@@ -100,8 +95,7 @@ def poses(work: Work) -> Summary:
     return summarize_poses(work.poses)
 
 
-@stage("scale and north")
-def scale_and_north(work: Work) -> Summary:
+def scale_and_north(work: Work) -> StageSummary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
     found, distance = work.posed, work.options.known_distance
     as_given = work.options.poses is not None
@@ -112,13 +106,12 @@ def scale_and_north(work: Work) -> Summary:
         (found, gps, distance, as_given),
         lambda: georeference(found, gps, distance, as_given=as_given),
     )
-    return Summary((work.georeference.text,), work.georeference.warnings)
+    return StageSummary((work.georeference.text,), work.georeference.warnings)
 
 
-@stage("thermal camera")
-def thermal_camera(work: Work) -> Summary:
-    """Lens and offset of the thermal camera. A target may also give the scale, which then changes
-    the scene's world."""
+def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> StageSummary:
+    """Intrinsics and extrinsics of the thermal camera. A target may also give the scale, which then
+    changes the scene's world."""
     options, posed, metric = work.options, work.posed, work.metric
     file = options.thermal_camera
     content = None if file is None else digest(file)
@@ -128,25 +121,24 @@ def thermal_camera(work: Work) -> Summary:
         "thermal camera",
         RigCalibration | None,
         (posed, metric, images, known),
-        lambda: calibrate_thermal_camera(work),
+        lambda: calibrate_thermal_camera(work, calibrate),
     )
     if work.georeference is not None:
         work.georeference, work.rig = in_metres_of_target(work.georeference, found)
-    return summarize_thermal_camera(found, posed.images == THERMAL, metric)
+    return summarize_thermal_camera(found, posed.images, metric)
 
 
 @dataclass(frozen=True)
 class WrittenScene:
-    """What training will read: numbers of views, lowest and highest temperature in °C."""
+    """Numbers of views, and lowest and highest temperature in °C, as training will read them."""
 
     train: int
     eval: int
     range_c: tuple[float, float] | None
 
 
-@stage("scene files")
-def scene_files(work: Work) -> Summary:
-    """``transforms.json``, points and bounds; they are read once, to be sure that they can be."""
+def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -> StageSummary:
+    """``transforms.json``, points and bounds; ``load_scene`` reads them once as a check."""
 
     def write() -> WrittenScene:
         write_scene(work)
@@ -167,26 +159,25 @@ def scene_files(work: Work) -> Summary:
     bounds = "no °C"
     if written.range_c is not None:
         bounds = "{:g} °C to {:g} °C".format(*written.range_c)
-    return Summary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
+    return StageSummary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
 
 
-@stage("page")
-def page(work: Work) -> Summary:
-    """The HTML page that shows what was found."""
-    said = [(report.title, report.lines, report.warnings) for report in work.reports]
+def page(work: Work, write_page: Callable[..., Path] = write_page) -> StageSummary:
+    """The HTML page that shows the results."""
+    reported = [(report.title, report.lines, report.warnings) for report in work.reports]
     name = work.cache.get(
         "page",
         str,
-        (said, work.skipped, work.images, work.posed, work.rig, work.georeference),
+        (reported, work.skipped, work.images, work.posed, work.rig, work.georeference),
         lambda: write_page(work).name,
         lambda name: [work.scene / name],
     )
-    return Summary((f"{work.scene / name}",))
+    return StageSummary((f"{work.scene / name}",))
 
 
 @contextmanager
-def page_on_error(work: Work) -> Iterator[None]:
-    """On an error of the photos, write a page of what was found so far: it often shows the cause.
+def page_on_error(work: Work, write_page: Callable[..., Path] = write_page) -> Iterator[None]:
+    """On an error of the photos, write a page of the results so far: it often shows the cause.
 
     Raises:
         SceneError: that of the block; it names the page if there is one.

@@ -1,28 +1,28 @@
-"""Summaries of what the stages found, for the terminal and the page."""
+"""Summaries of the stages' results, for the terminal and the page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, Summary
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, StageSummary
+from mrgs.prepare.rig.contract import RigCalibration
+from mrgs.scene import THERMAL, Modality
 
 SCALE_TOLERANCE = 0.03
 """Two sources of the scene's scale may differ by this share."""
 
 
-def summarize_pairs(pairing: Pairing) -> Summary:
-    """How many pairs there are, and how they were found."""
+def summarize_pairs(pairing: Pairing) -> StageSummary:
+    """Number of pairs, and the rule that found them."""
     lines = [f"{_count(len(pairing.pairs), 'pair')}. {pairing.rule}"]
     if pairing.skipped:
         lines.append(f"{_count(len(pairing.skipped), 'file')} skipped.")
-    return Summary(tuple(lines), pairing.warnings)
+    return StageSummary(tuple(lines), pairing.warnings)
 
 
-def summarize_photos(photos: ConvertedPhotos) -> Summary:
-    """What the photos hold. A warning that several photos share is given once, with their
-    number."""
+def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
+    """Cameras and temperatures of the photos; each warning once, with the number of its photos."""
     views = photos.views
     ranges = [view.range_c for view in views if view.range_c is not None]
     cameras = sorted({view.facts.camera for view in views if view.facts.camera is not None})
@@ -42,30 +42,39 @@ def summarize_photos(photos: ConvertedPhotos) -> Summary:
     for view in views:
         for text in view.facts.warnings:
             by_text.setdefault(text, []).append(view.name)
-    return Summary(
+    return StageSummary(
         tuple(lines),
         (*photos.warnings, *(_with_photos(text, names) for text, names in by_text.items())),
     )
 
 
-def summarize_poses(reconstruction: Reconstruction) -> Summary:
-    """Source of the poses, and their reprojection error."""
+def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
+    """Source of the poses and their reprojection error."""
     lines = [reconstruction.source]
     if reconstruction.reprojection_px is not None:
         lines[0] += f" Reprojection error {reconstruction.reprojection_px:.2f} px."
     if reconstruction.failed:
         lines.append(f"{_count(len(reconstruction.failed), 'image')} without a pose.")
-    return Summary(tuple(lines), reconstruction.warnings)
+    return StageSummary(tuple(lines), reconstruction.warnings)
 
 
-def summarize_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bool) -> Summary:
-    """The lens, the offset and how well they fit, where there are two cameras."""
+def summarize_thermal_camera(
+    rig: RigCalibration | None, posed: Modality, metric: bool
+) -> StageSummary:
+    """Field of view, offset and residuals of the thermal camera.
+
+    Args:
+        rig: None if there is no second camera.
+        posed: of the images with poses.
+        metric: whether the unit of the scene's world is the metre.
+    """
     if rig is None:
-        return Summary(
-            ("There are only thermal images." if alone else "One camera serves both images.",)
+        alone = posed == THERMAL
+        return StageSummary(
+            ("There are only thermal images." if alone else "One camera took both images.",)
         )
     width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
-    baseline = float(rig.thermal_from_rgb[:3, 3].norm())
+    baseline = float(rig.extrinsics[:3, 3].norm())
     scale = rig.target.metres_per_unit if rig.target is not None and not metric else None
     offset = (
         f"{100 * baseline * (scale or 1.0):.1f} cm"
@@ -81,7 +90,7 @@ def summarize_thermal_camera(rig: RigCalibration | None, alone: bool, metric: bo
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
-    return Summary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
+    return StageSummary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
 
 
 def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:

@@ -1,7 +1,8 @@
-"""The thermal camera of a set of photos: given by a file, or calibrated from the photos."""
+"""The thermal camera of a set of photos: read from a file, or calibrated from the photos."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -9,23 +10,28 @@ from pathlib import Path
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.data.capture import ImageSource
 from mrgs.data.files import read_json_object, scene_error, shown
 from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation
+from mrgs.data.sources import ImageSource
 from mrgs.errors import ConfigError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.rig import RigCalibration, RigOptions, RigPair, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform
 
+EXTRINSICS = "thermal_from_rgb_m"
+"""Key of the rigid motion [4, 4] from RGB camera to thermal camera axes, metres, in
+``transforms.json`` and in the file of a thermal camera."""
+
 SHAPE_TOLERANCE = 0.01
-"""Width over height may differ by this share between two images of one camera: sizes are whole
+"""Aspect ratios of two images of one camera may differ by this share, because sizes are whole
 numbers."""
 
 
@@ -36,12 +42,12 @@ class ThermalCamera:
     Attributes:
         lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find
             them.
-        thermal_from_rgb: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to
+        extrinsics: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to
             find it.
     """
 
     lens: Lens | None
-    thermal_from_rgb: Float64[Tensor, "4 4"] | None
+    extrinsics: Float64[Tensor, "4 4"] | None
 
 
 def read_thermal_camera(path: Path) -> ThermalCamera:
@@ -55,11 +61,9 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
         SceneError: the file cannot be read, holds neither, or a camera that cannot be used.
     """
     content = read_json_object(path)
-    own, motion = content.get("thermal_camera"), content.get("thermal_from_rgb_m")
+    own, motion = content.get("thermal_camera"), content.get(EXTRINSICS)
     if own is None and motion is None:
-        raise scene_error(
-            path, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them"
-        )
+        raise scene_error(path, f"holds neither thermal_camera nor {EXTRINSICS}; add one of them")
     lens = matrix = None
     if own is not None:
         if not isinstance(own, dict):
@@ -71,17 +75,27 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
                 "thermal_camera is distorted by more than k1 and k2; calibrate it with these alone",
             )
     if motion is not None:
-        given = matrix_from_json(motion, (3, 4), "thermal_from_rgb_m", path)
-        rotation = nearest_rotation(given[:3, :3], "thermal_from_rgb_m", path)
+        given = matrix_from_json(motion, (3, 4), EXTRINSICS, path)
+        rotation = nearest_rotation(given[:3, :3], EXTRINSICS, path)
         matrix = rigid_transform(rotation, given[:3, 3])
     return ThermalCamera(lens, matrix)
 
 
-def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
-    """Calibrate the thermal camera from the posed photos and what the user knows about it.
+Calibrate = Callable[..., RigCalibration]
+"""Such as :func:`mrgs.prepare.rig.calibrate.calibrate_rig`."""
+
+
+def calibrate_thermal_camera(
+    work: Work, calibrate: Calibrate = calibrate_rig
+) -> RigCalibration | None:
+    """Calibrate the thermal camera from the posed photos and the user's options.
+
+    Args:
+        work: with images and poses.
+        calibrate: called with the pairs, the points, the rig's options and progress.
 
     Returns:
-        The calibration in the scene's world; None if one camera serves both images of a pair, or if
+        The calibration in the scene's world; None if one camera took both images of a pair, or if
         there are only thermal images.
 
     Raises:
@@ -99,7 +113,7 @@ def calibrate_thermal_camera(work: Work) -> RigCalibration | None:
         return None
     pairs = [_rig_pair(view, work.scene, posed) for view in views]
     known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
-    return calibrate_rig(pairs, posed.points, known, work.progress)
+    return calibrate(pairs, posed.points, known, work.progress)
 
 
 def _check_unused(options: PrepareOptions) -> None:
@@ -156,7 +170,7 @@ def _load(path: Path) -> Pixels:
 
 
 def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
-    """What the user knows of the thermal camera, in scene units.
+    """The user's options for the thermal camera, in scene units.
 
     Raises:
         SceneError: the camera's file does not fit the thermal images, or its offset cannot be used
@@ -165,7 +179,7 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
     lens = motion = None
     if (file := options.thermal_camera) is not None:
         given = read_thermal_camera(file)
-        lens, motion = given.lens, given.thermal_from_rgb if metric else None
+        lens, motion = given.lens, given.extrinsics if metric else None
         if lens is None and motion is None:
             raise scene_error(
                 file,
@@ -183,7 +197,7 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
             )
     return RigOptions(
         thermal_lens=lens,
-        thermal_from_rgb=motion,
+        extrinsics=motion,
         field_of_view_deg=options.thermal_fov_deg,
         target=options.target,
         metres_per_unit=1.0 if metric else None,
@@ -206,8 +220,8 @@ def in_metres_of_target(
         f"{georeference.text.removeprefix('The scale is arbitrary. ')}",
     )
     views = tuple(replace(view, correction=_scaled(view.correction, metres)) for view in rig.views)
-    thermal_from_rgb = _scaled(rig.thermal_from_rgb, metres)
-    return georeference, replace(rig, thermal_from_rgb=thermal_from_rgb, views=views)
+    extrinsics = _scaled(rig.extrinsics, metres)
+    return georeference, replace(rig, extrinsics=extrinsics, views=views)
 
 
 def _scaled(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:

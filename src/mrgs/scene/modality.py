@@ -105,7 +105,7 @@ THERMAL = Modality("thermal", 1, unit="°C")
 """Temperatures, normalised by the scene's :class:`TemperatureRange`."""
 
 BUILT_IN = (RGB, THERMAL)
-"""The modalities that need not be listed or registered."""
+"""Known to every reader, in the order in which views list them."""
 
 _QUANTITIES = {RGB.name: "colour", THERMAL.name: "temperature"}
 

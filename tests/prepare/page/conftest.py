@@ -19,7 +19,7 @@ from mrgs.prepare.contract import (
     StageReport,
 )
 from mrgs.prepare.convert import IMAGE_FOLDERS
-from mrgs.prepare.rig import RigCalibration, RigView, TargetFit
+from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, PointCloud
@@ -35,7 +35,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
     """Only to be read."""
     scene = tmp_path_factory.mktemp("prepared") / "table & chairs"
     capture = read_transforms(TABLETOP, TABLETOP / "transforms.json")
-    shots = capture.shots[::8]
+    shots = capture.views[::8]
     views = []
     for folder in IMAGE_FOLDERS.values():
         (scene / folder).mkdir(parents=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from mrgs.prepare.page import write_page
+from mrgs.prepare.page.write import write_page
 from tests.helpers.browsers import chromium, needs_chromium, new_page
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -12,7 +12,7 @@ import torch
 
 from mrgs.data.lens import Lens
 from mrgs.prepare.page.cameras import lens_text
-from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_on_rgb
+from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
 from mrgs.prepare.page.previews import Preview, PreviewImage, views_text
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
@@ -51,21 +51,21 @@ def test_the_thermal_image_lands_where_the_photo_shows_the_same_thing():
     """Thermal camera 0.5 to the right, wall at 5: what the photo has at column c, it has at c -
     6."""
     columns = np.tile(np.arange(64.0), (48, 1))
-    overlay = thermal_on_rgb(preview_of(columns, camera(), camera(0.5)), wall(5.0))
+    overlay = thermal_overlay(preview_of(columns, camera(), camera(0.5)), wall(5.0))
     np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
     assert np.isnan(overlay[:, :6]).all()
 
 
 def test_an_overlay_needs_both_poses():
     thermal = np.zeros((48, 64))
-    assert thermal_on_rgb(preview_of(thermal, camera(), None), wall(5.0)) is None
-    assert thermal_on_rgb(preview_of(thermal, None, camera()), wall(5.0)) is None
+    assert thermal_overlay(preview_of(thermal, camera(), None), wall(5.0)) is None
+    assert thermal_overlay(preview_of(thermal, None, camera()), wall(5.0)) is None
 
 
 def test_few_points_give_their_median_depth():
     columns = np.tile(np.arange(64.0), (48, 1))
     few = PointCloud(wall(5.0).positions[300:303], wall(5.0).colors[300:303])
-    overlay = thermal_on_rgb(preview_of(columns, camera(), camera(0.5)), few)
+    overlay = thermal_overlay(preview_of(columns, camera(), camera(0.5)), few)
     np.testing.assert_allclose(overlay[:, 7:], columns[:, 7:] - 6, atol=0.02)
 
 

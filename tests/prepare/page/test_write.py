@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.prepare.page import write_page
+from mrgs.prepare.page.write import write_page
 from mrgs.prepare.work import Work
 
 
@@ -122,7 +122,7 @@ def test_poses_without_a_thermal_camera_are_shown_and_can_be_measured(prepared, 
     assert "There is no scene yet; the stages below say why." in page.text
     assert f"{len(found.points.positions):,}" in page.text
     assert "By GPS." in page.text
-    assert "One camera serves both images." not in page.text
+    assert "One camera took both images." not in page.text
     assert "not in the scene: too few features" in page.text
     assert 'id="measure"' in page.source
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing
-from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.photos import photo
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
 
@@ -511,7 +512,7 @@ NAMES = st.builds(lambda folder, stem, suffix: f"{folder}{stem}{suffix}", FOLDER
 
 @settings(max_examples=25)
 @given(names=st.lists(NAMES, max_size=10, unique=True), data=st.data())
-def test_every_file_is_in_one_pair_or_left_out(photo, names, data):
+def test_every_file_is_in_one_pair_or_left_out(names, data):
     """One to one, nothing lost, and the same in whatever order the system lists the files."""
     kinds = {
         ".jpg": ["jpg", "jpg", "jpg", "flir", "flir with visible"],

@@ -7,37 +7,38 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.prepare.pairs.names import folder_role, natural, read_stem, view_names
+from mrgs.prepare.pairs.names import folder_modality, natural, read_stem, view_names
+from mrgs.scene import RGB, THERMAL
 
 
 @pytest.mark.parametrize(
-    ("stem", "key", "role", "mark"),
+    ("stem", "key", "modality", "mark"),
     [
-        ("DJI_0001_T", "DJI_0001", "thermal", "t"),
-        ("dji_0001_w", "dji_0001", "rgb", "w"),
-        ("DJI_20230101120000_0001_V", "DJI_0001", "rgb", "v"),
-        ("DJI_20230101120000_0001_T_Waypoint1", "DJI_0001_Waypoint1", "thermal", "t"),
-        ("DJI_20200101120000_0001_THRM", "DJI_0001", "thermal", "thrm"),
-        ("DJI_0001_ZOOM", "DJI_0001", "rgb", "zoom"),
-        ("wall_t", "wall", "thermal", "t"),
+        ("DJI_0001_T", "DJI_0001", THERMAL, "t"),
+        ("dji_0001_w", "dji_0001", RGB, "w"),
+        ("DJI_20230101120000_0001_V", "DJI_0001", RGB, "v"),
+        ("DJI_20230101120000_0001_T_Waypoint1", "DJI_0001_Waypoint1", THERMAL, "t"),
+        ("DJI_20200101120000_0001_THRM", "DJI_0001", THERMAL, "thrm"),
+        ("DJI_0001_ZOOM", "DJI_0001", RGB, "zoom"),
+        ("wall_t", "wall", THERMAL, "t"),
         ("house_w", "house_w", None, ""),
-        ("IMG0153V", "IMG0153", "rgb", "v"),
-        ("IR_0001", "0001", "thermal", "ir"),
-        ("ir0001", "0001", "thermal", "ir"),
-        ("DC_0002", "0002", "rgb", "dc"),
-        ("wall_rgb", "wall", "rgb", "rgb"),
-        ("wall-Thermal-2", "wall_2", "thermal", "thermal"),
-        ("20180101_101010_101_8b", "20180101_101010_101", "thermal", "8b"),
-        ("thermal", "", "thermal", "thermal"),
+        ("IMG0153V", "IMG0153", RGB, "v"),
+        ("IR_0001", "0001", THERMAL, "ir"),
+        ("ir0001", "0001", THERMAL, "ir"),
+        ("DC_0002", "0002", RGB, "dc"),
+        ("wall_rgb", "wall", RGB, "rgb"),
+        ("wall-Thermal-2", "wall_2", THERMAL, "thermal"),
+        ("20180101_101010_101_8b", "20180101_101010_101", THERMAL, "8b"),
+        ("thermal", "", THERMAL, "thermal"),
         ("FLIR1234", "FLIR1234", None, ""),
         ("frame_train_00001", "frame_train_00001", None, ""),
         ("20180101_101010_101_R", "20180101_101010_101_R", None, ""),
         ("iris_colors", "iris_colors", None, ""),
     ],
 )
-def test_stems(stem, key, role, mark):
+def test_stems(stem, key, modality, mark):
     facts = read_stem(stem)
-    assert (facts.key, facts.role, facts.mark) == (key, role, mark)
+    assert (facts.key, facts.modality, facts.mark) == (key, modality, mark)
 
 
 def test_r_marks_what_is_radiometric():
@@ -50,20 +51,20 @@ def test_the_time_in_a_stem():
 
 
 @pytest.mark.parametrize(
-    ("folders", "role", "rest"),
+    ("folders", "modality", "rest"),
     [
-        (["RGB"], "rgb", ()),
-        (["thermal_images"], "thermal", ()),
-        (["Images"], "rgb", ()),
-        (["set", "IR", "100MEDIA"], "thermal", ("set", "100MEDIA")),
+        (["RGB"], RGB, ()),
+        (["thermal_images"], THERMAL, ()),
+        (["Images"], RGB, ()),
+        (["set", "IR", "100MEDIA"], THERMAL, ("set", "100MEDIA")),
         (["DCIM", "100_FLIR"], None, ("DCIM", "100_FLIR")),
-        (["FLIR"], "thermal", ()),
+        (["FLIR"], THERMAL, ()),
         (["rgb_and_thermal"], None, ("rgb_and_thermal",)),
-        (["thermal", "visible"], "rgb", ("thermal",)),
+        (["thermal", "visible"], RGB, ("thermal",)),
     ],
 )
-def test_folders(folders, role, rest):
-    assert folder_role(folders) == (role, rest)
+def test_folders(folders, modality, rest):
+    assert folder_modality(folders) == (modality, rest)
 
 
 def test_natural_order():

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from mrgs.prepare.pairs.photo import Photo, inspect
+from tests.helpers.flir import FlirPhoto
+from tests.helpers.photos import photo
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
 
@@ -23,7 +25,7 @@ def seen(tmp_path):
     return look
 
 
-def test_a_plain_photo(seen, photo):
+def test_a_plain_photo(seen):
     found = seen("a.jpg", photo("jpg", size=(20, 10), taken=NOON, model="X100", focal_mm=23.0))
     assert (found.kind, found.size, found.is_thermal, found.embedded) == (
         "image",
@@ -35,34 +37,32 @@ def test_a_plain_photo(seen, photo):
     assert found.origin == PurePosixPath("folder/a")
 
 
-def test_a_flir_photo(seen, photo):
+def test_a_flir_photo(seen):
     found = seen("a.jpg", photo("flir", taken=NOON))
     assert (found.kind, found.is_thermal, found.embedded) == ("signal", True, False)
     assert found.exif.taken == NOON
     assert seen("b.jpg", photo("flir with visible")).embedded
 
 
-def test_a_bare_flir_record(seen, flir):
-    assert seen("a.fff", flir().record()).kind == "signal"
+def test_a_bare_flir_record(seen):
+    assert seen("a.fff", FlirPhoto().record()).kind == "signal"
 
 
-def test_a_flir_photo_that_is_cut_off(seen, flir):
-    whole = flir(part_bytes=500).jpeg()
+def test_a_flir_photo_that_is_cut_off(seen):
+    whole = FlirPhoto(part_bytes=500).jpeg()
     assert seen("a.jpg", whole[:1400]).startswith("its thermal record is cut off or damaged")
 
 
-def test_a_record_without_raw_image_belongs_to_a_visible_photo(seen, flir, monkeypatch):
-    contents = flir.contents
-    monkeypatch.setattr(flir, "contents", lambda self: {0x20: contents(self)[0x20]})
-    assert seen("DC_0001.jpg", flir().jpeg()).kind == "image"
+def test_a_record_without_raw_image_belongs_to_a_visible_photo(seen):
+    assert seen("DC_0001.jpg", FlirPhoto(without=(0x01,)).jpeg()).kind == "image"
 
 
-def test_numbers(seen, photo):
+def test_numbers(seen):
     assert seen("a.tif", photo("celsius")).kind == "numbers"
     assert seen("a.raw", np.zeros(160 * 120, np.float32).tobytes()).kind == "numbers"
 
 
-def test_a_dji_photo(seen, photo):
+def test_a_dji_photo(seen):
     assert seen("a.jpg", photo("dji", model="DJI M3T")).kind == "dji"
 
 
@@ -74,7 +74,7 @@ def test_a_table(seen):
     )
 
 
-def test_a_photo_with_a_long_header_is_read_whole(seen, photo):
+def test_a_photo_with_a_long_header_is_read_whole(seen):
     data = photo("jpg", size=(20, 10))
     filler = b"".join(b"\xff\xe5" + struct.pack(">H", 65_002) + bytes(65_000) for _ in range(18))
     assert seen("a.jpg", data[:2] + filler + data[2:]).size == (20, 10)

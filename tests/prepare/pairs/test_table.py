@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare.pairs import find_pairs
+from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
 
 FILES = {

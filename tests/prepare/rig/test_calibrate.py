@@ -6,8 +6,10 @@ import pytest
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.prepare.rig import RigOptions, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import RigOptions
 from mrgs.scene import Pixels, PointCloud
+from tests.helpers.rig_room import build_room
 
 KNOWN_FIELD = RigOptions(field_of_view_deg=56.0)
 
@@ -30,26 +32,26 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
         "searching the thermal camera",
         "matching",
     ]
-    world_to_thermal = found.viewmat(2, room.pairs[2].rgb.camera.viewmat)
-    expected = found.views[2].correction @ found.thermal_from_rgb @ room.pairs[2].rgb.camera.viewmat
+    world_to_thermal = found.viewmat(room.pairs[2].name, room.pairs[2].photo.camera.viewmat)
+    expected = found.views[2].correction @ found.extrinsics @ room.pairs[2].photo.camera.viewmat
     assert torch.equal(world_to_thermal, expected)
 
 
-def test_inverted_contrast_does_not_matter(make_room):
-    room = make_room(views=3, inverted=True)
+def test_inverted_contrast_does_not_matter():
+    room = build_room(views=3, inverted=True)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.2
 
 
 def test_a_result_repeats(room):
-    given = RigOptions(thermal_lens=room.lens, thermal_from_rgb=room.thermal_from_rgb)
+    given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     found, again = (calibrate_rig(room.pairs[:3], room.points, given) for _ in range(2))
-    assert torch.equal(found.thermal_from_rgb, again.thermal_from_rgb)
+    assert torch.equal(found.extrinsics, again.extrinsics)
     assert found.lens == again.lens
 
 
-def test_shutters_that_do_not_fire_together_are_corrected_and_told(make_room):
-    room = make_room(views=4, motion_rad=0.012)
+def test_shutters_that_do_not_fire_together_are_corrected_and_told():
+    room = build_room(views=4, motion_rad=0.012)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.8
     assert len(found.warnings) == 1
@@ -57,11 +59,11 @@ def test_shutters_that_do_not_fire_together_are_corrected_and_told(make_room):
 
 
 def test_a_given_lens_and_offset_stay_and_their_residual_is_told(room):
-    given = RigOptions(thermal_lens=room.lens, thermal_from_rgb=room.thermal_from_rgb)
+    given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     found = calibrate_rig(room.pairs[:3], room.points, given)
     assert found.lens.fx == pytest.approx(room.lens.fx)
     assert found.lens.radial == pytest.approx(room.lens.radial)
-    assert torch.allclose(found.thermal_from_rgb, room.thermal_from_rgb, atol=1e-6)
+    assert torch.allclose(found.extrinsics, room.extrinsics, atol=1e-6)
     assert max(room.errors_px(replace(found, views=found.views * 2))[:3]) < 0.5
     assert found.residual_px[0] < 1
 
@@ -81,7 +83,7 @@ def test_flat_thermal_images_are_refused(room):
     pairs = [replace(pair, load_thermal=lambda: flat) for pair in room.pairs[:3]]
     with pytest.raises(SceneError, match="no better than by chance"):
         calibrate_rig(pairs, room.points, KNOWN_FIELD)
-    given = RigOptions(thermal_lens=room.lens, thermal_from_rgb=room.thermal_from_rgb)
+    given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     with pytest.raises(
         SceneError, match="hardly any patch of the photos is found in the thermal images"
     ):
@@ -118,7 +120,7 @@ def test_an_image_without_a_usable_pixel_is_told(room):
 
 
 def test_a_photo_that_sees_no_points_gets_the_rigs_motion_and_is_named(room):
-    given = RigOptions(thermal_lens=room.lens, thermal_from_rgb=room.thermal_from_rgb)
+    given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     blind = replace(room.pairs[3], visible=torch.zeros(0, dtype=torch.int64))
     found = calibrate_rig([*room.pairs[:3], blind], room.points, given)
     assert torch.equal(found.views[3].correction, torch.eye(4, dtype=torch.float64))
@@ -129,7 +131,7 @@ def test_a_photo_that_sees_no_points_gets_the_rigs_motion_and_is_named(room):
 
 
 def test_a_pair_that_does_not_agree_is_named(room):
-    given = RigOptions(thermal_lens=room.lens, thermal_from_rgb=room.thermal_from_rgb)
+    given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     flat = replace(room.pairs[3], load_thermal=lambda: Pixels(torch.full((120, 160, 1), 21.5)))
     found = calibrate_rig([*room.pairs[:3], flat], room.points, given)
     assert found.views[3].matches == 0

@@ -40,7 +40,7 @@ def test_project_is_the_lens_after_both_motions(rig_motion, own_motion):
     rig = rig_of(LENS_OF_TEST, torch.tensor(rig_motion, dtype=torch.float64))
     points = torch.tensor([[0.3, -0.2, 4.0], [-1.0, 0.5, 6.0]], dtype=torch.float64)
     cameras = ThermalCameras(rig, own[None])
-    matrix = cameras.correction(0) @ cameras.thermal_from_rgb()
+    matrix = cameras.correction(0) @ cameras.extrinsics()
     x, y, z = (points @ matrix[:3, :3].T + matrix[:3, 3]).numpy().T
     lens = cameras.lens(640, 480)
     u, v = lens.distort(x / z, y / z)

@@ -62,7 +62,7 @@ def test_an_unknown_field_of_view_is_found():
 def test_pairs_that_do_not_belong_together_stand_out_no_more_than_chance():
     right = pairs(1.1, 0.0, (0.0, 0.0))
     wrong = [
-        ReducedPair(pair.name, pair.rgb, pair.camera, pair.depth, other.thermal)
+        ReducedPair(pair.name, pair.photo, pair.camera, pair.depth, other.thermal)
         for pair, other in zip(right, right[1:] + right[:1], strict=True)
     ]
     assert first_guess(wrong, 48.0).best.score < 0.5 * first_guess(right, 48.0).best.score

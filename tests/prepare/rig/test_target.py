@@ -7,7 +7,9 @@ from dataclasses import replace
 import pytest
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare.rig import ChessboardTarget, RigOptions, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.contract import ChessboardTarget, RigOptions
+from tests.helpers.rig_room import build_room, make_board
 
 STILL = (0.15, 0.25, 0.1, -0.475, -0.42, 2.6)
 TARGET = ChessboardTarget((6, 5), 0.16)
@@ -16,9 +18,9 @@ SQUARE_UNITS = 0.16
 
 
 @pytest.fixture(scope="module")
-def still_room(make_room, make_board):
+def still_room():
     board = make_board(STILL, square_m=SQUARE_UNITS)
-    return make_room(views=4, motion_rad=0.01, boards=[board, board, board, None])
+    return build_room(views=4, motion_rad=0.01, boards=[board, board, board, None])
 
 
 def test_a_target_that_stands_still(still_room):
@@ -34,25 +36,25 @@ def test_a_target_that_stands_still(still_room):
     assert errors_px[3] < 0.8
     assert found.target is not None
     assert found.target.pairs == 3
-    assert found.target.still == 3
+    assert found.target.stationary == 3
     assert found.target.residual_px[0] < 0.1
     assert found.target.metres_per_unit == pytest.approx(1.0, rel=0.01)
     assert list(dict.fromkeys(stages)) == ["looking for the target", "reading pairs", "matching"]
 
 
-def test_a_target_that_is_moved(make_room, make_board):
+def test_a_target_that_is_moved():
     boards = [
         make_board(
             (0.15, 0.2 * view - 0.2, 0.1, -0.475, -0.42, 2.4 + 0.1 * view), square_m=SQUARE_UNITS
         )
         for view in range(3)
     ]
-    room = make_room(views=3, boards=boards)
+    room = build_room(views=3, boards=boards)
     with pytest.raises(SceneError, match="the target cannot be used"):
         calibrate_rig(room.pairs, room.points, RigOptions(target=TARGET))
     found = calibrate_rig(room.pairs, room.points, RigOptions(target=TARGET, metres_per_unit=1.0))
     assert max(room.errors_px(found)) < 0.3
-    assert (found.target.still, found.target.metres_per_unit) == (0, None)
+    assert (found.target.stationary, found.target.metres_per_unit) == (0, None)
 
 
 def test_a_target_that_is_not_there_is_told(still_room):

@@ -10,7 +10,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig.target import Corners, detect_chessboard
+from mrgs.prepare.rig.target.detect import Corners, detect_chessboard
+from tests.helpers.rig_room import draw_board, make_board
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
 LENS = Lens(200, 150, 190.0, 190.0, 100.0, 75.0)
@@ -26,7 +27,7 @@ def errors_px(found: Corners | None, true: np.ndarray) -> np.ndarray:
     """Distances of the corners from the true ones, in the order that fits best."""
     assert found is not None
     return min(
-        (np.linalg.norm(each.pixels - true, axis=1) for each in found.turned()), key=np.median
+        (np.linalg.norm(each.pixels - true, axis=1) for each in found.orderings()), key=np.median
     )
 
 
@@ -41,14 +42,14 @@ def errors_px(found: Corners | None, true: np.ndarray) -> np.ndarray:
     ],
     ids=["frontal", "slanted", "small", "blurred", "distorted"],
 )
-def test_corners_are_found_to_a_tenth_of_a_pixel(motion, lens, blur_px, make_board, draw_board):
+def test_corners_are_found_to_a_tenth_of_a_pixel(motion, lens, blur_px):
     image, true = draw_board(make_board(motion), lens, blur_px=blur_px)
     found = errors_px(detect_chessboard(image, (6, 5)), true)
     assert np.median(found) < 0.05
     assert found.max() < 0.15
 
 
-def test_noise_and_low_contrast(make_board, draw_board):
+def test_noise_and_low_contrast():
     image, true = draw_board(make_board(FRONTAL), LENS, shades=(21.0, 21.6), blur_px=1.0)
     noisy = image + RNG.normal(0, 0.06, image.shape)
     found = errors_px(detect_chessboard(noisy, (6, 5)), true)
@@ -56,27 +57,27 @@ def test_noise_and_low_contrast(make_board, draw_board):
     assert found.max() < 0.4
 
 
-def test_uneven_light(make_board, draw_board):
+def test_uneven_light():
     image, true = draw_board(make_board(FRONTAL), LENS, blur_px=1.0)
     found = errors_px(detect_chessboard(image * np.linspace(0.4, 1.0, 200), (6, 5)), true)
     assert found.max() < 0.15
 
 
-def test_a_board_whose_outer_squares_are_cut_off(make_board, draw_board):
+def test_a_board_whose_outer_squares_are_cut_off():
     image, true = draw_board(make_board(CUT_OFF), LENS)
     assert true.min() < 18
     assert errors_px(detect_chessboard(image, (6, 5)), true).max() < 0.1
 
 
-def test_a_board_with_as_many_rows_as_columns(make_board, draw_board):
+def test_a_board_with_as_many_rows_as_columns():
     image, true = draw_board(make_board(FRONTAL, inner=(5, 5)), LENS)
     found = detect_chessboard(image, (5, 5))
     assert errors_px(found, true).max() < 0.1
-    assert len(found.turned()) == 4
+    assert len(found.orderings()) == 4
     assert found.spacing.shape == (5, 5)
 
 
-def test_rows_are_clockwise_from_columns(make_board, draw_board):
+def test_rows_are_clockwise_from_columns():
     image, _ = draw_board(make_board(SLANTED), LENS)
     grid = detect_chessboard(image, (6, 5)).grid
     assert grid.shape == (5, 6, 2)
@@ -97,7 +98,7 @@ def test_which_squares_are_bright_does_not_matter(drawn, scale, shift, inverted)
 
 
 @pytest.fixture(scope="module")
-def drawn(make_board, draw_board):
+def drawn():
     return draw_board(make_board(SLANTED), LENS)
 
 
@@ -106,7 +107,7 @@ def test_other_counts_are_not_found(inner, drawn):
     assert detect_chessboard(drawn[0], inner) is None
 
 
-def test_a_board_that_is_partly_outside_is_not_found(make_board, draw_board):
+def test_a_board_that_is_partly_outside_is_not_found():
     image, _ = draw_board(make_board((0.0, 0.0, 0.1, -0.7, -0.2, 1.1)), LENS)
     assert detect_chessboard(image, (6, 5)) is None
 

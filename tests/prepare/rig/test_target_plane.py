@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrgs.prepare.rig.model import rigid_motion
-from mrgs.prepare.rig.target.plane import homography, mapped, plane_pose
+from mrgs.prepare.rig.target.plane import homography, plane_pose, transformed
 
 PLANE = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
 small = st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3)
@@ -25,5 +25,5 @@ def test_the_pose_of_a_plane_is_found(turn, place):
 
 def test_a_homography_maps_its_points():
     matrix = np.array([[1.2, 0.1, 30], [-0.2, 0.9, 50], [0.01, -0.02, 1]])
-    found = homography(PLANE[:9], mapped(matrix, PLANE[:9]))
-    np.testing.assert_allclose(mapped(found, PLANE), mapped(matrix, PLANE), rtol=1e-7)
+    found = homography(PLANE[:9], transformed(matrix, PLANE[:9]))
+    np.testing.assert_allclose(transformed(found, PLANE), transformed(matrix, PLANE), rtol=1e-7)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import RunError
 from mrgs.prepare.colmap.job import read_job
 from mrgs.prepare.sfm.job import set_up
 
@@ -28,64 +28,46 @@ def photos(tmp_path):
 
 
 def test_the_folder_holds_the_images_under_numbers(photos, tmp_path):
-    cameras = {"wall 1": "b", "wall 2": "a", "Tür": "b"}
-    set_up(tmp_path / "sfm", photos, cameras, False, silent)
+    set_up(tmp_path / "sfm", photos, False, silent)
     job = read_job(tmp_path / "sfm")
     assert job.files == ("000001.png", "000002.png", "000003.png")
-    assert job.cameras == (2, 1, 2)
     for file, path in zip(job.files, photos.values(), strict=True):
         assert (job.root / file).read_bytes() == path.read_bytes()
 
 
 def test_what_was_made_of_the_same_images_stays(photos, tmp_path):
-    folder, cameras = tmp_path / "sfm", dict.fromkeys(photos, "a")
-    set_up(folder, photos, cameras, False, silent)
+    folder = tmp_path / "sfm"
+    set_up(folder, photos, False, silent)
     (folder / "database.db").write_text("features")
-    set_up(folder, photos, cameras, False, silent)
+    set_up(folder, photos, False, silent)
     assert (folder / "database.db").exists()
 
 
-@pytest.mark.parametrize("change", ["content", "camera", "order", "stretch", "cut off", "damaged"])
+@pytest.mark.parametrize("change", ["content", "order", "stretch", "cut off", "damaged"])
 def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
-    folder, cameras = tmp_path / "sfm", dict.fromkeys(photos, "a")
-    set_up(folder, photos, cameras, False, silent)
+    folder = tmp_path / "sfm"
+    set_up(folder, photos, False, silent)
     (folder / "database.db").write_text("features")
     if change == "content":
         photos["Tür"].unlink()
         Image.fromarray(np.zeros((12, 16), dtype=np.uint8)).save(photos["Tür"])
-    if change == "camera":
-        cameras["Tür"] = "b"
     if change == "order":
         photos = dict(reversed(photos.items()))
     if change == "cut off":
         (folder / "job.json").unlink()
     if change == "damaged":
         (folder / "job.json").write_bytes(b"\xff\xfe")
-    set_up(folder, photos, cameras, change == "stretch", silent)
+    set_up(folder, photos, change == "stretch", silent)
     assert not (folder / "database.db").exists()
     assert len(json.loads((folder / "job.json").read_text())["images"]) == 3
 
 
 def test_stretched_images_are_made_and_counted(photos, tmp_path):
     steps = []
-    set_up(
-        tmp_path / "sfm", photos, dict.fromkeys(photos, "a"), True, lambda *step: steps.append(step)
-    )
+    set_up(tmp_path / "sfm", photos, True, lambda *step: steps.append(step))
     assert steps == [("contrast", 1, 3), ("contrast", 2, 3), ("contrast", 3, 3)]
     with Image.open(tmp_path / "sfm" / "images" / "000003.png") as image:
         assert image.mode == "L"
-
-
-def test_photos_of_one_camera_are_of_one_size(photos, tmp_path):
-    Image.fromarray(np.zeros((16, 12), dtype=np.uint8)).save(photos["Tür"])
-    with pytest.raises(SceneError) as error:
-        set_up(tmp_path / "sfm", photos, dict.fromkeys(photos, "a"), False, silent)
-    assert str(error.value) == (
-        f"{photos['Tür']} is 12×16 px, but wall 1.png of the same camera is 16×12 px; prepare "
-        f"photos of different "
-        "cameras, crops or zooms as different scenes"
-    )
-    set_up(tmp_path / "sfm", photos, {**dict.fromkeys(photos, "a"), "Tür": "b"}, False, silent)
 
 
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
@@ -93,4 +75,4 @@ def test_a_folder_that_cannot_be_made(photos, tmp_path):
     with pytest.raises(
         RunError, match=r"file/sfm cannot be written \(.+\); free the place or choose another"
     ):
-        set_up(tmp_path / "file" / "sfm", photos, dict.fromkeys(photos, "a"), False, silent)
+        set_up(tmp_path / "file" / "sfm", photos, False, silent)

@@ -1,39 +1,34 @@
 from __future__ import annotations
 
-import importlib.metadata
+import importlib.util
 import os
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 from mrgs.errors import ConfigError, RunError, SceneError
-from mrgs.prepare.sfm import process
-from mrgs.prepare.sfm.process import run_colmap
+from mrgs.prepare.sfm.process import check_version, installed_version, run_colmap
 
 
 def silent(step: str, done: int, of: int) -> None:
     pass
 
 
-@pytest.fixture
-def child(monkeypatch):
-    """Puts a script in the place of the process; ``folder`` is known in it."""
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.4")
-    return lambda script: monkeypatch.setattr(
-        process,
-        "CHILD",
-        ("-c", "import json, os, sys, time; folder = json.loads(sys.argv[1])\n" + script),
-    )
+def run(script: str, folder: Path, progress=silent) -> None:
+    """Run a script instead of the process; ``folder`` is known in it."""
+    before = "import json, os, sys, time; folder = json.loads(sys.argv[1])\n"
+    run_colmap(folder, progress, ("-c", before + script))
 
 
-def test_progress_is_forwarded(child, tmp_path):
-    child("""
+def test_progress_is_forwarded(tmp_path):
+    script = """
 print("a library that prints")
 print(json.dumps({"step": "features", "done": 1, "of": 2}))
 print(json.dumps({"end": "done"}))
-""")
+"""
     steps = []
-    run_colmap(tmp_path, lambda *step: steps.append(step))
+    run(script, tmp_path, lambda *step: steps.append(step))
     assert steps == [("features", 1, 2)]
 
 
@@ -49,32 +44,30 @@ print(json.dumps({"end": "done"}))
         ("pass", "the process ended with status 0 (no message); call again to continue"),
     ],
 )  # fmt: skip
-def test_a_child_that_fails(child, tmp_path, script, reason):
-    child(script)
+def test_a_child_that_fails(tmp_path, script, reason):
     with pytest.raises(SceneError) as error:
-        run_colmap(tmp_path, silent)
+        run(script, tmp_path)
     assert str(error.value) == f"finding the poses failed: {reason}; see {tmp_path / 'log.txt'}"
 
 
-def test_what_the_child_writes_to_its_errors_is_kept(child, tmp_path):
-    child("sys.stderr.write('why'); sys.exit(3)")
+def test_what_the_child_writes_to_its_errors_is_kept(tmp_path):
     with pytest.raises(SceneError):
-        run_colmap(tmp_path, silent)
+        run("sys.stderr.write('why'); sys.exit(3)", tmp_path)
     assert (tmp_path / "log.txt").read_text() == "why"
 
 
-def test_the_child_ends_with_the_call(child, tmp_path):
-    child("""
+def test_the_child_ends_with_the_call(tmp_path):
+    script = """
 open(folder + "/pid", "w").write(str(os.getpid()))
 print(json.dumps({"step": "features", "done": 0, "of": 2}), flush=True)
 time.sleep(600)
-""")
+"""
 
     def interrupt(step: str, done: int, of: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_colmap(tmp_path, interrupt)
+        run(script, tmp_path, interrupt)
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
 
@@ -82,7 +75,6 @@ time.sleep(600)
 def test_a_poisoned_current_folder_is_not_imported_from(monkeypatch, tmp_path):
     """The real child, which fails for want of a job: all that it imports before comes from
     elsewhere."""
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.4")
     monkeypatch.chdir(tmp_path)
     for name in ("json", "mrgs", "numpy", "pycolmap"):
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('from the photos')")
@@ -92,7 +84,7 @@ def test_a_poisoned_current_folder_is_not_imported_from(monkeypatch, tmp_path):
     assert "from the photos" not in str(error.value) + (tmp_path / "sfm" / "log.txt").read_text()
 
 
-def test_a_folder_that_cannot_be_written(child, tmp_path):
+def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "log.txt").mkdir()
     with pytest.raises(RunError) as error:
         run_colmap(tmp_path, silent)
@@ -102,20 +94,24 @@ def test_a_folder_that_cannot_be_written(child, tmp_path):
     )
 
 
-def test_without_pycolmap(monkeypatch, tmp_path):
-    def missing(name: str) -> str:
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "version", missing)
+@pytest.mark.parametrize(
+    ("version", "message"),
+    [
+        (
+            None,
+            'finding the poses needs pycolmap: pip install "mrgs[sfm]", or give poses that you '
+            "have",
+        ),
+        ("3.13.0", 'pycolmap 3.13.0 is too old: pip install "mrgs[sfm]"'),
+    ],
+)
+def test_without_a_recent_pycolmap(version, message):
     with pytest.raises(ConfigError) as error:
-        run_colmap(tmp_path, silent)
-    assert str(error.value) == (
-        'finding the poses needs pycolmap: pip install "mrgs[sfm]", or give poses that you have'
+        check_version(version)
+    assert str(error.value) == message
+
+
+def test_the_version_of_pycolmap():
+    assert installed_version() == (
+        None if importlib.util.find_spec("pycolmap") is None else metadata.version("pycolmap")
     )
-
-
-def test_with_an_old_pycolmap(monkeypatch, tmp_path):
-    monkeypatch.setattr(importlib.metadata, "version", lambda name: "3.13.0")
-    with pytest.raises(ConfigError) as error:
-        run_colmap(tmp_path, silent)
-    assert str(error.value) == 'pycolmap 3.13.0 is too old: pip install "mrgs[sfm]"'

@@ -11,7 +11,7 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.prepare.sfm import reconstruct
+from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.scene import RGB
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
@@ -25,7 +25,7 @@ class StoppedError(Exception):
 
 
 def noise(path: Path, seed: int) -> Path:
-    Image.fromarray(np.random.default_rng(seed).integers(0, 256, (120, 160), dtype=np.uint8)).save(
+    Image.fromarray(np.random.default_rng(seed).integers(0, 256, (240, 320), dtype=np.uint8)).save(
         path
     )
     return path
@@ -38,7 +38,6 @@ def test_poses_of_the_table_top_after_an_interruption(tmp_path):
     truth = {view.name: view.camera.viewmat for view in load_scene(TABLETOP).train[:6]}
     images = {name: TABLETOP / "images" / f"{name}.jpg" for name in truth}
     images["elsewhere"] = noise(tmp_path / "elsewhere.png", 1)
-    cameras = {name: "another" if name == "elsewhere" else "one" for name in images}
     steps = []
 
     def stop_at_matching(*step: object) -> None:
@@ -47,10 +46,10 @@ def test_poses_of_the_table_top_after_an_interruption(tmp_path):
             raise StoppedError
 
     with pytest.raises(StoppedError):
-        reconstruct(images, cameras, tmp_path, stop_at_matching, modality=RGB)
+        reconstruct(images, tmp_path, stop_at_matching, modality=RGB)
     assert steps[-2:] == [("features", 7, 7), ("matching", 0, 21)]
     steps.clear()
-    found = reconstruct(images, cameras, tmp_path, lambda *step: steps.append(step), modality=RGB)
+    found = reconstruct(images, tmp_path, lambda *step: steps.append(step), modality=RGB)
     assert steps[0] == ("features", 7, 7)
     assert steps[-1] == ("mapping", 6, 7)
     assert [left.name for left in found.failed] == ["elsewhere"]
@@ -73,13 +72,13 @@ def test_photos_that_share_nothing(tmp_path):
     with pytest.raises(
         SceneError, match=r"^only 0 of 3 photos could be placed, and 3 are needed \(photo_0"
     ):
-        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None, modality=RGB)
+        reconstruct(images, tmp_path, lambda *step: None, modality=RGB)
 
 
 def test_two_photos_are_too_few(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
     with pytest.raises(SceneError) as error:
-        reconstruct(images, dict.fromkeys(images, ""), tmp_path, lambda *step: None, modality=RGB)
+        reconstruct(images, tmp_path, lambda *step: None, modality=RGB)
     assert (
         str(error.value) == "poses need 3 photos at least, and 2 can be used; take more, all around"
     )

@@ -1,4 +1,4 @@
-"""What EXIF says of the camera, the time, the place and the orientation."""
+"""Facts in EXIF data: camera, time, position and orientation."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from datetime import datetime
 from typing import Any
 
 from PIL import Image
+from PIL.ExifTags import IFD, Base
 
-_MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
-_EXIF_IFD, _DATE_TIME_ORIGINAL, _SUBSECONDS = 0x8769, 0x9003, 0x9291
-_GPS_IFD = 0x8825
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 
 
@@ -30,7 +28,7 @@ class GpsPosition:
 
 @dataclass(frozen=True)
 class ExifFacts:
-    """What EXIF says; None where it does not, or where it is damaged.
+    """Facts in EXIF data; None where one is missing or damaged.
 
     Attributes:
         make: the maker of the camera.
@@ -55,17 +53,20 @@ def read_exif(data: bytes) -> ExifFacts:
             warnings.simplefilter("ignore")  # Pillow warns of damaged tags; what is left is used
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 exif = image.getexif()
-                return _facts(exif, exif.get_ifd(_EXIF_IFD), exif.get_ifd(_GPS_IFD))
+                return _facts(exif, exif.get_ifd(IFD.Exif), exif.get_ifd(IFD.GPSInfo))
     except Exception:  # Pillow's readers of damaged tags raise almost anything
         return ExifFacts()
 
 
 def _facts(main: Mapping[int, Any], photo: Mapping[int, Any], gps: Mapping[int, Any]) -> ExifFacts:
-    taken = _time(photo.get(_DATE_TIME_ORIGINAL) or main.get(_DATE_TIME), photo.get(_SUBSECONDS))
-    orientation: Any = main.get(_ORIENTATION)
+    taken = _time(
+        photo.get(Base.DateTimeOriginal) or main.get(Base.DateTime),
+        photo.get(Base.SubsecTimeOriginal),
+    )
+    orientation: Any = main.get(Base.Orientation)
     return ExifFacts(
-        clean_text(main.get(_MAKE)),
-        clean_text(main.get(_MODEL)),
+        clean_text(main.get(Base.Make)),
+        clean_text(main.get(Base.Model)),
         taken,
         _position(gps),
         int(orientation) if orientation in range(1, 9) else 1,

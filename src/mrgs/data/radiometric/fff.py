@@ -24,7 +24,7 @@ _MAX_ENTRIES = 4096
 ByteOrder = Literal["<", ">"]
 
 
-class Fields:
+class RecordFields:
     """Numbers at given offsets of a record; None where the record is too short to hold them."""
 
     def __init__(self, data: bytes, order: ByteOrder) -> None:
@@ -41,7 +41,8 @@ class Fields:
         )
 
     def number(self, offset: int) -> float | None:
-        """A 32-bit float: the shortest decimal number that it stands for, so that 0.95 is 0.95."""
+        """A 32-bit float as the shortest decimal number that it represents, so that 0.95 is
+        0.95."""
         found = self.read(offset, "f")
         return None if found is None else float(str(np.float32(found[0])))
 

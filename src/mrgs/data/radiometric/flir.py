@@ -17,7 +17,7 @@ from mrgs.data.radiometric.fff import (
     EMBEDDED_IMAGE,
     PICTURE_IN_PICTURE,
     RAW_DATA,
-    Fields,
+    RecordFields,
     Records,
     cut_off,
     order_of,
@@ -83,7 +83,7 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         SceneError: damaged, cut off, too large, or compressed in a way that is not read.
     """
     order = order_of(record)
-    size = None if order is None else Fields(record, order).read(2, "HH")
+    size = None if order is None else RecordFields(record, order).read(2, "HH")
     if order is None or size is None:
         raise scene_error(
             path, "the header of its raw image is damaged; copy the photo from the camera again"
@@ -133,15 +133,15 @@ def _roughness(values: UInt16[np.ndarray, "h w"]) -> int:
     return int(np.abs(np.diff(signed, axis=0)).sum() + np.abs(np.diff(signed, axis=1)).sum())
 
 
-def _camera_info(records: Records, path: Path) -> Fields:
+def _camera_info(records: Records, path: Path) -> RecordFields:
     content = records.require(CAMERA_INFO, "camera info with the Planck constants")
     order = order_of(content)
     if order is None:
         raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")
-    return Fields(content, order)
+    return RecordFields(content, order)
 
 
-def _planck(info: Fields, path: Path) -> Planck:
+def _planck(info: RecordFields, path: Path) -> Planck:
     o = info.read(0x308, "i")
     stored = [info.number(offset) for offset in (0x58, 0x30C, 0x5C, 0x60)] + [
         None if o is None else float(o[0])
@@ -162,7 +162,7 @@ def _planck(info: Fields, path: Path) -> Planck:
     return planck
 
 
-def _parameters(info: Fields, path: Path) -> ObjectParameters:
+def _parameters(info: RecordFields, path: Path) -> ObjectParameters:
     stored = [
         info.number(0x20),
         info.number(0x24),
@@ -184,7 +184,7 @@ def _parameters(info: Fields, path: Path) -> ObjectParameters:
     )
 
 
-def _transmission(info: Fields, parameters: ObjectParameters, path: Path) -> float:
+def _transmission(info: RecordFields, parameters: ObjectParameters, path: Path) -> float:
     constants = info.read(0x70, "5f")
     air = None if constants is None else Atmosphere(*constants)
     tau = math.nan if air is None else air.transmission(
@@ -201,7 +201,7 @@ def _transmission(info: Fields, parameters: ObjectParameters, path: Path) -> flo
 
 
 def _facts(
-    info: Fields, records: Records, path: Path, exif: ExifFacts, measurement: Measurement
+    info: RecordFields, records: Records, path: Path, exif: ExifFacts, measurement: Measurement
 ) -> PhotoFacts:
     serial = clean_text(info.data[0x104:0x114])
     visible, warnings = _visible(records, path)
@@ -226,7 +226,7 @@ def _range(low: float | None, high: float | None) -> tuple[float, float] | None:
     return low, high
 
 
-def _scale(info: Fields, measurement: Measurement) -> tuple[float, float] | None:
+def _scale(info: RecordFields, measurement: Measurement) -> tuple[float, float] | None:
     """What is printed at the ends of the colour scale: the camera stores its middle and its width
     in counts."""
     middle, width = info.read(0x338, "H"), info.read(0x33C, "H")
@@ -237,7 +237,7 @@ def _scale(info: Fields, measurement: Measurement) -> tuple[float, float] | None
     return _range(low, high)
 
 
-def _time(info: Fields) -> datetime | None:
+def _time(info: RecordFields) -> datetime | None:
     """The camera's local time, which it stores as if it were UTC."""
     stamp = info.read(0x384, "II")
     if stamp is None or stamp[0] == 0:
@@ -260,7 +260,7 @@ def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[s
 def _alignment(record: bytes | None) -> Alignment | None:
     """The record has no mark of its byte order: the one that gives a plausible ratio is taken."""
     for order in ("<", ">"):
-        found = None if record is None else Fields(record, order).read(0, "f6h")
+        found = None if record is None else RecordFields(record, order).read(0, "f6h")
         if found is not None and 0.1 < found[0] < 10:
             dx, dy, left, right, top, bottom = (int(value) for value in found[1:])
             return Alignment(float(found[0]), dx, dy, (left, right, top, bottom))

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float32, Float64, UInt16
 from mrgs.scene.temperature import ZERO_CELSIUS_K
 
 COLDEST_C, HOTTEST_C = -200.0, 3500.0
-"""No thermal camera tells temperatures outside of these apart; such pixels are masked."""
+"""Range of thermal cameras, °C; pixels outside of it are masked."""
 
 MAX_TRANSMISSION = 1.05
 """The empirical formula may exceed 1 by a little in damp, warm air."""
@@ -27,7 +27,7 @@ MAX_TRANSMISSION = 1.05
 
 @dataclass(frozen=True)
 class ObjectParameters:
-    """What the thermographer tells the camera about the scene.
+    """Parameters of the measurement, as set in the camera.
 
     Attributes:
         emissivity: of the object's surface, over 0 to 1.

@@ -1,4 +1,4 @@
-"""What a thermal photo is read into, and what the user may say about it."""
+"""A thermal photo after reading, and the values that a user may override."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 
 @dataclass(frozen=True)
 class Overrides:
-    """What the user knows better than the file; None leaves what the file says.
+    """Values that override those in a file; None keeps the file's.
 
     The first seven are those of :class:`~mrgs.data.radiometric.measurement.ObjectParameters`, and
     need a file with the camera's raw signal. The last two say what the numbers mean in a file that
@@ -68,7 +68,7 @@ class Overrides:
             raise ConfigError("a unit and bounds are both given; give one of the two")
 
     def of_parameters(self) -> dict[str, float]:
-        """Those that are given for the measurement, by name."""
+        """The overridden parameters of the measurement, by name."""
         given = {name: getattr(self, name) for name in PARAMETER_LIMITS}
         return {name: value for name, value in given.items() if value is not None}
 
@@ -79,7 +79,7 @@ class Overrides:
 
 @dataclass(frozen=True)
 class PhotoFacts:
-    """What a file says besides the temperatures.
+    """Facts in a thermal file besides the temperatures.
 
     Attributes:
         source: the kind of file, in words, such as "FLIR radiometric JPEG".

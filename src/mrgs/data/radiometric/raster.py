@@ -11,14 +11,12 @@ from jaxtyping import Bool, Float, Float32
 from PIL import Image
 
 from mrgs.data.files import scene_error
+from mrgs.data.images import LUMINANCE
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.measurement import masked
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.pixels import opened
 from mrgs.data.radiometric.units import FLOAT_UNITS, INTEGER_UNITS, Unit, guess_unit
-
-_LUMINANCE = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-"""ITU-R BT.601, as in JPEG."""
 
 _GREY_TOLERANCE = 8
 """Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
@@ -121,7 +119,7 @@ def _from_grey(
 def _from_colours(
     pixels: np.ndarray, path: Path, facts: PhotoFacts, overrides: Overrides
 ) -> ThermalPhoto:
-    grey = pixels.astype(np.float32) @ _LUMINANCE / 255
+    grey = pixels.astype(np.float32) @ LUMINANCE.numpy() / 255
     if _is_grey(pixels):
         return _from_grey(grey, path, facts, overrides)
     if overrides.bounds_c is not None or overrides.unit is not None:

@@ -22,7 +22,7 @@ _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 
 Kind = Literal["signal", "numbers", "table", "image", "dji"]
-"""What a file holds: a camera's raw signal; bare numbers, or floats in an image; a table of
+"""Content of a file: a camera's raw signal; bare numbers, or floats in an image; a table of
 temperatures; any other image; a DJI R-JPEG, which must be converted first."""
 
 

@@ -1,4 +1,4 @@
-"""What the numbers of a file mean: multiples of °C, K or °F, given by the user or told apart by
+"""Units of the numbers in a file: multiples of °C, K or °F, given by the user or recognised by
 plausibility."""
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from mrgs.data.radiometric.photo import UNIT
 from mrgs.scene.temperature import ZERO_CELSIUS_K
 
 _COLDEST_SCENE_C, _HOTTEST_SCENE_C = -60.0, 150.0
-"""Where 98 % of a scene's pixels are expected, when the unit has to be guessed."""
+"""Range of temperatures, °C, in which 98 % of the pixels must lie for a unit to be plausible."""
 
 _COLDEST_MIDDLE_C, _HOTTEST_MIDDLE_C = -30.0, 100.0
-"""Where the middle of the pixels is expected."""
+"""Range of temperatures, °C, in which the median must lie for a unit to be plausible."""
 
 _ENOUGH = 100_000
-"""So many pixels are enough to tell units apart."""
+"""Number of pixels from which the unit is recognised."""
 
 FLOAT_UNITS = ("celsius", "kelvin")
 INTEGER_UNITS = ("celsius*100", "kelvin*100", "celsius*10", "kelvin*10")

@@ -16,8 +16,8 @@ from mrgs.data.radiometric.pixels import opened
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the camera lays its visible photo over the thermal one, at the distance it was focused
-    on.
+    """Alignment of the visible photo with the thermal one, at the distance that the camera was
+    focused on.
 
     Attributes:
         real_to_ir: width of the visible photo over the width of the part of it that the thermal

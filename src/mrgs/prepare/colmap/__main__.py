@@ -1,4 +1,4 @@
-"""The process: what ``mrgs.prepare.colmap`` says."""
+"""The process that ``mrgs.prepare.colmap`` describes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ LEAST_FREE_BYTES = 50 * 2**20
 
 
 def report(step: str, done: int, of: int) -> None:
-    """How far a step is."""
+    """Send the progress of a step."""
     send(step=step, done=done, of=of)
 
 
 def main(folder: Path) -> int:
-    """Do what is left of the job; returns the exit status."""
+    """Complete the job; returns the exit status."""
     # Nothing is lost: the database has transactions, and the model is moved when it is complete.
     when_asked_to_stop(lambda: os._exit(1))
     try:

@@ -6,7 +6,10 @@ import statistics
 
 import pycolmap
 
-from mrgs.prepare.colmap.job import Job, Report, threads
+from mrgs.prepare.colmap.job import ReconstructionJob, Report, threads
+
+CAMERA = 1
+"""Number of the camera in the database."""
 
 CAMERA_MODEL = "SIMPLE_RADIAL"
 MAX_FEATURES = 4096
@@ -21,10 +24,9 @@ _PLAUSIBLE_FOCAL_LENGTHS = (0.3, 4.0)
 """Over the image's longer side: fields of view from 118° to 14°."""
 
 
-def find_features(job: Job, report: Report) -> None:
+def find_features(job: ReconstructionJob, report: Report) -> None:
     """Features of all images that have none yet; an image that cannot be read stays without."""
-    for camera in sorted(set(job.cameras)):
-        _write_camera(job, camera)
+    _write_camera(job)
     waiting = _without_features(job)
     done, total = len(job.files) - len(waiting), len(job.files)
     report("features", done, total)
@@ -38,19 +40,14 @@ def find_features(job: Job, report: Report) -> None:
         options.sift.estimate_affine_shape = True
         options.sift.domain_size_pooling = True
     batch = 2 * options.num_threads
-    for camera in sorted(set(job.cameras)):
-        files = [
-            file
-            for file, own in zip(job.files, job.cameras, strict=True)
-            if own == camera and file in waiting
-        ]
-        for start in range(0, len(files), batch):
-            _extract(job, files[start : start + batch], camera, options)
-            done += len(files[start : start + batch])
-            report("features", done, total)
+    files = [file for file in job.files if file in waiting]
+    for start in range(0, len(files), batch):
+        _extract(job, files[start : start + batch], options)
+        done += len(files[start : start + batch])
+        report("features", done, total)
 
 
-def _without_features(job: Job) -> set[str]:
+def _without_features(job: ReconstructionJob) -> set[str]:
     with pycolmap.Database.open(job.database) as database:
         found = {
             image.name
@@ -61,10 +58,10 @@ def _without_features(job: Job) -> set[str]:
 
 
 def _extract(
-    job: Job, files: list[str], camera: int, options: pycolmap.FeatureExtractionOptions
+    job: ReconstructionJob, files: list[str], options: pycolmap.FeatureExtractionOptions
 ) -> None:
     reader = pycolmap.ImageReaderOptions()
-    reader.existing_camera_id = camera
+    reader.existing_camera_id = CAMERA
     reader.camera_model = CAMERA_MODEL
     pycolmap.extract_features(
         job.database,
@@ -77,23 +74,22 @@ def _extract(
     )
 
 
-def _write_camera(job: Job, number: int) -> None:
-    """A camera with the median focal length that its images' EXIF tells, or else COLMAP's guess."""
+def _write_camera(job: ReconstructionJob) -> None:
+    """The camera with the median focal length in its images' EXIF data, or else COLMAP's guess."""
     with pycolmap.Database.open(job.database) as database:
-        if database.exists_camera(number):
+        if database.exists_camera(CAMERA):
             return
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = CAMERA_MODEL
-    files = [file for file, own in zip(job.files, job.cameras, strict=True) if own == number]
-    guesses = [pycolmap.infer_camera_from_image(job.root / file, reader) for file in files]
+    guesses = [pycolmap.infer_camera_from_image(job.root / file, reader) for file in job.files]
     camera = guesses[0]
-    told = [guess.mean_focal_length() for guess in guesses if guess.has_prior_focal_length]
+    known = [guess.mean_focal_length() for guess in guesses if guess.has_prior_focal_length]
     low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
-    told = [focal_length for focal_length in told if low <= focal_length <= high]
-    camera.has_prior_focal_length = bool(told)
+    known = [focal_length for focal_length in known if low <= focal_length <= high]
+    camera.has_prior_focal_length = bool(known)
     camera.focal_length = (
-        statistics.median(told) if told else 1.2 * max(camera.width, camera.height)
+        statistics.median(known) if known else 1.2 * max(camera.width, camera.height)
     )
-    camera.camera_id = number
+    camera.camera_id = CAMERA
     with pycolmap.Database.open(job.database) as database:
         database.write_camera(camera, use_camera_id=True)

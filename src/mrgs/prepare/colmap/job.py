@@ -1,4 +1,4 @@
-"""What is to be reconstructed."""
+"""The job: images to be reconstructed."""
 
 from __future__ import annotations
 
@@ -19,42 +19,35 @@ REPORT_FILE = "report.json"
 
 
 @dataclass(frozen=True)
-class Job:
-    """Images in the order in which they were taken.
+class ReconstructionJob:
+    """Images of one camera, in the order in which they were taken.
 
     Attributes:
-        folder: where the job and all that it makes lie.
+        folder: of the job and its results.
         files: the images' names in the folder's ``IMAGE_FOLDER``, without spaces.
-        cameras: for each image the number of its camera, from 1.
         faint: whether features are few and weak, as in thermal images.
     """
 
     folder: Path
     files: tuple[str, ...]
-    cameras: tuple[int, ...]
     faint: bool
 
     @property
     def root(self) -> Path:
-        """Where the images lie."""
+        """Folder of the images."""
         return self.folder / IMAGE_FOLDER
 
     @property
     def database(self) -> Path:
-        """Features and matches."""
+        """File of features and matches, COLMAP's database."""
         return self.folder / "database.db"
 
 
-def read_job(folder: Path) -> Job:
-    """The job in a folder; it was written by this program."""
+def read_job(folder: Path) -> ReconstructionJob:
+    """The job that ``mrgs.prepare.sfm`` wrote into a folder."""
     content = json.loads((folder / JOB_FILE).read_text(encoding="utf-8"))
-    images = content["images"]
-    return Job(
-        folder,
-        tuple(image["file"] for image in images),
-        tuple(image["camera"] for image in images),
-        content["stretch"],
-    )
+    files = tuple(image["file"] for image in content["images"])
+    return ReconstructionJob(folder, files, content["stretch"])
 
 
 def threads() -> int:

@@ -1,5 +1,4 @@
-"""Incremental mapping: poses and points from verified matches, and the largest model of them into
-files."""
+"""Incremental mapping: poses and points from verified matches; the largest model is written."""
 
 from __future__ import annotations
 
@@ -13,21 +12,26 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from mrgs.prepare.colmap.job import MODEL_FOLDER, POINTS_FILE, REPORT_FILE, Job, Report
+from mrgs.prepare.colmap.job import (
+    MODEL_FOLDER,
+    POINTS_FILE,
+    REPORT_FILE,
+    ReconstructionJob,
+    Report,
+)
 from mrgs.prepare.colmap.matching import SEED
 
 MIN_TRACK = 3
 MAX_ERROR_PX = 2.0
 FEW_IMAGES = 8
-"""In smaller sets points that two images see are used as well."""
+"""In smaller sets, points that only two images see are used as well."""
 
 FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
-"""Of the first pair, and of each further image; COLMAP's are 100 and 30."""
+"""Fewest matches of the first pair and of each further image; COLMAP's are 100 and 30."""
 
 
-def map_images(job: Job, report: Report) -> None:
-    """Make the model, or nothing if it is there. Where no two images fit, its report says so and it
-    has no points."""
+def map_images(job: ReconstructionJob, report: Report) -> None:
+    """Compute the model unless it exists. Where no two images match, it has a report only."""
     if (job.folder / MODEL_FOLDER).is_dir():
         return
     models = sorted(_models(job, report), key=lambda model: model.num_reg_images(), reverse=True)
@@ -43,8 +47,8 @@ def map_images(job: Job, report: Report) -> None:
     os.replace(fresh, job.folder / MODEL_FOLDER)
 
 
-def _models(job: Job, report: Report) -> list[pycolmap.Reconstruction]:
-    """All models; they do not share images but at their borders."""
+def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruction]:
+    """All models; they share images at their borders only."""
     total, registered = len(job.files), 0
 
     def start() -> None:
@@ -81,7 +85,7 @@ def _models(job: Job, report: Report) -> list[pycolmap.Reconstruction]:
 
 
 def _drop_noise(model: pycolmap.Reconstruction, images: int) -> None:
-    """Points that few images see, or that are far from where they were seen."""
+    """Delete points with short tracks or large reprojection errors."""
     least = MIN_TRACK if images >= FEW_IMAGES else 2
     poor = [
         number
@@ -110,8 +114,8 @@ def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Pat
     )
 
 
-def _report(job: Job, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
-    """What happened to each image."""
+def _report(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
+    """Features, matches and group of each image."""
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         features = {

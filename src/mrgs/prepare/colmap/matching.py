@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pycolmap
 
-from mrgs.prepare.colmap.job import Job, Report
+from mrgs.prepare.colmap.job import ReconstructionJob, Report
 from mrgs.prepare.colmap.pairs import pairs_to_match
 
 PAIRS_AT_A_TIME = 100
@@ -13,7 +13,7 @@ SEED = 0
 SIFT_LENGTH = 128
 
 
-def match(job: Job, report: Report) -> None:
+def match(job: ReconstructionJob, report: Report) -> None:
     """Match all pairs that are not in the database yet."""
     numbers = pairs_to_match(len(job.files), lambda: _descriptors(job))
     pairs = [(job.files[first], job.files[second]) for first, second in numbers]
@@ -25,7 +25,7 @@ def match(job: Job, report: Report) -> None:
         report("matching", len(pairs) - max(len(waiting) - start - PAIRS_AT_A_TIME, 0), len(pairs))
 
 
-def _descriptors(job: Job) -> list[np.ndarray]:
+def _descriptors(job: ReconstructionJob) -> list[np.ndarray]:
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         none = np.zeros((0, SIFT_LENGTH), dtype=np.uint8)
@@ -34,7 +34,7 @@ def _descriptors(job: Job) -> list[np.ndarray]:
         ]
 
 
-def _matched(job: Job) -> set[frozenset[str]]:
+def _matched(job: ReconstructionJob) -> set[frozenset[str]]:
     with pycolmap.Database.open(job.database) as database:
         names = {image.image_id: image.name for image in database.read_all_images()}
         pairs, _ = database.read_two_view_geometry_num_inliers()
@@ -42,7 +42,7 @@ def _matched(job: Job) -> set[frozenset[str]]:
     return {frozenset((names[first], names[second])) for first, second in ids}
 
 
-def _match(job: Job, pairs: list[tuple[str, str]]) -> None:
+def _match(job: ReconstructionJob, pairs: list[tuple[str, str]]) -> None:
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     matching.guided_matching = job.faint

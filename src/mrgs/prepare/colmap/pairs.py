@@ -1,4 +1,4 @@
-"""Which images are compared with which."""
+"""Which images are matched with which."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 MAX_EXHAUSTIVE = 100
-"""A pair takes a tenth of a second on two cores: all pairs of more images outgrow the time that a
-user has."""
+"""All pairs of more images take too long: a pair takes a tenth of a second on two cores."""
 
 NEIGHBOURS = 10
 ALIKE = 20
@@ -47,7 +46,7 @@ def _next(first: int, count: int) -> list[tuple[int, int]]:
 
 
 def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.ndarray, "n f"]:
-    """A unit vector for each image, whose product with another's tells how much alike the two are.
+    """A unit vector for each image, whose product with another's measures their similarity.
 
     Vectors of locally aggregated descriptors (Jégou et al., 2010) with normalised residuals
     (Arandjelović and Zisserman, 2013); the words are those of the images themselves, so that no

@@ -1,4 +1,4 @@
-"""Facts about the lenses, and about the thermal camera relative to the RGB camera."""
+"""Facts about the lenses, and about the thermal camera relative to the other camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrgs.data.lens import Lens
 from mrgs.prepare.contract import Georeference
-from mrgs.prepare.rig import RigCalibration
+from mrgs.prepare.rig.contract import RigCalibration
 
 
 class RigFacts(NamedTuple):
@@ -69,13 +69,13 @@ def lens_text(lens: Lens) -> str:
 
 
 def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFacts:
-    """The thermal camera relative to the RGB camera: summary, and a row for each view."""
+    """The calibrated thermal camera: facts, and a row for each view."""
     metric = georeference is not None and georeference.metric
     median, most = rig.residual_px
     rows = [
         ("Thermal lens", lens_text(rig.lens)),
-        ("Distance between the lenses", _offset(rig.thermal_from_rgb, metric)),
-        ("Angle between the axes", f"{_angle_deg(rig.thermal_from_rgb):.2f}°"),
+        ("Distance between the lenses", _offset(rig.extrinsics, metric)),
+        ("Angle between the axes", f"{_angle_deg(rig.extrinsics):.2f}°"),
         (
             "Residual",
             f"{median:.2f} px (median), {most:.2f} px (90th percentile), in thermal pixels",
@@ -98,9 +98,9 @@ def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFact
     return RigFacts(rows, views)
 
 
-def _offset(thermal_from_rgb: Float64[Tensor, "4 4"], metric: bool) -> str:
-    """How far the thermal camera stands from the RGB camera, and in which direction."""
-    position = -thermal_from_rgb[:3, :3].T @ thermal_from_rgb[:3, 3]
+def _offset(extrinsics: Float64[Tensor, "4 4"], metric: bool) -> str:
+    """Distance and direction of the thermal camera from the photos' camera."""
+    position = -extrinsics[:3, :3].T @ extrinsics[:3, 3]
     factor, unit, digits = (100.0, "cm", 1) if metric else (1.0, "scene units", 4)
     words = (("right", "left"), ("below", "above"), ("ahead", "behind"))
     parts = [
@@ -113,8 +113,8 @@ def _offset(thermal_from_rgb: Float64[Tensor, "4 4"], metric: bool) -> str:
     )
 
 
-def _angle_deg(thermal_from_rgb: Float64[Tensor, "4 4"]) -> float:
-    return math.degrees(torch.acos(thermal_from_rgb[2, 2].clamp(-1, 1)).item())
+def _angle_deg(extrinsics: Float64[Tensor, "4 4"]) -> float:
+    return math.degrees(torch.acos(extrinsics[2, 2].clamp(-1, 1)).item())
 
 
 def _finite(value: float) -> float:

@@ -1,4 +1,4 @@
-"""Photos on which two clicks and a length give the scene its scale."""
+"""Photos for measuring: two clicks and a length give the scene its scale."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
 from PIL import Image
 
 from mrgs.data.posed import decode_rgb
-from mrgs.data.undistort import resize
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.prepare.contract import ConvertedView
+from mrgs.prepare.page.previews import reduced
 from mrgs.scene import RGB
 from mrgs.scene.view import spread
 
@@ -22,13 +21,13 @@ WIDTH_PX = 760
 
 
 class MeasuredPhoto(NamedTuple):
-    """A photo to click on.
+    """A photo to measure in.
 
     Attributes:
         view: name of its view.
         width: of the file, in pixels.
         height: of the file, in pixels.
-        picture: the photo at the size in which it is shown.
+        picture: the photo as shown on the page.
     """
 
     view: str
@@ -38,7 +37,7 @@ class MeasuredPhoto(NamedTuple):
 
 
 def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[MeasuredPhoto]:
-    """Some of the photos, evenly spread, with the lens distortion of the file.
+    """Some of the photos, evenly distributed, with the lens distortion of the file.
 
     Args:
         scene: its folder.
@@ -53,11 +52,7 @@ def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[Measure
 def _photo(scene: Path, view: ConvertedView) -> MeasuredPhoto:
     values, _ = decode_rgb(scene / view.images[RGB].file)
     height, width = values.shape[:2]
-    if width > WIDTH_PX:
-        values, _ = resize(
-            values.contiguous(), None, WIDTH_PX, max(1, round(height * WIDTH_PX / width))
-        )
-    image = Image.fromarray(to_rgb8(values.to(torch.float32)))
+    image = Image.fromarray(to_rgb8(reduced(values, None, WIDTH_PX)[0]))
     return MeasuredPhoto(
         view.name, width, height, inline_image(image, f"photo {view.name}", quality=75)
     )

@@ -1,5 +1,5 @@
-"""The thermal image warped onto the photo by the depth of the scene, which shows misplaced
-cameras."""
+"""The thermal image warped onto the photo by the depth of the scene, which reveals wrong camera
+poses."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from torch import Tensor
 from mrgs.prepare.page.previews import Preview
 from mrgs.prepare.rig.depth import STEP_PX, inverse_depth
 from mrgs.prepare.rig.images import sampled
-from mrgs.scene import RGB, THERMAL, Camera, PointCloud
+from mrgs.scene import THERMAL, Camera, PointCloud
 
 EDGE_COLOR = (0, 240, 255)
 _EDGE_LEVELS = 16
 _EDGE_BLUR_PX = 1.0
 _EDGE_SHARE = 0.12
-"""Of the pixels, the steepest are candidates for an edge."""
+"""Share of the pixels, the steepest, that are candidates for an edge."""
 
 
-def thermal_on_rgb(
+def thermal_overlay(
     preview: Preview, points: PointCloud, visible: Int64[Tensor, " k"] | None = None
 ) -> Float32[np.ndarray, "h w"] | None:
-    """The thermal image as the photo's camera would have taken it; NaN where it shows nothing.
+    """The thermal image warped onto the grid of the view's first image, the photo; NaN outside of
+    the thermal image.
 
     Each pixel of the photo is unprojected to the surface between the sparse points, and projected
     from there into the thermal image. Occlusions are ignored.
@@ -33,13 +34,15 @@ def thermal_on_rgb(
     Args:
         preview: the view.
         points: start points, in world coordinates.
-        visible: indices of those that the photo saw; None if that is not known.
+        visible: indices of those that the photo shows; None if not known.
 
     Returns:
-        The image; None if the view lacks a pose or one of its images.
+        [H, W] of the photo's preview; None if the view has no pose, no thermal image or no other.
     """
-    photo, thermal = preview.images.get(RGB), preview.images.get(THERMAL)
-    if photo is None or thermal is None or photo.camera is None or thermal.camera is None:
+    photo, thermal = next(iter(preview.images.values()), None), preview.images.get(THERMAL)
+    if photo is None or thermal is None or photo is thermal:
+        return None
+    if photo.camera is None or thermal.camera is None:
         return None
     camera = photo.camera
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
@@ -88,7 +91,7 @@ def _on_ridge(
     down: Float[np.ndarray, "h w"],
     right: Float[np.ndarray, "h w"],
 ) -> np.ndarray:
-    """Where the strength is not smaller than that of both neighbours across the edge."""
+    """Where the strength is a maximum among both neighbours across the edge."""
     across_rows = np.abs(down) > np.abs(right)
     padded = np.pad(strength, 1)
     vertical = np.maximum(padded[:-2, 1:-1], padded[2:, 1:-1])

@@ -1,4 +1,4 @@
-"""The pictures of each view: its images, and one laid over the other."""
+"""The pictures of each view: its images and their overlay."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGE_UP_TO = 60
 """Up to this many pairs the thumbnails are large."""
 
 MOST_SHOWN = 120
-"""Of more pairs than this, some are shown."""
+"""Largest number of pairs that are shown."""
 
 _BAR_PX = 420
 
@@ -46,7 +46,7 @@ class Card(NamedTuple):
     edges: InlineImage | None
 
 
-class Pairs(NamedTuple):
+class PairsSection(NamedTuple):
     """The section ``pairs`` of ``sections.html``.
 
     Attributes:
@@ -65,7 +65,7 @@ class Pairs(NamedTuple):
 
 
 def thumbnail_width(count: int) -> int:
-    """How wide the images of so many pairs are shown, in pixels."""
+    """The width in pixels at which the images of ``count`` pairs are shown."""
     return THUMBNAIL_PX if count <= LARGE_UP_TO else SMALL_THUMBNAIL_PX
 
 
@@ -74,17 +74,17 @@ def pairs(
     overlays: Mapping[str, Float32[np.ndarray, "h w"]],
     unit: str,
     total: int,
-) -> Pairs:
+) -> PairsSection:
     """Draw the views that are shown.
 
     Args:
         previews: those that are shown.
-        overlays: by the view's name, the thermal image as its photo's camera would have taken it.
+        overlays: thermal images warped onto the photos, by the view's name.
         unit: of the thermal values; empty where they are relative.
         total: number of views.
     """
     scale = Scale("inferno", *_common_range(previews), unit)
-    return Pairs(
+    return PairsSection(
         [_card(preview, overlays.get(preview.name), scale) for preview in previews],
         total,
         bool(overlays),

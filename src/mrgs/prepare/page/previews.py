@@ -1,4 +1,4 @@
-"""The images of a view at the size in which the page shows them, and how views are named."""
+"""Previews: the images of a view at the size in which the page shows them."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def preview_of_files(
 
 
 def views_text(names: Sequence[str], most: int = 5) -> str:
-    """How many views, and the first of them by name, in a sentence."""
+    """Number of views and the names of the first ones, for a sentence."""
     shown = ", ".join(names[:most])
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{len(names)} view{'' if len(names) == 1 else 's'} ({shown}{more})"
@@ -116,8 +116,8 @@ def _shown(
 ) -> UInt8[np.ndarray, "y x 3"] | Float32[np.ndarray, "y x"]:
     """Pixels of a :class:`PreviewImage`."""
     if modality.channels == 3:
-        return to_rgb8(_reduced(values, None, width)[0])
-    values, valid = _reduced(values, valid, width)
+        return to_rgb8(reduced(values, None, width)[0])
+    values, valid = reduced(values, valid, width)
     shown = values.mean(dim=-1)
     if modality == THERMAL and temperature is not None:
         shown = temperature.to_celsius(shown)
@@ -126,9 +126,10 @@ def _shown(
     return shown.numpy()
 
 
-def _reduced(
+def reduced(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, width: int
 ) -> tuple[Float32[Tensor, "y x c"], Bool[Tensor, "y x"] | None]:
+    """An image and its mask, at most ``width`` pixels wide."""
     height, full_width = values.shape[:2]
     if full_width <= width:
         return values.contiguous(), valid

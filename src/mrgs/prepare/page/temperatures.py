@@ -1,10 +1,8 @@
-"""Temperatures of all photos: charts as SVG, readable in print, and what the files say."""
+"""Temperatures of all photos: charts as SVG, and notes from the thermal files."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,9 +30,8 @@ _LABEL_MARGIN = 60
 """Labels nearer than this to the right border end at their tick, px."""
 
 
-@dataclass(frozen=True)
-class TemperatureSpread:
-    """Temperatures of one photo, in °C or relative.
+class TemperatureSpread(NamedTuple):
+    """Distribution of the temperatures in one photo, in °C or relative.
 
     Attributes:
         name: of the view.
@@ -71,29 +68,6 @@ class Temperatures(NamedTuple):
     notes: list[str]
 
 
-class _Bar(NamedTuple):
-    x: float
-    y: float
-    height: float
-    color: str
-
-
-class _Tick(NamedTuple):
-    position: float
-    label: str
-    anchor: str
-
-
-class _Column(NamedTuple):
-    title: str
-    x: float
-    lowest: float
-    low: float
-    median: float
-    high: float
-    highest: float
-
-
 def temperatures(
     previews: Sequence[Preview],
     unit: str,
@@ -106,7 +80,7 @@ def temperatures(
         previews: views whose pixels are counted.
         unit: °C, or empty for relative values.
         facts: rows of the table.
-        notes: sentences from the thermal files, each with the number of photos that say it.
+        notes: sentences from the thermal files, with the number of photos that have each.
     """
     images = {view.name: view.images[THERMAL].pixels for view in previews if THERMAL in view.images}
     found = [temperature_spread(name, image) for name, image in images.items()]
@@ -126,13 +100,9 @@ def temperatures(
     )
 
 
-def counted(sentences: Sequence[str]) -> dict[str, int]:
-    """Number of occurrences of each sentence, in the order of first appearance."""
-    return dict(Counter(sentences))
-
-
 def temperature_spread(name: str, values: Float[np.ndarray, "h w"]) -> TemperatureSpread | None:
-    """The spread of a thermal image, NaN where not valid; None if no pixel is valid."""
+    """Minimum, percentiles and maximum of a thermal image (NaN where not valid); None if no pixel
+    is valid."""
     known = values[np.isfinite(values)]
     if not known.size:
         return None
@@ -155,17 +125,12 @@ def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: st
     heights = (_HEIGHT - _TOP - _BOTTOM) * counts / counts.max()
     colors = palette_table("inferno")[np.linspace(20, 235, len(counts)).astype(int)]
     bars = [
-        _Bar(
-            _LEFT + index * width,
-            _HEIGHT - _BOTTOM - height,
-            height,
-            "#" + bytes(colors[index]).hex(),
-        )
-        for index, height in enumerate(heights)
+        (_LEFT + index * width, _HEIGHT - _BOTTOM - height, height, "#" + bytes(color).hex())
+        for index, (height, color) in enumerate(zip(heights, colors, strict=True))
         if height > 0
     ]
     ticks = [
-        _Tick(x, label, "end" if x > _WIDTH - _LABEL_MARGIN else "middle")
+        (x, label, "end" if x > _WIDTH - _LABEL_MARGIN else "middle")
         for share, label in _ticks(low, high, 8, unit)
         for x in [_LEFT + (_WIDTH - _LEFT - _RIGHT) * share]
     ]
@@ -195,15 +160,15 @@ def spread_chart(
         return _HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share
 
     columns = [
-        _Column(
+        (
             f"{item.name}: {item.lowest:.1f} to {item.highest:.1f} {unit}",
             _LEFT + (index + 0.5) * step,
-            *(y(value) for value in (item.lowest, item.low, item.median, item.high, item.highest)),
+            TemperatureSpread(item.name, *(y(value) for value in item[1:])),
         )
         for index, item in enumerate(spreads)
     ]
     ticks = [
-        _Tick(_HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share, label, "end")
+        (_HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share, label)
         for share, label in _ticks(low, high, 5, unit)
     ]
     ends = (spreads[0].name, spreads[-1].name if len(spreads) > 1 else "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ MOST_POINTS = 4000
 _PLAN_POINTS = 1500
 _PLAN_PX = 440
 _TRIM = 0.08
-"""Share of the points, at each end of each axis, that does not widen what is shown."""
+"""Share of the points, at each end of each axis, that does not extend the drawing."""
 
 _BAR_SHARE = 0.25
 
@@ -55,7 +55,8 @@ def world_of(
     metric: bool,
     north: bool,
 ) -> World:
-    """The world; without north, up is where the cameras' upper edges point on average."""
+    """Cameras and points for drawing; without north, up is the mean direction of the cameras' upper
+    edges."""
     up = np.array([0.0, 0.0, 1.0])
     if not north and cameras:
         mean = (
@@ -76,7 +77,7 @@ def world_of(
 
 
 def orbit_facts(world: World) -> dict[str, Any]:
-    """What the 3D view draws; positions as 16-bit integers in steps of ``step`` from ``low``."""
+    """Data of the 3D view; positions are 16-bit integers in steps of ``step`` from ``low``."""
     positions = np.stack([camera.position.numpy() for camera in world.cameras.values()])
     low, high = _box(world, positions)
     size, diagonal = float((high - low).max()), float(np.linalg.norm(high - low))
@@ -116,7 +117,7 @@ def _slopes(camera: Camera) -> Float[np.ndarray, "2"]:
 
 
 def frustum_size(positions: Float[np.ndarray, "n 3"], size: float) -> float:
-    """Drawn depth of the cameras' pyramids: visible, and hardly touching their neighbours."""
+    """Drawn depth of the cameras' pyramids: large enough to see, and hardly touching each other."""
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     np.fill_diagonal(distances, np.inf)
     nearest = np.median(distances.min(axis=1)) if len(positions) > 1 else np.inf
@@ -143,19 +144,6 @@ def _horizontal_axes(world: World) -> tuple[Float[np.ndarray, "3"], Float[np.nda
     return np.cross(ahead, world.up), ahead
 
 
-class _DrawnCamera(NamedTuple):
-    name: str
-    held_out: bool
-    outline: str
-
-
-class _ScaleBar(NamedTuple):
-    x: int
-    y: int
-    length: float
-    label: str
-
-
 def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray, "3"]) -> Markup:
     """An orthographic drawing as SVG: x along ``right``, y along ``upwards``."""
     axes = np.stack([right, -upwards])
@@ -171,7 +159,7 @@ def _plan(world: World, right: Float[np.ndarray, "3"], upwards: Float[np.ndarray
     for name, camera in world.cameras.items():
         apex = (camera.position.numpy() @ axes.T - origin) * scale
         outline = _outline(apex, _cone(camera, length) @ axes.T * scale)
-        cameras.append(_DrawnCamera(name, name in world.held_out, outline))
+        cameras.append((name, name in world.held_out, outline))
     return render(
         "prepare/page/plan.svg",
         size=_PLAN_PX,
@@ -209,15 +197,15 @@ def _dots(
     return [(color, "".join(dots)) for color, dots in by_color.items()]
 
 
-def _scale_bar(world: World, scale: float) -> _ScaleBar:
-    """A round length, with its unit where that is known."""
+def _scale_bar(world: World, scale: float) -> tuple[float, str]:
+    """A round length in pixels of the drawing, and its label."""
     length = round_length(_BAR_SHARE * _PLAN_PX / scale)
     label = (
         f"{length:g} m"
         if world.metric
         else f"{length:g} unit{'' if length == 1 else 's'}, scale not known"
     )
-    return _ScaleBar(14, _PLAN_PX - 14, length * scale, label)
+    return length * scale, label
 
 
 def round_length(most: float) -> float:

@@ -1,8 +1,9 @@
-"""The page of a prepared scene, so that mistakes in the photos are seen before training."""
+"""The page of a prepared scene, which shows mistakes before training."""
 
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -25,10 +26,10 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.page.cameras import capitalised, lens_rows, rig_facts
 from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
-from mrgs.prepare.page.overlay import thermal_on_rgb
+from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
 from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view, views_text
-from mrgs.prepare.page.temperatures import Temperatures, counted, temperatures
+from mrgs.prepare.page.temperatures import Temperatures, temperatures
 from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
@@ -43,10 +44,10 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
 
     One file that needs nothing from the network: warnings, stages with their times, cameras and
     points, each view's photo and thermal image and their overlay, temperatures, lenses, and what
-    was skipped. Its views are what ``load_scene`` reads, so that it shows what training will see.
+    was skipped. Its views are what ``load_scene`` reads, exactly as training will read them.
 
     Args:
-        work: a scene in preparation; what its stages have not found yet is left out. If there are
+        work: a scene in preparation; results that are not there yet are left out. If there are
             poses, but no scene files, the views are shown without them.
         without_pose: views to be listed with the skipped ones.
 
@@ -72,7 +73,7 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
         temperatures=_temperatures(content, work.images),
         lenses=_lenses(posed, work.georeference),
         rig=None if work.rig is None else rig_facts(work.rig, work.georeference),
-        one_camera=content.scene is not None and posed is not None and posed.images == RGB,
+        one_camera=content.scene is not None and posed is not None and posed.images != THERMAL,
         photos=_measured(work, posed),
         metric=work.metric,
         skipped=list(
@@ -111,7 +112,7 @@ def write_scene_page(
 
 @dataclass(frozen=True, eq=False)
 class _Content:
-    """What several sections show.
+    """Content that several sections share.
 
     Attributes:
         total: number of converted views.
@@ -173,7 +174,7 @@ def _content(work: Work) -> _Content:
 
 
 def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
-    """The views by name, and what each is for."""
+    """The views by name, with their status."""
     views = {view.name: (view, "training") for view in scene.train}
     return views | {view.name: (view, "held out") for view in scene.eval}
 
@@ -197,7 +198,7 @@ def _overlays(content: _Content) -> dict[str, Float32[np.ndarray, "h w"]]:
         return {}
     visible = content.posed.visible or {}
     found = {
-        view.name: thermal_on_rgb(view, content.posed.points, visible.get(view.name))
+        view.name: thermal_overlay(view, content.posed.points, visible.get(view.name))
         for view in content.previews
     }
     return {name: image for name, image in found.items() if image is not None}
@@ -228,14 +229,14 @@ def _temperatures(content: _Content, photos: ConvertedPhotos) -> Temperatures | 
     ranges = sum(view.range_c is not None for view in photos.views)
     without = len(photos.views) - ranges
     facts = [("Photos", f"{ranges} with °C" + (f", {without} without" if without else ""))]
-    cameras = counted([view.facts.camera for view in photos.views if view.facts.camera])
+    cameras = Counter(view.facts.camera for view in photos.views if view.facts.camera)
     if cameras:
         names = ", ".join(f"{name} ({count} photos)" for name, count in cameras.items())
         facts.append(("Thermal camera", names))
     if content.scene is not None and content.scene.temperature is not None:
         temperature = content.scene.temperature
         facts.append(("Range of the scene", f"{temperature.min_c:g} to {temperature.max_c:g} °C"))
-    notes = counted([note for view in photos.views for note in view.facts.notes])
+    notes = Counter(note for view in photos.views for note in view.facts.notes)
     return temperatures(content.previews, content.unit, facts, notes)
 
 

@@ -1,4 +1,4 @@
-"""Photos of two cameras by their times: how far apart the clocks are, and who belongs to whom."""
+"""Photos of two cameras by their times: the offset between the clocks, and which photos match."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from jaxtyping import Float64, Int64
 from scipy.optimize import linear_sum_assignment
 
 _NEARLY = 0.9
-"""An offset that pairs so large a part of what another one pairs is as good as it."""
+"""An offset with this share of another one's pairs is as good."""
 
 _TRIED = 24
-"""So many of the most frequent differences of two times are tried as offsets."""
+"""Number of the most frequent differences of two times that are tried as offsets."""
 
 _LOOKED_AT = 50_000
-"""Of the differences sorted by frequency, so many are looked through for those."""
+"""Number of differences, the most frequent first, that are searched."""
 
 _FEWEST = 3
 """Fewer pairs than this prove no offset."""
 
 _RANK_S = 1e-5
-"""Photos of the same second are told apart by their order, as if so far apart."""
+"""Photos of the same second are ordered as if they were this far apart, seconds."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How far the RGB camera's clock is ahead.
+    """Offset between the clocks of two cameras.
 
     Attributes:
-        seconds: RGB camera's time minus thermal camera's time of the same moment.
-        pairs: how many pairs it gives.
-        rival_s: another offset that gives nearly as many; None if there is none.
+        seconds: time on the first clock minus time on the second, at the same moment.
+        pairs: number of pairs with this offset.
+        rival_s: another offset with nearly as many pairs; None if there is none.
     """
 
     seconds: float
@@ -41,81 +41,78 @@ class ClockOffset:
 
 
 def match_times(
-    rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s: float
+    first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
 ) -> list[tuple[int, int]]:
-    """Pairs of indices, at most ``tolerance_s`` seconds apart: as many as can be, and then the
+    """Pairs of indices at most ``tolerance_s`` seconds apart: as many as possible, and then the
     nearest.
 
     Args:
-        rgb_s: times, ascending.
-        thermal_s: times on the same clock, ascending.
-        tolerance_s: seconds.
+        first_s: times of the first camera's photos, seconds, ascending.
+        second_s: times of the second camera's photos on the same clock, seconds, ascending.
+        tolerance_s: largest time difference within a pair, seconds.
     """
-    rgb, thermal = np.asarray(rgb_s, np.float64), np.asarray(thermal_s, np.float64)
+    first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
     pairs: list[tuple[int, int]] = []
-    for first, second in _clusters(rgb, thermal, tolerance_s):
-        pairs += _assign(rgb, thermal, first, second, tolerance_s)
+    for rows, columns in _clusters(first, second, tolerance_s):
+        pairs += _assign(first, second, rows, columns, tolerance_s)
     return sorted(pairs, key=lambda pair: pair[1])
 
 
 def _clusters(
-    rgb: Float64[np.ndarray, " r"], thermal: Float64[np.ndarray, " t"], tolerance_s: float
+    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
 ) -> list[tuple[Int64[np.ndarray, " a"], Int64[np.ndarray, " b"]]]:
     """Indices of photos between which there are gaps that no pair bridges."""
-    times = np.sort(np.concatenate([rgb, thermal]))
-    if len(rgb) == 0 or len(thermal) == 0:
+    times = np.sort(np.concatenate([first, second]))
+    if len(first) == 0 or len(second) == 0:
         return []
     starts = times[1:][np.diff(times) > tolerance_s]
-    of_rgb, of_thermal = (
-        np.searchsorted(starts, rgb, "right"),
-        np.searchsorted(starts, thermal, "right"),
+    of_first, of_second = (
+        np.searchsorted(starts, first, "right"),
+        np.searchsorted(starts, second, "right"),
     )
-    both = np.intersect1d(of_rgb, of_thermal)
+    both = np.intersect1d(of_first, of_second)
     return [
-        (np.flatnonzero(of_rgb == cluster), np.flatnonzero(of_thermal == cluster))
+        (np.flatnonzero(of_first == cluster), np.flatnonzero(of_second == cluster))
         for cluster in both
     ]
 
 
 def _assign(
-    rgb: Float64[np.ndarray, " r"],
-    thermal: Float64[np.ndarray, " t"],
-    first: Int64[np.ndarray, " a"],
-    second: Int64[np.ndarray, " b"],
+    first: Float64[np.ndarray, " m"],
+    second: Float64[np.ndarray, " n"],
+    rows: Int64[np.ndarray, " a"],
+    columns: Int64[np.ndarray, " b"],
     tolerance_s: float,
 ) -> list[tuple[int, int]]:
     """The best pairs within one cluster. Squares keep the order where times are equal."""
-    apart = rgb[first, None] - thermal[second]
-    ranks = _RANK_S * (np.arange(len(first))[:, None] - np.arange(len(second)))
+    apart = first[rows, None] - second[columns]
+    ranks = _RANK_S * (np.arange(len(rows))[:, None] - np.arange(len(columns)))
     near = np.abs(apart) <= tolerance_s
     cost = (apart + ranks) ** 2
     forbidden = (1 + cost[near].max(initial=0.0)) * (1 + min(cost.shape))
-    rows, columns = linear_sum_assignment(np.where(near, cost, forbidden))
-    return [
-        (int(first[i]), int(second[j])) for i, j in zip(rows, columns, strict=True) if near[i, j]
-    ]
+    chosen = zip(*linear_sum_assignment(np.where(near, cost, forbidden)), strict=True)
+    return [(int(rows[i]), int(columns[j])) for i, j in chosen if near[i, j]]
 
 
 def clock_offset(
-    rgb_s: Sequence[float], thermal_s: Sequence[float], tolerance_s: float
+    first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
 ) -> ClockOffset:
-    """The offset of the clocks with which most photos find a partner: none, where that is nearly as
-    good.
+    """The clock offset with which most photos find a partner; 0 where that is nearly as good.
 
     Args:
-        rgb_s: times by the RGB camera's clock, ascending.
-        thermal_s: times by the thermal camera's clock, ascending.
-        tolerance_s: seconds that a pair's photos may be apart.
+        first_s: times on the first camera's clock, seconds, ascending.
+        second_s: times on the second camera's clock, seconds, ascending.
+        tolerance_s: largest time difference within a pair, seconds.
     """
-    rgb, thermal = np.asarray(rgb_s, np.float64), np.asarray(thermal_s, np.float64)
-    in_step = ClockOffset(0.0, _count(rgb, thermal, tolerance_s))
-    smaller = min(len(rgb), len(thermal))
+    first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
+    in_step = ClockOffset(0.0, _count(first, second, tolerance_s))
+    smaller = min(len(first), len(second))
     if smaller < _FEWEST or in_step.pairs >= _NEARLY * smaller:
         return in_step
     window_s = max(tolerance_s, 0.5)
-    tried = _frequent_differences(rgb, thermal, window_s)
+    tried = _frequent_differences(first, second, window_s)
     found = sorted(
-        (ClockOffset(s, _count(rgb - s, thermal, tolerance_s)) for s in tried),
+        (ClockOffset(s, _count(first - s, second, tolerance_s)) for s in tried),
         key=lambda one: -one.pairs,
     )
     best = found[0]
@@ -127,11 +124,11 @@ def clock_offset(
 
 
 def _frequent_differences(
-    rgb: Float64[np.ndarray, " r"], thermal: Float64[np.ndarray, " t"], window_s: float
+    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], window_s: float
 ) -> list[float]:
-    """The centres of the windows that hold most of the differences of all RGB times to all thermal
-    times."""
-    differences = np.sort((rgb[:, None] - thermal).ravel())
+    """The centres of the windows that hold most of the differences between all times of the two
+    cameras."""
+    differences = np.sort((first[:, None] - second).ravel())
     ends = np.searchsorted(differences, differences + window_s, "right")
     counts = ends - np.arange(len(differences))
     centres: list[float] = []
@@ -145,12 +142,12 @@ def _frequent_differences(
 
 
 def _count(
-    rgb: Float64[np.ndarray, " r"], thermal: Float64[np.ndarray, " t"], tolerance_s: float
+    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
 ) -> int:
     """How many pairs there can be: with sorted times, taking the first that fits is best."""
     i = j = pairs = 0
-    while i < len(rgb) and j < len(thermal):
-        apart = rgb[i] - thermal[j]
+    while i < len(first) and j < len(second):
+        apart = first[i] - second[j]
         if abs(apart) <= tolerance_s:
             i, j, pairs = i + 1, j + 1, pairs + 1
         elif apart < 0:

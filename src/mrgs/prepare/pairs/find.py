@@ -1,4 +1,4 @@
-"""From a folder to pairs: the rule that fits most photos is taken."""
+"""Pairs from a folder of photos, by the rule that fits most of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing, PhotoPair, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras
 from mrgs.prepare.pairs.inventory import Inventory, take_inventory
-from mrgs.prepare.pairs.names import natural, read_stem, view_names
+from mrgs.prepare.pairs.names import PARTNER, REFERENCE, natural, read_stem, view_names
 from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import (
     NEARLY,
@@ -19,19 +19,18 @@ from mrgs.prepare.pairs.rules import (
     Pair,
     by_embedded,
     by_folders,
+    by_modality,
     by_names,
     by_numbers,
     by_time,
-    roles,
 )
 from mrgs.prepare.pairs.table import by_table
-from mrgs.scene import RGB, THERMAL
 
 Rule = Literal["auto", "names", "folders", "time", "thermal"]
 
 _FEWEST_PAIRS = 3
-"""With fewer, or with fewer than a tenth of the thermal photos, a set of mostly thermal photos has
-no RGB photos."""
+"""With fewer, or with fewer than a tenth of the reference photos, a set that lacks most partners
+is used without any."""
 
 
 def find_pairs(
@@ -73,11 +72,11 @@ def find_pairs(
         match = by_table(table, inventory)
     else:
         match = _match(inventory, rule, tolerance_s)
-    pairs, without_rgb = _with_rgb(match.pairs)
+    pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
     warnings = (*match.warnings, *check_cameras(pairs, inventory))
-    names = view_names([pair.thermal.origin.with_name(_key(pair.thermal)) for pair in pairs])
+    names = view_names([pair.reference.origin.with_name(_key(pair.reference)) for pair in pairs])
     found = [_photo_pair(name, pair) for name, pair in zip(names, pairs, strict=True)]
-    skipped = [*inventory.skipped, *_unused(inventory, match, pairs, without_rgb)]
+    skipped = [*inventory.skipped, *_unused(inventory, match, pairs)]
     return Pairing(
         tuple(sorted(found, key=lambda pair: natural(pair.name))),
         tuple(sorted(skipped, key=lambda item: natural(item.name))),
@@ -87,31 +86,32 @@ def find_pairs(
 
 
 def _photo_pair(name: str, pair: Pair) -> PhotoPair:
-    photos = {THERMAL: pair.thermal} if pair.rgb is None else {RGB: pair.rgb, THERMAL: pair.thermal}
     return PhotoPair(
         name,
-        {modality: photo.path for modality, photo in photos.items()},
+        {modality: photo.path for modality, photo in pair.photos.items()},
         pair.embedded,
-        {modality: photo.exif for modality, photo in photos.items()},
+        {modality: photo.exif for modality, photo in pair.photos.items()},
     )
 
 
-def _key(thermal: Photo) -> str:
-    """Name of a view: that of its thermal photo without the camera suffix."""
-    return read_stem(thermal.origin.name, thermal.is_thermal).key or thermal.origin.name
+def _key(reference: Photo) -> str:
+    """Name of a view: that of its reference photo without the camera suffix."""
+    return read_stem(reference.origin.name, reference.is_thermal).key or reference.origin.name
 
 
 def _match(inventory: Inventory, rule: Rule, tolerance_s: float) -> Match:
     """What the rule finds; with ``auto``, the best."""
-    rgb, thermal = roles(inventory.photos, inventory.root.resolve().name)
-    if rule == "thermal" and thermal:
-        return _alone(thermal, dict.fromkeys(rgb, "only the thermal photos are used"))
-    best = _best_match(inventory, rule, tolerance_s, min(len(rgb), len(thermal)))
-    count = _count(best)
-    if 2 * max(count, len(rgb)) < len(thermal) and count < max(_FEWEST_PAIRS, len(thermal) / 10):
-        return _mostly_thermal(rgb, thermal)
+    references, others = by_modality(inventory.photos, inventory.root.resolve().name)
+    if rule == REFERENCE.name and references:
+        return _alone(
+            references, dict.fromkeys(others, f"only the {REFERENCE.title} photos are used")
+        )
+    best = _best_match(inventory, rule, tolerance_s, min(len(references), len(others)))
+    count, least = _count(best), max(_FEWEST_PAIRS, len(references) / 10)
+    if 2 * max(count, len(others)) < len(references) and count < least:
+        return _mostly_alone(references, others)
     if best is None:
-        raise _no_pairs(inventory, rgb, thermal, rule, tolerance_s)
+        raise _no_pairs(inventory, references, others, rule, tolerance_s)
     return best
 
 
@@ -149,37 +149,43 @@ def _unless_nearly(separate: Match | None, embedded: Match | None) -> Match | No
     return embedded if _count(separate) < NEARLY * _count(embedded) else separate
 
 
-def _mostly_thermal(rgb: list[Photo], thermal: list[Photo]) -> Match:
-    """Only the thermal photos, as there are no or too few RGB photos."""
-    others = len(rgb) + sum(photo.embedded for photo in thermal)
+def _mostly_alone(references: list[Photo], others: list[Photo]) -> Match:
+    """Only the reference photos, because no or too few partners are there."""
+    partners = len(others) + sum(photo.embedded for photo in references)
     doubt = (
-        f"There are {len(thermal)} thermal photos but only {others} RGB photos: only the thermal "
-        f"photos are used. To use only the pairs, remove the other photos, or list the pairs in a "
-        f"CSV file.",
+        f"There are {len(references)} {REFERENCE.title} photos but only {partners} "
+        f"{PARTNER.title} photos: only the {REFERENCE.title} photos are used. To use only the "
+        f"pairs, remove the other photos, or list the pairs in a CSV file.",
     )
-    reasons = dict.fromkeys(rgb, "most thermal photos have no RGB photo")
-    return _alone(thermal, reasons, doubt if others else ())
+    reason = f"most {REFERENCE.title} photos have no {PARTNER.title} photo"
+    return _alone(references, dict.fromkeys(others, reason), doubt if partners else ())
 
 
 def _alone(
-    thermal: list[Photo], reasons: dict[Photo, str], warnings: tuple[str, ...] = ()
+    references: list[Photo], reasons: dict[Photo, str], warnings: tuple[str, ...] = ()
 ) -> Match:
-    """The thermal photos without RGB photos, and why those are not used."""
-    pairs = tuple(Pair(None, photo) for photo in thermal)
-    return Match(pairs, "Only the thermal photos are used.", "", reasons, warnings)
+    """The reference photos without partners, and why other photos are not used."""
+    pairs = tuple(Pair(photo) for photo in references)
+    return Match(pairs, f"Only the {REFERENCE.title} photos are used.", "", reasons, warnings)
 
 
 def _no_pairs(
-    inventory: Inventory, rgb: list[Photo], thermal: list[Photo], rule: Rule, tolerance_s: float
+    inventory: Inventory,
+    references: list[Photo],
+    others: list[Photo],
+    rule: Rule,
+    tolerance_s: float,
 ) -> SceneError:
     options: tuple[str, ...] = ("pair_table",)
-    found = f"its {len(thermal)} thermal and {len(rgb)} other photos make no pairs"
-    equal_names = "give them equal names in folders rgb and thermal"
-    timeless = [name for name, photos in (("thermal", thermal), ("other", rgb))
-                if not any(photo.exif.taken for photo in photos)]  # fmt: skip
-    if not thermal:
-        found = f"none of its {len(inventory.photos)} photos is known to be thermal"
-        why = "put them into folders named thermal and rgb"
+    found = f"its {len(references)} {REFERENCE.title} and {len(others)} other photos make no pairs"
+    equal_names = f"give them equal names in folders {PARTNER} and {REFERENCE}"
+    groups = {REFERENCE.title: references, "other": others}
+    timeless = [
+        name for name, photos in groups.items() if not any(photo.exif.taken for photo in photos)
+    ]
+    if not references:
+        found = f"none of its {len(inventory.photos)} photos is known to be {REFERENCE.title}"
+        why = f"put them into folders named {REFERENCE} and {PARTNER}"
     elif rule == "time" and timeless:
         why = f"the {timeless[0]} photos do not say when they were taken; {equal_names}"
     elif rule == "time":
@@ -195,27 +201,17 @@ def _no_pairs(
     return scene_error(inventory.root, f"{found}: {why}", options=options)
 
 
-def _with_rgb(pairs: tuple[Pair, ...]) -> tuple[list[Pair], list[Pair]]:
-    """Those with an RGB photo, and those without; if none has one, all are used."""
-    with_rgb = [pair for pair in pairs if pair.rgb is not None or pair.embedded]
-    if not with_rgb:
-        return list(pairs), []
-    return with_rgb, [pair for pair in pairs if pair not in with_rgb]
-
-
-def _unused(
-    inventory: Inventory, match: Match, pairs: list[Pair], bare: list[Pair]
-) -> list[Skipped]:
+def _unused(inventory: Inventory, match: Match, pairs: list[Pair]) -> list[Skipped]:
     """All photos that are in no pair, with the reason."""
-    used = {photo for pair in pairs for photo in pair[:2]}
-    alone = {pair.thermal: "has no RGB photo, while others do" for pair in bare}
-    rgb, _ = roles(inventory.photos, inventory.root.resolve().name)
-    wanted = dict.fromkeys(rgb, "thermal")
+    used = {photo for pair in pairs for photo in pair.photos.values()}
+    references, _ = by_modality(inventory.photos, inventory.root.resolve().name)
+    wanted = dict.fromkeys(references, PARTNER)
     reasons = {
-        photo: f"has no {wanted.get(photo, 'RGB')} photo {match.without}"
+        photo: f"has no {wanted.get(photo, REFERENCE).title} photo {match.without}"
         for photo in inventory.photos
     }
-    reasons |= {**match.reasons, **alone}
+    alone = f"has no {PARTNER.title} photo, while others do"
+    reasons |= {**match.reasons, **{pair.reference: alone for pair in match.pairs}}
     return [
         Skipped(inventory.name(photo), reasons[photo])
         for photo in inventory.photos

@@ -1,13 +1,11 @@
-"""All files of a folder of photos: those that can be photos, and why the others cannot."""
+"""The files of a folder of photos: possible photos, and why the others are skipped."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-from mrgs.data.files import scene_error
+from mrgs.data.files import scene_error, visible_files
 from mrgs.prepare.contract import Skipped
 from mrgs.prepare.pairs.names import composed, natural, printable
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
@@ -15,7 +13,7 @@ from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
 
 @dataclass(frozen=True)
 class Inventory:
-    """The photos of a folder, one file for each shot and camera.
+    """The photos of a folder, one file for each moment and camera.
 
     Attributes:
         root: the folder.
@@ -46,7 +44,9 @@ def take_inventory(root: Path) -> Inventory:
     if not root.is_dir():
         raise scene_error(root, "is not a folder; give the folder that holds the photos")
     photos, skipped = [], []
-    for path in sorted(_files(root), key=lambda path: natural(path.relative_to(root).as_posix())):
+    for path in sorted(
+        visible_files(root), key=lambda path: natural(path.relative_to(root).as_posix())
+    ):
         relative = PurePosixPath(path.relative_to(root))
         found = (
             "is a link to a folder, which is not followed"
@@ -67,31 +67,14 @@ def take_inventory(root: Path) -> Inventory:
         raise scene_error(
             root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files"
         )
-    kept, replaced = _one_file_per_shot(root, photos)
+    kept, replaced = _one_file_per_photo(root, photos)
     return Inventory(root, tuple(kept), tuple(skipped + replaced))
 
 
-def _files(root: Path) -> Iterator[Path]:
-    """All files, and links to folders; hidden ones, such as those that macOS leaves on cards, are
-    no one's photos."""
-    for parent, folders, names in os.walk(root, onerror=_raise):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        linked = [name for name in folders if os.path.islink(os.path.join(parent, name))]
-        for name in [*names, *linked]:
-            if not name.startswith("."):
-                yield Path(parent, name)
+def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
+    """Of files that hold the same thermal photo, the best; the others are skipped.
 
-
-def _raise(error: OSError) -> None:
-    raise scene_error(
-        error.filename, f"cannot be read ({error.strerror}); give a folder that is readable"
-    ) from None
-
-
-def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
-    """Of files that hold the same thermal photo, the best; the others are left out.
-
-    Files of one stem in one folder are the same shot, and so are a DJI R-JPEG and the one file of
+    Files of one stem in one folder hold the same photo, and so do a DJI R-JPEG and the one file of
     that stem elsewhere that it was converted to.
     """
     by_stem: dict[str, list[Photo]] = {}
@@ -124,6 +107,5 @@ def _one_file_per_shot(root: Path, photos: list[Photo]) -> tuple[list[Photo], li
 
 
 def _same(photo: Photo, other: Photo) -> bool:
-    """Whether both can show the same thermal shot: a photo in visible light may share its stem with
-    a thermal TIFF."""
+    """Whether both can hold the same thermal photo; a photo in visible light may share its stem."""
     return photo.is_thermal and other.is_thermal

@@ -1,4 +1,4 @@
-"""What the names of files and folders say: which camera took a photo, and at which moment."""
+"""Camera and time of a photo from the names of its file and folders."""
 
 from __future__ import annotations
 
@@ -10,28 +10,37 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import PurePosixPath
-from typing import Literal
 
-Role = Literal["rgb", "thermal"]
+from mrgs.scene import RGB, THERMAL, Modality
 
-_THERMAL = {
+REFERENCE, PARTNER = THERMAL, RGB
+"""Every pair has a photo of the reference modality; its partner may be missing."""
+
+_THERMAL_WORDS = {
     "thermal", "therm", "thrm", "thermo", "thermogram", "thermograms", "thermography",
     "radiometric", "ir", "irx", "tir", "lwir", "infrared", "temperature", "temperatures",
     "celsius", "8b",
 }  # fmt: skip
-_RGB = {
+_RGB_WORDS = {
     "rgb", "vis", "visible", "visual", "color", "colour", "dc", "eo", "wide", "zoom", "scrn",
     "max", "optical",
 }  # fmt: skip
-_RGB_FOLDER = {"image", "images", "photo", "photos"}
-"""Names of folders that are RGB's only if nothing in them says thermal."""
+_WORDS = {THERMAL: _THERMAL_WORDS, RGB: _RGB_WORDS}
+_PHOTO_WORDS = {"image", "images", "photo", "photos"}
+"""Folders with these names hold RGB photos, unless something else in the name says thermal."""
 
-_LETTERS: dict[str, Role] = {"t": "thermal", "w": "rgb", "v": "rgb", "z": "rgb", "s": "rgb"}
+HEADINGS = {
+    RGB: {"rgb", "visible", "visual", "color", "colour", "image"},
+    THERMAL: {"thermal", "ir", "infrared"},
+}
+"""Headings of the columns in a table of pairs."""
+
+_LETTERS = {"t": THERMAL, **dict.fromkeys("wvzs", RGB)}
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
 
-RGB_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
-"""Camera suffixes by preference among RGB photos of one moment; a wide view covers the thermal
-one."""
+PARTNER_MARKS = ("w", "wide", "v", "vis", "visible", "rgb", "", "z", "zoom")
+"""Camera suffixes by preference among RGB photos of one moment: a wide view covers the thermal
+image."""
 
 _LAST_LETTER = re.compile(
     r"(?:(?<=\d)[_\-]?(?P<camera>[twvzs])|[_\-](?P<thermal>t))$", re.IGNORECASE
@@ -49,17 +58,17 @@ _LONGEST_NAME = 100
 
 @dataclass(frozen=True)
 class StemFacts:
-    """What the stem of a file's name says.
+    """Facts in the stem of a file's name.
 
     Attributes:
         key: the stem without camera suffix and time.
-        role: by the camera suffix; None without one.
+        modality: by the camera suffix; None without one.
         mark: the camera suffix in lower case; empty without one.
         moment: the time in the name; None without one.
     """
 
     key: str
-    role: Role | None = None
+    modality: Modality | None = None
     mark: str = ""
     moment: datetime | None = None
 
@@ -84,11 +93,10 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
             (FLIR Duo, DJI XT2).
     """
     if radiometric and (found := _LAST_R.search(stem)):
-        return StemFacts(stem[: found.start()], "thermal", "r")
-    if (found := _STAMPED.fullmatch(stem)) and (role := _role_of_word(found[4])) is not None:
-        return StemFacts(
-            _joined(found[1], found[3], found[5] or ""), role, found[4].lower(), _moment(found[2])
-        )
+        return StemFacts(stem[: found.start()], THERMAL, "r")
+    if (found := _STAMPED.fullmatch(stem)) and (modality := _modality_of(found[4])) is not None:
+        key = _joined(found[1], found[3], found[5] or "")
+        return StemFacts(key, modality, found[4].lower(), _moment(found[2]))
     if found := _LAST_LETTER.search(stem):
         mark = (found["camera"] or found["thermal"]).lower()
         return StemFacts(stem[: found.start()], _LETTERS[mark], mark)
@@ -99,16 +107,16 @@ def _by_words(stem: str) -> StemFacts:
     parts = re.split(r"[_\-. ]+", stem)
     for index in reversed(range(len(parts))):
         word, number = _word_and_number(parts[index])
-        role = _role_of_word(word) if len(word) > 1 else None
-        if role is not None:
+        modality = _modality_of(word) if len(word) > 1 else None
+        if modality is not None:
             rest = [*parts[:index], number, *parts[index + 1 :]]
-            return StemFacts("_".join(part for part in rest if part), role, word.lower())
+            return StemFacts("_".join(part for part in rest if part), modality, word.lower())
     return StemFacts(stem)
 
 
 def _word_and_number(part: str) -> tuple[str, str]:
-    """``ir0001`` and ``0001ir`` hold a word and a number; any other part is taken for a word."""
-    if part.lower() in _THERMAL:
+    """``ir0001`` and ``0001ir`` hold a word and a number; any other part is a word."""
+    if part.lower() in _WORDS[THERMAL]:
         return part, ""
     if found := re.fullmatch(r"([A-Za-z]+)([0-9]+)", part):
         return found[1], found[2]
@@ -117,11 +125,9 @@ def _word_and_number(part: str) -> tuple[str, str]:
     return part, ""
 
 
-def _role_of_word(word: str) -> Role | None:
+def _modality_of(word: str) -> Modality | None:
     word = word.lower()
-    if word in _THERMAL:
-        return "thermal"
-    return "rgb" if word in _RGB else _LETTERS.get(word)
+    return next((each for each, words in _WORDS.items() if word in words), _LETTERS.get(word))
 
 
 def _moment(digits: str) -> datetime | None:
@@ -135,22 +141,22 @@ def _joined(*parts: str) -> str:
     return "_".join(stripped for part in parts if (stripped := part.strip("_-")))
 
 
-def folder_role(folders: Sequence[str]) -> tuple[Role | None, tuple[str, ...]]:
-    """The camera that the innermost folder with such a name says, and the folders without it."""
+def folder_modality(folders: Sequence[str]) -> tuple[Modality | None, tuple[str, ...]]:
+    """The modality that the innermost folder named after one has, and the folders without it."""
     for index in reversed(range(len(folders))):
         words = {word.lower() for word in re.findall(r"[A-Za-z]+|[0-9]+", folders[index])}
-        thermal, rgb = bool(words & _THERMAL), bool(words & _RGB)
-        if not thermal and not rgb:
+        named = [modality for modality, own in _WORDS.items() if words & own]
+        if not named:
             # FLIR's cameras put all their photos into 100_FLIR; a folder of that name alone was
             # made by the user.
-            thermal, rgb = words == {"flir"}, bool(words & _RGB_FOLDER)
-        if thermal != rgb:
-            return ("thermal" if thermal else "rgb"), (*folders[:index], *folders[index + 1 :])
+            named = [THERMAL] if words == {"flir"} else [RGB] if words & _PHOTO_WORDS else []
+        if len(named) == 1:
+            return named[0], (*folders[:index], *folders[index + 1 :])
     return None, tuple(folders)
 
 
 def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
-    """A key to sort by: numbers by their value, letters without their case."""
+    """A sort key: numbers by their value, letters without their case."""
     parts = [part for part in re.split(r"([0-9]+)", text) if part]
     key = [
         (0, int(part), "") if part[0] in "0123456789" else (1, 0, part.casefold()) for part in parts
@@ -158,14 +164,15 @@ def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
     return key, text
 
 
-def view_names(shots: Sequence[PurePosixPath]) -> list[str]:
-    """Names of views: short, unique even where upper and lower case are one, and valid files' stems
-    on every system.
+def view_names(paths: Sequence[PurePosixPath]) -> list[str]:
+    """Names of views: short, unique even where case is ignored, and valid file stems on every
+    system. Folders are part of a name only where two names would be equal.
 
-    The folders are part of a name only where two shots would be called the same.
+    Args:
+        paths: of the photos, relative to the folder of photos, without extension.
     """
-    short = [_safe(shot.name) for shot in shots]
-    long = [_safe("_".join(shot.parts)) for shot in shots]
+    short = [_safe(path.name) for path in paths]
+    long = [_safe("_".join(path.parts)) for path in paths]
     counts = Counter(name.lower() for name in short)
     taken: set[str] = set()
     names = []

@@ -1,4 +1,4 @@
-"""The header of one file in a folder of photos: what it shows, which camera took it, and when."""
+"""The header of a file in a folder of photos: content, camera and time."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from PIL import Image
+from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import read_bytes
 from mrgs.data.radiometric import ExifFacts, dji, fff, jpeg, read_exif
@@ -29,7 +30,6 @@ _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw",
     ".raf", ".orf", ".rw2",
 }  # fmt: skip
-_EXIF_IFD, _FOCAL_LENGTH = 0x8769, 0x920A
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Photo:
         origin: path of the camera's original file without the extension, relative to the folder of
             photos.
         kind: what it holds.
-        size: width and height in pixels; None where the header does not tell.
+        size: width and height in pixels; None if the header does not say.
         embedded: whether a photo in visible light lies inside.
         exif: facts about the photo.
-        focal_mm: focal length of the lens; None if the file does not say.
+        focal_mm: focal length in mm; None if the file does not say.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class Photo:
 
     @property
     def is_thermal(self) -> bool:
-        """Whether the content says that it is thermal; a plain image may be, too."""
+        """Whether the content is thermal for certain; a plain image may be thermal as well."""
         return self.kind != "image"
 
 
@@ -88,8 +88,8 @@ def _inspect(path: Path, relative: PurePosixPath) -> Photo | str:
 
 
 def _head(path: Path) -> bytes:
-    """The beginning of a file, which tells its kind; of a JPEG with FLIR's record the whole file,
-    because the record may be longer."""
+    """The beginning of a file, from which its kind is recognised; the whole file for a JPEG with
+    FLIR's record, which may be longer."""
     try:
         with path.open("rb") as file:
             start = file.read(_HEAD_BYTES)
@@ -102,7 +102,7 @@ def _head(path: Path) -> bytes:
 
 
 def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
-    """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is looked into."""
+    """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is parsed."""
     is_jpeg = data.startswith(jpeg.SIGNATURE)
     record = jpeg.flir_record(data, path) if is_jpeg else None
     if data.startswith(fff.SIGNATURES):
@@ -140,7 +140,7 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
     "image": _image,
     "dji": _image,
 }
-"""What inspects a file of each kind."""
+"""The function that inspects a file of each kind."""
 
 
 def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
@@ -151,7 +151,7 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
             )  # of damaged tags; the photo's pixels are judged when they are read
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 size, mode = image.size, image.mode
-                focal_mm = _focal_mm(image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_LENGTH))
+                focal_mm = _focal_mm(image.getexif().get_ifd(IFD.Exif).get(Base.FocalLength))
     except Exception:  # Pillow's readers of damaged headers raise almost anything
         return "cannot be decoded as an image; copy or export it again"
     exif = read_exif(data)

@@ -1,4 +1,7 @@
-"""Rules that pair photos. Each returns a match; ``find`` chooses among them."""
+"""Rules that pair photos. Each returns a match; ``find`` chooses among them.
+
+A pair has a photo of the reference modality (thermal) and its partner (RGB).
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,17 @@ from typing import NamedTuple
 
 from mrgs.prepare.pairs.clocks import ClockOffset, clock_offset, match_times
 from mrgs.prepare.pairs.names import (
-    RGB_MARKS,
-    Role,
+    PARTNER,
+    PARTNER_MARKS,
+    REFERENCE,
     composed,
-    folder_role,
+    folder_modality,
     natural,
     printable,
     read_stem,
 )
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo
+from mrgs.scene import Modality
 
 _NEIGHBOUR_S = 10.0
 """Photos with neighbouring numbers that were taken farther apart in time, seconds, do not belong
@@ -32,19 +37,26 @@ most."""
 
 
 class Pair(NamedTuple):
-    """A thermal photo, and the RGB photo of the same moment: a file, embedded, or missing."""
+    """A photo of the reference modality, and its partner from the same moment: a file, embedded in
+    the reference, or missing."""
 
-    rgb: Photo | None
-    thermal: Photo
+    reference: Photo
+    partner: Photo | None = None
     embedded: bool = False
+
+    @property
+    def photos(self) -> dict[Modality, Photo]:
+        """The files by modality, the partner first."""
+        partner = {} if self.partner is None else {PARTNER: self.partner}
+        return partner | {REFERENCE: self.reference}
 
 
 @dataclass(frozen=True)
 class Match:
-    """What a rule finds.
+    """Pairs found by a rule.
 
     Attributes:
-        pairs: in natural order of the thermal photos.
+        pairs: in natural order of the reference photos.
         rule: one sentence.
         without: what a photo without partner lacks; ends the reason "has no RGB photo ...".
         reasons: why a photo is not used, where that needs another sentence.
@@ -59,41 +71,51 @@ class Match:
 
 
 class Candidate(NamedTuple):
-    """A photo with what its name says; photos of one moment have the same key."""
+    """A photo with the facts in its name; photos of one moment have the same key."""
 
     photo: Photo
-    role: Role | None
+    modality: Modality | None
     key: str
     mark: str
     moment: datetime | None
 
+    @property
+    def is_reference(self) -> bool:
+        """Whether the photo is known to be of the reference modality."""
+        return self.modality == REFERENCE
+
 
 def candidate_by_name(photo: Photo) -> Candidate:
-    """Camera by content and file name; the folder is part of the key."""
-    facts = read_stem(photo.origin.name, photo.is_thermal)
-    key = composed("/".join([*photo.origin.parts[:-1], facts.key]).casefold())
-    return Candidate(
-        photo, "thermal" if photo.is_thermal else facts.role, key, facts.mark, facts.moment
-    )
+    """Modality by content and file name; the folder is part of the key."""
+    named = read_stem(photo.origin.name, photo.is_thermal).modality
+    return _candidate(photo, named, photo.origin.parts[:-1])
 
 
 def candidate_by_folder(photo: Photo, root_name: str) -> Candidate:
-    """Camera by content and folder; the folder that names the camera is not part of the key."""
+    """Modality by content and folder; the folder named after a modality is not part of the key."""
+    return _candidate(photo, *folder_modality([root_name, *photo.origin.parts[:-1]]))
+
+
+def _candidate(photo: Photo, named: Modality | None, folders: Sequence[str]) -> Candidate:
     facts = read_stem(photo.origin.name, photo.is_thermal)
-    role, rest = folder_role([root_name, *photo.origin.parts[:-1]])
-    key = composed("/".join([*rest, facts.key]).casefold())
-    return Candidate(photo, "thermal" if photo.is_thermal else role, key, facts.mark, facts.moment)
+    key = composed("/".join([*folders, facts.key]).casefold())
+    return Candidate(photo, REFERENCE if photo.is_thermal else named, key, facts.mark, facts.moment)
 
 
-def roles(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
-    """All RGB and all thermal photos: by content, else by the folder, else by the name; what is
-    left is RGB."""
-    rgb: list[Photo] = []
-    thermal: list[Photo] = []
+def by_modality(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
+    """All reference photos, and all others, which may be partners: by content, else by the folder,
+    else by the name."""
+    found: dict[bool, list[Photo]] = {True: [], False: []}
     for photo in photos:
-        role = candidate_by_folder(photo, root_name).role or candidate_by_name(photo).role
-        (thermal if role == "thermal" else rgb).append(photo)
-    return rgb, thermal
+        by_folder = candidate_by_folder(photo, root_name)
+        known = by_folder if by_folder.modality else candidate_by_name(photo)
+        found[known.is_reference].append(photo)
+    return found[True], found[False]
+
+
+def in_order(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
+    """In natural order of the reference photos."""
+    return tuple(sorted(pairs, key=lambda pair: natural(str(pair.reference.origin))))
 
 
 def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
@@ -101,18 +123,9 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     pairs, reasons = _by_keys([candidate_by_name(photo) for photo in photos], tolerance_s)
     if not pairs:
         return None
-    rgb, thermal, _ = pairs[0]
-    example = (
-        ""
-        if rgb is None
-        else f", such as {printable(rgb.path.name)} and {printable(thermal.path.name)}"
-    )
-    return Match(
-        pairs,
-        f"The names of a pair differ only in the camera suffix{example}.",
-        "of its name",
-        reasons,
-    )
+    names = [printable(photo.path.name) for photo in pairs[0].photos.values()]
+    rule = f"The names of a pair differ only in the camera suffix, such as {' and '.join(names)}."
+    return Match(pairs, rule, "of its name", reasons)
 
 
 def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
@@ -120,37 +133,27 @@ def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> M
     else unique."""
     candidates = [candidate_by_folder(photo, root_name) for photo in photos]
     pairs, reasons = _by_keys(candidates, tolerance_s)
-    done = {*reasons, *(photo for pair in pairs for photo in pair[:2])}
-    marks = {
-        candidate.mark
-        for candidate in candidates
-        if candidate.photo in {pair.rgb for pair in pairs}
-    }
+    partners = {pair.partner for pair in pairs}
+    done = {*reasons, *partners, *(pair.reference for pair in pairs)}
+    marks = {candidate.mark for candidate in candidates if candidate.photo in partners}
     rest = [
         candidate._replace(key=PurePosixPath(candidate.key).name)
         for candidate in candidates
         if candidate.photo not in done
-        and (candidate.role == "thermal" or not marks or candidate.mark in marks)
+        and (candidate.is_reference or not marks or candidate.mark in marks)
     ]
     more, _ = _by_keys(_unique(rest), tolerance_s)
     if not pairs and not more:
         return None
-    pairs = tuple(sorted([*pairs, *more], key=lambda pair: natural(str(pair.thermal.origin))))
-    return Match(
-        pairs,
-        "A pair has the same name in the folders of the two cameras.",
-        "of its name",
-        reasons,
-    )
+    rule = "A pair has the same name in the folders of the two cameras."
+    return Match(in_order([*pairs, *more]), rule, "of its name", reasons)
 
 
 def _unique(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those whose key no other photo of the same camera has."""
-    counts = Counter((candidate.role == "thermal", candidate.key) for candidate in candidates)
+    counts = Counter((candidate.is_reference, candidate.key) for candidate in candidates)
     return [
-        candidate
-        for candidate in candidates
-        if counts[candidate.role == "thermal", candidate.key] == 1
+        candidate for candidate in candidates if counts[candidate.is_reference, candidate.key] == 1
     ]
 
 
@@ -158,67 +161,74 @@ def _by_keys(
     candidates: Sequence[Candidate], tolerance_s: float
 ) -> tuple[tuple[Pair, ...], dict[Photo, str]]:
     """Photos of equal keys; where the names hold times, they are compared, too."""
-    thermal = _grouped(candidate for candidate in candidates if candidate.role == "thermal")
-    others = _grouped(candidate for candidate in candidates if candidate.role != "thermal")
-    mark = _best_mark(others, thermal.keys())
+    references, partners = _grouped(candidates)
+    mark = _best_mark(partners, references.keys())
     pairs: list[Pair] = []
     reasons: dict[Photo, str] = {}
-    for key in thermal.keys() & others.keys():
-        rgb = [candidate for candidate in others[key] if candidate.mark == mark]
-        found = _within_key(rgb, thermal[key], tolerance_s)
+    for key in references.keys() & partners.keys():
+        marked = [candidate for candidate in partners[key] if candidate.mark == mark]
+        found = _within_key(references[key], marked, tolerance_s)
         pairs += found
-        reasons |= _instead(thermal[key], [pair.thermal for pair in found])
-        reasons |= _instead(others[key], [pair.rgb for pair in found])
-    return tuple(sorted(pairs, key=lambda pair: natural(str(pair.thermal.origin)))), reasons
+        reasons |= _instead(references[key], [pair.reference for pair in found])
+        reasons |= _instead(partners[key], [pair.partner for pair in found])
+    return in_order(pairs), reasons
 
 
-def _grouped(candidates: Iterable[Candidate]) -> dict[str, list[Candidate]]:
-    groups: dict[str, list[Candidate]] = {}
+Groups = dict[str, list[Candidate]]
+"""Candidates by their keys."""
+
+
+def _grouped(candidates: Iterable[Candidate]) -> tuple[Groups, Groups]:
+    """The reference photos and the others."""
+    groups: tuple[Groups, Groups] = ({}, {})
     for candidate in candidates:
-        groups.setdefault(candidate.key, []).append(candidate)
+        own = groups[0 if candidate.is_reference else 1]
+        own.setdefault(candidate.key, []).append(candidate)
     return groups
 
 
-def _best_mark(rgb: Mapping[str, Sequence[Candidate]], keys: Collection[str]) -> str:
-    """The mark of the RGB photos to be used, for one camera has one lens: the first of those that
-    nearly all have."""
+def _best_mark(partners: Groups, keys: Collection[str]) -> str:
+    """The mark of the partners to be used, because one camera has one lens: the first of those
+    that nearly all have."""
     counts = Counter(
-        mark for key in rgb if key in keys for mark in {candidate.mark for candidate in rgb[key]}
+        mark
+        for key, group in partners.items()
+        if key in keys
+        for mark in {candidate.mark for candidate in group}
     )
-    order = {mark: index for index, mark in enumerate(RGB_MARKS)}
+    order = {mark: index for index, mark in enumerate(PARTNER_MARKS)}
     enough = NEARLY * max(counts.values(), default=0)
     frequent = sorted(mark for mark in counts if counts[mark] >= enough)
     return min(frequent, key=lambda mark: order.get(mark, len(order)), default="")
 
 
 def _within_key(
-    rgb: Sequence[Candidate], thermal: Sequence[Candidate], tolerance_s: float
+    references: Sequence[Candidate], partners: Sequence[Candidate], tolerance_s: float
 ) -> list[Pair]:
-    """Pairs among photos of one name: the best two, or those whose names hold near times."""
-    if any(candidate.moment is None for candidate in [*rgb, *thermal]):
-        return [Pair(rgb[0].photo, _best(thermal).photo)] if rgb else []
-    first = [group[0] for group in _by_moment(rgb)]
-    second = [_best(group) for group in _by_moment(thermal)]
+    """Pairs among photos of one name: the best two, or those whose names hold close times."""
+    if any(candidate.moment is None for candidate in [*references, *partners]):
+        return [Pair(_best(references).photo, partners[0].photo)] if partners else []
+    first = [_best(group) for group in _by_moment(references)]
+    second = [group[0] for group in _by_moment(partners)]
     # The cameras of a drone may write their times a second apart.
     pairs = _matched(first, second, lambda candidate: candidate.moment, 0.0, max(tolerance_s, 1.0))
     return [Pair(one.photo, other.photo) for one, other in pairs]
 
 
 def _by_moment(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
-    moments = {
-        candidate.moment: [other for other in candidates if other.moment == candidate.moment]
-        for candidate in candidates
-    }
+    moments: dict[datetime | None, list[Candidate]] = {}
+    for candidate in candidates:
+        moments.setdefault(candidate.moment, []).append(candidate)
     return [*moments.values()]
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:
-    """Of several files of one candidate the one with the most to read from; the first of equals."""
+    """Of several files of one photo the one that holds most; the first of equals."""
     return min(candidates, key=lambda candidate: PREFERENCE.index(candidate.photo.kind))
 
 
 def _instead(candidates: Sequence[Candidate], used: Sequence[Photo | None]) -> dict[Photo, str]:
-    """The reason for files of a candidate that another file of it made superfluous."""
+    """The reason for files that another file of the same name and camera replaces."""
     if len(used) != 1 or used[0] is None:
         return {}
     return {
@@ -231,25 +241,25 @@ def _instead(candidates: Sequence[Candidate], used: Sequence[Photo | None]) -> d
 def by_numbers(photos: Sequence[Photo]) -> Match | None:
     """FLIR's ``IR_0001`` and ``DC_0002``: the photo in visible light is the next file, or the one
     before."""
-    candidates = [candidate_by_name(photo) for photo in photos]
-    thermal = _grouped(candidate for candidate in candidates if candidate.role == "thermal")
-    rgb = _grouped(candidate for candidate in candidates if candidate.role != "thermal")
+    references, partners = _grouped(candidate_by_name(photo) for photo in photos)
     best: list[Pair] = []
     word = "next"
     for step, name in ((1, "next"), (-1, "previous")):
         pairs = [
-            Pair(rgb[other][0].photo, _best(group).photo)
-            for key, group in thermal.items()
-            if (other := _neighbour(key, step)) in rgb
-            and _near(rgb[other][0].photo, _best(group).photo)
+            Pair(_best(group).photo, partners[other][0].photo)
+            for key, group in references.items()
+            if (other := _neighbour(key, step)) in partners
+            and _near(_best(group).photo, partners[other][0].photo)
         ]
         if len(pairs) > len(best):
             best, word = pairs, name
     if not best:
         return None
-    best.sort(key=lambda pair: natural(str(pair.thermal.origin)))
-    rule = f"The RGB photo of each thermal photo is the file with the {word} number."
-    return Match(tuple(best), rule, f"with the {word} number")
+    rule = (
+        f"The {PARTNER.title} photo of each {REFERENCE.title} photo is the file with the {word} "
+        f"number."
+    )
+    return Match(in_order(best), rule, f"with the {word} number")
 
 
 def _neighbour(key: str, step: int) -> str:
@@ -268,37 +278,39 @@ def _near(first: Photo, second: Photo) -> bool:
 
 
 def by_embedded(photos: Sequence[Photo]) -> Match | None:
-    """The RGB photo embedded in the thermal photo's file."""
-    pairs = tuple(Pair(None, photo, embedded=True) for photo in photos if photo.embedded)
+    """The partner embedded in the file of each reference photo."""
+    pairs = tuple(Pair(photo, embedded=True) for photo in photos if photo.embedded)
     if not pairs:
         return None
-    used = "the RGB photos embedded in the thermal photos are used"
+    used = f"the {PARTNER.title} photos embedded in the {REFERENCE.title} photos are used"
+    lacking = f"holds no {PARTNER.title} photo"
     others = [photo for photo in photos if not photo.embedded]
-    reasons = {photo: "holds no RGB photo" if photo.is_thermal else used for photo in others}
-    return Match(pairs, "The RGB photo embedded in each thermal photo is used.", reasons=reasons)
+    reasons = {photo: lacking if photo.is_thermal else used for photo in others}
+    rule = f"The {PARTNER.title} photo embedded in each {REFERENCE.title} photo is used."
+    return Match(pairs, rule, reasons=reasons)
 
 
 def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """The nearest in time by EXIF, after the clocks are compared."""
-    rgb, thermal = (_timed(group) for group in roles(photos, root_name))
-    if not rgb or not thermal:
+    references, partners = (_timed(group) for group in by_modality(photos, root_name))
+    if not references or not partners:
         return None
-    start = min(_taken(photo) for photo in [*rgb, *thermal])
-    rgb_s, thermal_s = (
-        [(_taken(photo) - start).total_seconds() for photo in group] for group in (rgb, thermal)
+    start = min(_taken(photo) for photo in [*references, *partners])
+    references_s, partners_s = (
+        [(_taken(photo) - start).total_seconds() for photo in group]
+        for group in (references, partners)
     )
-    offset = clock_offset(rgb_s, thermal_s, tolerance_s)
-    matched = _matched(rgb, thermal, _taken, offset.seconds, tolerance_s)
+    offset = clock_offset(partners_s, references_s, tolerance_s)
+    matched = _matched(references, partners, _taken, offset.seconds, tolerance_s)
     if not matched:
         return None
-    matched.sort(key=lambda pair: natural(str(pair[1].origin)))
-    pairs = tuple(Pair(*pair) for pair in matched)
     unknown = {
         photo: "does not say when it was taken" for photo in photos if photo.exif.taken is None
     }
     rule = f"The photos of a pair were taken within {tolerance_s:g} s."
     if offset.seconds:
         rule = f"{rule[:-1]}, after aligning the clocks: {_ahead(offset.seconds)}."
+    pairs = in_order(Pair(*pair) for pair in matched)
     return Match(pairs, rule, f"within {tolerance_s:g} s", unknown, _doubts(offset))
 
 
@@ -314,21 +326,29 @@ def _taken(photo: Photo) -> datetime:
 
 
 def _matched(
-    rgb: Sequence, thermal: Sequence, moment_of: Callable, offset_s: float, tolerance_s: float
+    references: Sequence,
+    partners: Sequence,
+    moment_of: Callable,
+    offset_s: float,
+    tolerance_s: float,
 ) -> list[tuple]:
-    """One-to-one pairs by time, where the RGB camera's clock is ahead by ``offset_s`` seconds."""
-    if not rgb or not thermal:
+    """One-to-one pairs by time, where the partners' clock is ahead by ``offset_s`` seconds."""
+    if not references or not partners:
         return []
-    rgb, thermal = sorted(rgb, key=moment_of), sorted(thermal, key=moment_of)
-    start, offset = moment_of(thermal[0]), timedelta(seconds=offset_s)
-    rgb_s = [(moment_of(one) - offset - start).total_seconds() for one in rgb]
-    thermal_s = [(moment_of(one) - start).total_seconds() for one in thermal]
-    return [(rgb[i], thermal[j]) for i, j in match_times(rgb_s, thermal_s, tolerance_s)]
+    references, partners = (sorted(group, key=moment_of) for group in (references, partners))
+    start, offset = moment_of(references[0]), timedelta(seconds=offset_s)
+    references_s = [(moment_of(one) - start).total_seconds() for one in references]
+    partners_s = [(moment_of(one) - offset - start).total_seconds() for one in partners]
+    matched = match_times(partners_s, references_s, tolerance_s)
+    return [(references[j], partners[i]) for i, j in matched]
 
 
 def _ahead(offset_s: float) -> str:
     side = "ahead of" if offset_s > 0 else "behind"
-    return f"the RGB camera's is {abs(offset_s):.1f} s {side} the thermal camera's"
+    return (
+        f"the {PARTNER.title} camera's is {abs(offset_s):.1f} s {side} the {REFERENCE.title} "
+        f"camera's"
+    )
 
 
 def _doubts(offset: ClockOffset) -> tuple[str, ...]:

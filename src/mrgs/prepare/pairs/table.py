@@ -1,4 +1,4 @@
-"""Pairs that the user has written down."""
+"""Pairs listed by the user in a CSV file."""
 
 from __future__ import annotations
 
@@ -9,24 +9,22 @@ from pathlib import Path
 from mrgs.data.files import contained, is_file, read_bytes, scene_error, shown
 from mrgs.errors import SceneError
 from mrgs.prepare.pairs.inventory import Inventory
-from mrgs.prepare.pairs.names import composed, natural, printable
+from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, composed, printable
 from mrgs.prepare.pairs.photo import Photo
-from mrgs.prepare.pairs.rules import Match, Pair
+from mrgs.prepare.pairs.rules import Match, Pair, in_order
+from mrgs.scene import Modality
 
 _MAX_BYTES = 16 * 2**20
-_HEADINGS = (
-    {"rgb", "visible", "visual", "color", "colour", "image"},
-    {"thermal", "ir", "infrared"},
-)
-_EXAMPLE = "write lines such as rgb/a.jpg,thermal/a.jpg"
+_COLUMNS = (PARTNER, REFERENCE)
+_EXAMPLE = "write lines such as " + ",".join(f"{modality}/a.jpg" for modality in _COLUMNS)
 
 
 def by_table(table: Path, inventory: Inventory) -> Match:
     """The pairs in a CSV file: the RGB photo and the thermal photo, relative to the folder of
     photos.
 
-    The RGB photo may be left empty: then it lies in the thermal photo's file, or there is none. A
-    first line with headings (``rgb``, ``thermal``) tells the order of the columns.
+    The RGB photo may be left empty: then it is embedded in the thermal photo's file, or there is
+    none. A first line with headings (``rgb``, ``thermal``) gives the order of the columns.
 
     Raises:
         SceneError: the table cannot be read, or a line names something other than two photos of the
@@ -34,31 +32,34 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     """
     photos = {photo.path.resolve(): photo for photo in inventory.photos}
     pairs, used = [], dict[Photo, int]()
-    for number, rgb_text, thermal_text in _rows(table):
-        rgb = _photo(rgb_text, photos, inventory, table, number) if rgb_text else None
-        thermal = _photo(thermal_text, photos, inventory, table, number)
-        for photo in (rgb, thermal):
+    for number, names in _rows(table):
+        partner, reference = (
+            _photo(names[modality], photos, inventory, table, number) if names[modality] else None
+            for modality in _COLUMNS
+        )
+        assert reference is not None  # an empty name is refused while the lines are read
+        for photo in (partner, reference):
             if photo is not None and (before := used.setdefault(photo, number)) != number:
                 name = inventory.name(photo)
                 raise scene_error(
                     table, f"lines {before} and {number} both name {name}; delete one of them"
                 )
-        if rgb is thermal:
+        if partner is reference:
             raise scene_error(
                 table,
-                f"line {number} names one photo twice; leave out the RGB photo if it lies inside "
-                f"the thermal one",
+                f"line {number} names one photo twice; leave out the {PARTNER.title} photo if it "
+                f"lies inside the {REFERENCE.title} one",
             )
-        pairs.append(Pair(rgb, thermal, embedded=rgb is None and thermal.embedded))
+        pairs.append(Pair(reference, partner, partner is None and reference.embedded))
     if not pairs:
         raise scene_error(table, f"holds no pairs; {_EXAMPLE}")
-    pairs.sort(key=lambda pair: natural(str(pair.thermal.origin)))
     reasons = dict.fromkeys(inventory.photos, f"is not in {printable(table.name)}")
-    return Match(tuple(pairs), f"The pairs are those of {printable(table.name)}.", reasons=reasons)
+    rule = f"The pairs are those of {printable(table.name)}."
+    return Match(in_order(pairs), rule, reasons=reasons)
 
 
-def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
-    """Number of the line, RGB photo, thermal photo."""
+def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
+    """Number of the line, and the names of its photos by modality."""
     data = read_bytes(table, _MAX_BYTES)
     try:
         text = data.decode("utf-8-sig")
@@ -66,7 +67,7 @@ def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
         text = data.decode("latin-1")
     lines = text.splitlines()
     separator = next((sign for sign in ";\t" if any(sign in line for line in lines)), ",")
-    columns = (0, 1)
+    columns: tuple[Modality, ...] = _COLUMNS
     for number, line in enumerate(lines, 1):
         try:
             cells = [
@@ -81,22 +82,22 @@ def _rows(table: Path) -> Iterator[tuple[int, str, str]]:
         headings = _headings(cells)
         if headings is not None:
             columns = headings
-        elif len(cells) != 2 or not cells[columns[1]]:
+        elif len(cells) != 2 or not cells[columns.index(REFERENCE)]:
             raise scene_error(
-                table, f"line {number} does not name an RGB and a thermal photo; {_EXAMPLE}"
+                table,
+                f"line {number} does not name an {PARTNER.title} and a {REFERENCE.title} photo; "
+                f"{_EXAMPLE}",
             )
         else:
-            yield number, cells[columns[0]], cells[columns[1]]
+            yield number, dict(zip(columns, cells, strict=True))
 
 
-def _headings(cells: Sequence[str]) -> tuple[int, int] | None:
-    """The columns of the RGB and of the thermal photo, if the cells are headings."""
-    words = [cell.lower() for cell in cells]
-    found = [
-        next((index for index, word in enumerate(words) if word in known), None)
-        for known in _HEADINGS
-    ]
-    return None if len(words) != 2 or None in found else (found[0], found[1])  # type: ignore[return-value]
+def _headings(cells: Sequence[str]) -> tuple[Modality, ...] | None:
+    """The modality of each column, if the cells are headings."""
+    found = tuple(
+        modality for cell in cells for modality in _COLUMNS if cell.lower() in HEADINGS[modality]
+    )
+    return found if len(cells) == 2 and set(found) == set(_COLUMNS) else None
 
 
 def _photo(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Float64, Int64
@@ -25,10 +25,9 @@ class Observations:
 
     Attributes:
         views: index of the pair.
-        points: what is seen, in the axes of the pair's RGB camera.
-        pixels: where the thermal image shows it.
-        information: inverse covariance of ``pixels``, but for a factor that those of one kind
-            share.
+        points: observed points in the axes of the pair's photo camera.
+        pixels: their positions in the thermal image.
+        information: inverse covariance of ``pixels``, up to a factor for each kind.
         independent: share of each observation that is statistically independent: overlapping
             patches share their errors.
         kinds: 0, 1, ...; each kind has a noise scale of its own.
@@ -44,14 +43,7 @@ class Observations:
     @classmethod
     def joined(cls, parts: Sequence[Observations]) -> Observations:
         """The observations of several parts, in their order."""
-        return cls(
-            views=torch.cat([part.views for part in parts]),
-            points=torch.cat([part.points for part in parts]),
-            pixels=torch.cat([part.pixels for part in parts]),
-            information=torch.cat([part.information for part in parts]),
-            independent=torch.cat([part.independent for part in parts]),
-            kinds=torch.cat([part.kinds for part in parts]),
-        )
+        return cls(*(torch.cat([getattr(p, each.name) for p in parts]) for each in fields(cls)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +51,8 @@ class Prior:
     """Normal distributions of the rig, and of the motions about zero, before any observation.
 
     Attributes:
-        rig: most likely rig.
-        rig_sigma: standard deviations; 0 keeps a parameter as it is.
+        rig: mean of the rig's parameters.
+        rig_sigma: standard deviations; 0 fixes a parameter.
         motion_sigma: standard deviations of each pair's motion.
     """
 
@@ -75,10 +67,10 @@ class Adjusted:
 
     Attributes:
         cameras: the rig and the motions.
-        covariance: of the rig's parameters and each pair's motion [V, 18, 18], overlapping patches
-            accounted for.
+        covariance: of the rig's parameters and each pair's motion [V, 18, 18], with overlapping
+            patches taken into account.
         residual_px: of each observation [N].
-        inlier: whether an observation agrees with the result [N].
+        inlier: mask of the observations that agree with the result [N].
     """
 
     cameras: ThermalCameras
@@ -88,7 +80,7 @@ class Adjusted:
 
 
 def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras:
-    """Turn each camera so that its mean residual vanishes, to first order."""
+    """The cameras after a rotation of each that makes its mean residual vanish, to first order."""
     motions = cameras.motions.clone()
     pixels = project(cameras.rig, motions[observations.views], observations.points)
     for view in observations.views.unique():

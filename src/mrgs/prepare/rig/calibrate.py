@@ -1,4 +1,4 @@
-"""Calibration of a rig's thermal camera from the photos themselves."""
+"""Calibration of a rig's thermal camera from the photos."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mrgs.prepare.rig.model import (
 )
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
-from mrgs.prepare.rig.target import SeenTarget, see_target
+from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target
 from mrgs.scene import PointCloud
 from mrgs.scene.view import spread
 
@@ -37,9 +37,9 @@ that do not, never both."""
 
 
 _MOVING = 1.0
-"""A larger median motion of the pairs, in pixels, is a warning."""
+"""A larger median motion of the pairs, in pixels, gives a warning."""
 
-# What is taken for likely: one standard deviation each.
+# Standard deviations of the prior.
 _FOCAL_SIGMA = 0.1
 _ASPECT_SIGMA = 0.005
 _CENTRE_SIGMA_WIDTHS = 0.03
@@ -58,31 +58,31 @@ def calibrate_rig(
     options: RigOptions | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> RigCalibration:
-    """Find the thermal camera's intrinsics, radial distortion and motion against the RGB camera.
+    """Calibrate the thermal camera's intrinsics, radial distortion and extrinsics.
 
-    First the focal length and the direction, by correlating edges over all scales and shifts
-    (``search``); or from the corners of a target, which then count as observations to the end
-    (``target``). Then, from coarse to fine (``refine``): each photo is warped through its depth
-    into the thermal camera, patches of it are found in the thermal image, and one adjustment over
-    all pairs moves the cameras (``adjust``). Every pair has a small motion of its own besides the
-    rig's, because two shutters rarely fire together.
+    A first guess of focal length and direction comes from correlating edges over all scales and
+    shifts (``search``), or from the corners of a target, which remain observations to the end
+    (``target``). Then, from coarse to fine (``refine``), each photo is warped through its depth
+    into the thermal camera, patches of it are matched in the thermal image, and a bundle adjustment
+    over all pairs updates the cameras (``adjust``). Every pair has a small motion of its own
+    besides the rig's, because two shutters rarely fire together.
 
     Args:
         pairs: photos with poses, and their thermal images; all thermal images of one size.
-        points: what structure from motion triangulated, in the world of the poses.
-        options: what is known beforehand.
-        progress: called with a stage's name, and how many of its steps are done and there are.
+        points: triangulated by structure from motion, in the world of the poses.
+        options: known quantities; None if nothing is known.
+        progress: called with a step's name, the number of its parts that are done, and of all.
 
     Raises:
         SceneError: too few pairs or points, thermal images of different sizes, images that do not
-            tell, or a target that is not seen or that tells nothing.
+            determine the camera, or a target that is not found or cannot be located.
     """
     options = options or RigOptions()
     report = progress or (lambda stage, done, total: None)
     target = (
         None
         if options.target is None
-        else see_target(pairs, options.target, options.metres_per_unit, report)
+        else observe_target(pairs, options.target, options.metres_per_unit, report)
     )
     reduced, size = _reduced(pairs, points, target, report)
     guess = _guess(reduced, size, target, options, report)
@@ -99,7 +99,7 @@ def calibrate_rig(
 def _reduced(
     pairs: Sequence[RigPair],
     points: PointCloud,
-    target: SeenTarget | None,
+    target: ObservedTarget | None,
     report: Callable[[str, int, int], None],
 ) -> tuple[list[ReducedPair], tuple[int, int]]:
     """The usable pairs at working size, and the thermal images' width and height."""
@@ -128,7 +128,7 @@ def _reduced(
 def _guess(
     pairs: Sequence[ReducedPair],
     size: tuple[int, int],
-    target: SeenTarget | None,
+    target: ObservedTarget | None,
     options: RigOptions,
     report: Callable[[str, int, int], None],
 ) -> Guess | None:
@@ -137,7 +137,7 @@ def _guess(
     Raises:
         SceneError: no guess stands out.
     """
-    if options.thermal_lens is not None and options.thermal_from_rgb is not None:
+    if options.thermal_lens is not None and options.extrinsics is not None:
         return None
     if target is not None:
         return target.guess(*size)
@@ -164,8 +164,8 @@ def _guess(
 def _start(
     pairs: Sequence[ReducedPair], size: tuple[int, int], guess: Guess | None, options: RigOptions
 ) -> tuple[ThermalCameras, Prior]:
-    """The cameras to start from, and what is likely. The guess's shift is taken for a turn of the
-    thermal camera."""
+    """The initial cameras and the prior. The guess's shift becomes a rotation of the thermal
+    camera."""
     width, height = size
     depth = float(np.median([1 / pair.depth.median for pair in pairs]))
     rig = torch.zeros(RIG, dtype=torch.float64)
@@ -183,8 +183,8 @@ def _start(
         rig[6:9] = torch.tensor([-down / guess.focal_widths, right / guess.focal_widths, -turn])
     if options.thermal_lens is not None:
         rig[LENS], sigma[LENS] = lens_parameters(options.thermal_lens), 0.0
-    if options.thermal_from_rgb is not None:
-        rig[POSE], sigma[POSE] = motion_parameters(options.thermal_from_rgb), 0.0
+    if options.extrinsics is not None:
+        rig[POSE], sigma[POSE] = motion_parameters(options.extrinsics), 0.0
     motion_sigma = torch.tensor(
         3 * [_MOTION_SIGMA_RAD] + 3 * [_MOTION_SIGMA_DEPTHS * depth], dtype=torch.float64
     )
@@ -226,7 +226,7 @@ def _result(
     motion_px = float(np.median(_motion_px(adjusted.cameras, observations, len(reduced))))
     return RigCalibration(
         lens=adjusted.cameras.lens(*size),
-        thermal_from_rgb=adjusted.cameras.thermal_from_rgb(),
+        extrinsics=adjusted.cameras.extrinsics(),
         views=views,
         residual_px=(float(np.median(residuals)), float(np.quantile(residuals, 0.9))),
         uncertainty_px=uncertainty_px,
@@ -258,7 +258,7 @@ def _unseen(name: str) -> RigView:
 
 
 def _motion_px(cameras: ThermalCameras, observations: Observations, count: int) -> list[float]:
-    """How far each pair's own motion moves its patches."""
+    """Displacement of each pair's patches by its own motion, median, in thermal pixels."""
     moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
     still = project(
         cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points

@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.scene import Pixels, PosedImage
 
 FEWEST_CORNERS = 3
@@ -22,32 +22,31 @@ class RigPair:
     """An RGB photo and the thermal photo of the same moment.
 
     Attributes:
-        name: for messages.
-        rgb: the photo, undistorted, with its pose.
-        load_thermal: reads the thermal photo as the camera took it (distorted); one channel in any
-            unit.
-        visible: indices of the points that this photo was seen to see (the tracks of structure from
-            motion); None if that is not known: then hidden points are found by their depth.
+        name: of the view, for messages.
+        photo: undistorted, with its pose.
+        load_thermal: reads the thermal photo with its lens distortion; one channel in any unit.
+        visible: indices of the points that this photo observes (tracks of structure from motion);
+            None if not known: hidden points are then found by their depth.
     """
 
     name: str
-    rgb: PosedImage
+    photo: PosedImage
     load_thermal: Callable[[], Pixels]
     visible: Int64[Tensor, " k"] | None = None
 
 
 @dataclass(frozen=True)
 class ChessboardTarget:
-    """A chessboard that both cameras see in some pairs, standing still or moved from pair to pair.
+    """A chessboard that both cameras see in some pairs, stationary or moved from pair to pair.
 
     Attributes:
-        inner: how many corners, where four squares meet, there are in a row and in a column; a
-            board of 7×6 squares has 6×5.
-        square_m: width of a square in metres; None if it is not known. With it, a target that
-            stands still tells the scale of the scene.
+        inner: number of inner corners, where four squares meet, in a row and in a column; a board
+            of 7×6 squares has 6×5.
+        square_m: width of a square in metres; None if not known. With it, a stationary
+            target gives the scale of the scene.
 
     Raises:
-        ConfigError: numbers that no chessboard has.
+        ConfigError: fewer than 3 or more than 50 corners, or a width that is not positive.
     """
 
     inner: tuple[int, int]
@@ -71,23 +70,23 @@ class ChessboardTarget:
 
 @dataclass(frozen=True, eq=False)
 class RigOptions:
-    """What is known beforehand, and what is accepted.
+    """Known quantities of the rig, and the largest uncertainty that is accepted.
 
     Attributes:
-        thermal_lens: intrinsics and distortion of the thermal camera, taken as they are; None to
-            find them.
-        thermal_from_rgb: rigid motion from the RGB camera to the thermal camera [4, 4] in scene
+        thermal_lens: intrinsics and distortion of the thermal camera, used unchanged; None to
+            calibrate them.
+        extrinsics: rigid motion from the RGB camera to the thermal camera [4, 4] in scene
             units, taken as it is; None to find it.
         field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the
             search to ±10 %.
-        target: a chessboard that is in some of the pairs; None to look for none.
-        metres_per_unit: of the scene, if it is known; only needed for a target that is moved.
-        max_uncertainty_px: a result less certain than this (one standard deviation) is refused, in
-            thermal pixels.
+        target: a chessboard that is in some of the pairs; None if there is none.
+        metres_per_unit: of the scene, if known; only needed for a target that is moved.
+        max_uncertainty_px: a result with a larger standard deviation is refused, in thermal
+            pixels.
     """
 
     thermal_lens: Lens | None = None
-    thermal_from_rgb: Float64[Tensor, "4 4"] | None = None
+    extrinsics: Float64[Tensor, "4 4"] | None = None
     field_of_view_deg: float | None = None
     target: ChessboardTarget | None = None
     metres_per_unit: float | None = None
@@ -100,13 +99,13 @@ class RigView:
 
     Attributes:
         name: the pair's.
-        correction: what the rig's motion is followed by in this pair [4, 4], in the thermal
-            camera's axes and scene units: two shutters rarely fire together.
-        matches: number of patches, and of corners of the target, that were found in both images and
-            agree with the result.
-        residual_px: median distance of these from where the result puts them, in thermal pixels.
+        correction: the pair's own rigid motion after the rig's [4, 4], in the thermal camera's axes
+            and scene units, because two shutters rarely fire together.
+        matches: number of patches and target corners that were found in both images and are
+            inliers of the result.
+        residual_px: their median reprojection error, in thermal pixels.
         uncertainty_px: one standard deviation of the position of what the RGB camera sees, median
-            over its points.
+            over its points, in thermal pixels.
     """
 
     name: str
@@ -118,43 +117,43 @@ class RigView:
 
 @dataclass(frozen=True)
 class TargetFit:
-    """How the result fits the target.
+    """Fit of the calibration to the target.
 
     Attributes:
-        pairs: how many pairs show it in both images.
-        still: how many photos show it at one place in the world; 0 if it was moved.
-        residual_px: median and 90 % quantile of its corners' distances from where the result puts
-            them, in thermal pixels.
-        metres_per_unit: of the scene; None unless the target stands still and the width of its
+        pairs: number of pairs that show it in both images.
+        stationary: number of photos that show it at the same place in the world; 0 if it was moved.
+        residual_px: median and 90 % quantile of its corners' reprojection errors, in thermal
+            pixels.
+        metres_per_unit: of the scene; None unless the target is stationary and the width of its
             squares is known.
     """
 
     pairs: int
-    still: int
+    stationary: int
     residual_px: tuple[float, float]
     metres_per_unit: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class RigCalibration:
-    """The thermal camera of a rig.
+    """A calibrated rig: the thermal camera relative to the photos' camera.
 
     Attributes:
         lens: the thermal camera's intrinsics and distortion, for its photos as they are.
-        thermal_from_rgb: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in
+        extrinsics: the rig's rigid motion from RGB camera to thermal camera axes [4, 4], in
             scene units.
         views: one for each pair, in their order.
-        residual_px: median and 90 % quantile of the distances of what was matched, in thermal
+        residual_px: median and 90 % quantile of the reprojection errors of all inliers, in thermal
             pixels.
-        uncertainty_px: median over the views.
-        motion_px: median over the views of how far the correction moves the image, in thermal
+        uncertainty_px: median over the views, in thermal pixels.
+        motion_px: displacement of the image by the correction, median over the views, in thermal
             pixels.
         warnings: sentences that the user should read.
-        target: fit of the target; None if none was looked for.
+        target: fit of the target; None if none was given.
     """
 
     lens: Lens
-    thermal_from_rgb: Float64[Tensor, "4 4"]
+    extrinsics: Float64[Tensor, "4 4"]
     views: tuple[RigView, ...]
     residual_px: tuple[float, float]
     uncertainty_px: float
@@ -162,6 +161,16 @@ class RigCalibration:
     warnings: tuple[str, ...]
     target: TargetFit | None = None
 
-    def viewmat(self, index: int, rgb_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
-        """World to the thermal camera of a pair, from world to its RGB camera."""
-        return self.views[index].correction @ self.thermal_from_rgb @ rgb_viewmat
+    def viewmat(self, name: str, photo_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
+        """World to the thermal camera of a pair [4, 4], from world to its photo's camera [4, 4].
+
+        Raises:
+            SceneError: the pair was not calibrated.
+        """
+        for view in self.views:
+            if view.name == name:
+                return view.correction @ self.extrinsics @ photo_viewmat
+        raise SceneError(
+            f"the view {name} has a pose but is not in the thermal camera's calibration; calibrate "
+            f"it too"
+        )

@@ -1,4 +1,4 @@
-"""How far what a photo sees is, from the sparse points of structure from motion."""
+"""Depth of the surfaces in a photo, from the sparse points of structure from motion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from mrgs.scene import Camera
 
 STEP_PX = 4
-"""One value of the map for this many photo pixels; sparse points tell no more."""
+"""Photo pixels per value of the map; sparse points have no more detail."""
 
 _BEND = 150.0
 """Curvature of the lifted surface: a hole of 5 % of the image's width, between points of a near
@@ -27,7 +27,7 @@ FEWEST_POINTS = 8
 
 @dataclass(frozen=True, eq=False)
 class InverseDepth:
-    """1 / z over a photo; linear in the image over planes, and 0 at infinity.
+    """Inverse depth 1 / z over a photo; linear in the image over planes, and 0 at infinity.
 
     Attributes:
         values: one per ``STEP_PX`` photo pixels, in 1 / scene units, [rows, columns].
@@ -45,10 +45,9 @@ def inverse_depth(
     too few.
 
     Args:
-        points: in world coordinates.
+        points: [N, 3], in world coordinates.
         camera: of the photo.
-        visible: the points that the photo is known to see; None to leave out the hidden ones by
-            their depth.
+        visible: indices of the points that the photo sees; None to find hidden ones by their depth.
     """
     uv, inverse = _project(points if visible is None else points[visible], camera)
     if len(uv) < FEWEST_POINTS:

@@ -1,4 +1,4 @@
-"""The images of a pair at the sizes that the calibration works with."""
+"""The images of a pair at the working size of the calibration."""
 
 from __future__ import annotations
 
@@ -10,29 +10,28 @@ from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
+from mrgs.data.images import LUMINANCE
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.contract import RigPair
 from mrgs.prepare.rig.depth import FEWEST_POINTS, InverseDepth, inverse_depth
 from mrgs.scene import Camera, Pixels
 
-RGB_WIDTH_PX = 640
+PHOTO_WIDTH_PX = 640
 THERMAL_WIDTH_PX = 320
-"""More tells nothing more of images as soft as thermal ones: patches are placed to a tenth of a
-pixel."""
-
-_LUMA = (0.299, 0.587, 0.114)
+"""More pixels add nothing in images as soft as thermal ones, where patches are matched to a tenth
+of a pixel."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A grey image; ``valid`` is None where all pixels count."""
+    """A grey image [H, W] and the mask of its usable pixels; None if all are."""
 
     values: Float32[np.ndarray, "h w"]
     valid: Bool[np.ndarray, "h w"] | None = None
 
     def resized(self, width: int, height: int) -> Plane:
-        """On another grid of the same field of view; low-pass filtered where it becomes coarser."""
+        """The same field of view on another pixel grid, low-pass filtered if that is coarser."""
         valid = None if self.valid is None else torch.from_numpy(self.valid)
         values, valid = resize(torch.from_numpy(self.values)[..., None], valid, width, height)
         return Plane(values[..., 0].numpy(), None if valid is None else valid.numpy())
@@ -44,14 +43,14 @@ class ReducedPair:
 
     Attributes:
         name: the pair's.
-        rgb: the photo's luma.
-        camera: of ``rgb``.
-        depth: of what ``rgb`` shows.
-        thermal: the thermal image, distorted.
+        photo: its luma.
+        camera: of ``photo``, at its working size.
+        depth: of the surfaces in ``photo``.
+        thermal: the thermal image, with lens distortion.
     """
 
     name: str
-    rgb: Plane
+    photo: Plane
     camera: Camera
     depth: InverseDepth
     thermal: Plane
@@ -73,8 +72,8 @@ def reduced_pair(
     """
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
-    camera = pair.rgb.camera
-    camera = camera.with_width(min(RGB_WIDTH_PX, camera.width))
+    camera = pair.photo.camera
+    camera = camera.with_width(min(PHOTO_WIDTH_PX, camera.width))
     visible = (
         None
         if pair.visible is None
@@ -86,7 +85,7 @@ def reduced_pair(
     reduced = min(THERMAL_WIDTH_PX, width)
     return ReducedPair(
         name=pair.name,
-        rgb=grey_plane(pair.rgb.load(), pair.name).resized(camera.width, camera.height),
+        photo=grey_plane(pair.photo.load(), pair.name).resized(camera.width, camera.height),
         camera=camera,
         depth=depth,
         thermal=grey_plane(thermal, pair.name).resized(
@@ -101,13 +100,19 @@ def sampled(
     v: Float[np.ndarray, "*n"],
     step: float = 1.0,
 ) -> Float[np.ndarray, "*n"]:
-    """Bilinear values at pixel positions; ``step`` pixels lie between two values. The border's
-    beyond the border."""
+    """Bilinear interpolation at pixel positions (u, v); the value at the border beyond it.
+
+    Args:
+        values: on a grid with one value per ``step`` pixels.
+        u: columns, in pixels.
+        v: rows, in pixels.
+        step: distance of two values, in pixels.
+    """
     return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
 
 
 def too_few_points(names: list[str]) -> SceneError:
-    """That too few photos see enough sparse points."""
+    """The error of too few photos with enough sparse points."""
     return SceneError(
         f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or "
         "more sparse points; take more overlapping photos, or say that one camera took both images",
@@ -116,13 +121,13 @@ def too_few_points(names: list[str]) -> SceneError:
 
 
 def grey_plane(pixels: Pixels, name: str) -> Plane:
-    """The luma of a photo, or the only channel; pixels that do not count get the median.
+    """The luma of a photo, or the only channel; unusable pixels get the median.
 
     Raises:
-        SceneError: no pixel counts.
+        SceneError: no pixel is usable.
     """
     values: Tensor = pixels.values
-    grey = values[..., 0] if values.shape[-1] == 1 else (values * torch.tensor(_LUMA)).sum(dim=-1)
+    grey = values[..., 0] if values.shape[-1] == 1 else (values * LUMINANCE).sum(dim=-1)
     valid = torch.isfinite(grey) if pixels.valid is None else pixels.valid & torch.isfinite(grey)
     if not valid.any():
         raise SceneError(f"no pixel of {name} can be used; remove the pair")

@@ -1,4 +1,4 @@
-"""Where patches of the photo, seen as from the thermal camera, are found in the thermal image."""
+"""Matching of patches of the photo, warped to the thermal camera, in the thermal image."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _LEAST_CURVATURE = 1e-5
 
 @dataclass(frozen=True)
 class Patches:
-    """The layout of the patches; all in pixels of the images compared.
+    """The layout of the patches; all lengths in pixels of the compared images.
 
     Attributes:
         sigma: of the Gaussian window.
         spacing: of the patches' centres.
-        reach: largest displacement that is tried, in x and in y.
+        reach: largest displacement that is searched, in x and in y.
     """
 
     sigma: float
@@ -34,20 +34,20 @@ class Patches:
 
     @property
     def independent(self) -> float:
-        """The share of patches whose errors are their own: neighbouring windows overlap."""
+        """Share of the patches with independent errors, because neighbouring windows overlap."""
         return min(1.0, self.spacing**2 / (4 * np.pi * self.sigma**2))
 
 
 @dataclass(frozen=True, eq=False)
 class Masked:
-    """The structure of an image, and which of its pixels count (None: all)."""
+    """The structure of an image [C, H, W], and the mask of its valid pixels (None: all)."""
 
     values: Float32[np.ndarray, "c h w"]
     seen: Bool[np.ndarray, "h w"] | None = None
 
     def within_border(self) -> tuple[Float32[Tensor, "c h w"], Float32[Tensor, "h w"]]:
-        """The structure, 0 where it does not count or where the image's border made it; and a mask
-        of 0 and 1."""
+        """The structure, 0 where it is not valid or affected by the image's border; and that mask
+        as 0 and 1."""
         mask = torch.zeros(self.values.shape[1:])
         inner = (slice(_BORDER_PX, -_BORDER_PX), slice(_BORDER_PX, -_BORDER_PX))
         mask[inner] = (
@@ -58,13 +58,13 @@ class Masked:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Patches that were found, M of them; pixels of the images compared.
+    """M matched patches; positions in pixels of the compared images.
 
     Attributes:
         centres: column and row of the patch in the photo's image; whole numbers, between four
             pixels.
-        displacements: from there to where the thermal image shows it.
-        information: inverse covariance of the displacement, but for one factor that all share.
+        displacements: from there to the matching position in the thermal image.
+        information: inverse covariance of the displacement, up to a common factor.
         scores: normalised correlation.
     """
 
@@ -74,7 +74,7 @@ class Matches:
     scores: Float[np.ndarray, " m"]
 
     def sharpest(self, share: float) -> Matches:
-        """This share of the patches: those whose positions are known best."""
+        """This share of the patches: those with the most certain positions."""
         if not len(self.scores):
             return self
         sharpness = np.trace(self.information, axis1=1, axis2=2)
@@ -89,12 +89,12 @@ def match(
     photo: Masked,
     patches: Patches,
 ) -> Matches:
-    """Find each patch by normalised correlation of the two structures, to a fraction of a pixel.
+    """Match each patch by normalised correlation of the two structures, to a fraction of a pixel.
 
-    Both are normalised over the pixels that both have at a displacement: otherwise patches at the
-    border would be drawn inwards, and the focal length with them. A patch without a maximum within
-    reach is left out. The information is the curvature of the correlation s at its maximum, times s
-    / (1 - s²): how well a maximum is known whose height is lowered by independent noise.
+    Both are normalised over the pixels that overlap at a displacement: otherwise patches at the
+    border would be biased inwards, and the focal length with them. A patch without a maximum within
+    reach is left out. The information is the curvature of the correlation s at its maximum times
+    s / (1 - s²): the certainty of a maximum whose height is lowered by independent noise.
     """
     scores, share, columns, rows = _scores(thermal, photo, patches)
     ny, nx = share.shape
@@ -121,8 +121,8 @@ def match(
 
 
 def whole_displacement(thermal: Masked, photo: Masked, reach: int) -> tuple[int, int]:
-    """By how many pixels, right and down, the thermal image as a whole is displaced: the best
-    normalised correlation within reach, in steps of ``_WHOLE_STEP_PX``."""
+    """Displacement of the whole thermal image, pixels right and down: the best normalised
+    correlation within ``reach`` pixels, in steps of ``_WHOLE_STEP_PX``."""
     here, here_seen = photo.within_border()
     there, there_seen = (functional.pad(values, 4 * [reach]) for values in thermal.within_border())
     here_energy, there_energy = here.square().sum(dim=0), there.square().sum(dim=0)

@@ -1,5 +1,5 @@
-"""The thermal camera as a function of what is to be found: a rig that all pairs share, and a small
-motion of each."""
+"""The thermal camera as a function of its parameters: a rig that all pairs share, and a small
+motion of each pair."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ class ThermalCameras:
         fx, fy = torch.tensor([log_fx, log_fx + log_aspect], dtype=torch.float64).exp().tolist()
         return Lens(width, height, fx, fy, cx, cy, (k1, k2, 0.0, 0.0))
 
-    def thermal_from_rgb(self) -> Float64[Tensor, "4 4"]:
-        """The rig's motion."""
+    def extrinsics(self) -> Float64[Tensor, "4 4"]:
+        """The rig's rigid motion [4, 4] from the photo's camera to the thermal camera."""
         return rigid_motion(self.rig[POSE])
 
     def correction(self, view: int) -> Float64[Tensor, "4 4"]:
-        """A pair's own motion, to follow the rig's."""
+        """A pair's own rigid motion [4, 4], which follows the rig's."""
         return rigid_motion(self.motions[view])
 
 
@@ -78,15 +78,15 @@ def rigid_motion(parameters: Float64[Tensor, "6"]) -> Float64[Tensor, "4 4"]:
 def project(
     rig: Float64[Tensor, "12"], motions: Float64[Tensor, "n 6"], points: Float64[Tensor, "n 3"]
 ) -> Float64[Tensor, "n 2"]:
-    """Thermal pixel positions of points in the axes of their RGB cameras, each with its pair's
-    motion."""
+    """Thermal pixel positions [N, 2] of points in the axes of their photos' cameras, each with its
+    pair's motion."""
     return _project(rig, motions, points)[0]
 
 
 def project_jacobian(
     rig: Float64[Tensor, "12"], motions: Float64[Tensor, "n 6"], points: Float64[Tensor, "n 3"]
 ) -> Float64[Tensor, "n 2 18"]:
-    """Derivatives of ``project`` by the rig and by the motion."""
+    """Derivatives of ``project`` with respect to the rig and the motion [N, 2, 18]."""
     _, inside, turned, shifted = _project(rig, motions, points)
     own_rotation = _rotations(motions[:, :3])
     by_lens, by_inside = _lens_jacobian(rig, inside)
@@ -100,8 +100,8 @@ def project_jacobian(
 
 
 def _project(rig: Tensor, motions: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Pixels; the points in thermal axes; turned by the rig's rotation alone; and turned by both,
-    before the last translation."""
+    """Pixels; the points in thermal axes; rotated by the rig alone; and rotated by both, before the
+    last translation."""
     turned = points @ _rotations(rig[None, 6:9])[0].T
     shifted = torch.einsum("nij,nj->ni", _rotations(motions[:, :3]), turned + rig[9:12])
     inside = shifted + motions[:, 3:]

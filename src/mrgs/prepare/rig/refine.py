@@ -1,4 +1,4 @@
-"""From a first guess to the rig and the motions of its pairs: match and adjust, from coarse to
+"""Refinement of a first guess: patches are matched and the cameras adjusted, from coarse to
 fine."""
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ from mrgs.prepare.rig.warp import Warped, thermal_rays, warp
 
 FEWEST_MATCHES = 12
 _SHARPEST = 0.5
-"""The share of a pair's patches that is used: faint ones lie where chance puts them, or a shadow
-that moved on."""
+"""Share of a pair's patches that is used: faint ones match by chance, or follow a moving shadow."""
 
 _FARTHEST_WIDTHS = 0.1
-"""How far one pair may be from where the first guess puts it: the rig's error, and what moved
-between the shutters."""
+"""Largest displacement of a pair from the first guess, in image widths: the error of the rig, and
+motion between the shutters."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """A pass: the width at which thermal images are compared, the blur of their structure, and the
-    patches."""
+    """A level of the refinement: the width of the thermal images, the blur of their structure, and
+    the layout of the patches."""
 
     width_px: int
     blur_px: float
@@ -55,18 +54,18 @@ def refine(
     report: Callable[[str, int, int], None],
     corners: Observations | None = None,
 ) -> tuple[Adjusted, Observations]:
-    """The cameras that explain all pairs best, and the last patches that were matched.
+    """The cameras that fit all pairs best, and the observations of the last level.
 
     Args:
         pairs: at working size.
         size: width and height of the thermal files.
-        cameras: to start from.
-        prior: what is likely.
-        report: called with a stage's name, and how many of its steps are done and there are.
-        corners: of a target, which the cameras to start from explain already.
+        cameras: initial ones.
+        prior: of the rig and the motions.
+        report: called with a step's name, the number of its parts that are done, and of all.
+        corners: of a target, with which the initial cameras agree.
 
     Raises:
-        SceneError: hardly any patch is found.
+        SceneError: hardly any patch is matched.
     """
     width = pairs[0].thermal.values.shape[1]
     levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]
@@ -89,8 +88,8 @@ def refine(
 
 
 @dataclass(frozen=True, eq=False)
-class _Comparison:
-    """A pair at a level: the photo seen from the thermal camera, and the structures of both
+class _ComparedPair:
+    """A pair at a level: the photo warped to the thermal camera, and the structures of both
     images."""
 
     warped: Warped
@@ -101,20 +100,19 @@ class _Comparison:
 
 def _compared(
     pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
-) -> Iterator[_Comparison]:
-    """The pairs, with the cameras as they are known so far; ``scale`` is thermal file pixels per
-    compared pixel."""
+) -> Iterator[_ComparedPair]:
+    """The pairs with the current cameras; ``scale`` is thermal file pixels per compared pixel."""
     lens = cameras.lens(*size)
     width = min(level.width_px, pairs[0].thermal.values.shape[1])
     height = max(1, round(size[1] * width / size[0]))
     rays, scale = thermal_rays(lens, width, height), size[0] / width
     for view, pair in enumerate(pairs):
-        rgb_from_thermal = torch.linalg.inv(
-            cameras.correction(view) @ cameras.thermal_from_rgb()
+        photo_from_thermal = torch.linalg.inv(
+            cameras.correction(view) @ cameras.extrinsics()
         ).numpy()
-        warped = warp(pair, rays, rgb_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
+        warped = warp(pair, rays, photo_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
         thermal = pair.thermal.resized(width, height)
-        yield _Comparison(
+        yield _ComparedPair(
             warped,
             Masked(structure(thermal.values, level.blur_px, thermal.valid), thermal.valid),
             Masked(structure(warped.values, level.blur_px, warped.seen), warped.seen),
@@ -129,8 +127,8 @@ def _shifted(
     level: Level,
     known: set[int],
 ) -> ThermalCameras:
-    """Each camera but the known ones turned so that its whole image lies right: patches alone would
-    lose pairs that are far off."""
+    """Each camera, except the known ones, rotated so that its whole image is aligned: patches alone
+    would lose pairs that are far off."""
     fx, motions = cameras.lens(*size).fx, cameras.motions.clone()
     for view, pair in enumerate(_compared(pairs, size, cameras, level)):
         if view in known:
@@ -144,7 +142,7 @@ def _shifted(
 def _observe(
     pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
 ) -> Observations:
-    """Find the patches of all pairs."""
+    """Match the patches of all pairs."""
     found: list[tuple[Tensor, ...]] = []
     for view, pair in enumerate(_compared(pairs, size, cameras, level)):
         matches = match(pair.thermal, pair.photo, level.patches).sharpest(_SHARPEST)

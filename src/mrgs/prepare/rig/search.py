@@ -1,9 +1,9 @@
 """A first guess of the thermal camera: its focal length and direction, from all pairs together.
 
-The two cameras stand close to each other, so that far enough away one image is the other, scaled,
-shifted and perhaps turned a little. For each scale and turn, the structure of the photo is
-correlated with that of the thermal image over all shifts, and the correlations of the pairs are
-averaged: what one pair leaves open, the others decide.
+The two cameras are close to each other, so that far enough away one image is the other, scaled,
+shifted and perhaps rotated a little. For each scale and rotation, the structure of the photo is
+correlated with that of the thermal image over all shifts, and the correlations are averaged over
+the pairs, because a single pair may be ambiguous.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _FARTHEST_SHIFT = 0.4
 
 @dataclass(frozen=True)
 class Guess:
-    """A thermal camera at the RGB camera's place.
+    """A thermal camera at the position of the photos' camera.
 
     Attributes:
         score: mean correlation over the pairs, at most 1; lower where the photos do not fill the
             thermal images.
         focal_widths: focal length in widths of the thermal image.
-        turn_deg: about the optical axis; the photo is turned by it, anticlockwise, to lie on the
-            thermal image.
+        turn_deg: rotation about the optical axis that aligns the photo with the thermal image,
+            anticlockwise.
         shift_widths: where the photo's principal point appears, from the thermal image's centre,
             right and down, in widths of the thermal image.
     """
@@ -54,7 +54,7 @@ class Guess:
 
 @dataclass(frozen=True)
 class Found:
-    """The best guess, and the best score of clearly different ones: what chance reaches in these
+    """The best guess, and the best score among clearly different ones: the level of chance in these
     images."""
 
     best: Guess
@@ -62,8 +62,13 @@ class Found:
 
 
 def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -> Found:
-    """Search fields of view from 15° to 100° (or around a given one), turns up to 6°, and shifts up
-    to 0.4 widths."""
+    """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
+    shifts up to 0.4 widths.
+
+    Args:
+        pairs: at working size.
+        field_of_view_deg: horizontal, of the thermal camera; None if not known.
+    """
     thermal = [_structure(pair.thermal) for pair in pairs]
     coarse = [_correlated(pairs, thermal, focal, 0.0) for focal in _focals(field_of_view_deg)]
     best, second = max(coarse, key=lambda found: found.best.score), 0.0
@@ -109,7 +114,7 @@ def _correlated(
     focal_widths: float,
     turn_deg: float,
 ) -> Found:
-    """The best shift for a focal length and a turn, and the best that is far from it."""
+    """The best shift for a focal length and a rotation, and the best that is far from it."""
     height, width = thermal[0].shape[1:]
     scales = [focal_widths * WIDTH_PX / pair.camera.K[0, 0].item() for pair in pairs]
     sides = [
@@ -147,9 +152,9 @@ def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
 def _photo(
     pair: ReducedPair, scale: float, turn_deg: float, side: int
 ) -> tuple[Float32[np.ndarray, "c s s"], Float32[np.ndarray, "s s"]]:
-    """The structure of the photo, scaled and turned about its principal point, in the middle of a
+    """The structure of the photo, scaled and rotated about its principal point, in the middle of a
     square."""
-    values = pair.rgb.values
+    values = pair.photo.values
     if scale < 1:
         values = gaussian_filter(values, 0.5 * np.sqrt(1 / scale**2 - 1))
     x, y = np.meshgrid(np.arange(side) + 0.5 - side / 2, np.arange(side) + 0.5 - side / 2)
@@ -157,8 +162,8 @@ def _photo(
     u = cos * x - sin * y + pair.camera.K[0, 2].item()
     v = sin * x + cos * y + pair.camera.K[1, 2].item()
     seen = (u > 0) & (u < pair.camera.width) & (v > 0) & (v < pair.camera.height)
-    if pair.rgb.valid is not None:
-        seen &= sampled(pair.rgb.valid.astype(np.float32), u, v) > 0.5
+    if pair.photo.valid is not None:
+        seen &= sampled(pair.photo.valid.astype(np.float32), u, v) > 0.5
     return structure(sampled(values, u, v), _BLUR_PX, seen), seen.astype(np.float32)
 
 
@@ -168,9 +173,9 @@ def _correlation(
     seen: Float32[np.ndarray, "s s"],
     size: tuple[int, int],
 ) -> Float32[np.ndarray, "rows columns"]:
-    """Normalised correlation of the thermal image with the photo's part under it, for each shift
-    (cyclic); 0 where too little is under it, and lowered where it is not all: chance reaches higher
-    in smaller parts."""
+    """Normalised correlation of the thermal image with the overlapping part of the photo, for each
+    (cyclic) shift; 0 where the overlap is too small, and lowered where it is not complete: smaller
+    parts correlate better by chance."""
     ones = np.ones(thermal.shape[1:], dtype=np.float32)
     window, area = np.conj(rfft2(ones, size)), rfft2(seen, size)
     product = irfft2((np.conj(rfft2(thermal, size)) * rfft2(photo, size)).sum(axis=0), size)

@@ -1,9 +1,8 @@
-"""What a photo and a thermal image of the same thing share: where edges are, and which way they
-run.
+"""Structure that a photo and a thermal image share: positions and directions of edges.
 
-Not the contrast: what is bright may be cold. So gradients are split into channels by their
-direction without sign (channel features of orientated gradients; Ye, Bruzzone, Shan, Bovolo and
-Zhu, 2019).
+Their contrasts differ, because bright surfaces may be cold. So gradients are split into channels by
+their direction without sign (channel features of orientated gradients; Ye, Bruzzone, Shan, Bovolo
+and Zhu, 2019).
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ def structure(
 
     Args:
         image: any unit.
-        blur_px: by which edges may miss each other and still correlate (the σ of a Gaussian).
-        valid: pixels that count; the structure is 0 at and beside the others.
+        blur_px: distance at which edges still correlate (σ of a Gaussian), pixels.
+        valid: mask of usable pixels; the structure is 0 at and near the others.
     """
     if valid is not None:
         image = np.where(valid, image, np.median(image[valid]) if valid.any() else 0.0)

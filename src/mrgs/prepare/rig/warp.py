@@ -1,4 +1,4 @@
-"""The photo as the thermal camera would have taken it, by the depth of what it shows."""
+"""The photo warped to the thermal camera by the depth of its surfaces."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Warped:
 
     Attributes:
         values: the photo's luma.
-        points: what each pixel shows, in the RGB camera's axes.
+        points: surface point of each pixel [H, W, 3], in the axes of the photo's camera.
         seen: whether the photo shows it.
     """
 
@@ -44,22 +44,22 @@ def thermal_rays(lens: Lens, width: int, height: int) -> Float[np.ndarray, "h w 
 def warp(
     pair: ReducedPair,
     rays: Float[np.ndarray, "h w 3"],
-    rgb_from_thermal: Float[np.ndarray, "4 4"],
+    photo_from_thermal: Float[np.ndarray, "4 4"],
     spacing: float,
 ) -> Warped:
-    """The photo from the thermal camera.
+    """The photo warped to the thermal camera's grid.
 
-    Each ray is met with the photo's depth by turns: where it is at that depth, and how deep the
-    photo is there.
+    The intersection of each ray with the photo's surfaces is found by fixed-point iteration: the
+    point of the ray at the current depth, and the photo's depth at its projection.
 
     Args:
         pair: the photo with its depth.
         rays: of the thermal pixels, from ``thermal_rays``.
-        rgb_from_thermal: the rigid motion between the two cameras' axes.
+        photo_from_thermal: rigid motion [4, 4] from the thermal camera's axes to the photo's.
         spacing: of the thermal pixels, in photo pixels; the photo is blurred accordingly.
     """
-    directions = np.einsum("ij,hwj->hwi", rgb_from_thermal[:3, :3], rays)
-    centre = rgb_from_thermal[:3, 3]
+    directions = np.einsum("ij,hwj->hwi", photo_from_thermal[:3, :3], rays)
+    centre = photo_from_thermal[:3, 3]
     fx, fy, cx, cy = pair.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     inverse: Float[np.ndarray, "h w"] = np.full(rays.shape[:2], pair.depth.median)
     ahead = directions[..., 2] > 0.1
@@ -77,9 +77,9 @@ def warp(
         & (v > 1)
         & (v < pair.camera.height - 1)
     )
-    if pair.rgb.valid is not None:
-        seen &= sampled(pair.rgb.valid.astype(np.float32), u, v) > 0.99
-    photo = pair.rgb.values
+    if pair.photo.valid is not None:
+        seen &= sampled(pair.photo.valid.astype(np.float32), u, v) > 0.99
+    photo = pair.photo.values
     if spacing > 1:
         photo = gaussian_filter(photo, 0.5 * np.sqrt(spacing**2 - 1))
     return Warped(sampled(photo, u, v).astype(np.float32), points, seen)

@@ -1,5 +1,1 @@
 """Poses from the images alone (structure from motion)."""
-
-from mrgs.prepare.sfm.reconstruct import reconstruct
-
-__all__ = ["reconstruct"]

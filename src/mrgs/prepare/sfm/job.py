@@ -1,4 +1,4 @@
-"""The folder in which ``mrgs.prepare.colmap`` works: its images, and what they were made of."""
+"""The working folder of ``mrgs.prepare.colmap``: its images, and the job file that lists them."""
 
 from __future__ import annotations
 
@@ -10,37 +10,38 @@ from pathlib import Path
 
 from PIL import Image
 
-from mrgs.data.images import probe
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import RunError
 from mrgs.prepare.cache import digest
 from mrgs.prepare.colmap.job import IMAGE_FOLDER, JOB_FILE
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.stretch import span_of, stretched
 from mrgs.system.atomic import replacing
 
-FORMAT = 1
-"""To be raised when features or matches are found in another way: older ones are then not
-continued."""
+FORMAT = 2
+"""Raise it when features or matches are found in another way: older ones are then discarded."""
 
 
 def set_up(
     folder: Path,
     images: Mapping[str, Path],
-    cameras: Mapping[str, str],
     stretch: bool,
     progress: Progress,
 ) -> None:
-    """Make the folder ready; what an earlier call left there stays if it was made of the same
-    images.
+    """Set up the folder; features and matches of an earlier call stay if the images are the same.
 
-    The images get numbers for names, so that nothing in a name can be misread.
+    The images are named by numbers, so that no name can be misread.
+
+    Args:
+        folder: to work in.
+        images: files by the views' names.
+        stretch: whether to stretch the contrast, as thermal images need.
+        progress: called for each image that is stretched.
 
     Raises:
-        SceneError: images of one camera differ in size, or cannot be read.
+        SceneError: an image cannot be read.
         RunError: the folder cannot be written.
     """
-    _check_sizes(images, cameras)
-    content = json.dumps(_job(images, cameras, stretch), indent=1).encode()
+    content = json.dumps(_job(images, stretch), indent=1).encode()
     file = folder / JOB_FILE
     try:
         if file.is_file() and file.read_bytes() == content:
@@ -65,17 +66,10 @@ def set_up(
         ) from None
 
 
-def _job(
-    images: Mapping[str, Path], cameras: Mapping[str, str], stretch: bool
-) -> dict[str, object]:
-    """The content of the job's file: what ``mrgs.prepare.colmap`` reads, and what tells whether it
-    is the same job."""
-    numbers = {
-        camera: number
-        for number, camera in enumerate(sorted({cameras[name] for name in images}), 1)
-    }
+def _job(images: Mapping[str, Path], stretch: bool) -> dict[str, object]:
+    """The content of the job file, which is equal for equal jobs."""
     listed = [
-        {"file": file, "camera": numbers[cameras[name]], "name": name, "sha256": digest(source)}
+        {"file": file, "name": name, "sha256": digest(source)}
         for file, (name, source) in zip(_files(images, stretch), images.items(), strict=True)
     ]
     return {"format": FORMAT, "stretch": stretch, "images": listed}
@@ -87,21 +81,8 @@ def _files(images: Mapping[str, Path], stretch: bool) -> list[str]:
     return [f"{number:06d}{suffix}" for number, suffix in enumerate(suffixes, 1)]
 
 
-def _check_sizes(images: Mapping[str, Path], cameras: Mapping[str, str]) -> None:
-    first: dict[str, tuple[Path, tuple[int, int]]] = {}
-    for name, path in images.items():
-        info = probe(path)
-        other, size = first.setdefault(cameras[name], (path, (info.width, info.height)))
-        if (info.width, info.height) != size:
-            raise SceneError(
-                f"{path} is {info.width}×{info.height} px, but {other.name} of the same camera is "
-                f"{size[0]}×{size[1]} px; prepare photos of different cameras, crops or zooms as "
-                f"different scenes"
-            )
-
-
 def _link(source: Path, target: Path) -> None:
-    """The same file under another name, or a copy where the file system knows no such thing."""
+    """A hard link, or a copy where the file system has no links."""
     try:
         os.link(source, target)
     except OSError:

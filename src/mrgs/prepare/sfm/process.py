@@ -1,12 +1,13 @@
-"""Runs ``mrgs.prepare.colmap`` as a process of its own.
+"""Runs ``mrgs.prepare.colmap`` in a process of its own.
 
-From version 4.1 on pycolmap breaks zlib in the process that imports it, and it can take any process
-down; its memory is given back when it ends.
+From version 4.1 on pycolmap breaks zlib in the process that imports it, and it can crash any
+process; its memory is freed when the process ends.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Sequence
 from pathlib import Path
 
 from mrgs.errors import ConfigError, RunError, SceneError
@@ -18,18 +19,21 @@ LOG_FILE = "log.txt"
 LEAST_VERSION = 4
 
 
-def run_colmap(folder: Path, progress: Progress) -> None:
-    """Do what is left of the job in ``folder``; see ``mrgs.prepare.colmap``.
+def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD) -> None:
+    """Complete the job in ``folder``; see ``mrgs.prepare.colmap``.
+
+    Args:
+        folder: holds the job; a log of the process is written there.
+        progress: called with the process's steps.
+        program: arguments of the Python interpreter that start the process.
 
     Raises:
-        ConfigError: pycolmap is not installed, or too old.
-        SceneError: it failed, crashed, or was killed.
+        SceneError: the process failed, crashed, or was killed.
         RunError: the folder cannot be written.
     """
-    _check_installed()
     log = folder / LOG_FILE
     try:
-        child = Child(CHILD, str(folder.resolve()), log)
+        child = Child(program, str(folder.resolve()), log)
     except OSError as error:
         raise RunError(
             f"{log} cannot be written ({error.strerror}); free the place or choose another"
@@ -44,20 +48,31 @@ def run_colmap(folder: Path, progress: Progress) -> None:
 
 
 def _remedy(child: Child, reason: str) -> str:
-    if child.end:  # an error that it understands
+    if child.end:  # the message says it all
         return ""
     if reason == OUT_OF_MEMORY:
         return "; close other programs or use smaller photos, and call again to continue"
     return "; call again to continue"
 
 
-def _check_installed() -> None:
-    install = 'pip install "mrgs[sfm]"'
+def installed_version() -> str | None:
+    """pycolmap's version; None if it is not installed."""
     try:
-        version = importlib.metadata.version("pycolmap")
+        return importlib.metadata.version("pycolmap")
     except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def check_version(version: str | None) -> None:
+    """Check pycolmap's version.
+
+    Raises:
+        ConfigError: it is not installed, or too old.
+    """
+    install = 'pip install "mrgs[sfm]"'
+    if version is None:
         raise ConfigError(
             f"finding the poses needs pycolmap: {install}, or give poses that you have"
-        ) from None
+        )
     if int(version.partition(".")[0]) < LEAST_VERSION:
         raise ConfigError(f"pycolmap {version} is too old: {install}")

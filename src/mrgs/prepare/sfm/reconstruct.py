@@ -1,4 +1,4 @@
-"""From images to a reconstruction."""
+"""Poses from the images alone (structure from motion)."""
 
 from __future__ import annotations
 
@@ -8,35 +8,29 @@ from pathlib import Path
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction
 from mrgs.prepare.sfm.job import set_up
-from mrgs.prepare.sfm.process import run_colmap
+from mrgs.prepare.sfm.process import check_version, installed_version, run_colmap
 from mrgs.prepare.sfm.result import read_result
 from mrgs.scene import THERMAL, Modality
 
 
 def reconstruct(
-    images: Mapping[str, Path],
-    cameras: Mapping[str, str],
-    work: Path,
-    progress: Progress,
-    *,
-    modality: Modality,
+    images: Mapping[str, Path], work: Path, progress: Progress, *, modality: Modality
 ) -> Reconstruction:
-    """Poses and points from images that overlap (Schönberger and Frahm, 2016, by way of pycolmap).
+    """Poses and points from overlapping images of one camera, by incremental structure from motion
+    (Schönberger and Frahm, 2016; pycolmap).
 
-    All that is found is kept in ``work/sfm``, in COLMAP's formats, for the next call with the same
-    images.
+    Results are kept in ``work/sfm``, in COLMAP's formats, for the next call with the same images.
 
     Args:
-        images: files by the views' names, in the order in which they were taken.
-        cameras: which camera took each view; all images of one share a lens and a size.
-        work: folder for what is made on the way.
-        progress: told of the steps "contrast" (of thermal images), "features", "matching" and
+        images: files by the views' names, in the order in which they were taken; all of one size.
+        work: folder for intermediate results.
+        progress: called with the steps "contrast" (of thermal images), "features", "matching" and
             "mapping".
         modality: of the images; the contrast of thermal ones is stretched first.
 
     Raises:
-        SceneError: fewer than three images can be placed, or an image cannot be read.
-        ConfigError: pycolmap is not installed.
+        SceneError: fewer than three images get a pose, or an image cannot be read.
+        ConfigError: pycolmap is not installed, or too old.
         RunError: the folder cannot be written.
     """
     if len(images) < MIN_VIEWS:
@@ -45,6 +39,7 @@ def reconstruct(
             f"all around"
         )
     folder = work / "sfm"
-    set_up(folder, images, cameras, modality == THERMAL, progress)
+    set_up(folder, images, modality == THERMAL, progress)
+    check_version(installed_version())
     run_colmap(folder, progress)
     return read_result(folder, modality)

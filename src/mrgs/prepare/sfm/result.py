@@ -1,4 +1,4 @@
-"""What ``mrgs.prepare.colmap`` has found, as a Reconstruction."""
+"""The results of ``mrgs.prepare.colmap`` as a Reconstruction."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
     """The largest model, with the reason for each image that is not in it.
 
     Args:
-        folder: where ``mrgs.prepare.colmap`` worked, and ended well.
-        images: what the images show.
+        folder: in which ``mrgs.prepare.colmap`` completed its job.
+        images: modality of the images.
 
     Raises:
         TooFewPosesError: fewer than ``MIN_VIEWS`` images have a pose.

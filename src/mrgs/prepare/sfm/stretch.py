@@ -1,8 +1,8 @@
-"""Thermal images made fit for features: one span of temperatures for the whole set, then contrast
-evened out locally.
+"""Contrast of thermal images for feature detection: one range of temperatures for the whole set,
+then local histogram equalisation.
 
-Features are found at edges; in a thermal image most of the range is taken by a few hot or cold
-things, and the edges of all others are a few shades deep.
+Features are detected at edges. In a thermal image a few hot or cold things take most of the range,
+and the edges of all others are a few shades deep.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TILES = 8
 
 BINS = 1024
 CLIP = 10.0
-"""Times the mean of a histogram: more would show mostly the noise of flat surfaces."""
+"""Limit of a histogram over its mean: a higher one amplifies the noise of flat surfaces."""
 
 _NOISE_SIGMA_PX = 0.7
 _SAMPLES = 4096
@@ -50,7 +50,7 @@ def span_of(files: Iterable[Path]) -> tuple[float, float]:
 
 
 def stretched(file: Path, span: tuple[float, float]) -> UInt8[np.ndarray, "h w"]:
-    """The image in grey.
+    """The image in grey, with stretched contrast.
 
     Raises:
         SceneError: it cannot be read.
@@ -91,8 +91,8 @@ def local_contrast(shares: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h
 
 
 def _ranks(tile: np.ndarray) -> Float32[np.ndarray, " bins"]:
-    """For each value the share of the tile's pixels below it, with the histogram's peaks cut and
-    spread evenly."""
+    """For each value the share of the tile's pixels below it, with the histogram's peaks
+    clipped and redistributed evenly."""
     histogram = np.bincount(tile.ravel(), minlength=BINS).astype(np.float64)
     limit = CLIP * tile.size / BINS
     excess = np.maximum(histogram - limit, 0).sum()

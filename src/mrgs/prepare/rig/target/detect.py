@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter, map_coordinates, zoom
+from scipy.ndimage import gaussian_filter, zoom
 
+from mrgs.prepare.rig.images import sampled
 from mrgs.prepare.rig.target.lattice import Cell, lattices
-from mrgs.prepare.rig.target.plane import homography, mapped
+from mrgs.prepare.rig.target.plane import board_points, homography, transformed
 from mrgs.prepare.rig.target.saddles import Saddles, find_saddles, refined
 
 _LARGEST_PX = 1280
@@ -27,17 +28,16 @@ class Corners:
     """The inner corners of a chessboard in an image.
 
     Attributes:
-        grid: positions x, y in pixels, [rows, columns, 2]. From a corner to the next one of its
-            row, and from there to the next one of its column, is a turn to the right: the board is
-            seen from its front. The image does not show which of the board's corners comes first:
-            see ``turned``.
+        grid: positions x, y in pixels, [rows, columns, 2]. The direction along a row turns
+            clockwise into that along a column: the board is seen from its front. The image does
+            not show which of the board's corners is the first: see ``orderings``.
     """
 
     grid: Float[np.ndarray, "rows columns 2"]
 
     @property
     def pixels(self) -> Float[np.ndarray, "n 2"]:
-        """Row by row."""
+        """Positions x, y in pixels, row by row."""
         return self.grid.reshape(-1, 2)
 
     @property
@@ -51,9 +51,9 @@ class Corners:
                 spacing = np.minimum(spacing, np.pad(length, pad, constant_values=np.inf))
         return spacing
 
-    def turned(self) -> list[Corners]:
-        """The same corners in each of the orders that the counts allow: two, or four if there are
-        as many rows."""
+    def orderings(self) -> list[Corners]:
+        """The same corners in each order that looks the same: two, or four if there are as many
+        rows as columns."""
         rows, columns, _ = self.grid.shape
         return [
             Corners(np.rot90(self.grid, quarters))
@@ -69,7 +69,7 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
     the bright ones does not matter.
 
     Args:
-        image: any unit; for the camera as it is, or undistorted.
+        image: any unit; with or without lens distortion.
         inner: how many inner corners there are in a row and in a column, both 3 or more.
     """
     image = (image - np.median(image)).astype(np.float32)
@@ -77,8 +77,8 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
         for group in lattices(saddles):
             if len(group) < _LEAST_FILLED * inner[0] * inner[1]:
                 break
-            for cells in _windows(group, inner):
-                corners = _completed(image, saddles, cells, inner)
+            for cells in _candidates(group, inner):
+                corners = _fitted(image, saddles, cells, inner)
                 if corners is not None:
                     return corners
     return None
@@ -106,14 +106,14 @@ def _at_scales(image: Float[np.ndarray, "h w"]) -> Iterator[Saddles]:
             yield Saddles(found.pixels * scale, found.angles, found.bright)
 
 
-def _windows(group: dict[Cell, int], inner: tuple[int, int]) -> Iterator[dict[Cell, int]]:
-    """Parts of a grid that are as large as the board, those with the most saddle points first;
+def _candidates(group: dict[Cell, int], inner: tuple[int, int]) -> Iterator[dict[Cell, int]]:
+    """Parts of a lattice that are as large as the board, those with the most saddle points first;
     columns along the board's rows. Cells are counted from the part's first."""
     cells = np.array(list(group))
     points = np.array(list(group.values()))
     found = []
-    for turn in (0, 1):
-        if turn:
+    for transposed in (False, True):
+        if transposed:
             cells = np.column_stack([cells[:, 1], -cells[:, 0]])
             if inner[0] == inner[1]:
                 break
@@ -131,21 +131,18 @@ def _windows(group: dict[Cell, int], inner: tuple[int, int]) -> Iterator[dict[Ce
     yield from sorted(found, key=len, reverse=True)
 
 
-def _completed(
+def _fitted(
     image: Float[np.ndarray, "h w"],
     saddles: Saddles,
     cells: dict[Cell, int],
     inner: tuple[int, int],
 ) -> Corners | None:
-    """The board of which these corners are known; None if it is not there."""
+    """The board's corners from those in ``cells``; None if it is not there."""
     columns, rows = inner
-    every = (
-        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        .reshape(-1, 2)
-        .astype(float)
-    )
     known = np.array(list(cells), dtype=float)
-    pixels = mapped(homography(known, saddles.pixels[list(cells.values())]), every)
+    pixels = transformed(
+        homography(known, saddles.pixels[list(cells.values())]), board_points(*inner)
+    )
     for (column, row), point in cells.items():
         pixels[row * columns + column] = saddles.pixels[point]
     grid = pixels.reshape(rows, columns, 2)
@@ -153,7 +150,7 @@ def _completed(
         rows, columns, 2
     )
     corners = Corners(grid)
-    return corners if _is_board(image, corners) and not _goes_on(image, corners) else None
+    return corners if _is_board(image, corners) and not _extends(image, corners) else None
 
 
 def _is_board(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
@@ -162,9 +159,9 @@ def _is_board(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
     )
 
 
-def _goes_on(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
-    """Whether there is one more row or column: then the board is a larger one, of which any part
-    would do."""
+def _extends(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
+    """Whether there is one more row or column: then this is part of a larger board, and any other
+    part would fit as well."""
     for quarters in range(4):
         grid = np.rot90(corners.grid, quarters)
         beyond = 2 * grid[:1] - grid[1:2]
@@ -189,18 +186,10 @@ def _alternating(image: Float[np.ndarray, "h w"], corners: Corners) -> bool:
     along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     smooth = gaussian_filter(image, _QUARTER_SQUARES / 3 * float(corners.spacing.min()))
     a, b, c, d = (
-        _sampled(smooth, grid + _QUARTER_SQUARES * (i * along + j * down))
+        sampled(smooth, *np.moveaxis(grid + _QUARTER_SQUARES * (i * along + j * down), -1, 0))
         for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))
     )
     brighter = np.minimum(a, c) > np.maximum(b, d)
     darker = np.maximum(a, c) < np.minimum(b, d)
     even = np.indices(brighter.shape).sum(axis=0) % 2 == 0
     return bool((np.where(even, brighter, darker)).all() or np.where(even, darker, brighter).all())
-
-
-def _sampled(
-    image: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "*n 2"]
-) -> Float[np.ndarray, "*n"]:
-    return map_coordinates(
-        image, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1, mode="nearest"
-    )

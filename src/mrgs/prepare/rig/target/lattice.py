@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from mrgs.prepare.rig.target.saddles import Saddles
 
 _NEAREST = 16
-_STRAY_RAD = np.radians(20)
+_DEVIATION_RAD = np.radians(20)
 _TURN_RAD = np.radians(25)
 _NO = -1
 
@@ -29,7 +29,7 @@ def lattices(saddles: Saddles) -> list[dict[Cell, int]]:
     left = set(np.flatnonzero((links != _NO).sum(axis=1) >= 2).tolist())
     found = []
     while left:
-        group = _grown(min(left), links, turns)
+        group = _connected(min(left), links, turns)
         left -= set(group.values())
         found.append(group)
     return sorted(found, key=len, reverse=True)
@@ -39,8 +39,8 @@ def _links(saddles: Saddles) -> tuple[Int[np.ndarray, "n 4"], Int[np.ndarray, "n
     """For each saddle point and edge: the neighbour at its other end, and by how many quarters the
     neighbour's edges are numbered differently. -1 where there is none.
 
-    A neighbour is the nearest one along the edge whose own edges run alike and whose quarters are
-    the other way round; and it says the same.
+    A neighbour is the nearest point along the edge whose own edges run alike and whose bright and
+    dark quarters are swapped, provided that the relation is mutual.
     """
     count = len(saddles.pixels)
     none = np.full((count, 4), _NO)
@@ -50,10 +50,10 @@ def _links(saddles: Saddles) -> tuple[Int[np.ndarray, "n 4"], Int[np.ndarray, "n
     near = near[:, 1:]
     offset = saddles.pixels[near] - saddles.pixels[:, None]
     bearing = np.arctan2(offset[..., 1], offset[..., 0])
-    stray = np.abs(_wrapped(bearing[:, None] - saddles.angles[:, :, None]))
+    deviation = np.abs(_wrapped(bearing[:, None] - saddles.angles[:, :, None]))
     turn, alike = _quarters(saddles.angles, saddles.angles[near])
     other = saddles.bright[near] ^ (turn % 2 == 1) ^ saddles.bright[:, None]
-    fits = (stray < _STRAY_RAD) & (alike & other)[:, None]
+    fits = (deviation < _DEVIATION_RAD) & (alike & other)[:, None]
     first = fits.argmax(axis=2)
     links = np.where(fits.any(axis=2), np.take_along_axis(near, first, axis=1), _NO)
     turns = np.take_along_axis(turn, first, axis=1)
@@ -84,25 +84,25 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-def _grown(
+def _connected(
     seed: int, links: Int[np.ndarray, "n 4"], turns: Int[np.ndarray, "n 4"]
 ) -> dict[Cell, int]:
-    """All that is linked to a saddle point; what would take a cell or a place twice is left out."""
+    """The saddle points linked to a seed, by cell; each cell has one."""
     cells: dict[Cell, int] = {(0, 0): seed}
-    places: dict[int, tuple[Cell, int]] = {seed: ((0, 0), 0)}
+    found: dict[int, tuple[Cell, int]] = {seed: ((0, 0), 0)}
     queue = deque([seed])
     while queue:
         point = queue.popleft()
-        (column, row), turned = places[point]
+        (column, row), turned = found[point]
         for edge in range(4):
             neighbour = int(links[point, edge])
-            if neighbour == _NO or neighbour in places:
+            if neighbour == _NO or neighbour in found:
                 continue
             right, down = _STEPS[(edge - turned) % 4]
             cell = (column + right, row + down)
             if cell in cells:
                 continue
             cells[cell] = neighbour
-            places[neighbour] = (cell, (turned + int(turns[point, edge])) % 4)
+            found[neighbour] = (cell, (turned + int(turns[point, edge])) % 4)
             queue.append(neighbour)
     return cells

@@ -1,4 +1,4 @@
-"""Planes seen in perspective."""
+"""A plane in perspective."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform, rotvec_from_matrix
+
+
+def board_points(columns: int, rows: int) -> Float[np.ndarray, "n 2"]:
+    """The inner corners on a board whose squares are 1 wide: x, y, row by row."""
+    grid = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    return np.stack(grid, axis=-1).reshape(-1, 2)
 
 
 def homography(
@@ -27,7 +33,7 @@ def homography(
     return np.linalg.inv(normal_b) @ matrix @ normal_a
 
 
-def mapped(
+def transformed(
     matrix: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
     """Points under a projective map."""
@@ -66,9 +72,9 @@ def plane_pose(
     start = np.concatenate([rotvec_from_matrix(u @ v), columns[:, 2]])
     flat = np.column_stack([plane, np.zeros(len(plane))])
 
-    def misses(pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, " k"]:
+    def residuals(pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, " k"]:
         points = flat @ matrix_from_rotvec(pose[:3]).T + pose[3:]
         return (points[:, :2] / points[:, 2:] - rays).ravel()
 
-    pose = least_squares(misses, start, x_scale="jac").x
+    pose = least_squares(residuals, start, x_scale="jac").x
     return rigid_transform(matrix_from_rotvec(pose[:3]), pose[3:]).numpy()

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
+
+from mrgs.prepare.rig.images import sampled
 
 _LEAST_CONTRAST = 0.04
 """σ⁴(Hxy² − Hxx Hyy) over the variance around: about 0.4 where four sharp squares meet, whatever
@@ -79,7 +81,7 @@ def refined(
     """Saddle points to a fraction of a pixel; NaN where there is none.
 
     A second-degree polynomial is fitted to the values around, with Gaussian weights; its stationary
-    point is taken for the next centre (Lucchese and Mitra, 2002).
+    point is the next centre (Lucchese and Mitra, 2002).
 
     Args:
         image: any unit.
@@ -95,7 +97,7 @@ def refined(
     for _ in range(_FIT_STEPS):
         u = found[:, 0, None] + radius_px[:, None] * x
         v = found[:, 1, None] + radius_px[:, None] * y
-        values = map_coordinates(image, [v - 0.5, u - 0.5], order=1, mode="nearest")
+        values = sampled(image, u, v)
         fit = np.einsum("ks,ns->nk", solve, values)
         is_saddle = fit[:, 1] ** 2 > fit[:, 0] * fit[:, 2]
         step = _stationary(fit[:, :3], fit[:, 3:5]) * radius_px[:, None]

@@ -1,4 +1,4 @@
-"""Which pairs show the target, and which of its corners is which."""
+"""Detection of the target in all pairs, and the order of its corners."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from mrgs.scene import Camera
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The target in a pair.
+    """The target as a pair shows it.
 
     Attributes:
-        pair: index of the pair.
+        name: of the pair.
         camera: of the photo.
         photo: the corners in the photo.
         thermal: the same corners, in the same order, in the thermal image; None if it does not show
             them.
     """
 
-    pair: int
+    name: str
     camera: Camera
     photo: Corners
     thermal: Corners | None
@@ -38,23 +38,23 @@ class Sighting:
         K = self.camera.K.numpy()
         return (self.photo.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
 
-    def turns(self) -> list[Sighting]:
-        """The sighting in each order that the board allows."""
-        photos = self.photo.turned()
-        thermals = [None] * len(photos) if self.thermal is None else self.thermal.turned()
+    def orderings(self) -> list[Sighting]:
+        """The sighting in each order of the corners that looks the same."""
+        photos = self.photo.orderings()
+        thermals = [None] * len(photos) if self.thermal is None else self.thermal.orderings()
         return [
-            Sighting(self.pair, self.camera, p, t) for p, t in zip(photos, thermals, strict=True)
+            Sighting(self.name, self.camera, p, t) for p, t in zip(photos, thermals, strict=True)
         ]
 
 
 def find_sightings(
     pairs: Sequence[RigPair], target: ChessboardTarget, report: Callable[[str, int, int], None]
 ) -> list[Sighting]:
-    """Look for the target in all pairs; those whose photo shows it.
+    """Detect the target in all pairs; returns a sighting for each photo that shows it.
 
     Args:
-        pairs: photos and thermal images, the same way up.
-        target: what to look for.
+        pairs: photos and thermal images, with the same side up.
+        target: to be detected.
         report: called with a stage's name, and how many of its steps are done and there are.
 
     Raises:
@@ -63,12 +63,12 @@ def find_sightings(
     found, in_thermal = [], 0
     for index, pair in enumerate(pairs):
         report("looking for the target", index, len(pairs))
-        photo = detect_chessboard(grey_plane(pair.rgb.load(), pair.name).values, target.inner)
+        photo = detect_chessboard(grey_plane(pair.photo.load(), pair.name).values, target.inner)
         thermal = detect_chessboard(grey_plane(pair.load_thermal(), pair.name).values, target.inner)
         in_thermal += thermal is not None
         if photo is not None:
-            ordered = None if thermal is None else _same_way_up(photo, thermal)
-            found.append(Sighting(index, pair.rgb.camera, photo, ordered))
+            ordered = None if thermal is None else _in_order_of(photo, thermal)
+            found.append(Sighting(pair.name, pair.photo.camera, photo, ordered))
     if not any(sighting.thermal is not None for sighting in found):
         columns, rows = target.inner
         raise SceneError(
@@ -81,12 +81,12 @@ def find_sightings(
     return found
 
 
-def _same_way_up(photo: Corners, thermal: Corners) -> Corners:
-    """The thermal corners in the photo's order, under which one image is turned the least against
-    the other."""
+def _in_order_of(photo: Corners, thermal: Corners) -> Corners:
+    """The thermal corners in the photo's order: the one with the least rotation between the two
+    images."""
 
     def agreement(corners: Corners) -> float:
         a, b = (each.pixels - each.pixels.mean(axis=0) for each in (photo, corners))
         return float((a * b).sum())
 
-    return max(thermal.turned(), key=agreement)
+    return max(thermal.orderings(), key=agreement)

@@ -1,5 +1,5 @@
-"""What a layout's reader hands on: images with lenses and poses, before splitting, undistortion and
-decoding."""
+"""A scene as a layout's reader describes it: image files with lenses and poses, before splitting,
+undistortion and decoding."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mrgs.data.lens import Lens
 from mrgs.scene import Modality, PointCloud
 
 
-class Notes:
-    """What the reader decided or repaired, one sentence each.
+class ReadingNotes:
+    """Decisions and repairs of the reader, one sentence each.
 
     Attributes:
         all: every sentence in order, for ``Scene.notes``.
@@ -44,7 +44,7 @@ class ImageSource:
         path: the image.
         lens: intrinsics and distortion in pixels of the file.
         viewmat: world to camera, OpenCV axes, [4, 4].
-        mask: an image of the same size, black where pixels are to be ignored; None if all count.
+        mask: an image of the same size, black where pixels are ignored; None if all count.
     """
 
     path: Path
@@ -54,11 +54,11 @@ class ImageSource:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """What becomes a view.
+class ViewSource:
+    """The image files of a view.
 
     Attributes:
-        key: path of its first image without extension; it decides the name and the split.
+        key: path of its first image without extension; name and split follow from it.
         images: by modality; never empty.
     """
 
@@ -68,29 +68,29 @@ class Shot:
 
 @dataclass(frozen=True)
 class FilenameLists:
-    """The explicit split of nerfstudio: keys of the training and of the evaluation images; None
-    where not given."""
+    """nerfstudio's explicit split: keys of the training and of the evaluation images; None where
+    not given."""
 
     train: frozenset[str] | None = None
     eval: frozenset[str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
-    """A scene folder, understood but not decoded.
+class SceneSource:
+    """The content of a scene folder; nothing is decoded yet.
 
     Attributes:
         root: the folder, resolved.
-        source: the file that names the images, for messages.
-        shots: in the file's order; never empty.
+        file: the one that names the images, for messages.
+        views: in the file's order; never empty.
         points: start points from the files; None if there are none.
         lists: the explicit split, if the files give one.
         notes: decisions and repairs.
     """
 
     root: Path
-    source: Path
-    shots: Sequence[Shot]
+    file: Path
+    views: Sequence[ViewSource]
     points: PointCloud | None
-    notes: Notes
+    notes: ReadingNotes
     lists: FilenameLists = field(default_factory=FilenameLists)

@@ -7,9 +7,10 @@ import torch
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.model import rigid_motion
 from mrgs.prepare.rig.target.detect import Corners
-from mrgs.prepare.rig.target.place import place
+from mrgs.prepare.rig.target.localise import localise
 from mrgs.prepare.rig.target.sightings import Sighting
 from mrgs.scene import Camera
+from tests.helpers.rig_room import make_board
 
 K = torch.tensor([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]], dtype=torch.float64)
 STILL = (0.3, -0.4, 0.2, -0.25, -0.2, 1.5)
@@ -30,7 +31,7 @@ def sighting(view: int, board, camera: Camera, quarters: int = 0) -> tuple[Sight
     pixels = inside[:, :2] / inside[:, 2:] * 300 + (160, 120)
     pixels = pixels + np.random.default_rng(view).normal(0, NOISE_PX, pixels.shape)
     grid, truth = (np.rot90(a.reshape(rows, columns, -1), quarters) for a in (pixels, inside))
-    return Sighting(view, camera, Corners(grid), None), truth.reshape(-1, 3)
+    return Sighting(f"view_{view}", camera, Corners(grid), None), truth.reshape(-1, 3)
 
 
 def nearest(points: np.ndarray, truth: np.ndarray) -> float:
@@ -39,43 +40,43 @@ def nearest(points: np.ndarray, truth: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("inner", [(6, 5), (4, 4)])
-def test_a_target_that_stands_still_is_placed_and_tells_its_size(inner, make_board):
+def test_a_target_that_stands_still_is_placed_and_tells_its_size(inner):
     board = make_board(STILL, inner=inner, square_m=0.12)
     step = 1 if inner[0] == inner[1] else 2
     made = [sighting(view, board, camera(view), quarters=step * view % 4) for view in range(5)]
-    placed = place([each for each, _ in made])
-    assert placed.still == 5
-    assert placed.square == pytest.approx(0.12, rel=0.01)
-    for points, (_, truth) in zip(placed.points, made, strict=True):
+    found = localise([each for each, _ in made])
+    assert found.stationary == 5
+    assert found.square == pytest.approx(0.12, rel=0.01)
+    for points, (_, truth) in zip(found.points, made, strict=True):
         assert nearest(points, truth) < 0.01
     worlds = [
         (points - s.camera.viewmat[:3, 3].numpy()) @ s.camera.viewmat[:3, :3].numpy()
-        for s, points in zip(placed.sightings, placed.points, strict=True)
+        for s, points in zip(found.sightings, found.points, strict=True)
     ]
     assert np.ptp(worlds, axis=0).max() < 0.01
 
 
-def test_a_target_that_is_moved_is_placed_by_the_width_of_its_squares(make_board):
+def test_a_target_that_is_moved_is_placed_by_the_width_of_its_squares():
     boards = [
         make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2 + 0.05 * view, 1.0 + 0.1 * view))
         for view in range(4)
     ]
     made = [sighting(view, board, camera(view)) for view, board in enumerate(boards)]
-    placed = place([each for each, _ in made], 0.1)
-    assert placed.still == 0
-    for points, (_, truth) in zip(placed.points, made, strict=True):
+    found = localise([each for each, _ in made], 0.1)
+    assert found.stationary == 0
+    for points, (_, truth) in zip(found.points, made, strict=True):
         assert np.linalg.norm(points - truth, axis=1).max() < 0.01
 
 
-def test_one_that_is_moved_among_those_that_stand_still(make_board):
+def test_one_that_is_moved_among_those_that_stand_still():
     boards = [make_board(STILL)] * 4 + [make_board((0.0, 0.1, 0.0, 0.1, -0.2, 1.3))]
     made = [sighting(view, board, camera(view)) for view, board in enumerate(boards)]
-    placed = place([each for each, _ in made])
-    assert placed.still == 4
-    assert np.linalg.norm(placed.points[4] - made[4][1], axis=1).max() < 0.015
+    found = localise([each for each, _ in made])
+    assert found.stationary == 4
+    assert np.linalg.norm(found.points[4] - made[4][1], axis=1).max() < 0.015
 
 
-def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told(make_board):
+def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told():
     boards = [make_board((0.3, 0.2 * view, 0.1, -0.2, -0.2, 1.0 + 0.1 * view)) for view in range(4)]
     moved = [sighting(view, board, camera(view))[0] for view, board in enumerate(boards)]
     same_place = [
@@ -85,4 +86,4 @@ def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told(mak
         with pytest.raises(
             SceneError, match="the target cannot be used: its distance is not known"
         ):
-            place(sightings)
+            localise(sightings)

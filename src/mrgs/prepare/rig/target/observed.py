@@ -1,8 +1,8 @@
-"""What a target that both cameras see tells the calibration of the rig."""
+"""A target that both cameras see, as observations for the calibration of the rig."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,38 +12,40 @@ from jaxtyping import Float
 from mrgs.prepare.rig.adjust import Adjusted, Observations
 from mrgs.prepare.rig.contract import ChessboardTarget, RigPair, TargetFit
 from mrgs.prepare.rig.search import Guess
-from mrgs.prepare.rig.target.place import Placed, place
-from mrgs.prepare.rig.target.sightings import find_sightings
+from mrgs.prepare.rig.target.localise import TargetGeometry, localise
+from mrgs.prepare.rig.target.sightings import Sighting, find_sightings
 
 CORNERS = 1
 """The kind of a target's corners among observations; patches are 0."""
 
 
 @dataclass(frozen=True, eq=False)
-class SeenTarget:
-    """A target that was found and placed.
+class ObservedTarget:
+    """A target that was detected and located.
 
     Attributes:
-        placed: the sightings.
-        names: of the pair of each sighting.
-        square_m: width of its squares in metres, if known.
+        geometry: its sightings and their corners in space.
+        square_m: width of its squares in metres; None if not known.
     """
 
-    placed: Placed
-    names: tuple[str, ...]
+    geometry: TargetGeometry
     square_m: float | None
 
     def world_points(self, name: str) -> Float[np.ndarray, "k 3"]:
         """The corners that the photo of a pair sees, in the world; none if it does not see the
         target."""
-        if name not in self.names:
-            return np.zeros((0, 3))
-        index = self.names.index(name)
-        viewmat = self.placed.sightings[index].camera.viewmat.numpy()
-        return np.einsum("ji,nj->ni", viewmat[:3, :3], self.placed.points[index] - viewmat[:3, 3])
+        for sighting, points in self._located:
+            if sighting.name == name:
+                viewmat = sighting.camera.viewmat.numpy()
+                return np.einsum("ji,nj->ni", viewmat[:3, :3], points - viewmat[:3, 3])
+        return np.zeros((0, 3))
+
+    @property
+    def _located(self) -> Iterator[tuple[Sighting, Float[np.ndarray, "n 3"]]]:
+        return zip(self.geometry.sightings, self.geometry.points, strict=True)
 
     def observations(self, names: Sequence[str]) -> Observations:
-        """The corners in the thermal images.
+        """The corners in the thermal images, as observations of the adjustment.
 
         Args:
             names: of the pairs, in the order in which the cameras are counted.
@@ -51,11 +53,9 @@ class SeenTarget:
         views = [torch.zeros(0, dtype=torch.int64)]
         points = [torch.zeros(0, 3, dtype=torch.float64)]
         pixels = [torch.zeros(0, 2, dtype=torch.float64)]
-        for name, sighting, corners in zip(
-            self.names, self.placed.sightings, self.placed.points, strict=True
-        ):
-            if sighting.thermal is not None and name in names:
-                views.append(torch.full((len(corners),), list(names).index(name)))
+        for sighting, corners in self._located:
+            if sighting.thermal is not None and sighting.name in names:
+                views.append(torch.full((len(corners),), list(names).index(sighting.name)))
                 points.append(torch.from_numpy(corners))
                 pixels.append(torch.from_numpy(sighting.thermal.pixels.astype(np.float64)))
         count = sum(len(part) for part in views)
@@ -69,14 +69,16 @@ class SeenTarget:
         )
 
     def guess(self, width: int, height: int) -> Guess:
-        """The focal length, turn and shift that carry the corners best from the photos to the
-        thermal images.
+        """The focal length, rotation and shift that map the corners of the photos best to those of
+        the thermal images.
 
         Args:
             width: of the thermal images.
-            height: of them.
+            height: of the thermal images.
         """
-        both = [(s.rays, s.thermal.pixels) for s in self.placed.sightings if s.thermal is not None]
+        both = [
+            (s.rays, s.thermal.pixels) for s in self.geometry.sightings if s.thermal is not None
+        ]
         rays, pixels = (
             np.einsum("nj,j->n", np.concatenate(parts), (1, 1j))
             for parts in zip(*both, strict=True)
@@ -93,32 +95,32 @@ class SeenTarget:
         )
 
     def fit(self, adjusted: Adjusted, observations: Observations) -> TargetFit:
-        """How the adjusted cameras fit the target."""
+        """Reprojection errors of the target's corners in the adjusted cameras, and its scale."""
         residuals = adjusted.residual_px[observations.kinds == CORNERS]
         if not len(residuals):
             residuals = torch.full((1,), torch.nan)
-        still = self.placed.still
+        stationary = self.geometry.stationary
         return TargetFit(
-            pairs=sum(sighting.thermal is not None for sighting in self.placed.sightings),
-            still=still,
+            pairs=sum(sighting.thermal is not None for sighting in self.geometry.sightings),
+            stationary=stationary,
             residual_px=(float(residuals.quantile(0.5)), float(residuals.quantile(0.9))),
-            metres_per_unit=self.square_m / self.placed.square
-            if self.square_m is not None and still
+            metres_per_unit=self.square_m / self.geometry.square
+            if self.square_m is not None and stationary
             else None,
         )
 
 
-def see_target(
+def observe_target(
     pairs: Sequence[RigPair],
     target: ChessboardTarget,
     metres_per_unit: float | None,
     report: Callable[[str, int, int], None],
-) -> SeenTarget:
-    """Find a target in all pairs and place it before their cameras.
+) -> ObservedTarget:
+    """Detect a target in all pairs and locate its corners.
 
     Args:
         pairs: photos and thermal images.
-        target: what to look for.
+        target: to be detected.
         metres_per_unit: of the scene; None if that is not known.
         report: called with a stage's name, and how many of its steps are done and there are.
 
@@ -129,7 +131,4 @@ def see_target(
     square = None
     if target.square_m is not None and metres_per_unit is not None:
         square = target.square_m / metres_per_unit
-    placed = place(sightings, square)
-    return SeenTarget(
-        placed, tuple(pairs[sighting.pair].name for sighting in placed.sightings), target.square_m
-    )
+    return ObservedTarget(localise(sightings, square), target.square_m)

@@ -1,8 +1,8 @@
-"""Where the target was in front of each photo, in the units of the scene.
+"""Positions of the target's corners in the axes of each photo's camera, in scene units.
 
-A target that stands still is placed by the poses of all photos that see it, and so is the size of
-its squares; one that is moved by its own perspective, for which the size of its squares must be
-known.
+A stationary target is located by the poses of all photos that show it, which also gives the size of
+its squares. A target that is moved is located by its perspective, for which the size of its squares
+must be known.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.target.detect import Corners
-from mrgs.prepare.rig.target.plane import plane_pose
+from mrgs.prepare.rig.target.plane import board_points, plane_pose
 from mrgs.prepare.rig.target.sightings import Sighting
 from mrgs.scene.rotations import matrix_from_rotvec
 from mrgs.scene.view import spread
@@ -26,29 +26,29 @@ _FEWEST = 3
 _MOST_HYPOTHESES = 100
 _TURNED_RAD = np.radians(10)
 _ROUGH_SQUARES = 0.3
-_STILL_SQUARES = 0.15
+_STATIONARY_SQUARES = 0.15
 _UNCERTAIN = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """The target before the cameras.
+class TargetGeometry:
+    """The target in space.
 
     Attributes:
-        sightings: those that could be placed.
-        points: the corners of each, in their order, in the axes of the photo's camera.
+        sightings: with the corners of the stationary ones in one common order.
+        points: the corners of each sighting [N, 3], in the axes of the photo's camera, scene units.
         square: width of a square, in scene units.
-        still: how many of the sightings show it at one place in the world.
+        stationary: number of sightings that show the target at the same place in the world.
     """
 
     sightings: tuple[Sighting, ...]
     points: tuple[Float[np.ndarray, "n 3"], ...]
     square: float
-    still: int
+    stationary: int
 
 
 @dataclass(frozen=True, eq=False)
-class _Pose:
+class _BoardPose:
     """A sighting, and the motion from the board's axes to those of the photo's camera, lengths in
     squares."""
 
@@ -57,7 +57,7 @@ class _Pose:
 
     @property
     def centre(self) -> Float[np.ndarray, "3"]:
-        """Of projection, in the world."""
+        """Centre of projection in the world."""
         return self.sighting.camera.position.numpy()
 
     @property
@@ -85,23 +85,24 @@ class _Board:
         return self.origin + self.square * np.einsum("ij,nj->ni", self.rotation[:, :2], plane)
 
 
-def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
-    """Place the target in front of each photo.
+def localise(sightings: Sequence[Sighting], square: float | None = None) -> TargetGeometry:
+    """Locate the target's corners in front of each photo.
 
-    Each corner is put on the ray on which its photo shows it; only its depth is that of the board.
-    So an error of the photo's pose moves it along the ray alone, where the thermal camera, which is
-    near, sees little of it.
+    Each corner lies on the ray on which its photo shows it, at the depth of the board. So an error
+    of the photo's pose moves it along that ray only, which hardly moves it in the image of the
+    thermal camera beside it.
 
     Args:
         sightings: of the target.
         square: width of a square in scene units, if that is known.
 
     Raises:
-        SceneError: the target does not stand still, and the width of its squares is not known.
+        SceneError: the target is not stationary, and the width of its squares is not known.
     """
-    plane = _plane(sightings[0])
-    views = [_poses(sighting, plane) for sighting in sightings]
-    board, standing = _still_board(views, plane)
+    rows, columns, _ = sightings[0].photo.grid.shape
+    plane = board_points(columns, rows)
+    views = [_board_poses(sighting, plane) for sighting in sightings]
+    board, stationary = _stationary_board(views, plane)
     if board is None and square is None:
         raise SceneError(
             "the target cannot be used: its distance is not known. Let it stand still while it is "
@@ -111,72 +112,63 @@ def place(sightings: Sequence[Sighting], square: float | None = None) -> Placed:
         )
     width = square if board is None else board.square
     assert width is not None
-    placed = [standing.get(index, turns[0]) for index, turns in enumerate(views)]
+    poses = [stationary.get(index, orderings[0]) for index, orderings in enumerate(views)]
     depths = [
         _in_camera(pose.sighting, board.corners(plane))[:, 2]
-        if board is not None and index in standing
+        if board is not None and index in stationary
         else width * (np.einsum("j,nj->n", pose.motion[2, :2], plane) + pose.motion[2, 3])
-        for index, pose in enumerate(placed)
+        for index, pose in enumerate(poses)
     ]
     points = [
         np.column_stack([pose.sighting.rays, np.ones(len(plane))]) * depth[:, None]
-        for pose, depth in zip(placed, depths, strict=True)
+        for pose, depth in zip(poses, depths, strict=True)
     ]
-    return Placed(tuple(pose.sighting for pose in placed), tuple(points), width, len(standing))
+    return TargetGeometry(
+        tuple(pose.sighting for pose in poses), tuple(points), width, len(stationary)
+    )
 
 
-def _poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_Pose]:
-    """The sighting in each order that the board allows, and the motion from the board's axes in
-    that order."""
+def _board_poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_BoardPose]:
+    """The sighting in each order of its corners, with the board's pose in that order."""
     motion = plane_pose(sighting.rays, plane)
-    in_order = Corners(plane.reshape(sighting.photo.grid.shape)).turned()
+    reordered = Corners(plane.reshape(sighting.photo.grid.shape)).orderings()
     poses = []
-    for turn, corners in zip(sighting.turns(), in_order, strict=True):
+    for ordering, corners in zip(sighting.orderings(), reordered, strict=True):
         origin = corners.grid[0, 0]
         axes = np.eye(4)
         axes[:2, :2] = np.column_stack([corners.grid[0, 1] - origin, corners.grid[1, 0] - origin])
         axes[:2, 3] = origin
-        poses.append(_Pose(turn, motion @ axes))
+        poses.append(_BoardPose(ordering, motion @ axes))
     return poses
 
 
-def _plane(sighting: Sighting) -> Float[np.ndarray, "n 2"]:
-    """The corners on the board, row by row, a square being 1 wide."""
-    rows, columns, _ = sighting.photo.grid.shape
-    return (
-        np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        .reshape(-1, 2)
-        .astype(np.float64)
-    )
-
-
-def _still_board(
-    views: Sequence[Sequence[_Pose]], plane: Float[np.ndarray, "n 2"]
-) -> tuple[_Board | None, dict[int, _Pose]]:
-    """The board at the place where most photos see it, and these with their corners in one order;
-    None if there are too few, or if they see it from too much the same place to tell how far it
-    is."""
+def _stationary_board(
+    views: Sequence[Sequence[_BoardPose]], plane: Float[np.ndarray, "n 2"]
+) -> tuple[_Board | None, dict[int, _BoardPose]]:
+    """The board at the place where most photos see it, and the poses of these photos, with their
+    corners in one order; None if there are too few, or if they were taken from nearly the same
+    place, which leaves the distance open."""
     couples = list(combinations(range(len(views)), 2))
-    most: dict[int, _Pose] = {}
+    most: dict[int, _BoardPose] = {}
     for couple in spread(len(couples), _MOST_HYPOTHESES) if couples else []:
         first, second = (views[index] for index in couples[couple])
         guess = _from_two(first[0], second)
-        standing = {} if guess is None else _standing(guess, views, plane, _ROUGH_SQUARES)
-        if guess is not None and len(standing) > len(most):
-            best, most = guess, standing
+        consistent = {} if guess is None else _consistent(guess, views, plane, _ROUGH_SQUARES)
+        if guess is not None and len(consistent) > len(most):
+            best, most = guess, consistent
     if len(most) < _FEWEST:
         return None, {}
     board, uncertainty = _fitted(best, list(most.values()), plane)
-    standing = _standing(board, views, plane, _STILL_SQUARES)
-    if len(standing) < _FEWEST or uncertainty > _UNCERTAIN:
+    consistent = _consistent(board, views, plane, _STATIONARY_SQUARES)
+    if len(consistent) < _FEWEST or uncertainty > _UNCERTAIN:
         return None, {}
-    return board, standing
+    return board, consistent
 
 
-def _from_two(first: _Pose, second: Sequence[_Pose]) -> _Board | None:
-    """The board that two photos see at one place; None if they do not. Their distances from it,
-    counted in squares, follow from its perspective; the width of a square is the one with which the
-    two places meet."""
+def _from_two(first: _BoardPose, second: Sequence[_BoardPose]) -> _Board | None:
+    """The board that two photos see at one place; None if they do not. Their distances from it, in
+    squares, follow from its perspective; the width of a square is the one for which both give the
+    same place."""
     turned = max(second, key=lambda pose: float(np.trace(first.rotation.T @ pose.rotation)))
     if np.trace(first.rotation.T @ turned.rotation) < 1 + 2 * np.cos(_TURNED_RAD):
         return None
@@ -187,41 +179,40 @@ def _from_two(first: _Pose, second: Sequence[_Pose]) -> _Board | None:
     )
 
 
-def _standing(
+def _consistent(
     board: _Board,
-    views: Sequence[Sequence[_Pose]],
+    views: Sequence[Sequence[_BoardPose]],
     plane: Float[np.ndarray, "n 2"],
     tolerance: float,
-) -> dict[int, _Pose]:
-    """The views that see the board where it is, to within a share of a square, with the corners in
-    its order."""
+) -> dict[int, _BoardPose]:
+    """The views whose reprojection error is below a share of a square, with the corners in the
+    board's order."""
     corners = board.corners(plane)
     found = {}
-    for index, turns in enumerate(views):
-        misses = [_miss_squares(pose.sighting, corners) for pose in turns]
-        if min(misses) < tolerance:
-            found[index] = turns[int(np.argmin(misses))]
+    for index, orderings in enumerate(views):
+        errors = [_reprojection_squares(pose.sighting, corners) for pose in orderings]
+        if min(errors) < tolerance:
+            found[index] = orderings[int(np.argmin(errors))]
     return found
 
 
-def _miss_squares(sighting: Sighting, corners: Float[np.ndarray, "n 3"]) -> float:
-    """The median distance of the corners from where the photo shows them, as a share of a
-    square."""
+def _reprojection_squares(sighting: Sighting, corners: Float[np.ndarray, "n 3"]) -> float:
+    """The median reprojection error of the corners in the photo, as a share of a square."""
     inside = _in_camera(sighting, corners)
     if inside[:, 2].min() <= 0:
         return np.inf
-    misses = (
+    errors_px = (
         np.linalg.norm(inside[:, :2] / inside[:, 2:] - sighting.rays, axis=1)
         * sighting.camera.K[0, 0].item()
     )
-    return float(np.median(misses) / np.median(sighting.photo.spacing))
+    return float(np.median(errors_px) / np.median(sighting.photo.spacing))
 
 
 def _fitted(
-    board: _Board, poses: Sequence[_Pose], plane: Float[np.ndarray, "n 2"]
+    board: _Board, poses: Sequence[_BoardPose], plane: Float[np.ndarray, "n 2"]
 ) -> tuple[_Board, float]:
-    """The board that the photos show best, and how uncertain its distance is: one standard
-    deviation of the width of a square, as a share of it."""
+    """The board with the least reprojection error, and its uncertainty: one standard deviation of
+    the width of a square, as a share of it."""
     rotations = np.stack([pose.sighting.camera.viewmat[:3, :3].numpy() for pose in poses])
     shifts = np.stack([pose.sighting.camera.viewmat[:3, 3].numpy() for pose in poses])
     seen = np.stack([pose.sighting.rays for pose in poses])
@@ -234,12 +225,12 @@ def _fitted(
             board.square * float(np.exp(step[6])),
         )
 
-    def misses(step: Float[np.ndarray, "7"]) -> Float[np.ndarray, " k"]:
+    def residuals(step: Float[np.ndarray, "7"]) -> Float[np.ndarray, " k"]:
         inside = np.einsum("vij,nj->vni", rotations, moved(step).corners(plane)) + shifts[:, None]
         return (inside[..., :2] / inside[..., 2:] - seen).ravel()
 
-    scale = float(np.median(np.abs(misses(np.zeros(7))))) + 1e-9
-    fit = least_squares(misses, np.zeros(7), loss="soft_l1", f_scale=scale)
+    scale = float(np.median(np.abs(residuals(np.zeros(7))))) + 1e-9
+    fit = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=scale)
     variance = float(np.mean(fit.fun**2))
     return moved(fit.x), float(
         np.sqrt(variance * np.linalg.pinv(np.einsum("ka,kb->ab", fit.jac, fit.jac))[6, 6])
