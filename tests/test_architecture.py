@@ -3,6 +3,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -161,6 +162,16 @@ def test_the_check_of_what_is_run_can_fail(line):
 )
 def test_only_the_command_line_prints(name):
     assert not prints(parse(name))
+
+
+def test_no_two_classes_have_the_same_name():
+    defined = Counter(
+        node.name
+        for name in FILES
+        for node in ast.walk(parse(name))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert [name for name, count in defined.items() if count > 1] == []
 
 
 @pytest.mark.parametrize("module", ["mrgs", "mrgs.app.cli"])

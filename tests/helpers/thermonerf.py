@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from mrgs.baselines.thermonerf import ThermoNerfConfig
-from mrgs.baselines.thermonerf.field import FieldConfig
+from mrgs.baselines.thermonerf.field import NerfFieldConfig
 from mrgs.baselines.thermonerf.hash_grid import HashGridConfig
 from mrgs.baselines.thermonerf.sampling import SamplingConfig
 
@@ -16,7 +16,7 @@ def small_config(max_steps: int = 20, **changes: Any) -> ThermoNerfConfig:
     config = ThermoNerfConfig(
         max_steps=max_steps,
         rays_per_batch=256,
-        field=FieldConfig(grid=HashGridConfig(4, 4, 64, 12), hidden_width=16),
+        field=NerfFieldConfig(grid=HashGridConfig(4, 4, 64, 12), hidden_width=16),
         proposal=HashGridConfig(3, 4, 32, 10),
         sampling=SamplingConfig(proposal=24, field=12),
     )

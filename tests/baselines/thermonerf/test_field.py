@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.field import Field, FieldConfig, density_of, harmonics_of
+from mrgs.baselines.thermonerf.field import Field, NerfFieldConfig, density_of, harmonics_of
 from mrgs.baselines.thermonerf.hash_grid import HashGridConfig
 from mrgs.errors import ConfigError
 
@@ -26,7 +26,7 @@ def test_the_harmonics_are_orthonormal_on_the_sphere():
 
 def test_colour_depends_on_the_view_and_temperature_cannot():
     torch.manual_seed(0)
-    field = Field(FieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
+    field = Field(NerfFieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
     densities, features = field.density(torch.rand(5, 3))
     assert densities.shape == (5,)
     toward = [
@@ -40,7 +40,7 @@ def test_colour_depends_on_the_view_and_temperature_cannot():
 
 
 def test_both_heads_reach_the_shared_density_network():
-    field = Field(FieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
+    field = Field(NerfFieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
     positions = torch.rand(5, 3)
     harmonics = harmonics_of(torch.tensor([[1.0, 0, 0]]).expand(5, 3))
     for head in (lambda f: field.color(f, harmonics), field.temperature):
@@ -51,4 +51,4 @@ def test_both_heads_reach_the_shared_density_network():
 
 def test_a_width_below_one_is_refused():
     with pytest.raises(ConfigError, match="hidden_width and feature_width must be at least 1"):
-        FieldConfig(hidden_width=0)
+        NerfFieldConfig(hidden_width=0)

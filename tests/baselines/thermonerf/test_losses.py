@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrgs.baselines.thermonerf.losses import (
-    LossConfig,
+    NerfLossConfig,
     distortion_loss,
     interlevel_loss,
     squared_error,
@@ -90,4 +90,4 @@ def test_invalid_rays_do_not_count():
 
 def test_a_negative_weight_is_refused():
     with pytest.raises(ConfigError, match=r"distortion must not be negative, but is -1\.0"):
-        LossConfig(distortion=-1.0)
+        NerfLossConfig(distortion=-1.0)

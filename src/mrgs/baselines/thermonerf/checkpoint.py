@@ -14,12 +14,12 @@ from torch import Tensor
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
 from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.model import ThermoNerf
-from mrgs.baselines.thermonerf.step import TrainingState, make_state, new_model
+from mrgs.baselines.thermonerf.step import NerfState, make_state, new_model
 from mrgs.errors import RunError
 from mrgs.training.checkpoint import CheckpointFacts, load_facts, write
 
 
-def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
+def save(path: Path, state: NerfState, facts: CheckpointFacts) -> None:
     """Write everything needed to resume exactly, in one file that is either whole or
     not there.
 
@@ -49,7 +49,7 @@ def load_model(path: Path, config: ThermoNerfConfig) -> tuple[ThermoNerf, Checkp
     return _model(path, tensors, config), facts
 
 
-def load_state(path: Path, config: ThermoNerfConfig) -> TrainingState:
+def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
     """Everything in a checkpoint, to train on.
 
     Raises:

@@ -6,8 +6,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from mrgs.baselines.thermonerf.field import FieldConfig, HashGridConfig
-from mrgs.baselines.thermonerf.losses import LossConfig
+from mrgs.baselines.thermonerf.field import HashGridConfig, NerfFieldConfig
+from mrgs.baselines.thermonerf.losses import NerfLossConfig
 from mrgs.baselines.thermonerf.sampling import SamplingConfig
 from mrgs.errors import ConfigError
 from mrgs.system.strict_yaml import read_yaml
@@ -46,12 +46,12 @@ class ThermoNerfConfig:
     learning_rate: float = 1e-2
     learning_rate_final: float = 5e-4
     checkpoint_every: int = 1_000
-    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
+    field: NerfFieldConfig = dataclasses.field(default_factory=NerfFieldConfig)
     proposal: HashGridConfig = dataclasses.field(
         default_factory=lambda: HashGridConfig(5, 16, 256, 15)
     )
     sampling: SamplingConfig = dataclasses.field(default_factory=SamplingConfig)
-    loss: LossConfig = dataclasses.field(default_factory=LossConfig)
+    loss: NerfLossConfig = dataclasses.field(default_factory=NerfLossConfig)
 
     def __post_init__(self) -> None:
         for name in ("max_steps", "rays_per_batch", "checkpoint_every"):

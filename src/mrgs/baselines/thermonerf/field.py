@@ -26,7 +26,7 @@ PROPOSAL_UNITS = 16
 
 
 @dataclass(frozen=True)
-class FieldConfig:
+class NerfFieldConfig:
     """Size of the field.
 
     Attributes:
@@ -60,7 +60,7 @@ class Field(nn.Module):
     """Density shared by both modalities, colour that depends on the view, temperature that does
     not."""
 
-    def __init__(self, config: FieldConfig) -> None:
+    def __init__(self, config: NerfFieldConfig) -> None:
         super().__init__()
         width, features = config.hidden_width, config.feature_width
         self.grid = HashGrid(config.grid)

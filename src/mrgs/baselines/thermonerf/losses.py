@@ -13,7 +13,7 @@ from mrgs.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class LossConfig:
+class NerfLossConfig:
     """Weights of the terms; both squared errors have the weight 1.
 
     Attributes:

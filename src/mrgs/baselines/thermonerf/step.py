@@ -20,7 +20,7 @@ ADAM_EPSILON = 1e-15
 
 
 @dataclass
-class TrainingState:
+class NerfState:
     """All that changes during training, and so all that a checkpoint must hold.
 
     Attributes:
@@ -61,7 +61,7 @@ class ThermoNerfStatistics(NamedTuple):
     gaussians: None = None
 
 
-def initial_state(scene: Scene, config: ThermoNerfConfig) -> TrainingState:
+def initial_state(scene: Scene, config: ThermoNerfConfig) -> NerfState:
     """The state at step 0; every random choice follows from the seed, and torch's own generator is
     left alone."""
     return make_state(
@@ -78,16 +78,16 @@ def new_model(config: ThermoNerfConfig, frame: SceneFrame) -> ThermoNerf:
 
 def make_state(
     model: ThermoNerf, config: ThermoNerfConfig, generator: torch.Generator
-) -> TrainingState:
+) -> NerfState:
     """A state at step 0: a fresh optimizer around a model."""
     optimizer = torch.optim.Adam(
         model.parameters(), lr=config.learning_rate, eps=ADAM_EPSILON, fused=True
     )
-    return TrainingState(0, model, optimizer, generator)
+    return NerfState(0, model, optimizer, generator)
 
 
 def training_step(
-    state: TrainingState, pool: PixelPool, config: ThermoNerfConfig
+    state: NerfState, pool: PixelPool, config: ThermoNerfConfig
 ) -> ThermoNerfStatistics:
     """Draw rays, compare what they see with the photos, move the parameters; ``state`` is changed
     in place."""

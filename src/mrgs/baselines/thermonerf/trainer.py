@@ -13,8 +13,8 @@ from mrgs.baselines.thermonerf.model import ALL_ROWS
 from mrgs.baselines.thermonerf.pixels import MODALITIES, PixelPool
 from mrgs.baselines.thermonerf.run import require_cpu
 from mrgs.baselines.thermonerf.step import (
+    NerfState,
     ThermoNerfStatistics,
-    TrainingState,
     initial_state,
     training_step,
 )
@@ -98,7 +98,7 @@ def _config_of(folder: RunFolder) -> ThermoNerfConfig:
 class _Trainer(Driver[ThermoNerfStatistics]):
     """Trains a radiance field."""
 
-    def __init__(self, run: TrainingStart[ThermoNerfConfig, TrainingState]) -> None:
+    def __init__(self, run: TrainingStart[ThermoNerfConfig, NerfState]) -> None:
         self._config, self._state = run.config, run.state
         self._pool = PixelPool(run.scene, run.state.model.frame)
         super().__init__(run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every)

@@ -18,7 +18,7 @@ from mrgs.kernels.dense.activations import Activations
 from mrgs.kernels.dense.encoding import encode, encode_backward
 from mrgs.kernels.dense.layers import (
     SHARES,
-    Layer,
+    PackedLayer,
     Sums,
     blocks_of,
     linear,
@@ -57,9 +57,9 @@ def color_residuals(
 
 
 class _Network(NamedTuple):
-    first: Layer
-    second: Layer
-    output: Layer
+    first: PackedLayer
+    second: PackedLayer
+    output: PackedLayer
 
 
 class _NetworkSums(NamedTuple):

@@ -24,7 +24,7 @@ SHARES = 32
 of threads."""
 
 
-class Layer(NamedTuple):
+class PackedLayer(NamedTuple):
     """Weight and bias as ``multiply`` takes them.
 
     Attributes:
@@ -49,13 +49,13 @@ class Sums(NamedTuple):
     bias: np.ndarray
 
 
-def pack(weight: Tensor, bias: Tensor, back_inputs: int | None = None) -> Layer:
+def pack(weight: Tensor, bias: Tensor, back_inputs: int | None = None) -> PackedLayer:
     """A layer of weight [outputs, inputs]; only its first ``back_inputs`` inputs will get a
     gradient."""
     array = weight.detach().numpy()
     back = panels(array[:, :back_inputs])
     widths = rounded_up(len(bias), TILE_COLUMNS), back.shape[0] * TILE_COLUMNS
-    return Layer(
+    return PackedLayer(
         panels(array.T),
         _filled_up(bias.detach().numpy(), widths[0]),
         back,

@@ -20,7 +20,7 @@ from mrgs.kernels.dense.activations import Activations
 from mrgs.kernels.dense.encoding import encode
 from mrgs.kernels.dense.layers import (
     SHARES,
-    Layer,
+    PackedLayer,
     Sums,
     blocks_of,
     linear,
@@ -70,9 +70,9 @@ def project_features(
 
 
 class _Network(NamedTuple):
-    phi_sh: Layer
-    first: Layer
-    output: Layer
+    phi_sh: PackedLayer
+    first: PackedLayer
+    output: PackedLayer
 
 
 class _NetworkSums(NamedTuple):
