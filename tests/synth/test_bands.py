@@ -12,8 +12,8 @@ from mrgs.errors import ConfigError
 from mrgs.scene import Modality
 from mrgs_synth import synthesize
 from mrgs_synth.bands import BANDS, in_band, near_infrared
+from mrgs_synth.colors import from_srgb, to_srgb
 from mrgs_synth.stage import Material, Stage
-from mrgs_synth.tracer import from_srgb, to_srgb
 from mrgs_synth.write import SceneFolder
 
 NIR = BANDS["nir"]

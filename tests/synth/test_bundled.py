@@ -13,7 +13,8 @@ from scipy.ndimage import gaussian_filter
 
 from mrgs.scene import Camera, TemperatureRange
 from mrgs_synth.generate import RAYS_PER_SIDE
-from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.radiometry import exact_temperature
 from mrgs_synth.sensor import ThermalSensor, quantise
 from mrgs_synth.stage import Stage
 from mrgs_synth.tracer import PathTracer

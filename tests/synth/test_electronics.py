@@ -7,7 +7,8 @@ import numpy as np
 from mrgs_synth import bench
 from mrgs_synth import electronics as scene
 from mrgs_synth.circuit import Footprint
-from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.radiometry import exact_temperature
 from mrgs_synth.stage import Stage
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mrgs_synth import facade as scene
-from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.radiometry import exact_temperature
 from mrgs_synth.stage import Solid, Stage
 
 OUTSIDE = ("yard", "fields", "hills")

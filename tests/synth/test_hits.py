@@ -8,7 +8,8 @@ import torch
 
 from mrgs.scene import Camera
 from mrgs_synth.cameras import look_at, pinhole
-from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.radiometry import exact_temperature
 from mrgs_synth.shapes import sphere
 from mrgs_synth.stage import Solid, Stage
 

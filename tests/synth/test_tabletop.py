@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from mrgs_synth import tabletop as scene
-from mrgs_synth.hits import Triangles, exact_temperature, first_hits
+from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.radiometry import exact_temperature
 from mrgs_synth.stage import Stage
 
 ROOM = ("floor", "wall")

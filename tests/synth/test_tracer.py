@@ -11,10 +11,11 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
 from mrgs_synth.cameras import look_at, pinhole
+from mrgs_synth.colors import to_srgb
 from mrgs_synth.hits import Triangles, first_hits
 from mrgs_synth.shapes import box
 from mrgs_synth.stage import Stage
-from mrgs_synth.tracer import PathTracer, load_mitsuba, to_srgb
+from mrgs_synth.tracer import PathTracer, load_mitsuba
 
 
 def test_srgb_curve() -> None:
@@ -44,6 +45,23 @@ def test_photos_and_first_hits_see_the_same_outlines(tmp_path: Path, two_boxes: 
     assert 0.02 < is_box.mean() < 0.5
     assert (is_red != is_box).mean() < 0.2 * is_box.mean()  # pixels on the outline alone
     assert photo.max(axis=-1).min() > 20  # no black areas
+
+
+def test_the_meter_keeps_bright_and_dark_scenes_visible(tmp_path: Path, two_boxes: Stage) -> None:
+    pytest.importorskip("mitsuba", reason="the extra synth is not installed")
+    cameras = two_boxes.cameras.train(2, 64, 48, np.random.default_rng(0))
+    means = []
+    for factor in (0.01, 30.0):
+        lamp = dataclasses.replace(two_boxes.lamps[0], radiance=(factor, factor, factor))
+        stage = dataclasses.replace(two_boxes, lamps=(lamp,), sky=None, exposure=None)
+        tracer = PathTracer(stage, tmp_path)
+        exposure = tracer.meter(cameras, seed=0)
+        photo = tracer.photograph(cameras[0], samples=8, seed=0)
+        means.append(photo.mean())
+        assert (photo > 250).all(axis=-1).mean() < 0.1
+    assert exposure < 1.0
+    assert 70.0 < means[0] < 170.0
+    assert means[0] == pytest.approx(means[1], abs=3.0)
 
 
 def test_a_panorama_is_seen_where_it_should_be(tmp_path: Path, two_boxes: Stage) -> None:

@@ -2,7 +2,8 @@
 behind them.
 
 A scene kind is one file that returns a ``Stage`` (see ``tabletop``) and a line in
-``generate.STAGES``.
+``generate.STAGES``; one whose layout is drawn from the seed is a file in ``random_scenes`` and a
+line in ``random_scenes.kinds.KINDS``.
 """
 
 from mrgs_synth.generate import SceneKind, synthesize

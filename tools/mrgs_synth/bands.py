@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from mrgs.scene import Modality
+from mrgs_synth.colors import from_srgb, to_srgb
 from mrgs_synth.stage import Lamp, Material, Stage
-from mrgs_synth.tracer import from_srgb, to_srgb
 
 NEAR_INFRARED_LIFT = {"matte": 0.25, "glossy": 0.4, "metal": 0.0}
 """How far dyes and paints are on the way from their strongest colour to white (0 to 1): organic

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,22 +17,28 @@ from mrgs.scene import Camera
 from mrgs_synth.bands import BANDS, in_band
 from mrgs_synth.electronics import electronics
 from mrgs_synth.facade import facade
-from mrgs_synth.hits import Hits, Triangles, exact_temperature, first_hits
+from mrgs_synth.hits import Hits, Triangles, first_hits
 from mrgs_synth.points import sparse_points
+from mrgs_synth.radiometry import exact_temperature
+from mrgs_synth.random_scenes import KINDS, drawn_kind, drawn_stage
 from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
 from mrgs_synth.stage import Stage
 from mrgs_synth.tabletop import tabletop
 from mrgs_synth.tracer import PathTracer
 from mrgs_synth.write import DEPTH_STEP_M, TEMPERATURE_STEP_C, SceneFolder
 
-SceneKind = Literal["tabletop", "facade", "electronics"]
-STAGES: dict[SceneKind, Callable[[int], Stage]] = {
+SceneKind = Literal[
+    "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine", "random"
+]
+STAGES: dict[str, Callable[[int], Stage]] = {
     "tabletop": tabletop,
     "facade": facade,
     "electronics": electronics,
+    **{kind: partial(drawn_stage, kind) for kind in KINDS},
 }
 
 RAYS_PER_SIDE = 4
+METERED_VIEWS = 6
 POINTS = 7000
 
 
@@ -62,20 +69,23 @@ def synthesize(
     """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments and Mitsuba
     give the same files.
 
-    Surfaces emit as black bodies and reflect no heat, so the exact temperature of a pixel is the
-    mean over the surfaces within it (16 rays); the exact depth is the z-depth at the pixel's
-    centre. Both are written as ``output/truth/{temperature,depth}/NAME.tiff``; how the scene was
-    made, as ``output/truth/synth.json``.
+    The exact temperature of a pixel is the mean over the pixel (16 rays) of what an ideal camera
+    reads that is set to an emissivity of 1 (``radiometry``): the surfaces' own temperature where
+    they are black bodies, as in the scenes that are not drawn; in the others they also reflect
+    heat. The exact depth is the z-depth at the pixel's centre. Both are written as
+    ``output/truth/{temperature,depth}/NAME.tiff``; how the scene was made, as
+    ``output/truth/synth.json``.
 
     Args:
         output: the new scene folder.
-        scene: what to generate.
+        scene: what to generate; "random" is a kind of ``random_scenes`` that the seed chooses.
         width: image width in pixels, even.
         height: image height in pixels, even.
         train_views: number of training views, 2 or more.
         eval_views: number of evaluation views, which lie between the training views.
         samples: paths per pixel of the colour photos; the time is proportional to it.
-        seed: of the textures, the camera jitter and all noise.
+        seed: of the textures, the camera jitter and all noise; in scenes that are drawn, of
+            everything.
         truth: whether the truth is written for the evaluation views or for all.
         bands: further modalities, of ``BANDS``: "nir" is near infrared. The other files stay the
             same, but for ``transforms.json``.
@@ -86,35 +96,37 @@ def synthesize(
             installed.
     """
     _check(width, height, train_views, eval_views, samples, bands)
-    stage = STAGES[scene](seed)
+    kind = drawn_kind(seed) if scene == "random" else scene
+    stage = STAGES[kind](seed)
     cameras = _cameras(stage, width, height, train_views, eval_views, seed)
-    tracer = _tracer(stage)
+    tracer = _tracer(stage, cameras, seed)
     target = SceneFolder.create(output)
     shots = _photograph(stage, tracer, cameras, samples, seed, progress)
-    for name, shot in shots.items():
-        target.rgb(name, shot.photo)
-        if truth == "all" or "_eval_" in name:
-            target.truth(name, shot.exact_c, shot.hits.depth_m)
-    sensor = ThermalSensor()
-    _write_thermal(target, sensor, shots, seed)
+    _write_photos(target, shots, every_truth=truth == "all")
+    _write_thermal(target, stage.sensor, shots, seed)
     for band in bands:
         _write_band(target, stage, band, cameras, samples, seed)
-    train = [name for name in cameras if "_train_" in name]
-    rng = np.random.default_rng([seed, 4])
-    target.points(
-        *sparse_points(
-            [cameras[name] for name in train],
-            [shots[name].hits for name in train],
-            [shots[name].photo for name in train],
-            POINTS,
-            stage.point_noise_m,
-            rng,
-        )
-    )
+    _write_points(target, stage, cameras, shots, seed)
     target.parameters(
-        {"scene": scene, "seed": seed, "samples": samples, **_fixed_parameters(stage, sensor)}
+        {"scene": scene, **({"kind": kind} if kind != scene else {})}
+        | {"seed": seed, "samples": samples, **_stage_parameters(stage)}
     )
     target.transforms(cameras, [BANDS[band].modality for band in bands])
+
+
+def _write_points(
+    target: SceneFolder, stage: Stage, cameras: dict[str, Camera], shots: dict[str, Shot], seed: int
+) -> None:
+    train = [name for name in cameras if "_train_" in name]
+    points = sparse_points(
+        [cameras[name] for name in train],
+        [shots[name].hits for name in train],
+        [shots[name].photo for name in train],
+        POINTS,
+        stage.point_noise_m,
+        np.random.default_rng([seed, 4]),
+    )
+    target.points(*points)
 
 
 def _check(
@@ -140,9 +152,12 @@ def _check(
         )
 
 
-def _tracer(stage: Stage) -> PathTracer:
+def _tracer(stage: Stage, cameras: dict[str, Camera], seed: int) -> PathTracer:
     with tempfile.TemporaryDirectory() as folder:
-        return PathTracer(stage, Path(folder))
+        tracer = PathTracer(stage, Path(folder))
+    if stage.exposure is None:
+        tracer.meter(list(cameras.values())[:: max(len(cameras) // METERED_VIEWS, 1)], seed)
+    return tracer
 
 
 def _cameras(
@@ -184,6 +199,13 @@ def _photograph(
     return shots
 
 
+def _write_photos(target: SceneFolder, shots: dict[str, Shot], every_truth: bool) -> None:
+    for name, shot in shots.items():
+        target.rgb(name, shot.photo)
+        if every_truth or "_eval_" in name:
+            target.truth(name, shot.exact_c, shot.hits.depth_m)
+
+
 def _write_thermal(
     target: SceneFolder, sensor: ThermalSensor, shots: dict[str, Shot], seed: int
 ) -> None:
@@ -204,21 +226,24 @@ def _write_band(
     seed: int,
 ) -> None:
     """Photograph the stage in another band of light, from the same cameras."""
-    tracer, seeds = _tracer(in_band(stage, BANDS[band])), _photo_seeds(cameras, seed)
+    tracer = _tracer(in_band(stage, BANDS[band]), cameras, seed)
+    seeds = _photo_seeds(cameras, seed)
     for name, camera in cameras.items():
         photo = tracer.photograph(camera, samples, seeds[name])
         target.band(BANDS[band].modality, name, photo[..., 0])
 
 
-def _fixed_parameters(stage: Stage, sensor: ThermalSensor) -> dict[str, Any]:
+def _stage_parameters(stage: Stage) -> dict[str, Any]:
+    emissivities = [solid.material.emissivity for solid in stage.solids]
+    lowest, highest = min(emissivities), max(emissivities)
     return {
-        "thermal_sensor": asdict(sensor)
+        "thermal_sensor": asdict(stage.sensor)
         | {"detector_pixels_per_image_pixel": 0.5, "image_bits": 8},
         "truth": {
             "rays_per_pixel": RAYS_PER_SIDE**2,
             "temperature_step_c": TEMPERATURE_STEP_C,
             "depth_step_m": DEPTH_STEP_M,
-            "emissivity": 1.0,
+            "emissivity": 1.0 if lowest == 1.0 else [round(lowest, 3), round(highest, 3)],
         },
         "sparse_point_noise_m": stage.point_noise_m,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import no_type_check
 
 import numpy as np
@@ -12,17 +13,20 @@ from jaxtyping import Float, Int
 from numba import njit
 
 from mrgs.scene import Camera
-from mrgs_synth.stage import Solid, Stage
+from mrgs_synth.boxtree import BoxTree
+from mrgs_synth.stage import Solid
 
 NEAR_M = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """All triangles of a stage: corners in world coordinates [F, 3, 3] and the index of each one's
-    solid [F]."""
+    """All triangles of a stage: corners in world coordinates [F, 3, 3], the unit normals and the
+    texture coordinates there, and the index of each one's solid [F]."""
 
     corners: Float[np.ndarray, "f 3 3"]
+    normals: Float[np.ndarray, "f 3 3"]
+    uv: Float[np.ndarray, "f 3 2"]
     solid: Int[np.ndarray, " f"]
 
     @classmethod
@@ -31,7 +35,25 @@ class Triangles:
         meshes = [solid.world_mesh() for solid in solids]
         counts = [len(mesh.faces) for mesh in meshes]
         corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
-        return cls(corners, np.repeat(np.arange(len(meshes)), counts))
+        normals = np.concatenate([mesh.normals[mesh.faces] for mesh in meshes])
+        uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
+        return cls(corners, normals, uv, np.repeat(np.arange(len(meshes)), counts))
+
+    def weights(
+        self, triangle: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Barycentric coordinates of points of triangles."""
+        a, b, c = (self.corners[triangle, corner] for corner in range(3))
+        flat = np.cross(b - a, c - a)
+        area = (flat * flat).sum(axis=1)
+        weight_b = (np.cross(points - a, c - a) * flat).sum(axis=1) / area
+        weight_c = (np.cross(b - a, points - a) * flat).sum(axis=1) / area
+        return np.stack([1.0 - weight_b - weight_c, weight_b, weight_c], axis=1)
+
+    @cached_property
+    def tree(self) -> BoxTree:
+        """For rays that do not start at a camera."""
+        return BoxTree.of(self.corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +62,13 @@ class Hits:
 
     Attributes:
         depth_m: z-depth, [H, W]; 0 where a ray meets nothing.
+        triangle: index of the triangle, [H, W]; −1 where a ray meets nothing.
         solid: index of the solid, [H, W]; −1 where a ray meets nothing.
         points: world coordinates of the hits, [H, W, 3].
     """
 
     depth_m: Float[np.ndarray, "h w"]
+    triangle: Int[np.ndarray, "h w"]
     solid: Int[np.ndarray, "h w"]
     points: Float[np.ndarray, "h w 3"]
 
@@ -62,26 +86,7 @@ def first_hits(camera: Camera, triangles: Triangles) -> Hits:
     depth[missed] = 0.0
     rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
     points = (rays * depth[..., None] - translation) @ rotation
-    return Hits(depth, np.where(missed, -1, triangles.solid[nearest]), points)
-
-
-def exact_temperature(
-    camera: Camera, stage: Stage, triangles: Triangles, rays_per_side: int
-) -> Float[np.ndarray, "h w"]:
-    """The mean temperature of the surfaces within each pixel, °C, from ``rays_per_side``² rays per
-    pixel."""
-    fine = camera.resized(camera.width * rays_per_side, camera.height * rays_per_side)
-    hits = first_hits(fine, triangles)
-    celsius = np.empty(hits.solid.shape)
-    beyond = hits.solid < 0
-    celsius[beyond] = stage.beyond_c(_directions(fine)[beyond])
-    for index, solid in enumerate(stage.solids):
-        here = hits.solid == index
-        celsius[here] = solid.temperature_at(hits.points[here])
-    mean: Float[np.ndarray, "h w"] = celsius.reshape(
-        camera.height, rays_per_side, camera.width, rays_per_side
-    ).mean(axis=(1, 3))
-    return mean
+    return Hits(depth, nearest, np.where(missed, -1, triangles.solid[nearest]), points)
 
 
 def _ray_slopes(camera: Camera) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, " h"]]:
@@ -93,7 +98,7 @@ def _ray_slopes(camera: Camera) -> tuple[Float[np.ndarray, " w"], Float[np.ndarr
     return x, y
 
 
-def _directions(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+def ray_directions(camera: Camera) -> Float[np.ndarray, "h w 3"]:
     """Unit vectors, in the world, from the camera through the centres of its pixels."""
     x, y = _ray_slopes(camera)
     rays = (

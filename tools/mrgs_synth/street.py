@@ -78,12 +78,12 @@ def _ground(rng: np.random.Generator) -> list[Solid]:
 def _plants(rng: np.random.Generator) -> list[Solid]:
     """A clipped hedge beside the house, a lower one below its windows, and a bare tree."""
     look = Material(outdoor.leaves(256, 768, rng), infrared_lift=0.5)
-    tall, low = _hedge(5.6, 0.7, 1.15, rng), _hedge(3.4, 0.6, 0.7, rng)
-    hedge = merge([tall.placed(-9.6, -2.6, 0.0), low.placed(-3.2, -0.75, 0.0)])
-    trunk, twigs = _tree(rng)
+    tall, low = hedge(5.6, 0.7, 1.15, rng), hedge(3.4, 0.6, 0.7, rng)
+    clipped = merge([tall.placed(-9.6, -2.6, 0.0), low.placed(-3.2, -0.75, 0.0)])
+    trunk, twigs = tree(rng, TREE)
     bark = Material(textures.wood(256, 128, 2, rng, (48, 38, 30), (112, 94, 76)))
     return [
-        Solid("hedge", hedge, look, _hedge_c),
+        Solid("hedge", clipped, look, _hedge_c),
         Solid("tree", trunk, bark, constant(-2.2)),
         Solid("twigs", twigs, bark, constant(-4.0)),
     ]
@@ -94,7 +94,7 @@ def _hedge_c(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     return -2.2 - 1.8 * points[:, 2].clip(0.0, 1.2)
 
 
-def _hedge(length: float, width: float, height: float, rng: np.random.Generator) -> Mesh:
+def hedge(length: float, width: float, height: float, rng: np.random.Generator) -> Mesh:
     """A clipped hedge: a rounded profile along x with uneven leaves; its ends taper to the
     ground."""
     around, along = np.linspace(0.0, np.pi, 15), np.linspace(-1.0, 1.0, max(round(length * 8), 8))
@@ -109,7 +109,7 @@ def _hedge(length: float, width: float, height: float, rng: np.random.Generator)
     return grid_mesh(points, -normals, uv)
 
 
-def _tree(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
+def tree(rng: np.random.Generator, foot: tuple[float, float, float]) -> tuple[Mesh, Mesh]:
     """A bare tree: trunk and boughs, and the twigs."""
     parts: list[list[Mesh]] = [[], []]
 
@@ -138,7 +138,7 @@ def _tree(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
                 radius * 0.55,
             )
 
-    grow(np.array(TREE), np.array([0.05, 0.0, 1.0]), 2.4, 0.13)
+    grow(np.array(foot), np.array([0.05, 0.0, 1.0]), 2.4, 0.13)
     return merge(parts[0]), merge(parts[1])
 
 
@@ -245,7 +245,7 @@ def _neighbours(rng: np.random.Generator) -> list[Solid]:
         )
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     forest = textures.blend((38, 46, 44), (108, 112, 108), textures.noise(128, 1536, (8, 160), rng))
-    return [*solids, Solid("hills", _hills(angle, rng), Material(forest), constant(-8.0))]
+    return [*solids, Solid("hills", hills(angle, rng), Material(forest), constant(-8.0))]
 
 
 def _neighbour_c(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
@@ -264,7 +264,7 @@ def _far_front(colour: textures.Colour, rng: np.random.Generator) -> textures.Te
     return np.asarray(image)
 
 
-def _hills(angle: Float[np.ndarray, " n"], rng: np.random.Generator) -> Mesh:
+def hills(angle: Float[np.ndarray, " n"], rng: np.random.Generator) -> Mesh:
     """A ring of hills seen from within it."""
     bumps = np.array(
         [

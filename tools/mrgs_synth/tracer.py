@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,14 @@ from jaxtyping import Float, UInt8
 from mrgs.data.ply import table, write_ply
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
+from mrgs_synth.colors import to_srgb
+from mrgs_synth.denoise import Guide, denoised
 from mrgs_synth.shapes import Mesh
 from mrgs_synth.stage import Lamp, Material, Stage
 
-MAX_BOUNCES = 4
+METER_SAMPLES = 16
+SHOTS = 4
+"""Pictures of a quarter of the samples each, of which a photo without noise is made."""
 
 
 class PathTracer:
@@ -31,10 +36,11 @@ class PathTracer:
             ConfigError: Mitsuba is not installed.
         """
         self._mitsuba = load_mitsuba()
-        self._exposure = stage.exposure
+        self._guide = Guide(stage.solids) if stage.denoised else None
+        self._exposure = 1.0 if stage.exposure is None else stage.exposure
         description: dict[str, Any] = {
             "type": "scene",
-            "integrator": {"type": "path", "max_depth": MAX_BOUNCES + 1},
+            "integrator": {"type": "path", "max_depth": stage.bounces + 1},
         }
         if stage.sky is not None:
             description["sky"] = self._sky(stage.sky)
@@ -53,10 +59,26 @@ class PathTracer:
 
     def photograph(self, camera: Camera, samples: int, seed: int) -> UInt8[np.ndarray, "h w 3"]:
         """An sRGB photo with the mean of ``samples`` paths per pixel."""
+        if self._guide is None or samples < SHOTS:
+            return to_srgb(self._exposure * self._radiance(camera, samples, seed))
+        shots = [self._radiance(camera, samples // SHOTS, SHOTS * seed + n) for n in range(SHOTS)]
+        return to_srgb(self._exposure * denoised(np.stack(shots), self._guide.of(camera)))
+
+    def meter(self, cameras: Sequence[Camera], seed: int) -> float:
+        """Choose one exposure for all photos, as a camera's light meter does, from small pictures
+        by some cameras: half of the pixels above a fifth of white, few above white."""
+        small = [camera.resized(32, 24) for camera in cameras]
+        radiance = np.stack([self._radiance(camera, METER_SAMPLES, seed) for camera in small])
+        luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
+        middle, bright = np.quantile(luminance, [0.5, 0.96])
+        self._exposure = float(min(0.22 / max(middle, 1e-9), 0.95 / max(bright, 1e-9)))
+        return self._exposure
+
+    def _radiance(self, camera: Camera, samples: int, seed: int) -> Float[np.ndarray, "h w 3"]:
         radiance = self._mitsuba.render(
             self._scene, sensor=self._sensor(camera), spp=samples, seed=seed
         )
-        return to_srgb(self._exposure * np.array(radiance, dtype=np.float64))
+        return np.array(radiance, dtype=np.float64)
 
     def _sensor(self, camera: Camera) -> Any:
         to_world = np.linalg.inv(camera.viewmat.numpy()) @ np.diag(
@@ -151,24 +173,6 @@ def _irradiance(lamp: Lamp) -> float:
     area = lamp.size_m[0] * lamp.size_m[1]
     distance = np.subtract(lamp.target, lamp.position)
     return float(np.mean(lamp.radiance) * area / (distance @ distance + area / np.pi))
-
-
-def to_srgb(linear: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
-    """Linear light -> 8-bit sRGB (IEC 61966-2-1); what lies outside [0, 1] is clipped."""
-    value = linear.clip(0.0, 1.0)
-    curve = np.where(
-        value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1 / 2.4) - 0.055
-    )
-    return np.round(255.0 * curve).astype(np.uint8)
-
-
-def from_srgb(value: UInt8[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """8-bit sRGB -> linear light; the inverse of ``to_srgb``."""
-    share = value / 255.0
-    linear: Float[np.ndarray, "*shape"] = np.where(
-        share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
-    )
-    return linear
 
 
 def _write_mesh(path: Path, mesh: Mesh) -> None:

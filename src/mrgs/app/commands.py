@@ -323,8 +323,12 @@ class Synth:
 
     output: tyro.conf.Positional[Path]
     """Folder of the new scene."""
-    scene: Literal["tabletop", "facade", "electronics"] = "tabletop"
-    """Scene: things on a table, a house in winter, or a powered circuit board."""
+    scene: Literal[
+        "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine", "random"
+    ] = "tabletop"
+    """Scene: things on a table, a house in winter, a powered circuit board; or one of the kinds
+    whose layout is drawn from the seed: room, house, circuit, roof, machine. random also draws the
+    kind."""
     train_views: int = 40
     """Number of training views."""
     eval_views: int = 8
@@ -334,9 +338,9 @@ class Synth:
     height: int = 240
     """Image height in pixels."""
     samples: int = 64
-    """Paths per pixel; more take longer and reduce noise."""
+    """Paths per pixel; more take longer and reduce noise. 8 suffice for the drawn kinds."""
     seed: int = 0
-    """Seed of the scene's random details and of the sensor's noise."""
+    """Seed of the scene, or of its random details, and of the sensor's noise."""
     nir: bool = False
     """Also take near-infrared photos, a third modality."""
 

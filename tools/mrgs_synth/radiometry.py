@@ -1,0 +1,160 @@
+"""What an ideal thermal camera reads: emission and one reflection, without an atmosphere between.
+
+A surface of emissivity ε and temperature T emits the share ε of a black body's radiance and
+reflects 1 − ε of what meets it (Kirchhoff's law for opaque grey bodies). With radiance proportional
+to T⁴ (Stefan and Boltzmann), a camera that is set to an emissivity of 1 reads, in kelvin,
+
+    T_read = (ε T⁴ + (1 − ε) T_reflected⁴)^(1/4).
+
+A mirror reflects what lies in the direction r = d − 2 (d·n) n of the ray d at the normal n: the
+first surface there, which emits with its own ε and scatters the mean of its surroundings, or what
+lies beyond all surfaces. A rough surface reflects the mean of its surroundings
+(``Stage.surroundings_c``) alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mrgs.scene import Camera
+from mrgs_synth.hits import Triangles, first_hits, ray_directions
+from mrgs_synth.stage import Stage
+
+KELVIN = 273.15
+
+
+def exact_temperature(
+    camera: Camera, stage: Stage, triangles: Triangles, rays_per_side: int
+) -> Float[np.ndarray, "h w"]:
+    """The mean over each pixel of what an ideal camera reads, °C, from ``rays_per_side``² rays per
+    pixel.
+
+    Where all surfaces are black bodies this is the mean of their temperatures.
+    """
+    fine = camera.resized(camera.width * rays_per_side, camera.height * rays_per_side)
+    hits = first_hits(fine, triangles)
+    directions = ray_directions(fine)
+    celsius = np.empty(hits.solid.shape)
+    seen = hits.solid >= 0
+    celsius[~seen] = stage.beyond_c(directions[~seen])
+    celsius[seen] = surface_reading(
+        stage, triangles, hits.triangle[seen], hits.points[seen], directions[seen]
+    )
+    mean: Float[np.ndarray, "h w"] = celsius.reshape(
+        camera.height, rays_per_side, camera.width, rays_per_side
+    ).mean(axis=(1, 3))
+    return mean
+
+
+def surface_reading(
+    stage: Stage,
+    triangles: Triangles,
+    triangle: Int[np.ndarray, " n"],
+    points: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, " n"]:
+    """What an ideal camera reads of points of the surfaces, °C.
+
+    Args:
+        stage: the surfaces.
+        triangles: their triangles.
+        triangle: index of each point's triangle.
+        points: in world coordinates, metres.
+        directions: unit vectors from the camera to the points.
+    """
+    celsius, emissivity, mirror = _emission(stage, triangles, triangle, points)
+    if mirror.any():
+        chosen = triangle[mirror], points[mirror], directions[mirror]
+        reflected = _mirrored(stage, triangles, *chosen)
+        celsius[mirror] = mixed(celsius[mirror], emissivity[mirror], reflected)
+    return celsius
+
+
+def mixed(
+    own_c: Float[np.ndarray, " n"],
+    emissivity: Float[np.ndarray, " n"],
+    reflected_c: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """The reading of a surface that reflects what reads ``reflected_c``, °C; exactly ``own_c`` at
+    an emissivity of 1."""
+    power = emissivity * (own_c + KELVIN) ** 4 + (1.0 - emissivity) * (reflected_c + KELVIN) ** 4
+    return np.where(emissivity == 1.0, own_c, power**0.25 - KELVIN)
+
+
+def facing_normals(
+    triangles: Triangles,
+    triangle: Int[np.ndarray, " n"],
+    points: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Unit normals at points of triangles, interpolated between the corners, on the side that rays
+    of these directions meet."""
+    a, b, c = (triangles.corners[triangle, corner] for corner in range(3))
+    flat = np.cross(b - a, c - a)
+    weights = triangles.weights(triangle, points)
+    smooth = (weights[:, :, None] * triangles.normals[triangle]).sum(axis=1)
+    for normals in (smooth, flat):
+        normals *= -np.sign((normals * directions).sum(axis=1, keepdims=True))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-300)
+    turned_away = (smooth * flat).sum(axis=1) < 0.5
+    smooth[turned_away] = flat[turned_away]
+    return smooth
+
+
+def _emission(
+    stage: Stage,
+    triangles: Triangles,
+    triangle: Int[np.ndarray, " n"],
+    points: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Readings of black and rough points and temperatures of mirrors in °C, emissivities, and which
+    points are mirrors."""
+    celsius = np.empty(len(points))
+    of_point = triangles.solid[triangle]
+    order = np.argsort(of_point, kind="stable")
+    ends = np.searchsorted(of_point[order], np.arange(len(stage.solids)), side="right")
+    for solid, here in zip(stage.solids, np.split(order, ends[:-1]), strict=True):
+        if len(here):
+            celsius[here] = solid.temperature_at(points[here])
+    emissivity = np.array([solid.material.emissivity for solid in stage.solids])[of_point]
+    mirror = np.array([solid.material.heat_mirror for solid in stage.solids])[of_point]
+    mirror &= emissivity < 1.0
+    rough = (emissivity < 1.0) & ~mirror
+    if rough.any():
+        scattered = _scattered(stage, triangles, triangle[rough])
+        celsius[rough] = mixed(celsius[rough], emissivity[rough], scattered)
+    return celsius, emissivity, mirror
+
+
+def _scattered(
+    stage: Stage, triangles: Triangles, triangle: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """The mean of what triangles face, °C."""
+    normals = triangles.normals.mean(axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
+    return stage.surroundings_c(normals)[triangle]
+
+
+def _mirrored(
+    stage: Stage,
+    triangles: Triangles,
+    triangle: Int[np.ndarray, " n"],
+    points: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, " n"]:
+    """What the mirror directions read, °C; a mirror found there scatters like a rough surface."""
+    normals = facing_normals(triangles, triangle, points, directions)
+    rays = directions - 2.0 * (directions * normals).sum(axis=1, keepdims=True) * normals
+    start = points - 1e-6 * directions  # in front of the surface, whatever the rounding
+    distance, met = triangles.tree.cast(start, rays)
+    hit = met >= 0
+    celsius = np.empty(len(points))
+    celsius[~hit] = stage.beyond_c(rays[~hit])
+    there = start[hit] + distance[hit, None] * rays[hit]
+    own, emissivity, mirror = _emission(stage, triangles, met[hit], there)
+    if mirror.any():
+        scattered = _scattered(stage, triangles, met[hit][mirror])
+        own[mirror] = mixed(own[mirror], emissivity[mirror], scattered)
+    celsius[hit] = own
+    return celsius
