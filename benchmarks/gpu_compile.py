@@ -146,7 +146,7 @@ def parse_log(log: str) -> dict[str, int]:
     pattern = r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads"
     frames = [tuple(map(int, frame)) for frame in re.findall(pattern, log)]
     if not registers or not frames:
-        raise ValueError(f"ptxas told nothing of its registers and spills: {log.strip()!r}")
+        raise ValueError(f"ptxas said nothing of its registers and spills: {log.strip()!r}")
     stack, stores, loads = (sum(column) for column in zip(*frames, strict=True))
     return {
         "registers": max(registers),

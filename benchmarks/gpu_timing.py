@@ -66,7 +66,7 @@ class Clock:
             torch.cuda.synchronize(self.device)
 
     def _start(self, run: Callable[[], object], flush: bool) -> Callable[[], float]:
-        """Queue a run; what is returned tells its milliseconds once the device has done it."""
+        """Queue a run; what is returned gives its milliseconds once the device has done it."""
         if self._flush is None:
             started = time.perf_counter()
             run()

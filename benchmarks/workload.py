@@ -47,7 +47,7 @@ CAPTURE = Capture((VIEWPOINT,), EXTENT, has_celsius=True)
 
 STEP_IN_FORCE = 20_000
 """Steps are measured after this one: all degrees of the harmonics in use, the neighbours not
-searched anew."""
+searched again."""
 
 
 def room(count: int, seed: int = 0) -> dict[str, Tensor]:

@@ -82,6 +82,7 @@ class Model:
                 degree,
                 rows,
                 self.temperature_residuals,
+                self.sh_degree,
             )
         return self.field.intensities(modality, self.gaussians, camera_position, degree, rows)
 
@@ -106,7 +107,9 @@ def bake_temperature_residuals(model: Model) -> Model:
     if not model.field.config.residuals:
         return model
     with torch.no_grad():
-        residuals = model.field.temperature_residuals(model.gaussians, model.neighbours)
+        residuals = model.field.temperature_residuals(
+            model.gaussians, model.neighbours, color_degree=model.sh_degree
+        )
     return replace(model, temperature_residuals=residuals)
 
 

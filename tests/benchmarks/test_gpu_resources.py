@@ -132,7 +132,7 @@ ptxas info    : Function properties for helper
 ptxas info    : Used 22 registers
 """
     assert parse_log(log) == {"registers": 40, "spill_stores": 4, "spill_loads": 12, "stack": 24}
-    with pytest.raises(ValueError, match="ptxas told nothing"):
+    with pytest.raises(ValueError, match="ptxas said nothing"):
         parse_log("")
 
 

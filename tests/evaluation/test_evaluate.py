@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.evaluation.evaluate import NO_CELSIUS, NO_LPIPS, evaluate, foreground_threshold
+from mrgs.evaluation.evaluate import NO_CELSIUS, NO_LPIPS, evaluate
 from mrgs.evaluation.figures import Missing, figure_names
+from mrgs.evaluation.foreground import Foreground
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.metrics import otsu_threshold
 from mrgs.evaluation.truth import Truth
@@ -52,19 +53,26 @@ def test_known_errors() -> None:
     assert tuple(metrics.mean[RGB]) == ("psnr", "psnr_matched", "ssim", "ssim_pair_range", "lpips")
 
 
-def test_the_foreground_is_the_warm_square() -> None:
-    view = ramp_view()
-    threshold = foreground_threshold([view])
-    warm = view.images[THERMAL].load().values[..., 0] > threshold
-    assert warm.sum() == 7 * 8
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["warm", "cold"])
+def test_the_foreground_is_the_square_in_the_middle_warm_or_cold(sign: float) -> None:
+    pixels = torch.full((20, 30, 1), 0.5)
+    square = torch.zeros(20, 30, dtype=torch.bool)
+    square[6:14, 8:22] = True
+    pixels[square] += 0.4 * sign
+    photo = PosedImage(ramp_view().images[THERMAL].camera, lambda: Pixels(pixels))
+    view = View("cup", {THERMAL: photo})
+    foreground = Foreground.find([view])
+    assert foreground is not None
+    assert foreground.is_warm is (sign > 0)
+    assert torch.equal(foreground.of(Pixels(pixels)), square)
 
-    def warmer_there(view: View) -> Rendering:
-        thermal = view.images[THERMAL].load().values + 0.1 * warm[..., None]
-        return rendering_of({THERMAL: thermal})
+    def wrong_there(view: View) -> Rendering:
+        return rendering_of({THERMAL: pixels + 0.1 * square[..., None]})
 
-    metrics = evaluate([view], warmer_there, CELSIUS)
+    metrics = evaluate([view], wrong_there, CELSIUS)
     assert metrics.mean[THERMAL]["mae_foreground_c"] == pytest.approx(2.0, abs=1e-5)
-    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(2.0 * 56 / (18 * 24), abs=1e-5)
+    share = square.double().mean().item()
+    assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(2.0 * share, abs=1e-5)
 
 
 def test_the_threshold_is_averaged_over_the_photos() -> None:
@@ -76,7 +84,9 @@ def test_the_threshold_is_averaged_over_the_photos() -> None:
         pixels = view.images[THERMAL].load()
         mask = torch.ones(18, 24, dtype=torch.bool) if pixels.valid is None else pixels.valid
         each.append(otsu_threshold(pixels.values[mask][:, 0].numpy()))
-    assert foreground_threshold(views) == pytest.approx(sum(each) / 2)
+    foreground = Foreground.find(views)
+    assert foreground is not None
+    assert foreground.threshold == pytest.approx(sum(each) / 2)
 
 
 def test_masked_pixels_do_not_count() -> None:

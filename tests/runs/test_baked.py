@@ -62,7 +62,7 @@ def psnr(a: torch.Tensor, b: torch.Tensor) -> float:
 
 @pytest.mark.parametrize("sh_degree", [1, 3])
 def test_a_baked_model_looks_like_the_trained_one(sh_degree):
-    model = make_model(sh_degree, residual_scale=0.2)
+    model = make_model(sh_degree, color_scale=0.2, temperature_scale=0.2)
     baked = bake(model, CAMERAS, None)
     unseen = make_camera(0.33)
     with torch.no_grad():
@@ -74,8 +74,8 @@ def test_a_baked_model_looks_like_the_trained_one(sh_degree):
 
 
 def test_the_colour_residual_counts():
-    model = make_model(residual_scale=0.2)
-    plain = bake(make_model(residual_scale=0.0), CAMERAS, None)
+    model = make_model(color_scale=0.2, temperature_scale=0.2)
+    plain = bake(make_model(color_scale=0.0, temperature_scale=0.0), CAMERAS, None)
     with torch.no_grad():
         expected = render(model, {RGB: CAMERAS[5]})[0][RGB].image
     baked = bake(model, CAMERAS, None)
@@ -110,7 +110,9 @@ def test_temperatures_are_celsius_where_the_scale_is_known():
 
 @pytest.mark.parametrize("sh_degree", [1, 3])
 def test_a_third_modality_is_kept_as_it_is_rendered(sh_degree):
-    model = make_model(sh_degree, modalities=(RGB, THERMAL, NEAR_INFRARED), residual_scale=0.2)
+    model = make_model(
+        sh_degree, modalities=(RGB, THERMAL, NEAR_INFRARED), color_scale=0.2, temperature_scale=0.2
+    )
     baked = bake(model, CAMERAS, None)
     assert baked.modalities == (RGB, THERMAL, NEAR_INFRARED)
     unseen = dict.fromkeys(baked.modalities, make_camera(0.33))

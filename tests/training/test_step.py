@@ -164,7 +164,30 @@ def test_every_second_step_goes_without_the_harmonics_on_top_of_the_residuals(
     assert gradients == moves
 
 
-def test_neighbours_are_searched_anew_on_schedule_and_when_rows_change(make_start):
+def test_the_neighbours_stay_the_same_at_the_end(make_start):
+    config = short_config(max_steps=6, neighbours_every=3)
+    scene, state = make_start(config)
+    seen = []
+    for number in range(6):
+        do_step(state, scene, config, number)
+        seen.append(state.model.neighbours)
+    assert seen[2] is not seen[1]
+    assert seen[5] is seen[2]
+
+
+def test_harmonics_that_are_not_in_use_do_not_move(make_start):
+    config = short_config("mrgs", sh_every=3)
+    scene, state = make_start(config)
+    for number in range(3):
+        rest = state.model.gaussians.sh_rest[RGB]
+        assert (rest == 0).all()
+        take(state, scene, config, number)
+    rest = state.model.gaussians.sh_rest[RGB]  # step 3 is the first with degree 1
+    assert (rest[:, :3] != 0).any()
+    assert (rest[:, 3:] == 0).all()
+
+
+def test_neighbours_are_searched_again_on_schedule_and_when_rows_change(make_start):
     config = short_config(neighbours_every=3)
     schedule = replace(config.densification, start=0, every=4, stop=100, gradient_threshold=0.0)
     config = replace(config, densification=schedule)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-import numpy as np
 from torch import Tensor
 
 from mrgs.errors import SceneError
@@ -21,11 +20,11 @@ from mrgs.evaluation.figures import (
     figure_names,
     mean_figures,
 )
+from mrgs.evaluation.foreground import Foreground
 from mrgs.evaluation.lpips import MIN_SIDE_PX, Lpips
 from mrgs.evaluation.metrics import (
     fill_invalid,
     mean_absolute_error,
-    otsu_threshold,
     psnr,
     psnr_matched,
     ssim,
@@ -114,7 +113,7 @@ def evaluate(
             "the scene has no views to score: put 'eval' into their file names, or list them in "
             "val_filenames"
         )
-    measure = _Measure(temperature, foreground_threshold(views), lpips)
+    measure = _Measure(temperature, Foreground.find(views), lpips)
     modalities = scored_modalities(views)
     scored = []
     for view in views:
@@ -149,24 +148,6 @@ def scored_modalities(views: Sequence[View]) -> tuple[Modality, ...]:
     return tuple(dict.fromkeys((*REPORTED, *found)))
 
 
-def foreground_threshold(views: Sequence[View]) -> float | None:
-    """Otsu's threshold of each thermal photo's valid pixels, averaged over the photos; normalised
-    temperature.
-
-    None where no photo has one (no thermal images, or only uniform ones).
-    """
-    thresholds = []
-    for view in views:
-        if THERMAL not in view.images:
-            continue
-        pixels = view.images[THERMAL].load()
-        values = pixels.values[..., 0] if pixels.valid is None else pixels.values[pixels.valid]
-        threshold = otsu_threshold(values.flatten().numpy()) if values.numel() else None
-        if threshold is not None:
-            thresholds.append(threshold)
-    return float(np.mean(thresholds)) if thresholds else None
-
-
 def _photos(view: View, rendering: Rendering) -> dict[Modality, Pixels]:
     """The view's photos on the rendering's device.
 
@@ -197,12 +178,12 @@ class _Measure(NamedTuple):
 
     Attributes:
         temperature: the scene's scale; None without °C.
-        threshold: of the foreground, normalised; None where no photo has one.
+        foreground: of the thermal photos; None where they have none.
         lpips: the network; None leaves LPIPS out.
     """
 
     temperature: TemperatureRange | None
-    threshold: float | None
+    foreground: Foreground | None
     lpips: Lpips | None
 
     def figures(self, modality: Modality, photo: Pixels | None, rendering: Rendering) -> Figures:
@@ -217,7 +198,7 @@ class _Measure(NamedTuple):
         image = rendering[modality].image
         figures = _pixel_figures(image, photo) | {"lpips": _lpips(image, photo, self.lpips)}
         if modality == THERMAL:
-            figures |= _temperature_figures(image, photo, self.temperature, self.threshold)
+            figures |= _temperature_figures(image, photo, self.temperature, self.foreground)
         return {name: figures[name] for name in names}
 
 
@@ -257,23 +238,23 @@ def _lpips(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figure:
 
 
 def _temperature_figures(
-    image: Tensor, photo: Pixels, temperature: TemperatureRange | None, threshold: float | None
+    image: Tensor,
+    photo: Pixels,
+    temperature: TemperatureRange | None,
+    foreground: Foreground | None,
 ) -> Figures:
-    """MAE in °C over the full frame and over the foreground (photo above ``threshold``,
-    normalised)."""
+    """MAE in °C over the full frame and over the foreground."""
     if temperature is None:
         return all_missing(CELSIUS_FIGURES, NO_CELSIUS)
-    target, valid = photo.values, photo.valid
-    figures: Figures = {"mae_c": mean_absolute_error(image, target, valid) * temperature.span_c}
-    figures["mae_foreground_c"] = Missing("no photo has two classes for Otsu's threshold to part")
-    if threshold is not None:
-        foreground = target[..., 0] > threshold
-        foreground = foreground if valid is None else foreground & valid
-        figures["mae_foreground_c"] = Missing(
-            "no pixel of the photo is warmer than the mean Otsu threshold"
+    figures: Figures = {
+        "mae_c": mean_absolute_error(image, photo.values, photo.valid) * temperature.span_c,
+        "mae_foreground_c": Missing("no photo has two classes for Otsu's threshold to part"),
+    }
+    if foreground is not None:
+        mask = foreground.of(photo)
+        figures["mae_foreground_c"] = (
+            mean_absolute_error(image, photo.values, mask) * temperature.span_c
+            if mask.any()
+            else Missing("no pixel of the photo belongs to the foreground")
         )
-        if foreground.any():
-            figures["mae_foreground_c"] = (
-                mean_absolute_error(image, target, foreground) * temperature.span_c
-            )
     return figures

@@ -114,7 +114,7 @@ def fill_invalid(
 
 
 def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | None:
-    """Otsu's threshold: values above it are foreground.
+    """Otsu's threshold, which parts values into two classes.
 
     It maximises the between-class variance over the histogram (N. Otsu, "A threshold selection
     method from gray-level histograms", 1979); among equals the lowest wins. None if all values are

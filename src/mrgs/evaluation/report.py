@@ -10,6 +10,7 @@ from typing import Any
 
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_json
+from mrgs.evaluation.parts import Parts
 from mrgs.evaluation.truth import TRUTH_FIGURES
 from mrgs.scene import Modality
 from mrgs.system.atomic import replacing
@@ -34,11 +35,9 @@ CONVENTIONS = (
     "scale every photo anew. SSIM uses an 11×11 Gaussian window "
     "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the "
     "image pair and whole "
-    "windows only, as torchmetrics does by default up to 1.4.1. The foreground is what is warmer "
-    "than Otsu's "
-    "threshold averaged over the views. LPIPS is VGG's on [-1, 1]; the 3DGS family feeds it [0, "
-    "1], so its numbers "
-    "do not compare."
+    "windows only, as torchmetrics does by default up to 1.4.1. The foreground is the side of "
+    "Otsu's threshold (averaged over the views) that covers less of the images' borders. LPIPS is "
+    "VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers do not compare."
 )
 
 
@@ -75,7 +74,7 @@ class RunFacts:
     device: str
 
 
-def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
+def to_document(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
     Every null has its sentence under ``reasons``, keyed by the figure's dotted path inside the
@@ -90,6 +89,8 @@ def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
     }
     if metrics.truth is not None:
         document["truth"] = _split(metrics.truth, "truth", reasons)
+    if parts is not None:
+        document["parts"] = parts.to_document()
     document["reasons"] = reasons
     document["views"] = []
     for view in metrics.views:
@@ -102,7 +103,7 @@ def to_document(facts: RunFacts, metrics: Metrics) -> dict[str, Any]:
     return document
 
 
-def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
+def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -> str:
     """The content of ``metrics.md``: the figures as tables; a dash for a missing one, with the
     reasons at the end."""
     seconds = "not measured" if facts.train_seconds is None else f"{facts.train_seconds:.0f} s"
@@ -124,6 +125,8 @@ def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
         truths = [(_escape(view.name), view.truth) for view in metrics.views if view.truth]
         table = _table([("**mean**", metrics.truth), *truths], TRUTH_FIGURES)
         blocks += ["## Against the exact truth", table]
+    if parts is not None:
+        blocks += ["## The model's parts", _parts_text(parts)]
     reasons = _distinct_reasons(metrics)
     if reasons:
         blocks.append(
@@ -133,21 +136,69 @@ def to_markdown(facts: RunFacts, metrics: Metrics) -> str:
     return "\n\n".join([*blocks, CONVENTIONS]) + "\n"
 
 
-def write_report(folder: Path, facts: RunFacts, metrics: Metrics) -> tuple[Path, Path]:
+def write_report(
+    folder: Path, facts: RunFacts, metrics: Metrics, parts: Parts | None = None
+) -> tuple[Path, Path]:
     """Write ``metrics.json`` and ``metrics.md`` into the folder; returns their paths.
+
+    Args:
+        folder: to write into.
+        facts: of the run.
+        metrics: its figures.
+        parts: what its model's parts contribute; None where it has none.
 
     Raises:
         RunError: a file cannot be written.
     """
     text = (
-        json.dumps(to_document(facts, metrics), indent=2, ensure_ascii=False, allow_nan=False)
+        json.dumps(
+            to_document(facts, metrics, parts), indent=2, ensure_ascii=False, allow_nan=False
+        )
         + "\n"
     )
     paths = folder / "metrics.json", folder / "metrics.md"
-    for path, content in zip(paths, (text, to_markdown(facts, metrics)), strict=True):
+    for path, content in zip(paths, (text, to_markdown(facts, metrics, parts)), strict=True):
         with replacing(path) as temporary:
             temporary.write_text(content, encoding="utf-8")
     return paths
+
+
+PART_NAMES = {
+    "temperature_residual": "t̂ the same for all",
+    "heat_exchange": "no heat exchange",
+    "shuffled_neighbours": "shuffled neighbours",
+    "color_residual": "ĉ = 0",
+}
+"""What is changed in each copy of ``knock_outs``."""
+
+
+def _parts_text(parts: Parts) -> str:
+    """How much the parts say, and the held-out views' figures without each."""
+    document = parts.to_document()
+    spreads = [
+        f"{name} {document[key]:.4f}{unit}"
+        for name, key, unit in (
+            ("temperature residual t̂", "temperature_residual_std_c", " °C"),
+            ("heat exchange", "heat_exchange_std_c", " °C"),
+            ("colour residual ĉ", "color_residual_std", ""),
+        )
+        if document[key] is not None
+    ]
+    rows = [
+        f"| {PART_NAMES[part]} | {format_figure('psnr', figures['thermal_psnr'])} "
+        f"| {format_figure('psnr', figures['rgb_psnr'])} "
+        f"| {format_figure('mae_c', figures['truth_mae_c'])} |"
+        for part, figures in parts.knock_out.items()
+    ]
+    return "\n".join(
+        [
+            f"Standard deviations over the Gaussians: {', '.join(spreads)}.",
+            "",
+            "| knocked out | thermal PSNR, dB | RGB PSNR, dB | against the truth, °C |",
+            "|---|---|---|---|",
+            *rows,
+        ]
+    )
 
 
 def heading(modality: Modality) -> str:

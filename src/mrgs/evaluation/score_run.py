@@ -12,12 +12,13 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
 from mrgs.evaluation.lpips import Lpips
+from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.evaluation.report import RunFacts, write_report
 from mrgs.evaluation.truth import Truth
 from mrgs.pictures.files import to_picture, write_png, write_rendering
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.video import frame_writer
-from mrgs.runs.open import TrainedRun
+from mrgs.runs.open import Run, TrainedRun
 from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
 
@@ -44,16 +45,22 @@ def evaluate_run(
         SceneError: the scene cannot be read, or has no eval views.
         RunError: the weights cannot be read, or a file cannot be written.
     """
-    scene = run.load_scene()
+    scene, folder = run.load_scene(), _scene_folder(run)
+    parts = (
+        score_parts(run, scene.eval, Truth.find(folder))
+        if isinstance(run, Run) and scene.eval
+        else None
+    )
     return score_views(
         scene,
-        _scene_folder(run),
+        folder,
         run.render_view,
         facts_of(run),
         run.folder.path / "eval",
         lpips_weights,
         progress,
         run.camera_response,
+        parts,
     )
 
 
@@ -66,6 +73,7 @@ def score_views(
     lpips_weights: Path | None = None,
     progress: Progress | None = None,
     camera_response: CameraResponse = ideal_cameras,
+    parts: Parts | None = None,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
     folder.
@@ -80,6 +88,7 @@ def score_views(
         progress: called after each view.
         camera_response: from a rendering to what the cameras would have recorded, which is compared
             with the photos.
+        parts: what the model's parts contribute, for the report; None where it has none.
 
     Raises:
         SceneError: the scene has no eval views, or an image cannot be read.
@@ -102,7 +111,7 @@ def score_views(
         _visitor(scene, shown, progress),
         camera_response,
     )
-    write_report(output, facts, metrics)
+    write_report(output, facts, metrics, parts)
     write_png(
         output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
     )

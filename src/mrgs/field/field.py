@@ -19,7 +19,7 @@ from mrgs.field.appearance import (
 from mrgs.field.encoding import fourier_embedding, position_frame
 from mrgs.field.heat import FourierHeatTransformation
 from mrgs.field.rows import take
-from mrgs.field.spherical_harmonics import C0, shade
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, shade, up_to_degree
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
 from mrgs.system.operation import operation
 
@@ -43,8 +43,8 @@ class FieldConfig:
         neighbours_n: n of the paper's Table 4: n² − 1 neighbours exchange heat; 1 means none.
         anchor_weight: w_a of Eq. 12, the weight of a Gaussian's own refined feature.
         surrounding_weight: w_s of Eq. 12, the weight of the mean over its neighbours.
-        residual_scale: both residuals are multiplied by it, so that training starts at the plain
-            values.
+        color_scale: ĉ is multiplied by it, so that training starts at the plain colours.
+        temperature_scale: the same for t̂ and temperatures.
     """
 
     residuals: bool = True
@@ -57,7 +57,8 @@ class FieldConfig:
     neighbours_n: int = 3
     anchor_weight: float = 0.9
     surrounding_weight: float = 0.1
-    residual_scale: float = 0.01
+    color_scale: float = 0.01
+    temperature_scale: float = 0.01
 
     def __post_init__(self) -> None:
         if self.embedding_width < 6 or self.embedding_width % 6 != 0:
@@ -108,9 +109,7 @@ class RadianceField(nn.Module):
             config.hidden_width,
             config.thermal_feature_width,
         )
-        self.color_head = ColorHead(
-            width, config.direction_frequencies, hidden, config.residual_scale
-        )
+        self.color_head = ColorHead(width, config.direction_frequencies, hidden, config.color_scale)
         self.extraction = OrthogonalExtraction(width)
         self.thermal_head = ThermalFeatureHead(width, config.position_frequencies, hidden, feature)
         self.heat = FourierHeatTransformation(
@@ -169,6 +168,7 @@ class RadianceField(nn.Module):
         sh_degree: int,
         rows: Int64[Tensor, " v"] | None = None,
         residuals: Float[Tensor, "n 1"] | None = None,
+        color_degree: int = MAX_DEGREE,
     ) -> Float[Tensor, "v 1"]:
         """Normalised temperatures: t + t̂ of Eq. 5 (thr_alphblending), Sec. Rendering Overview.
 
@@ -182,10 +182,12 @@ class RadianceField(nn.Module):
                 that is 0, or if t̂ is known.
             camera_position: centre of projection in world coordinates; not read where t is of
                 degree 0.
-            sh_degree: highest degree of the spherical harmonics in use.
+            sh_degree: highest degree of the temperature's spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
             residuals: t̂ of all Gaussians, where it is known; not read by a field without
                 residuals.
+            color_degree: highest degree of the colour's spherical harmonics in use, see
+                ``temperature_residuals``.
 
         Raises:
             ValueError: t̂ is not known and heat is exchanged, but ``neighbours`` is None or of
@@ -202,7 +204,7 @@ class RadianceField(nn.Module):
         else:
             t = C0 * take(dc, rows)[:, 0] + 0.5
         if residuals is None:
-            return t + self.temperature_residuals(gaussians, neighbours, rows)
+            return t + self.temperature_residuals(gaussians, neighbours, rows, color_degree)
         return t + take(residuals, rows)
 
     def intensities(
@@ -236,17 +238,32 @@ class RadianceField(nn.Module):
         gaussians: Gaussians,
         neighbours: Int64[Tensor, "n k"] | None,
         rows: Int64[Tensor, " v"] | None = None,
+        color_degree: int = MAX_DEGREE,
     ) -> Float[Tensor, "v 1"]:
         """t̂ of Eq. 5: orthogonal extraction (Eq. 7–8), thermal head on PE_p (Eq. 9), heat
         transformation (Eq. 10–12), output layer.
 
-        Arguments and errors are those of ``temperatures``; the field must have residuals.
+        The field must have residuals.
+
+        Args:
+            gaussians: N Gaussians.
+            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if
+                that is 0.
+            rows: distinct Gaussians to evaluate; all if None (V = N).
+            color_degree: highest degree of the colour's spherical harmonics in use; the extraction
+                takes those of higher degrees as 0, and gives them no gradient.
+
+        Raises:
+            ValueError: heat is exchanged, but ``neighbours`` is None or of another shape.
+            IndexError: neighbours on the CPU that do not exist.
         """
         neighbours = self.checked_neighbours(neighbours, len(gaussians))
-        e_t = self.extraction(gaussians.embedding, gaussians.sh(RGB))
+        rest = up_to_degree(gaussians.sh_rest[RGB], color_degree)
+        sh = torch.cat([gaussians.sh_dc[RGB], rest], dim=1)
+        e_t = self.extraction(gaussians.embedding, sh)
         features = self.thermal_head(e_t, self.normalised(gaussians.means))
         refined = self.heat(features, gaussians.opacity(THERMAL), neighbours)
-        t_hat = self.config.residual_scale * self.temperature_output(refined)
+        t_hat = self.config.temperature_scale * self.temperature_output(refined)
         return take(t_hat, rows)
 
     def checked_neighbours(

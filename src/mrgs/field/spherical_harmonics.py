@@ -10,7 +10,7 @@ import math
 
 import torch
 from jaxtyping import Float, Int64
-from torch import Tensor
+from torch import Tensor, nn
 
 from mrgs.field.rows import take, viewing_directions
 from mrgs.system.operation import operation
@@ -20,6 +20,18 @@ MAX_DEGREE = 3
 
 C0 = math.sqrt(1 / (4 * math.pi))
 """The constant function of degree 0: a plain value v is stored as (v − 0.5) / C0."""
+
+
+def up_to_degree(rest: Float[Tensor, "n b c"], degree: int) -> Float[Tensor, "n b c"]:
+    """Coefficients of degree 1 and more, those above ``degree`` replaced by zeros without gradient.
+
+    Whoever reads all coefficients must not let those move that no image shows yet: Adam would take
+    full steps with whatever small gradient they got.
+    """
+    used = (degree + 1) ** 2 - 1
+    if used >= rest.shape[1]:
+        return rest
+    return nn.functional.pad(rest[:, :used], (0, 0, 0, rest.shape[1] - used))
 
 
 @operation

@@ -60,6 +60,8 @@ class TrainConfig:
             not in the paper.
         photo_temperatures: start with temperatures read off the thermal photos, not with one for
             all, and with a larger o_t there; not in the paper.
+        fitted_residuals: steps in which t̂ is fitted to these temperatures before the training, so
+            that t_i starts as what t̂ cannot say; not in the paper.
         neighbours_every: steps after which the neighbours are searched again, besides whenever N
             changes.
         checkpoint_every: steps between checkpoints.
@@ -81,6 +83,7 @@ class TrainConfig:
     temperature_sh_degree: int | None = 0
     distant_points: bool = False
     photo_temperatures: bool = False
+    fitted_residuals: int = 0
     neighbours_every: int = 500
     checkpoint_every: int = 1_000
     field: FieldConfig = dataclasses.field(default_factory=FieldConfig)

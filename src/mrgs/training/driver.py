@@ -19,6 +19,7 @@ from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.run_folder import RunFolder
 
 LOG_EVERY = 10
+LOG_MODEL_EVERY = 100
 CHECK_EVERY = {"cpu": 1, "cuda": LOG_EVERY}
 """Steps after which the driver checks whether some were skipped; on a GPU the host waits for
 that."""
@@ -98,6 +99,10 @@ class Driver(ABC, Generic[S]):
     def _skipped_in_a_row(self) -> int:
         """Steps that the state says were skipped since the last good one."""
 
+    def _describe_model(self) -> Mapping[str, float | None]:
+        """What the log says of the model every ``LOG_MODEL_EVERY`` steps."""
+        return {}
+
     @abstractmethod
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         """Write everything needed to resume exactly."""
@@ -152,9 +157,11 @@ class Driver(ABC, Generic[S]):
         if not statistics.skipped:
             entry["loss"] = statistics.loss
             entry |= {f"loss_{name}": value for name, value in statistics.terms.items()}
-            entry["thermal_error_c"] = _celsius(statistics.thermal_error, self._facts.temperature)
+            entry["thermal_error_c"] = celsius(statistics.thermal_error, self._facts.temperature)
         if statistics.gaussians is not None:
             entry["gaussians"] = statistics.gaussians
+        if self._step_done % LOG_MODEL_EVERY == 0 or self._step_done == self._max_steps:
+            entry |= self._describe_model()
         self._folder.append_log({**entry, "seconds": self._seconds()})
 
     def _seconds(self) -> float:
@@ -178,5 +185,6 @@ class Driver(ABC, Generic[S]):
         self._folder.drop_old_checkpoints()
 
 
-def _celsius(error: float | None, temperature: TemperatureRange | None) -> float | None:
-    return None if error is None or temperature is None else error * temperature.span_c
+def celsius(difference: float | None, temperature: TemperatureRange | None) -> float | None:
+    """A difference of normalised temperatures in °C; None where there is none, or no scale."""
+    return None if difference is None or temperature is None else difference * temperature.span_c

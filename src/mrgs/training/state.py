@@ -16,6 +16,7 @@ from mrgs.method.density import Strategy, StrategyState
 from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
+from mrgs.method.start.fitted_residuals import fit_residuals
 from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import model_modalities, start_points
 from mrgs.render import Model
@@ -94,9 +95,10 @@ class TrainingState:
 
     def refresh_neighbours(self, config: TrainConfig) -> None:
         """Search the neighbours (Eq. 9) when N has changed, and every so many steps because the
-        Gaussians move."""
-        k = config.field.neighbours_k
-        if k > 0 and (self.model.neighbours is None or self.step % config.neighbours_every == 0):
+        Gaussians move; but not so close to the end that the layers could no longer follow."""
+        k, every = config.field.neighbours_k, config.neighbours_every
+        due = self.step % every == 0 and self.step + every <= config.max_steps
+        if k > 0 and (self.model.neighbours is None or due):
             self.model.neighbours = nearest_neighbours(self.model.gaussians.means, k)
 
     def gradients_are_finite(self, loss: Tensor) -> Bool[Tensor, ""]:
@@ -167,6 +169,7 @@ def initial_state(
             strategy.max_gaussians,
             generator,
         )
+        fit_residuals(field, gaussians, config.fitted_residuals, generator)
     model = Model(gaussians, field, neighbours=None, sh_degree=0).to(device)
     return TrainingState.around(model, all_terms, strategy, config, capture, generator)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import TypeVar
@@ -14,6 +14,7 @@ from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import SceneScale, Term
+from mrgs.method.parts import part_spreads
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
@@ -21,7 +22,7 @@ from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
-from mrgs.training.driver import Driver
+from mrgs.training.driver import Driver, celsius
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
 from mrgs.training.run_folder import RunFolder
@@ -200,6 +201,19 @@ class _Trainer(Driver[StepStatistics]):
             f"{len(state.model.gaussians):,} "
             f"Gaussians; {kept}: {go_on} with a smaller --max-gaussians or --resolution"
         )
+
+    def _describe_model(self) -> Mapping[str, float | None]:
+        """How much the parts of the model say, see ``PartSpreads``."""
+        position = self._scene.train[0].camera.position
+        spreads = part_spreads(self._state.model, position)
+        if spreads is None:
+            return {}
+        scale = self._scene.temperature
+        return {
+            "temperature_residual_std_c": celsius(spreads.temperature_residual, scale),
+            "heat_exchange_std_c": celsius(spreads.heat_exchange, scale),
+            "color_residual_std": spreads.color_residual,
+        }
 
     @property
     def _skipped_in_a_row(self) -> int:

@@ -22,7 +22,7 @@ def make_case(
 ) -> tuple[RadianceField, Gaussians, torch.Tensor | None]:
     """A field and Gaussians in float32, with neighbours."""
     torch.manual_seed(0)
-    field = RadianceField(FieldConfig(residual_scale=0.5, **options))
+    field = RadianceField(FieldConfig(color_scale=0.5, temperature_scale=0.5, **options))
     means = torch.randn(count, 3)
     field.scale.fill_(2.0)  # an exact division: PE_p's top frequency makes 1e-4 of one rounded bit
     k = field.config.neighbours_k

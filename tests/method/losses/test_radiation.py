@@ -58,10 +58,12 @@ def test_gradients():
     assert torch.autograd.gradcheck(boltzmann_loss, (thermal, scaled, uncertainty))
 
 
-def test_normalised_radiation_spans_zero_to_one():
-    scaled = normalise_radiation(100 + 50 * plane())
+@pytest.mark.parametrize("size", [(14, 16), (300, 401)])
+def test_normalised_radiation_spans_zero_to_one(size):
+    scaled = normalise_radiation(100 + 50 * plane(*size))
     assert scaled.min() == 0
     assert scaled.max() == 1
+    assert ((scaled == 0) | (scaled == 1)).double().mean() < 0.05
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -83,17 +85,44 @@ def test_nothing_is_gained_by_multiplying_all_depths(masked):
 def test_gradient_of_the_normalisation(masked):
     valid = plane(seed=3) > 0.3 if masked else None
     radiation = (1 + plane()).requires_grad_()
+    inside = (normalise_radiation(radiation.detach(), valid) - 0.5).abs() < 0.49
     assert torch.autograd.gradcheck(
-        lambda radiation: normalise_radiation(radiation, valid), radiation
+        lambda radiation: normalise_radiation(radiation, valid)[inside], radiation
     )
+
+
+def test_one_near_pixel_does_not_set_the_scale():
+    depth = 2 + plane(40, 50, seed=1)
+    near = depth.clone()
+    near[20, 25] = 0.02
+    target = plane(40, 50)
+    maps = [normalise_radiation(thermal_radiation(target, d, 1.0, RANGE)) for d in (depth, near)]
+    others = torch.ones_like(depth, dtype=torch.bool)
+    others[20, 25] = False
+    difference = (maps[1] - maps[0])[others].abs().max()
+    assert difference < 0.02
+    assert maps[1][20, 25] == 1
+
+
+def test_no_pixel_carries_the_gradient_of_the_whole_map():
+    depth = 2 + plane(40, 50, seed=1)
+    depth[20, 25] = 0.02
+    depth.requires_grad_()
+    thermal, uncertainty = plane(40, 50, seed=2), torch.zeros(40, 50, dtype=torch.float64)
+    radiation = normalise_radiation(thermal_radiation(plane(40, 50), depth, 1.0, RANGE))
+    (gradient,) = torch.autograd.grad(boltzmann_loss(thermal, radiation, uncertainty), depth)
+    assert gradient[20, 25] == 0  # 0.9 of all gradient with the largest value as the scale
+    assert gradient.abs().max() < 0.1 * gradient.abs().sum()
 
 
 def test_normalisation_looks_at_valid_pixels_alone():
     radiation = 1 + plane()
-    radiation[0, 0] = 1e9
+    radiation[0] = 1e9
     valid = torch.ones_like(radiation, dtype=torch.bool)
-    valid[0, 0] = False
-    assert normalise_radiation(radiation, valid)[valid].max() == 1
+    valid[0] = False
+    scaled = normalise_radiation(radiation, valid)[valid]
+    assert scaled.median() > 0.2
+    assert scaled.max() == 1
 
 
 def test_without_a_valid_pixel_the_normalised_radiation_and_its_gradient_are_zero():
@@ -177,6 +206,22 @@ def test_weight_decays_between_its_ends():
         assert boltzmann_weight(step, config) == pytest.approx(weight)
 
 
+def test_the_weight_may_end_with_the_densification():
+    config = RadiationConfig(only_while_densifying=True)
+    assert boltzmann_weight(14_999, config) > 0.0099
+    assert boltzmann_weight(15_000, config) == 0
+
+
+def test_a_surface_radiates_the_same_from_any_distance():
+    target, depth = plane(), 1 + plane(seed=1)
+    near, far = (
+        thermal_radiation(target, factor * depth, 1.0, RANGE, factor * depth) for factor in (1, 3)
+    )
+    torch.testing.assert_close(near, far)
+    expected = STEFAN_BOLTZMANN * RANGE.to_kelvin(target) ** 4
+    torch.testing.assert_close(near, expected)
+
+
 def test_impossible_schedules_are_named():
     with pytest.raises(
         ConfigError, match=r"the weights of L_boltz must be positive, not 0\.0 and 0\.01"
@@ -184,3 +229,5 @@ def test_impossible_schedules_are_named():
         RadiationConfig(start=0.0)
     with pytest.raises(ConfigError, match="L_boltz cannot decay from step 500 to step 500"):
         RadiationConfig(decay_until=500)
+    with pytest.raises(ConfigError, match="L_boltz does nothing without image_gradient and depth"):
+        RadiationConfig(image_gradient=False, depth_gradient=False)

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from mrgs.field import RadianceField
 from mrgs.field.rows import take
+from mrgs.field.spherical_harmonics import MAX_DEGREE, up_to_degree
 from mrgs.kernels.dense.small_product import product
 from mrgs.kernels.heat.exchange import exchange, with_neighbours
 from mrgs.kernels.heat.readout import readout_constants, readout_rows
@@ -21,26 +22,27 @@ def temperature_residuals(
     gaussians: Gaussians,
     neighbours: Int64[Tensor, "n k"] | None,
     rows: Int64[Tensor, " v"] | None = None,
+    color_degree: int = MAX_DEGREE,
 ) -> Float[Tensor, "v 1"]:
     """``RadianceField.temperature_residuals`` for float32 on the CPU."""
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
     needed = rows
     if rows is not None:
         needed = torch.from_numpy(with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
-    projected = _projected_features(field, gaussians, listed(needed, len(gaussians)))
+    projected = _projected_features(field, gaussians, listed(needed, len(gaussians)), color_degree)
     opacity = take(gaussians.opacity(THERMAL), rows)
     anchors = listed(rows, len(gaussians))
     heat, output = field.heat, field.temperature_output
     if heat.k == 0:
-        return field.config.residual_scale * (projected.index_select(0, anchors) + output.bias)
+        return field.config.temperature_scale * (projected.index_select(0, anchors) + output.bias)
     constants = readout_constants(heat, output, product)
     weights = (heat.anchor_weight, heat.surrounding_weight)
     refined = exchange(projected, opacity, constants, neighbours, anchors, weights)
-    return field.config.residual_scale * refined[:, None]
+    return field.config.temperature_scale * refined[:, None]
 
 
 def _projected_features(
-    field: RadianceField, gaussians: Gaussians, rows: Int64[Tensor, " m"]
+    field: RadianceField, gaussians: Gaussians, rows: Int64[Tensor, " m"], color_degree: int
 ) -> Float[Tensor, "n r"]:
     """The product of some F_t with the read-out's rows; 0 for the other Gaussians."""
     layers = _merged_layers(field, readout_rows(field.heat, field.temperature_output, product))
@@ -48,7 +50,7 @@ def _projected_features(
     return project_features(
         gaussians.embedding,
         gaussians.sh_dc[RGB],
-        gaussians.sh_rest[RGB],
+        up_to_degree(gaussians.sh_rest[RGB], color_degree),
         (phi_sh.weight, phi_sh.bias, *layers),
         field.normalised(gaussians.means.detach()),
         field.thermal_head.frequencies,

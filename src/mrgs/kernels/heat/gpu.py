@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mrgs.field import RadianceField
 from mrgs.field.rows import take
+from mrgs.field.spherical_harmonics import MAX_DEGREE, up_to_degree
 from mrgs.kernels.heat.readout import readout_constants, readout_rows
 from mrgs.scene import RGB, THERMAL, Gaussians
 
@@ -21,11 +22,13 @@ def temperature_residuals(
     gaussians: Gaussians,
     neighbours: Int64[Tensor, "n k"] | None,
     rows: Int64[Tensor, " v"] | None = None,
+    color_degree: int = MAX_DEGREE,
 ) -> Float[Tensor, "v 1"]:
     """``RadianceField.temperature_residuals`` for float32 on a GPU."""
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
-    heat, output, scale = field.heat, field.temperature_output, field.config.residual_scale
-    e_t = field.extraction(gaussians.embedding, gaussians.sh(RGB))
+    heat, output, scale = field.heat, field.temperature_output, field.config.temperature_scale
+    rest = up_to_degree(gaussians.sh_rest[RGB], color_degree)
+    e_t = field.extraction(gaussians.embedding, torch.cat([gaussians.sh_dc[RGB], rest], dim=1))
     features = field.thermal_head(e_t, field.normalised(gaussians.means))
     projected = features @ readout_rows(heat, output, torch.matmul).T
     if heat.k == 0:

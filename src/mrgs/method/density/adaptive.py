@@ -148,7 +148,7 @@ def mean_gradients(state: StrategyState) -> Float[Tensor, " n"]:
 
 @lru_cache(maxsize=16)
 def _half(size: tuple[int, int], device: torch.device) -> Float[Tensor, "2"]:
-    """Half a width and height; kept, because to copy them anew would make the host wait for a GPU's
+    """Half a width and height; kept, because another copy would make the host wait for a GPU's
     queue."""
     return (torch.tensor(size, dtype=torch.float32) / 2).to(device)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,23 +23,40 @@ STEFAN_BOLTZMANN = 5.670374419e-8
 DEPTH_FLOOR = 1e-3
 """Smallest depth that divides, as a share of the scene's extent."""
 
+QUANTILES = (0.01, 0.99)
+"""Of E_r, which become 0 and 1."""
+
+SAMPLED_PIXELS = 5_000
+"""About how many pixels the quantiles are read from."""
+
 
 @dataclass(frozen=True)
 class RadiationConfig:
-    """The weight λ_boltz over the steps (Sec. Implementation Details: decayed from 0.05 to 0.01
-    during densification).
+    """L_boltz: its weight λ_boltz over the steps (Sec. Implementation Details: decayed from 0.05 to
+    0.01 during densification), and how the paper's equations are read where they leave it open.
 
     Attributes:
         start: λ_boltz up to ``decay_from``.
         end: λ_boltz from ``decay_until`` on.
         decay_from: the step at which the decay starts.
-        decay_until: the step at which it ends.
+        decay_until: the step at which it ends, with the densification.
+        temperatures: t_GT of Eq. 13 in kelvin, or as it is stored, between 0 and 1.
+        area: what radiates in Eq. 13: a patch of constant area, or the one that a pixel sees, which
+            grows with the square of the surface's depth in the RGB image.
+        image_gradient: L_boltz moves the rendered temperatures I_t.
+        depth_gradient: L_boltz moves the rendered depth D_t.
+        only_while_densifying: L_boltz ends at ``decay_until``.
     """
 
     start: float = 0.05
     end: float = 0.01
     decay_from: int = 500
     decay_until: int = 15_000
+    temperatures: Literal["kelvin", "normalised"] = "kelvin"
+    area: Literal["constant", "pixel"] = "constant"
+    image_gradient: bool = True
+    depth_gradient: bool = True
+    only_while_densifying: bool = False
 
     def __post_init__(self) -> None:
         if not (self.start > 0 and self.end > 0):
@@ -49,16 +67,18 @@ class RadiationConfig:
             raise ConfigError(
                 f"L_boltz cannot decay from step {self.decay_from} to step {self.decay_until}"
             )
+        if not (self.image_gradient or self.depth_gradient):
+            raise ConfigError("L_boltz does nothing without image_gradient and depth_gradient")
 
 
 def boltzmann_weight(step: int, config: RadiationConfig) -> float:
     """λ_boltz of Eq. 20 (final_loss) at a step: log-linear between its two ends, constant
-    outside."""
+    outside, but 0 after the densification if it is only for that."""
     progress = (step - config.decay_from) / (config.decay_until - config.decay_from)
     if progress <= 0:
         return config.start
     if progress >= 1:
-        return config.end
+        return 0.0 if config.only_while_densifying else config.end
     return math.exp((1 - progress) * math.log(config.start) + progress * math.log(config.end))
 
 
@@ -67,42 +87,60 @@ def thermal_radiation(
     depth: Float[Tensor, "h w"],
     extent: float,
     temperature: TemperatureRange | None,
+    surface: Float[Tensor, "h w"] | None = None,
 ) -> Float[Tensor, "h w"]:
     """E_r, the radiation that arrives at the camera, up to a constant.
 
     Eq. 13 (stefan_boltzmann), Sec. Depth-aware Thermal Radiation: τ t_GT⁴ / D_t². Differentiable in
     the depth where it exceeds its floor of 1e-3 extents.
 
+    The paper's patch has the same area everywhere. What a pixel sees grows with the square of its
+    distance, so that the radiance of a surface does not depend on it: with the area D_c² of the
+    surface that the RGB image shows, E_r is τ t_GT⁴ (D_c / D_t)², the photo's own pattern exactly
+    where heat comes from that surface.
+
     Args:
         target: normalised temperatures of the photo.
         depth: rendered thermal depth D_t in scene units.
         extent: the scene's extent in scene units.
-        temperature: turns the target into kelvin; without it the normalised values stand for t_GT,
-            which is not physics: warn the user.
+        temperature: turns the target into kelvin; without it the normalised values stand for t_GT.
+        surface: D_c, depth of the surface in the RGB image in scene units; None for a patch of
+            constant area.
     """
     kelvin = target if temperature is None else temperature.to_kelvin(target)
-    root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(DEPTH_FLOOR * extent)
+    floor = DEPTH_FLOOR * extent
+    root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(floor)
+    if surface is not None:
+        root = root * surface.clamp_min(floor)
     return root * root  # differentiated at a third of the cost of a power
 
 
 def normalise_radiation(
     radiation: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "h w"]:
-    """E_r brought to [0, 1] by its least and largest value, as S-SSIM needs it to have the scale of
-    I_t.
+    """E_r brought to [0, 1] by its quantiles of 1 % and 99 %, as S-SSIM needs it to have the scale
+    of I_t; what lies beyond them is clipped.
 
-    The two come from the valid pixels alone. They carry gradient, so that L_boltz gains nothing by
-    multiplying all depths above their floor: with a scale held fixed it would, because E_r becomes
-    the flatter the farther everything is, and what is flat contradicts no image. A flat map becomes
-    0.
+    The least and largest value would be those of a single floater near the camera, beside which
+    everything else is flat. The quantiles are those of the valid pixels. They carry gradient, so
+    that L_boltz gains nothing by multiplying all depths above their floor: with a scale held fixed
+    it would, because E_r becomes the flatter the farther everything is, and what is flat
+    contradicts no image. A flat map becomes 0.
     """
-    low = (radiation if valid is None else torch.where(valid, radiation, math.inf)).amin()
-    high = (radiation if valid is None else torch.where(valid, radiation, -math.inf)).amax()
+    every = max(1, math.isqrt(radiation.numel() // SAMPLED_PIXELS))
+    sampled = radiation[::every, ::every].flatten()
+    counts = torch.ones_like(sampled, dtype=torch.bool)
+    if valid is not None:
+        counts = valid[::every, ::every].flatten()
+    ascending = torch.where(counts, sampled, math.inf).sort().values
+    last = (counts.sum() - 1).clamp_min(0)
+    low, high = (ascending[(share * last).round().long()] for share in QUANTILES)
     if valid is not None:  # without a valid pixel nothing was found
-        found = valid.any()
+        found = counts.any()
         low, high = torch.where(found, low, 0), torch.where(found, high, 0)
     span = high - low
-    return (radiation - low) / torch.where(span > 1e-6 * high, span, math.inf)
+    scaled = (radiation - low) / torch.where(span > 1e-6 * high, span, math.inf)
+    return scaled.clamp(0, 1)
 
 
 class DepthUncertainty(nn.Module):

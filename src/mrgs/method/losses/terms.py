@@ -10,6 +10,7 @@ from torch import Tensor
 
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.photometric import (
+    HALF_COVERED,
     LossConfig,
     opaqueness_loss,
     photometric_loss,
@@ -153,11 +154,39 @@ class Boltzmann(Term):
         return boltzmann_weight(step, self._config)
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        photo, scale = context.photos.get(THERMAL), context.scale
-        if photo is None:
+        photo, scale, config = context.photos.get(THERMAL), context.scale, self._config
+        surface = _rgb_surface(context) if config.area == "pixel" else None
+        if photo is None or (surface is None and config.area == "pixel"):
             return None
-        image, depth, _ = context.observed[THERMAL]
-        radiation = thermal_radiation(photo.values[..., 0], depth, scale.extent, scale.temperature)
-        radiation = normalise_radiation(radiation, photo.valid)
-        uncertainty = self._uncertainty(depth, scale.extent)
-        return boltzmann_loss(image[..., 0], radiation, uncertainty, photo.valid)
+        image, depth, alpha = context.observed[THERMAL]
+        # A depth that is mostly background's is that of no surface, and no photo's temperature.
+        valid = alpha.detach() >= HALF_COVERED
+        if photo.valid is not None:
+            valid = valid & photo.valid
+        radiation = thermal_radiation(
+            photo.values[..., 0],
+            depth if config.depth_gradient else depth.detach(),
+            scale.extent,
+            scale.temperature if config.temperatures == "kelvin" else None,
+            surface,
+        )
+        # u judges the depth and does not shape it: it would grow without end to make u small.
+        uncertainty = self._uncertainty(depth.detach(), scale.extent)
+        return boltzmann_loss(
+            (image if config.image_gradient else image.detach())[..., 0],
+            normalise_radiation(radiation, valid),
+            uncertainty,
+            valid,
+        )
+
+
+def _rgb_surface(context: LossContext) -> Float[Tensor, "h w"] | None:
+    """Depth of the surface in the RGB image, without gradient, where it has the thermal image's
+    pixels; else None."""
+    cameras = context.cameras
+    if not (RGB in cameras and THERMAL in cameras):
+        return None
+    if not cameras[RGB].coincides_with(cameras[THERMAL]):
+        return None
+    rgb = context.rendering[RGB]
+    return rgb.depth.detach() / rgb.alpha.detach().clamp_min(HALF_COVERED)

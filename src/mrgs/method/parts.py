@@ -1,0 +1,119 @@
+"""The parts that the paper adds to a model: how much each says, and the model without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mrgs.field import RadianceField
+from mrgs.field.appearance import color_residuals
+from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
+from mrgs.render import Model
+
+
+class PartSpreads(NamedTuple):
+    """How much the parts of a model differ from Gaussian to Gaussian: a part that is the same for
+    all says nothing.
+
+    Attributes:
+        temperature_residual: standard deviation of t̂, normalised temperature.
+        heat_exchange: standard deviation of what the Fourier heat transformation adds to t̂,
+            normalised temperature; 0 for a field without it.
+        color_residual: standard deviation of ĉ over Gaussians and channels, colours in [0, 1].
+    """
+
+    temperature_residual: float
+    heat_exchange: float
+    color_residual: float
+
+
+@torch.no_grad()
+def part_spreads(model: Model, camera_position: Float[Tensor, "3"]) -> PartSpreads | None:
+    """The spreads of a model's parts; None for a field without residuals (3DGS_RGB-T).
+
+    Args:
+        model: trained or in training.
+        camera_position: where ĉ is seen from, world coordinates.
+    """
+    if not model.field.config.residuals or len(model.gaussians) < 2:
+        return None
+    k = model.field.config.neighbours_k
+    if model.neighbours is None and k > 0:
+        model = replace(model, neighbours=nearest_neighbours(model.gaussians.means, k))
+    residual = _temperature_residuals(model, model.field)
+    alone = _temperature_residuals(model, without_heat_exchange(model.field))
+    position = camera_position.to(model.gaussians.means)
+    color = color_residuals(
+        model.field.color_head, model.gaussians.embedding, model.gaussians.means, position
+    )
+    return PartSpreads(
+        residual.std().item(), (residual - alone).std().item(), (color - color.mean(0)).std().item()
+    )
+
+
+def without_heat_exchange(field: RadianceField) -> RadianceField:
+    """A copy of a field whose Gaussians exchange no heat: F' = F in Eq. 12."""
+    copy = deepcopy(field)
+    copy.config = replace(field.config, fourier=False)
+    copy.heat = FourierHeatTransformation(field.config.thermal_feature_width, 0, 1.0, 0.0)
+    return copy
+
+
+@torch.no_grad()
+def knock_outs(model: Model) -> Mapping[str, Model]:
+    """A trained model with one part knocked out in each copy; none for a field without residuals.
+
+    ``temperature_residual``: t̂ is its mean for all Gaussians. ``heat_exchange``: F' = F.
+    ``shuffled_neighbours``: each Gaussian exchanges heat with another one's neighbours.
+    ``color_residual``: ĉ = 0. A part that costs nothing when it is knocked out is dead.
+    """
+    field = model.field
+    if not field.config.residuals:
+        return {}
+    copies: dict[str, Callable[[], Model]] = {
+        "temperature_residual": lambda: _with_residuals(
+            model, _temperature_residuals(model, field).mean(0, keepdim=True)
+        ),
+        "color_residual": lambda: _without_color_residual(model),
+    }
+    if field.config.neighbours_k > 0:
+        bare = without_heat_exchange(field)
+        copies["heat_exchange"] = lambda: _with_residuals(
+            model, _temperature_residuals(model, bare)
+        )
+        copies["shuffled_neighbours"] = lambda: _with_residuals(
+            model, _temperature_residuals(_with_shuffled_neighbours(model), field)
+        )
+    return {part: make() for part, make in copies.items()}
+
+
+def _temperature_residuals(model: Model, field: RadianceField) -> Float[Tensor, "n 1"]:
+    neighbours = model.neighbours if field.config.neighbours_k > 0 else None
+    residuals: Tensor = field.temperature_residuals(
+        model.gaussians, neighbours, color_degree=model.sh_degree
+    )
+    return residuals
+
+
+def _with_residuals(model: Model, residuals: Float[Tensor, "n 1"]) -> Model:
+    return replace(model, temperature_residuals=residuals.expand(len(model.gaussians), 1))
+
+
+def _with_shuffled_neighbours(model: Model) -> Model:
+    """The neighbours' rows in another order, the same each time."""
+    assert model.neighbours is not None
+    generator = torch.Generator().manual_seed(0)
+    order = torch.randperm(len(model.neighbours), generator=generator)
+    return replace(model, neighbours=model.neighbours[order.to(model.neighbours.device)])
+
+
+def _without_color_residual(model: Model) -> Model:
+    field = deepcopy(model.field)
+    field.color_head.scale = 0.0
+    return replace(model, field=field)

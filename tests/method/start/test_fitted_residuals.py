@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import torch
+
+from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
+from mrgs.field.spherical_harmonics import C0
+from mrgs.method.start.fitted_residuals import fit_residuals
+from mrgs.scene import RGB, THERMAL, Gaussians
+from tests.helpers.gaussians import random_gaussians
+
+CAMERA = torch.zeros(3)
+
+
+def start(**options) -> tuple[RadianceField, Gaussians, torch.Tensor]:
+    """A field and Gaussians whose temperature rises along x; the last ten are seen by no photo."""
+    torch.manual_seed(0)
+    field = RadianceField(FieldConfig(temperature_scale=1.0, **options))
+    gaussians = random_gaussians(200, bands=0, seed=1, modalities=(RGB, THERMAL))
+    field.set_frame(gaussians.means)
+    gaussians.sh_rest[RGB] = torch.zeros_like(gaussians.sh_rest[RGB])
+    gaussians.embedding = field.initial_embedding(gaussians.means)
+    x = gaussians.means[:, :1]
+    temperatures = 0.2 + 0.6 * (x - x.min()) / (x.max() - x.min())
+    temperatures[-10:] = 0.5
+    gaussians.sh_dc[THERMAL] = ((temperatures - 0.5) / C0)[:, None]
+    return field, gaussians, temperatures
+
+
+def temperatures_of(field: RadianceField, gaussians: Gaussians) -> torch.Tensor:
+    neighbours = nearest_neighbours(gaussians.means, field.config.neighbours_k)
+    with torch.no_grad():
+        return field.temperatures(gaussians, neighbours, CAMERA, 0, color_degree=0)
+
+
+def test_temperatures_stay_those_of_the_photos_and_the_residual_carries_them() -> None:
+    field, gaussians, temperatures = start()
+    fit_residuals(field, gaussians, 200, torch.Generator().manual_seed(0))
+    found = temperatures_of(field, gaussians)
+    torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
+    own = C0 * gaussians.sh_dc[THERMAL][:-10, 0, 0]
+    assert own.std() < 0.3 * temperatures[:-10].std()
+
+
+def test_a_gaussian_that_no_photo_shows_takes_what_the_layers_know_of_its_place() -> None:
+    field, gaussians, _ = start(position_frequencies=2)
+    fit_residuals(field, gaussians, 300, torch.Generator().manual_seed(0))
+    assert (gaussians.sh_dc[THERMAL][-10:] == 0).all()
+    x = gaussians.means[:, :1]
+    expected = 0.2 + 0.6 * (x - x.min()) / (x.max() - x.min())
+    error = (temperatures_of(field, gaussians) - expected)[-10:].abs()
+    assert error.mean() < 0.5 * (expected - 0.5)[-10:].abs().mean()
+
+
+def test_nothing_happens_without_steps_residuals_or_photos() -> None:
+    for options, steps, level in (({}, 0, None), ({"residuals": False}, 50, None), ({}, 50, 0.0)):
+        field, gaussians, _ = start(**options)
+        if level is not None:
+            gaussians.sh_dc[THERMAL] = torch.full_like(gaussians.sh_dc[THERMAL], level)
+        before = gaussians.sh_dc[THERMAL].clone()
+        state = {name: tensor.clone() for name, tensor in field.state_dict().items()}
+        fit_residuals(field, gaussians, steps, torch.Generator())
+        assert torch.equal(gaussians.sh_dc[THERMAL], before)
+        for name, tensor in field.state_dict().items():
+            assert torch.equal(tensor, state[name])
