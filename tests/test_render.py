@@ -240,9 +240,7 @@ def test_an_empty_pixel_is_black_and_as_cold_as_the_range_begins():
 @pytest.mark.parametrize("bands", [0, 15])
 def test_the_degree_of_the_harmonics_counts_for_temperatures_that_have_them(bands):
     model, camera = make_model(bands=bands), make_camera()
-    model.sh_degree = 0
-    plain = render(model, both(camera))[0]
-    model.sh_degree = 3
+    plain = render(model, both(camera), {RGB: 0, THERMAL: 0})[0]
     full = render(model, both(camera))[0]
     assert not torch.allclose(plain[RGB].image, full[RGB].image)
     assert torch.equal(plain[THERMAL].image, full[THERMAL].image) == (bands == 0)

@@ -21,7 +21,7 @@ from mrgs.errors import MrgsWarning
 from mrgs.training import make_config, train
 
 scene, output, mode, *opened = sys.argv[1:]
-config = make_config("mrgs", "fast", max_steps=5, resolution=24)
+config = make_config("mrgs", "fast", max_steps=20, resolution=24)
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always", MrgsWarning)
     for path in opened:

@@ -7,14 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
 from mrgs.errors import SceneError
 from mrgs.evaluation.figures import Figure, Missing, mean_figures, to_json
 from mrgs.evaluation.metrics import psnr
 from mrgs.evaluation.truth import Truth
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
-from mrgs.render import Model, render_view
+from mrgs.render import Model, render
 from mrgs.runs.open import Run
-from mrgs.scene import RGB, THERMAL, Blend, CameraResponse, Pixels, TemperatureRange, View
+from mrgs.scene import BUILT_IN, RGB, THERMAL, Blend, CameraResponse, Pixels, TemperatureRange, View
 
 KNOCK_OUT_FIGURES = ("thermal_psnr", "rgb_psnr", "truth_mae_c")
 
@@ -88,7 +90,9 @@ def _score(
     """Mean figures of the views, rendered on the CPU."""
     scored = []
     for view in views:
-        rendering = render_view(model, view)
+        cameras = {each: view.cameras[each] for each in BUILT_IN if each in view.cameras}
+        with torch.no_grad():
+            rendering, _ = render(model, cameras)
         observed = response(rendering, view.camera)
         photos = {modality: image.load() for modality, image in view.images.items()}
         figures: dict[str, Figure] = {

@@ -61,8 +61,15 @@ def without_heat_exchange(field: RadianceField) -> RadianceField:
     """A copy of a field whose Gaussians exchange no heat: F' = F in Eq. 12."""
     copy = deepcopy(field)
     copy.config = replace(field.config, fourier=False)
-    copy.heat = FourierHeatTransformation(field.config.thermal_feature_width, 0, 1.0, 0.0)
+    copy.heat = _NoHeatTransformation(field.config.thermal_feature_width, 0, 1.0, 0.0)
     return copy
+
+
+class _NoHeatTransformation(FourierHeatTransformation):
+    """F' = F, whatever equation stands in its place."""
+
+    def forward(self, features: Tensor, opacity: Tensor, neighbours: Tensor) -> Tensor:
+        return features[: len(neighbours)]
 
 
 @torch.no_grad()

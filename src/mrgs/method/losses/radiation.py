@@ -134,7 +134,7 @@ def normalise_radiation(
         counts = valid[::every, ::every].flatten()
     ascending = torch.where(counts, sampled, math.inf).sort().values
     last = (counts.sum() - 1).clamp_min(0)
-    low, high = (ascending[(share * last).round().long()] for share in QUANTILES)
+    low, high = (ascending.take((share * last).round().long()) for share in QUANTILES)
     if valid is not None:  # without a valid pixel nothing was found
         found = counts.any()
         low, high = torch.where(found, low, 0), torch.where(found, high, 0)
