@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -162,6 +163,38 @@ def test_the_check_of_what_is_run_can_fail(line):
 )
 def test_only_the_command_line_prints(name):
     assert not prints(parse(name))
+
+
+OTHER_PROGRAMS = {
+    "system/gpu.py": "pip's options",
+    "data/radiometric/dji.py": "dji_irp's options",
+    "prepare/colmap/__main__.py": "started by prepare alone",
+}
+
+
+def options_named(tree: ast.AST) -> list[str]:
+    """Texts, docstrings apart, that name an option of a command line."""
+    expressions = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in expressions
+        and re.search(r"(^|[\s(`'\"])--[a-z]", node.value)
+    ]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name for name in FILES if not name.startswith("app/") and name not in OTHER_PROGRAMS],
+)
+def test_only_the_command_line_speaks_of_options(name):
+    assert options_named(parse(name)) == []
+
+
+def test_the_check_of_options_can_fail():
+    assert options_named(ast.parse('raise ConfigError("choose another --output")'))
 
 
 def test_no_two_classes_have_the_same_name():

@@ -253,14 +253,18 @@ def test_an_output_folder_in_use_is_left_alone(small_scene, tmp_path, capsys):
     output = tmp_path / "run"
     output.mkdir()
     with FileLock(output / ".lock"):
-        message = "run is in use by another run: wait for it, or choose another --output"
+        message = (
+            r"run is in use by another run: wait for it, or choose another folder \(--output\)"
+        )
         refused(capsys, message, "train", small_scene, "--output", output, *TINY)
     assert not (output / "config.yaml").exists()
 
 
 def test_an_output_folder_that_holds_a_run_is_left_alone(own_run, small_scene, capsys):
     before = (own_run / "log.jsonl").read_bytes()
-    message = "own run already holds a run: continue it with --resume, or choose another --output"
+    message = (
+        r"own run already holds a run: resume it, or choose another folder \(--resume, --output\)"
+    )
     refused(capsys, message, "train", small_scene, "--output", own_run, *TINY)
     assert (own_run / "log.jsonl").read_bytes() == before
 
@@ -273,7 +277,7 @@ def test_a_run_that_died_before_its_first_checkpoint_can_be_begun_anew(own_run, 
 @pytest.mark.parametrize("name", ["file", "file/run"])
 def test_an_output_folder_that_cannot_be_made_is_named(name, small_scene, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    message = rf"{name} cannot be written \(.*\): .*choose another --output"
+    message = rf"{name} cannot be written \(.*\): .*choose another folder \(--output\)"
     refused(capsys, message, "train", small_scene, "--output", tmp_path / name, *TINY)
 
 
@@ -359,14 +363,14 @@ def test_without_eval_views_there_is_nothing_to_score(tmp_path, capsys):
     run("train", scene, "--output", output, *TINY)
     refused(
         capsys,
-        "/scene: no views are held out, so there is nothing to score; put 'eval' into",
+        r"/scene: no views are held out, so there is nothing to score; put 'eval' into",
         "eval",
         output,
     )
     assert not (output / "eval").exists()
     refused(
         capsys,
-        "/scene: no views are held out; choose --split train or --split path",
+        r"/scene: no views are held out; choose the split train or path \(--split\)",
         "render",
         output,
     )
@@ -377,7 +381,7 @@ def test_bad_lpips_weights_are_named(trained, tmp_path, capsys):
     file = tmp_path / "weights.safetensors"
     refused(
         capsys,
-        r"weights\.safetensors: no such file; --lpips-weights takes",
+        r"weights\.safetensors: no such file; give a safetensors file .* \(--lpips-weights\)",
         "eval",
         trained,
         "--lpips-weights",
@@ -810,7 +814,7 @@ def test_help_lists_the_commands(capsys):
     assert all(name in text for name in COMMANDS)
 
 
-NO_GPU = r"; or use --device cpu$"
+NO_GPU = r"; or use the CPU \(--device\)$"
 
 
 @pytest.mark.parametrize(

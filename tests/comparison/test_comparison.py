@@ -99,7 +99,7 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twi
     )
     assert run["figures"]["thermal.psnr"] == metrics["mean"]["thermal"]["psnr"]
     assert run["metrics"] == metrics
-    assert "--lpips-weights" in run["reasons"]["rgb.lpips"]
+    assert "no VGG-16" in run["reasons"]["rgb.lpips"]
     for name in ("qualitative.png", "depth.png"):
         with Image.open(out / "figures" / name) as figure:
             assert figure.width > 900
@@ -264,18 +264,18 @@ def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"jobs": 0}, "--jobs must be at least 1, not 0"),
+        ({"jobs": 0}, "the number of jobs must be at least 1, not 0"),
         (
             {"renders": {"mrgs": Path("x")}},
-            "--renders mrgs: a method has this name already; choose another",
+            "mrgs: a method has this name already; choose another",
         ),
         (
             {"renders": {"a/b": Path("x")}},
-            "--renders a/b: the name must be usable as a folder's name; choose another",
+            "a/b: the name must be usable as a folder's name; choose another",
         ),
         (
             {"lpips_weights": Path("none")},
-            "none: no such file; --lpips-weights takes a safetensors file",
+            "none: no such file; give a safetensors file",
         ),
     ],
 )
@@ -291,7 +291,7 @@ def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path):
         [small_scene], tmp_path / "out", tiny_options(methods=("mrgs",), variants=(few,))
     )
     assert [row.labels for row in result.tables[0].rows] == [("mrgs",), ("few",)]
-    with pytest.raises(MrgsError, match="--variants few: a method has this name already"):
+    with pytest.raises(MrgsError, match="few: a method has this name already"):
         compare(
             [small_scene], tmp_path / "out", tiny_options(methods=("mrgs",), variants=(few, few))
         )

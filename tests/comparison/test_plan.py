@@ -55,8 +55,8 @@ def test_the_neighbours_alone_need_no_method(small_scene, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"seeds": 0}, "--seeds must be at least 1, not 0"),
-        ({"methods": ()}, "there is nothing to compare: name at least one of --methods"),
+        ({"seeds": 0}, "the number of seeds must be at least 1, not 0"),
+        ({"methods": ()}, "there is nothing to compare: name at least one method"),
         ({"methods": ("magic",)}, "unknown method 'magic'; choose one of"),
         ({"preset": "slow"}, "unknown preset 'slow'; choose one of"),
         ({"neighbours": (0,)}, "neighbours_n must be 1 or more"),
@@ -87,13 +87,13 @@ def test_a_name_stands_for_one_folder_over_time(small_scene, tmp_path):
     plan([small_scene], tmp_path / "out", tiny_options())
     with pytest.raises(
         ConfigError,
-        match=r"out holds runs of .*balls under the name balls: choose another --output",
+        match=r"out holds runs of .*balls under the name balls: choose another folder",
     ):
         plan([twin], tmp_path / "out", tiny_options())
     (tmp_path / "out" / "scenes.json").write_text("[1]")
     with pytest.raises(
         ConfigError,
-        match=r"scenes\.json cannot be read: choose another --output, or remove the file",
+        match=r"scenes\.json cannot be read: choose another folder, or remove the file",
     ):
         plan([small_scene], tmp_path / "out", tiny_options())
 

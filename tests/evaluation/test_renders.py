@@ -264,7 +264,7 @@ def test_celsius_for_a_scene_without_a_range(renders, tmp_path):
 
 def test_the_resolution_is_that_of_the_training(small_scene, renders):
     with pytest.raises(
-        RunError, match=r"is 40×30 px, but its view is 20×15 px: .*choose the --resolution"
+        RunError, match=r"is 40×30 px, but its view is 20×15 px: .*choose the resolution"
     ):
         evaluate_renders(small_scene, renders, resolution=20)
 

@@ -109,7 +109,7 @@ def test_markdown_tables_are_rectangular_and_explain_dashes(metrics: Metrics) ->
         if block.startswith("| |"):
             assert len({line.count("|") for line in block.splitlines()}) == 1
     assert "## Against the exact truth" in text
-    assert "- LPIPS: no VGG-16 and LPIPS weights were given (--lpips-weights FILE)" in text
+    assert "- LPIPS: no VGG-16 and LPIPS weights were given" in text
 
 
 def test_figures_for_people() -> None:

@@ -111,8 +111,7 @@ def test_a_gpu_without_enough_memory_to_render_is_said(run):
     with pytest.raises(DeviceError) as caught:
         run.render(run.load_scene().eval[0].images[RGB].camera)
     assert (
-        str(caught.value)
-        == "the GPU's memory does not suffice to render 25 Gaussians: use --device cpu"
+        str(caught.value) == "the GPU's memory does not suffice to render 25 Gaussians: use the CPU"
     )
 
 
@@ -120,7 +119,7 @@ def test_a_gpu_that_cannot_be_used_is_said(run):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     for opened in (load_run, open_run):
-        with pytest.raises(DeviceError, match="use --device cpu"):
+        with pytest.raises(DeviceError, match="use the CPU"):
             opened(run.folder.path, device="cuda")
 
 

@@ -131,7 +131,7 @@ def test_a_gpu_that_cannot_be_used_is_refused_with_what_would_mend_it(obstacle, 
     reason = obstacle(machine)
     with pytest.raises(DeviceError) as caught:
         choose_device("cuda")
-    assert str(caught.value) == f"{reason}; or use --device cpu"
+    assert str(caught.value) == f"{reason}; or use the CPU"
 
 
 @pytest.mark.parametrize("obstacle", [each for each in OBSTACLES if each is not without_driver])
@@ -173,7 +173,7 @@ def test_on_windows_triton_brings_its_own_headers(machine):
 
 def test_there_is_no_cuda_on_a_mac(machine):
     machine.setattr(sys, "platform", "darwin")
-    with pytest.raises(DeviceError, match=r"^there is no CUDA for macOS; or use --device cpu$"):
+    with pytest.raises(DeviceError, match=r"^there is no CUDA for macOS; or use the CPU$"):
         choose_device("cuda")
 
 

@@ -36,7 +36,7 @@ def test_a_run_is_not_started_twice(folder):
     touch_checkpoints(folder, 10)
     with pytest.raises(
         RunError,
-        match="run already holds a run: continue it with --resume, or choose another --output",
+        match="run already holds a run: resume it, or choose another folder",
     ):
         folder.start(TrainConfig())
 
@@ -52,7 +52,7 @@ def test_a_run_that_died_before_its_first_checkpoint_is_started_anew(folder):
 def test_a_folder_of_something_else_is_left_alone(name, tmp_path):
     (tmp_path / name).write_text("mine")
     with pytest.raises(
-        RunError, match=rf"holds a {name} that is not a run's: choose another --output"
+        RunError, match=rf"holds a {name} that is not a run's: choose another folder"
     ):
         RunFolder(tmp_path).start(TrainConfig())
     assert (tmp_path / name).read_text() == "mine"
@@ -62,7 +62,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(
         RunError,
-        match=r"file/run cannot be written \(.+\): free the place or choose another --output",
+        match=r"file/run cannot be written \(.+\): make room, or choose another folder",
     ):
         RunFolder(tmp_path / "file" / "run").locked().__enter__()
 
@@ -95,9 +95,7 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
         empty.newest_checkpoint()
     with pytest.raises(RunError, match=r"is not a run: it has no config\.yaml; name a folder that"):
         empty.read_config(from_yaml)
-    with pytest.raises(
-        RunError, match="run has no checkpoint yet: train it first, without --resume"
-    ):
+    with pytest.raises(RunError, match="run has no checkpoint yet: train it before you resume it"):
         folder.newest_checkpoint()
 
 

@@ -317,9 +317,7 @@ def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, monkeypat
     spoil(monkeypatch, {1, 2, 3})
     with pytest.raises(TrainingError, match="there is no checkpoint yet"):
         train(small_scene, tmp_path / "run", short_config())
-    with pytest.raises(
-        RunError, match="run has no checkpoint yet: train it first, without --resume"
-    ):
+    with pytest.raises(RunError, match="run has no checkpoint yet: train it before you resume it"):
         train(small_scene, tmp_path / "run", short_config(), resume=True)
 
 
@@ -384,8 +382,7 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_pat
     assert str(caught.value) == (
         f"the GPU's memory does not suffice for step 6 with 25 Gaussians; the last good step is "
         f"kept in {kept}: "
-        "resume on the CPU, or retrain with a smaller --max-gaussians or "
-        "--resolution"
+        "resume on the CPU, or retrain with fewer Gaussians or a lower resolution"
     )
     folder = train(small_scene, tmp_path / "run", config, resume=True, device="cpu")
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
@@ -401,14 +398,14 @@ def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
     assert str(caught.value) == (
         "the GPU's memory does not suffice for step 1 with 25 Gaussians; there is no checkpoint "
         "yet: "
-        "retrain with a smaller --max-gaussians or --resolution"
+        "retrain with fewer Gaussians or a lower resolution"
     )
 
 
 def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(small_scene, tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    with pytest.raises(DeviceError, match="use --device cpu"):
+    with pytest.raises(DeviceError, match="use the CPU"):
         train(small_scene, tmp_path / "run", short_config(), device="cuda")
     assert list(tmp_path.iterdir()) == []
 
@@ -464,9 +461,7 @@ def test_a_run_is_never_overwritten(small_scene, tmp_path):
     config = short_config(max_steps=1)
     folder = train(small_scene, tmp_path / "run", config)
     before = folder.newest_checkpoint().read_bytes()
-    with pytest.raises(
-        RunError, match="run already holds a run: continue it with --resume, or choose another"
-    ):
+    with pytest.raises(RunError, match="run already holds a run: resume it, or choose another"):
         train(small_scene, folder.path, config)
     assert folder.newest_checkpoint().read_bytes() == before
 

@@ -66,7 +66,7 @@ def test_a_port_in_use_is_named(small_run):
         taken.listen()
         port = taken.getsockname()[1]
         with pytest.raises(
-            ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port} .*choose another --port"
+            ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port} .*choose another port"
         ):
             view(small_run, None, port=port)
         with pytest.raises(ConfigError, match=f"{port}"):
@@ -74,7 +74,7 @@ def test_a_port_in_use_is_named(small_run):
 
 
 def test_addresses_that_cannot_be_are_named():
-    with pytest.raises(ConfigError, match="--port must be from 0 to 65535, not 70000"):
+    with pytest.raises(ConfigError, match="the port must be from 0 to 65535, not 70000"):
         require_free("127.0.0.1", 70000)
     with pytest.raises(ConfigError, match=r"cannot listen on no\.such\.invalid:8080"):
         require_free("no.such.invalid", 8080)

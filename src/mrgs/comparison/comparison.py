@@ -96,7 +96,7 @@ def compare(
             them.
     """
     if jobs < 1:
-        raise ConfigError(f"--jobs must be at least 1, not {jobs}")
+        raise ConfigError(f"the number of jobs must be at least 1, not {jobs}", options=("jobs",))
     gpu.choose_device(device)  # better now than in every run
     renders = dict(renders or {})
     _check_names(options, renders)
@@ -129,15 +129,18 @@ def compare(
 def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
     """Names of variants and renders become folders and rows."""
     taken = {*options.methods, *neighbour_methods(options).values()}
-    given = [("--variants", variant.name) for variant in options.variants] + [
-        ("--renders", name) for name in renders
+    given = [("variants", variant.name) for variant in options.variants] + [
+        ("renders", name) for name in renders
     ]
     for option, name in given:
         if name in taken:
-            raise ConfigError(f"{option} {name}: a method has this name already; choose another")
+            raise ConfigError(
+                f"{name}: a method has this name already; choose another", options=(option,)
+            )
         if not name or name in (".", "..") or set(name) & set("/\\:"):
             raise ConfigError(
-                f"{option} {name}: the name must be usable as a folder's name; choose another"
+                f"{name}: the name must be usable as a folder's name; choose another",
+                options=(option,),
             )
         taken.add(name)
 

@@ -95,8 +95,8 @@ def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
     if config.resolution != options.resolution:
         raise ConfigError(
             f"{variant.source} has a resolution of its own, but all runs are compared at one "
-            f"size: take it out, and "
-            "give --resolution"
+            f"size: take it out, and give that of all runs",
+            options=("resolution",),
         )
     return config
 

@@ -57,10 +57,14 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
             another run.
     """
     if options.seeds < 1:
-        raise ConfigError(f"--seeds must be at least 1, not {options.seeds}")
+        raise ConfigError(
+            f"the number of seeds must be at least 1, not {options.seeds}", options=("seeds",)
+        )
     variants = _variants(options)
     if not variants:
-        raise ConfigError("there is nothing to compare: name at least one of --methods")
+        raise ConfigError(
+            "there is nothing to compare: name at least one method", options=("methods",)
+        )
     named = _named(scenes, options.resolution)
     jobs = []
     for seed in range(options.seeds):
@@ -82,7 +86,7 @@ def _variants(options: Options) -> dict[str, Variant]:
     variants |= {variant.name: variant for variant in options.variants}
     for n, name in neighbour_methods(options).items():
         changes = f"field: {{neighbours_n: {n}}}"
-        variants.setdefault(name, Variant(name, NEIGHBOURS_METHOD, changes, f"--neighbours {n}"))
+        variants.setdefault(name, Variant(name, NEIGHBOURS_METHOD, changes, f"neighbours n = {n}"))
     return variants
 
 
@@ -126,14 +130,15 @@ def _claim(file: Path, named: dict[str, Path]) -> None:
             known = dict(json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
             raise ConfigError(
-                f"{file} cannot be read: choose another --output, or remove the file"
+                f"{file} cannot be read: choose another folder, or remove the file",
+                options=("output",),
             ) from None
     for name, path in named.items():
         if known.setdefault(name, str(path)) != str(path):
             raise ConfigError(
                 f"{file.parent} holds runs of {known[name]} under the name {name}: choose another "
-                f"--output, or, if "
-                f"the scene was moved, correct its path in {file}"
+                f"folder, or, if the scene was moved, correct its path in {file}",
+                options=("output",),
             )
     with replacing(file) as temporary:
         temporary.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")

@@ -91,8 +91,8 @@ def require_same_config(folder: Path, config: RunConfig) -> None:
         if there.get(name) != here.get(name):
             raise ConfigError(
                 f"{folder} holds a run with another configuration ({name} is {there.get(name)} "
-                f"there and "
-                f"{here.get(name)} here): choose another --output, or remove the folder"
+                f"there and {here.get(name)} here): choose another folder, or remove this one",
+                options=("output",),
             )
 
 

@@ -43,7 +43,7 @@ from mrgs.scene import (
     in_order,
 )
 
-NO_LPIPS = "no VGG-16 and LPIPS weights were given (--lpips-weights FILE)"
+NO_LPIPS = "no VGG-16 and LPIPS weights were given"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
 

@@ -50,8 +50,8 @@ class Lpips:
         """
         if not path.is_file():
             raise RunError(
-                f"{path}: no such file; --lpips-weights takes a safetensors file with VGG-16 and "
-                f"LPIPS weights"
+                f"{path}: no such file; give a safetensors file with VGG-16 and LPIPS weights",
+                options=("lpips_weights",),
             )
         shapes = weight_shapes()
         try:

@@ -260,8 +260,8 @@ def _decoded(path: Path, camera: Camera) -> Decoded:
     if (width, height) != (camera.width, camera.height):
         raise RunError(
             f"{path} is {width}×{height} px, but its view is {camera.width}×{camera.height} px: "
-            f"render at the view's "
-            "size, or choose the --resolution that was rendered at"
+            "render at the view's size, or choose the resolution that was rendered at",
+            options=("resolution",),
         )
     return image
 

@@ -179,7 +179,8 @@ def render_run(
     views = scene.eval if split == "eval" else scene.train
     if not views:
         raise ConfigError(
-            f"{run.facts.scene}: no views are held out; choose --split train or --split path"
+            f"{run.facts.scene}: no views are held out; choose the split train or path",
+            options=("split",),
         )
     ball = scene.reach
     for number, view in enumerate(views, start=1):

@@ -58,7 +58,8 @@ class Run(TrainedRun):
         except torch.cuda.OutOfMemoryError:
             raise DeviceError(
                 f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: "
-                f"use --device cpu"
+                f"use the CPU",
+                options=("device",),
             ) from None
 
     def camera_response(self, rendering: Rendering, camera: Camera) -> Rendering:  # noqa: D102

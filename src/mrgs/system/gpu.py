@@ -77,7 +77,7 @@ def choose_device(name: DeviceName) -> torch.device:
     if obstacle is None:
         return torch.device("cuda", torch.cuda.current_device())
     if name == "cuda":
-        raise DeviceError(f"{obstacle}; or use --device cpu")
+        raise DeviceError(f"{obstacle}; or use the CPU", options=("device",))
     if _driver_is_installed():
         warnings.warn(f"the NVIDIA GPU is not used: {obstacle}", MrgsWarning, stacklevel=2)
     return torch.device("cpu")

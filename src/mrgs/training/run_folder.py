@@ -86,7 +86,10 @@ class RunFolder:
         self._require_config()
         found = self.checkpoints()
         if not found:
-            raise RunError(f"{self.path} has no checkpoint yet: train it first, without --resume")
+            raise RunError(
+                f"{self.path} has no checkpoint yet: train it before you resume it",
+                options=("resume",),
+            )
         return found[-1]
 
     def drop_old_checkpoints(self) -> None:
@@ -104,17 +107,19 @@ class RunFolder:
         """
         if self.checkpoints():
             raise RunError(
-                f"{self.path} already holds a run: continue it with --resume, or choose another "
-                f"--output"
+                f"{self.path} already holds a run: resume it, or choose another folder",
+                options=("resume", "output"),
             )
         if self.config_file.exists():
             if not self._config_values().keys() >= _EVERY_CONFIG_HAS:
                 raise RunError(
-                    f"{self.path} holds a config.yaml that is not a run's: choose another --output"
+                    f"{self.path} holds a config.yaml that is not a run's: choose another folder",
+                    options=("output",),
                 )
         elif self.log_file.exists():
             raise RunError(
-                f"{self.path} holds a log.jsonl that is not a run's: choose another --output"
+                f"{self.path} holds a log.jsonl that is not a run's: choose another folder",
+                options=("output",),
             )
 
     def start(self, config: RunConfig) -> None:
@@ -217,7 +222,8 @@ class RunFolder:
                 lock.acquire(timeout=0)
         except Timeout:
             raise RunError(
-                f"{self.path} is in use by another run: wait for it, or choose another --output"
+                f"{self.path} is in use by another run: wait for it, or choose another folder",
+                options=("output",),
             ) from None
         try:
             yield
@@ -261,8 +267,9 @@ class RunFolder:
             raise
         except OSError as error:
             raise RunError(
-                f"{self.path} cannot be written ({error.strerror or error}): free the place or "
-                f"choose another --output"
+                f"{self.path} cannot be written ({error.strerror or error}): make room, or "
+                f"choose another folder",
+                options=("output",),
             ) from error
 
 

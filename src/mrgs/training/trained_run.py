@@ -99,8 +99,8 @@ class TrainedRun(ABC):
         if not Path(self.facts.scene).exists():
             raise SceneError(
                 f"{self.facts.scene}: the scene that {self.folder.path} was trained on is no "
-                f"longer there; "
-                "say where it is with --scene"
+                f"longer there; say where it is",
+                options=("scene",),
             )
         scene = load_scene(
             self.facts.scene, resolution=self.config.resolution, seed=self.config.seed

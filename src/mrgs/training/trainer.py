@@ -198,8 +198,9 @@ class _Trainer(Driver[StepStatistics]):
         go_on = "resume on the CPU, or retrain" if found else "retrain"
         return TrainingError(
             f"the GPU's memory does not suffice for step {state.step + 1:,} with "
-            f"{len(state.model.gaussians):,} "
-            f"Gaussians; {kept}: {go_on} with a smaller --max-gaussians or --resolution"
+            f"{len(state.model.gaussians):,} Gaussians; {kept}: {go_on} with fewer Gaussians or a "
+            f"lower resolution",
+            options=("max_gaussians", "resolution"),
         )
 
     def _describe_model(self) -> Mapping[str, float | None]:

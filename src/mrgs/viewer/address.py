@@ -25,7 +25,7 @@ def require_free(host: str, port: int) -> None:
         ConfigError: it cannot.
     """
     if not 0 <= port <= 65535:
-        raise ConfigError(f"--port must be from 0 to 65535, not {port}")
+        raise ConfigError(f"the port must be from 0 to 65535, not {port}", options=("port",))
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM
@@ -35,6 +35,7 @@ def require_free(host: str, port: int) -> None:
             probe.bind(address)
     except OSError as error:
         raise ConfigError(
-            f"cannot listen on {host}:{port} ({error.strerror or error}): choose another --port, "
-            f"or end what uses it"
+            f"cannot listen on {host}:{port} ({error.strerror or error}): choose another port, "
+            f"or end what uses it",
+            options=("port",),
         ) from error

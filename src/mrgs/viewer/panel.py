@@ -195,7 +195,7 @@ def _photos_tab(gui: viser.GuiApi, subject: Subject) -> dict[str, Any]:
             "under View, Show."
         )
     else:
-        text = "The photos are not at hand: name the scene's folder with --scene."
+        text = "The photos are not at hand: open the run with the scene's folder."
     gui.add_html(texts.paragraph(text, "#6b7280"))
     return {
         "photo": gui.add_dropdown("Photo", names or ["-"], visible=there),

@@ -160,7 +160,8 @@ def _serve(host: str, port: int, title: str) -> viser.ViserServer:
     if port not in (0, server.get_port()):
         server.stop()
         raise ConfigError(
-            f"cannot listen on {host}:{port}: choose another --port, or end what uses it"
+            f"cannot listen on {host}:{port}: choose another port, or end what uses it",
+            options=("port",),
         )
     return server
 

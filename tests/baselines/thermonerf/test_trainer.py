@@ -131,7 +131,7 @@ def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene
 
 def test_a_run_is_never_overwritten(small_scene, tmp_path):
     folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
-    with pytest.raises(RunError, match="already holds a run: continue it with --resume"):
+    with pytest.raises(RunError, match="already holds a run: resume it"):
         train_thermonerf(small_scene, folder.path, small_config(1))
 
 
