@@ -12,7 +12,7 @@ from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, SheetRows, contact_
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
-from mrgs.scene import RGB, THERMAL, Reach, Rendering, TemperatureRange, View, spread
+from mrgs.scene import RGB, THERMAL, Reach, Rendering, TemperatureRange, View, evenly_spaced
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
@@ -90,7 +90,7 @@ def shown_of(thermal: list[float | Missing], rgb: list[float | Missing]) -> list
 def test_the_worst_view_is_shown_besides_those_spread_evenly(worst: int, bad: float) -> None:
     psnrs: list[float | Missing] = [30.0 + 0.1 * number for number in range(13)]
     psnrs[worst] = bad
-    assert shown_of(psnrs, [30.0] * 13) == sorted({*spread(13), worst})
+    assert shown_of(psnrs, [30.0] * 13) == sorted({*evenly_spaced(13), worst})
 
 
 def test_each_modality_has_its_worst_view() -> None:
@@ -99,7 +99,7 @@ def test_each_modality_has_its_worst_view() -> None:
     rgb: list[float | Missing] = [30.0] * 13
     thermal[4], rgb[4] = 25.0, none
     thermal[7], rgb[7] = none, 24.0
-    assert shown_of(thermal, rgb) == sorted({*spread(13), 4, 7})
+    assert shown_of(thermal, rgb) == sorted({*evenly_spaced(13), 4, 7})
 
 
 def test_the_error_changes_the_picture() -> None:
@@ -154,7 +154,7 @@ def test_no_rows_is_a_mistake_of_the_program() -> None:
 
 
 def test_views_are_spread_evenly() -> None:
-    assert spread(3) == [0, 1, 2]
-    assert spread(9) == [0, 2, 4, 6, 8]
-    assert spread(100, 4) == [0, 33, 66, 99]
-    assert spread(1) == [0]
+    assert evenly_spaced(3) == [0, 1, 2]
+    assert evenly_spaced(9) == [0, 2, 4, 6, 8]
+    assert evenly_spaced(100, 4) == [0, 33, 66, 99]
+    assert evenly_spaced(1) == [0]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, View, spread
+from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, View, evenly_spaced
 from tests.helpers.gaussians import NEAR_INFRARED
 
 
@@ -52,4 +52,4 @@ def test_any_two_modalities_can_be_compared():
     [(0, []), (1, [0]), (3, [0, 1, 2]), (5, [0, 1, 2, 3, 4]), (9, [0, 2, 4, 6, 8])],
 )
 def test_views_are_chosen_evenly_spread(count, indices):
-    assert spread(count) == indices
+    assert evenly_spaced(count) == indices

@@ -17,7 +17,7 @@ from mrgs.prepare.page.temperatures import temperatures
 from mrgs.prepare.page.world import World, world_of
 from mrgs.prepare.page.write import write_scene_page
 from mrgs.scene import Scene
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 PAGE = "check.html"
 
@@ -62,7 +62,7 @@ def _world(scene: Scene) -> World:
 
 def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]:
     """Views, temperatures and lenses."""
-    previews = [statistics[index].preview for index in spread(len(statistics), MOST_SHOWN)]
+    previews = [statistics[index].preview for index in evenly_spaced(len(statistics), MOST_SHOWN)]
     warped = {view.name: thermal_overlay(view, scene.points) for view in previews}
     overlays = {name: image for name, image in warped.items() if image is not None}
     unit = "" if scene.temperature is None else "°C"

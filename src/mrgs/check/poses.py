@@ -15,7 +15,7 @@ from mrgs.prepare.page.previews import views_text
 from mrgs.scene import Camera, Modality, Scene, View
 from mrgs.scene.modality import in_order
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 NO_POINTS = "There are no start points"
 """Beginning of the reader's note if the start points are random."""
@@ -75,7 +75,9 @@ def pose_problems(scene: Scene) -> list[Problem]:
         )
         depth = None
     else:
-        points = scene.points.positions[spread(len(scene.points.positions), _MOST_POINTS)].double()
+        points = scene.points.positions[
+            evenly_spaced(len(scene.points.positions), _MOST_POINTS)
+        ].double()
         found += _seen(cameras, points)
         depth = _median_depth(list(cameras.values()), points)
     found += _same_place(scene, cameras, depth)

@@ -37,8 +37,8 @@ from mrgs.scene import (
     Rendering,
     TemperatureRange,
     View,
+    evenly_spaced,
     in_order,
-    spread,
 )
 
 CELL_PX = 288
@@ -91,7 +91,7 @@ class SheetRows:
     """
 
     def __init__(self, count: int) -> None:
-        self._spread = spread(count)
+        self._spread = evenly_spaced(count)
         self._rows: dict[int, SheetRow] = {}
         self._worst: dict[Modality, tuple[float, int]] = {}
 

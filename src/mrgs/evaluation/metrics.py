@@ -46,10 +46,8 @@ def psnr_matched(
     if torch.equal(low, high):
         return Missing("the photo is uniform, so gain and offset can turn every rendering into it")
     channels = [
-        _matched(rendered.double(), photographed.double(), valid)
-        for rendered, photographed in zip(
-            image.clamp(0, 1).unbind(2), target.unbind(2), strict=True
-        )
+        _matched(rendered.double(), photo.double(), valid)
+        for rendered, photo in zip(image.clamp(0, 1).unbind(2), target.unbind(2), strict=True)
     ]
     return psnr(torch.stack(channels, dim=2), target, valid)
 

@@ -32,7 +32,7 @@ CONVENTIONS = (
     "Full frame, undistorted images, mean over the views. PSNR has the range 1; 'matched' "
     "gives each channel of the rendering the gain and the offset that suit the photo best, for "
     "cameras that expose or "
-    "scale every photo anew. SSIM uses an 11×11 Gaussian window "
+    "scale every photo by itself. SSIM uses an 11×11 Gaussian window "
     "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the "
     "image pair and whole "
     "windows only, as torchmetrics does by default up to 1.4.1. The foreground is the side of "

@@ -17,7 +17,7 @@ from mrgs.export.fusion import DepthMap, visible
 from mrgs.export.splats import to_bytes, to_float32, value_names
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, Camera, Modality, Reach, Scene, spread
+from mrgs.scene import RGB, Camera, Modality, Reach, Scene, evenly_spaced
 
 COLORS = ("red", "green", "blue")
 """What files call the channels of RGB."""
@@ -100,7 +100,7 @@ def value_columns(
 
 def _cameras(scene: Scene) -> list[Camera]:
     """Of the training views' first images, at most ``MAX_VIEWS``, at most ``MAX_WIDTH_PX`` wide."""
-    cameras = [scene.train[index].camera for index in spread(len(scene.train), MAX_VIEWS)]
+    cameras = [scene.train[index].camera for index in evenly_spaced(len(scene.train), MAX_VIEWS)]
     return [
         camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
         for camera in cameras

@@ -15,7 +15,7 @@ from mrgs.field.spherical_harmonics import C0
 from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import THERMAL, Camera, Modality, spread
+from mrgs.scene import THERMAL, Camera, Modality, evenly_spaced
 
 MEAN_OVER = 32
 """Cameras over which a colour without direction is averaged."""
@@ -161,7 +161,7 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedMod
     which a splat was seen is not zero. It averages over at most ``MEAN_OVER`` cameras,
     evenly spaced over those given.
     """
-    asked = [cameras[index] for index in spread(len(cameras), MEAN_OVER)]
+    asked = [cameras[index] for index in evenly_spaced(len(cameras), MEAN_OVER)]
     means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh}
     return replace(baked, sh={each: ((mean - 0.5) / C0)[:, None] for each, mean in means.items()})
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from mrgs.data.images import LUMINANCE
 from mrgs.prepare.rig.images import sampled
 from mrgs.scene import Camera, PointCloud
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 FEWEST_VIEWS = 3
 """Fewest images that must see a point to determine its usual value."""
@@ -82,7 +82,7 @@ def _values_at_points(
     points: PointCloud,
 ) -> Float[np.ndarray, "v n"]:
     """The value of each image at each point; NaN where the image does not see it."""
-    positions = points.positions[spread(len(points.positions), _MOST_POINTS)].double()
+    positions = points.positions[evenly_spaced(len(points.positions), _MOST_POINTS)].double()
     values = np.full((len(images), len(positions)), np.nan)
     for row, image, camera in zip(values, images, cameras, strict=True):
         if image is not None and camera is not None:

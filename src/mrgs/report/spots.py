@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 
-from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, spread
+from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, evenly_spaced
 
 VIEWS = 60
 """Number of views that are surveyed, evenly spaced over those given."""
@@ -129,7 +129,7 @@ def find_spots(
         ball: how far the scene reaches; the sky beyond it is no spot. None if there is none.
     """
     thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
-    chosen = [thermal[place] for place in spread(len(thermal), VIEWS)]
+    chosen = [thermal[place] for place in evenly_spaced(len(thermal), VIEWS)]
     points = _survey(views, chosen, render, ball)
     if points is None:
         return [], []

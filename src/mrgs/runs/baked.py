@@ -17,7 +17,16 @@ from torch import Tensor
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, shared_passes
-from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering, TemperatureRange, spread
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Blend,
+    Camera,
+    Modality,
+    Rendering,
+    TemperatureRange,
+    evenly_spaced,
+)
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
@@ -175,7 +184,7 @@ def bake(
         raise ValueError("colours cannot be fitted without a camera")
     gaussians = model.gaussians
     positions = torch.stack(
-        [cameras[index].position for index in spread(len(cameras), DIRECTIONS)]
+        [cameras[index].position for index in evenly_spaced(len(cameras), DIRECTIONS)]
     ).to(gaussians.means)
     return BakedModel(
         means=gaussians.means.detach(),

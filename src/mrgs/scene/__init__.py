@@ -17,7 +17,7 @@ from mrgs.scene.reach import Reach, reach
 from mrgs.scene.rendering import Blend, CameraResponse, Rendering, ideal_cameras
 from mrgs.scene.scene import PointCloud, Scene
 from mrgs.scene.temperature import TemperatureRange
-from mrgs.scene.view import Pixels, PosedImage, View, spread
+from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
 
 __all__ = [
     "BUILT_IN",
@@ -36,6 +36,7 @@ __all__ = [
     "Scene",
     "TemperatureRange",
     "View",
+    "evenly_spaced",
     "ideal_cameras",
     "in_order",
     "known_modalities",
@@ -43,5 +44,4 @@ __all__ = [
     "modality_named",
     "reach",
     "register_modality",
-    "spread",
 ]

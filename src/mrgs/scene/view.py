@@ -43,7 +43,7 @@ class PosedImage:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One moment of a capture: an image of each modality that was photographed, each with its own
+    """One moment of a capture: an image of each modality that was captured, each with its own
     camera.
 
     Attributes:
@@ -72,12 +72,12 @@ class View:
         return next(iter(self.images.values())).camera
 
     def shares_camera(self, one: Modality, other: Modality) -> bool:
-        """Whether both images are there and one camera serves both."""
+        """Whether both images are there, from one camera."""
         cameras = self.cameras
         return one in cameras and other in cameras and cameras[one].coincides_with(cameras[other])
 
 
-def spread(count: int, most: int = 5) -> list[int]:
+def evenly_spaced(count: int, most: int = 5) -> list[int]:
     """Indices of at most ``most`` of ``count`` views, evenly spread, the first and the last among
     them."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, most))})

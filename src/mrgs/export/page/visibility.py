@@ -9,7 +9,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import Camera, spread
+from mrgs.scene import Camera, evenly_spaced
 
 VIEWS = 16
 """Number of cameras that are rendered, evenly spaced over those given."""
@@ -25,7 +25,7 @@ def blending_weights(baked: BakedModel, cameras: Sequence[Camera]) -> Float[Tens
     weights.
     """
     weights = torch.zeros(len(baked.modalities), len(baked))
-    for index in spread(len(cameras), VIEWS):
+    for index in evenly_spaced(len(cameras), VIEWS):
         small = cameras[index].with_width(WIDTH_PX)
         features = {
             modality: torch.zeros(len(baked), modality.channels, requires_grad=True)

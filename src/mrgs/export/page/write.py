@@ -23,9 +23,9 @@ from mrgs.scene import (
     THERMAL,
     Camera,
     Modality,
+    evenly_spaced,
     in_order,
     metric_first,
-    spread,
 )
 from mrgs.scene.camera_paths import focus_point
 
@@ -120,7 +120,7 @@ def visible_range(
     """Limits of a one-channel modality that hold all but half a percent, at each end, of what some
     of the cameras see; in its unit."""
     seen = []
-    for index in spread(len(cameras), RANGE_VIEWS):
+    for index in evenly_spaced(len(cameras), RANGE_VIEWS):
         small = cameras[index].with_width(RANGE_WIDTH_PX)
         blend = baked.render({modality: small})[modality]
         values = shown_values(modality, blend.image, None)

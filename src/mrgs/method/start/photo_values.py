@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from mrgs.scene import Camera, PosedImage, spread
+from mrgs.scene import Camera, PosedImage, evenly_spaced
 
 PHOTOS = 64
 """At most so many photos are read, evenly spread."""
@@ -51,7 +51,7 @@ def photo_values(
     """
     if not photos:
         return positions.new_full((len(positions), channels), torch.nan)
-    chosen = [photos[index] for index in spread(len(photos), PHOTOS)]
+    chosen = [photos[index] for index in evenly_spaced(len(photos), PHOTOS)]
     shown = [_shown(positions.double(), photo) for photo in chosen]
     in_frame, unhidden = (
         torch.stack(values).nanmedian(dim=0).values for values in zip(*shown, strict=True)

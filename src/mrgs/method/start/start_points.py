@@ -91,13 +91,13 @@ def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
     return points
 
 
-def model_modalities(photographed: Iterable[Modality]) -> tuple[Modality, ...]:
+def model_modalities(captured: Iterable[Modality]) -> tuple[Modality, ...]:
     """What a model renders: RGB and thermal always, others where there are photos.
 
     Args:
-        photographed: the scene's modalities.
+        captured: the scene's modalities.
     """
-    return in_order((RGB, THERMAL, *photographed))
+    return in_order((RGB, THERMAL, *captured))
 
 
 def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartPoints:

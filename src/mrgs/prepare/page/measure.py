@@ -14,7 +14,7 @@ from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.prepare.contract import ConvertedView
 from mrgs.prepare.page.previews import reduced
 from mrgs.scene import RGB
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 MOST_PHOTOS = 6
 WIDTH_PX = 760
@@ -46,7 +46,7 @@ def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[Measure
     Raises:
         SceneError: a photo cannot be read.
     """
-    return [_photo(scene, views[index]) for index in spread(len(views), MOST_PHOTOS)]
+    return [_photo(scene, views[index]) for index in evenly_spaced(len(views), MOST_PHOTOS)]
 
 
 def _photo(scene: Path, view: ConvertedView) -> MeasuredPhoto:

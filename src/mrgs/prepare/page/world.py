@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from mrgs.pictures.html import render
 from mrgs.scene import Camera, PointCloud
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 MOST_POINTS = 4000
 _PLAN_POINTS = 1500
@@ -64,7 +64,7 @@ def world_of(
         )
         first = -next(iter(cameras.values())).viewmat[1, :3].numpy()
         up = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-6 else first
-    shown = spread(len(points.positions), MOST_POINTS)
+    shown = evenly_spaced(len(points.positions), MOST_POINTS)
     return World(
         cameras,
         held_out,
@@ -187,7 +187,7 @@ def _dots(
 ) -> list[tuple[str, str]]:
     """Colour and path of the points; those of one colour share a path, which keeps the file
     small."""
-    chosen = spread(len(pixels), _PLAN_POINTS)
+    chosen = evenly_spaced(len(pixels), _PLAN_POINTS)
     pixels, levels = pixels[chosen], np.rint(colors[chosen] * 5).astype(int)
     inside = ((pixels >= 0) & (pixels <= _PLAN_PX)).all(axis=1)
     by_color: dict[str, list[str]] = {}

@@ -33,7 +33,7 @@ from mrgs.prepare.page.temperatures import Temperatures, temperatures
 from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 PAGE = "prepare.html"
 SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
@@ -142,7 +142,7 @@ class _Content:
 def _content(work: Work) -> _Content:
     scene, photos = work.scene, work.images
     posed = None if work.poses is None else work.posed
-    shown = [photos.views[index] for index in spread(len(photos.views), MOST_SHOWN)]
+    shown = [photos.views[index] for index in evenly_spaced(len(photos.views), MOST_SHOWN)]
     width = thumbnail_width(len(shown))
     written = posed is not None and (scene / TRANSFORMS).is_file()
     loaded = load_scene(scene, resolution=width) if written else None

@@ -25,7 +25,7 @@ from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target
 from mrgs.scene import PointCloud
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 FEWEST_PAIRS = 3
 _SEARCH_PAIRS = 12
@@ -147,7 +147,7 @@ def _guess(
         field_of_view_deg = float(
             np.degrees(2 * np.arctan(0.5 * size[0] / options.thermal_lens.fx))
         )
-    chosen = [pairs[index] for index in spread(len(pairs), _SEARCH_PAIRS)]
+    chosen = [pairs[index] for index in evenly_spaced(len(pairs), _SEARCH_PAIRS)]
     found = first_guess(chosen, field_of_view_deg)
     if found.best.score < max(_CLEAR * found.chance, _LEAST_CORRELATION / np.sqrt(len(chosen))):
         raise SceneError(

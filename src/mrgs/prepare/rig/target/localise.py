@@ -20,7 +20,7 @@ from mrgs.prepare.rig.target.detect import Corners
 from mrgs.prepare.rig.target.plane import board_points, plane_pose
 from mrgs.prepare.rig.target.sightings import Sighting
 from mrgs.scene.rotations import matrix_from_rotvec
-from mrgs.scene.view import spread
+from mrgs.scene.view import evenly_spaced
 
 _FEWEST = 3
 _MOST_HYPOTHESES = 100
@@ -150,7 +150,7 @@ def _stationary_board(
     place, which leaves the distance open."""
     couples = list(combinations(range(len(views)), 2))
     most: dict[int, _BoardPose] = {}
-    for couple in spread(len(couples), _MOST_HYPOTHESES) if couples else []:
+    for couple in evenly_spaced(len(couples), _MOST_HYPOTHESES) if couples else []:
         first, second = (views[index] for index in couples[couple])
         guess = _from_two(first[0], second)
         consistent = {} if guess is None else _consistent(guess, views, plane, _ROUGH_SQUARES)
