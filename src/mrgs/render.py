@@ -150,13 +150,13 @@ def render(
 
 
 def shared_passes(cameras: Mapping[Modality, Camera]) -> list[tuple[Camera, list[Modality]]]:
-    """Modalities that are rendered together: with coinciding cameras, and at most one of each
-    number of channels, as the rasterizer takes them."""
+    """Modalities that are rendered together: with coinciding cameras, one of three channels and one
+    of one, as the fused pass takes them; any other has a pass of its own."""
     passes: list[tuple[Camera, list[Modality]]] = []
     for modality, camera in cameras.items():
         for other, together in passes:
-            channels = {each.channels for each in together}
-            if camera.coincides_with(other) and modality.channels not in channels:
+            channels = [modality.channels, *(each.channels for each in together)]
+            if camera.coincides_with(other) and sorted(channels) == [1, 3]:
                 together.append(modality)
                 break
         else:

@@ -91,7 +91,7 @@ def hold_everything_out(content: dict) -> None:
 BAD_SCENES: dict[str, tuple[Damage, str]] = {
     "folder missing": (
         shutil.rmtree,
-        r"scene: is not a folder; give the folder that holds the scene",
+        r"scene: not a folder; give the scene's folder",
     ),
     "transforms missing": (
         lambda scene: (scene / "transforms.json").unlink(),
@@ -192,7 +192,7 @@ def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
         (("--method", "nerf"), "unknown method 'nerf'; choose one of mrgs-plus, mrgs,"),
         (("--preset", "slow"), "unknown preset 'slow'; choose one of fast, default, paper"),
         (("--max-steps", 0), "max_steps must be at least 1, not 0"),
-        (("--max-gaussians", 0), "max_gaussians must be at least 1"),
+        (("--max-gaussians", 0), "max_gaussians of the densification must be at least 1"),
         (("--resolution", 3), "resolution must be at least 16 px, not 3"),
         (("--seed", -1), "the seed must be from 0 to 4,294,967,295, not -1"),
         (("--seed", 2**70), "the seed must be from 0 to"),
@@ -347,7 +347,7 @@ def test_a_scene_that_has_moved_is_named(tmp_path, capsys):
     assert run("eval", output, "--scene", tmp_path / "elsewhere") == 0
     refused(
         capsys,
-        "elsewhere2: is not a folder",
+        "elsewhere2: not a folder",
         "train",
         tmp_path / "elsewhere2",
         "--resume",

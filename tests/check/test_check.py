@@ -90,7 +90,7 @@ def test_file_names_are_no_markup(make_scene):
 @pytest.mark.parametrize("name", ["nowhere", "notes.txt"])
 def test_what_is_no_folder_is_told(tmp_path, name):
     (tmp_path / "notes.txt").write_text("no scene")
-    with pytest.raises(SceneError, match=f"{name}: is not a folder; give the folder of the scene"):
+    with pytest.raises(SceneError, match=f"{name}: not a folder; give the scene's folder"):
         check_scene(tmp_path / name)
 
 

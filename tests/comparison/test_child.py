@@ -46,7 +46,7 @@ def test_what_the_user_can_mend_is_said_in_one_message(tmp_path, request_for, ca
     assert child.main(request_for(tmp_path / "nowhere")) == 2
     (message,) = said(capsys)
     assert message["end"] == "error"
-    assert "nowhere: is not a folder" in message["message"]
+    assert "nowhere: not a folder" in message["message"]
 
 
 def test_the_end_of_input_stops_the_training_with_a_checkpoint(

@@ -13,7 +13,7 @@ from mrgs.scene import RGB, THERMAL
 
 
 def test_a_missing_folder(tmp_path):
-    with pytest.raises(SceneError, match="nowhere: is not a folder"):
+    with pytest.raises(SceneError, match="nowhere: not a folder"):
         load_scene(tmp_path / "nowhere")
 
 

@@ -263,7 +263,7 @@ def test_what_was_left_out_is_told(photos, fakes, tmp_path):
 
 BAD_FOLDERS: dict[str, tuple[Callable[[Path], tuple[Path, Path]], type[Exception], str]] = {
     "no photos": (lambda root: (root / "nowhere", root / "scene"), SceneError,
-                  "nowhere: is not a folder; give the folder of the photos"),
+                  "nowhere: not a folder; give the photos' folder"),
     "scene in photos": (lambda root: (root / "photos", root / "photos" / "scene"), RunError,
                         "scene and the photos are inside one another: choose a separate "
                         "scene folder"),

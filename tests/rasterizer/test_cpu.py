@@ -14,6 +14,7 @@ import numba
 import pytest
 import torch
 
+from mrgs import rasterizer
 from mrgs.rasterizer import Layer, reference
 from tests.helpers.rasterizers import (
     assert_same_bits,
@@ -308,6 +309,21 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
         plain(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
     with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
         plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
+
+
+@pytest.mark.parametrize("channels", [(2,), (4,), (1, 1), (3, 2)])
+def test_layers_that_no_kernel_takes_are_rendered_plainly(channels) -> None:
+    generator = torch.Generator().manual_seed(0)
+    means = torch.tensor([[0.0, 0.0, 1.0], [0.1, 0.0, 1.2]])
+    scales, quats, K = torch.full((2, 3), 0.1), torch.ones(2, 4), 8 * torch.eye(3)
+    layers = [
+        Layer(torch.tensor([0.5, 0.7]), torch.rand(2, c, generator=generator), torch.zeros(c))
+        for c in channels
+    ]
+    arguments = (means, quats, scales, layers, torch.eye(4), K, 8, 8)
+    found, expected = rasterizer.rasterize(*arguments), reference.rasterize(*arguments)
+    for blend, plain in zip(found.blends, expected.blends, strict=True):
+        assert torch.equal(blend.image, plain.image)
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> None:

@@ -258,8 +258,15 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
         rasterize(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
     with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
         rasterize(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
-    with pytest.raises(ValueError, match=r"layers must be one of 3 channels, .* not of \[3, 3\]"):
-        rasterize(means, torch.ones(4, 4), scales, [layer, layer], torch.eye(4), K, 8, 8)
+
+
+def test_layers_that_no_kernel_takes_are_left_to_the_plain_definition(gpu_device) -> None:
+    from mrgs.kernels.rasterize.gpu import rasterize
+
+    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
+    layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
+    arguments = (means, torch.ones(4, 4), scales, [layer, layer], torch.eye(4), K, 8, 8)
+    assert rasterize(*arguments) is NotImplemented
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) -> None:

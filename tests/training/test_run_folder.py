@@ -95,7 +95,7 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
         empty.newest_checkpoint()
     with pytest.raises(RunError, match=r"is not a run: it has no config\.yaml; name a folder that"):
         empty.read_config(from_yaml)
-    with pytest.raises(RunError, match="run has no checkpoint yet: train it before you resume it"):
+    with pytest.raises(RunError, match="run has no checkpoint yet: train it first"):
         folder.newest_checkpoint()
 
 

@@ -317,7 +317,7 @@ def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path, monkeypat
     spoil(monkeypatch, {1, 2, 3})
     with pytest.raises(TrainingError, match="there is no checkpoint yet"):
         train(small_scene, tmp_path / "run", short_config())
-    with pytest.raises(RunError, match="run has no checkpoint yet: train it before you resume it"):
+    with pytest.raises(RunError, match="run has no checkpoint yet: train it first"):
         train(small_scene, tmp_path / "run", short_config(), resume=True)
 
 

@@ -35,7 +35,7 @@ def check_scene(scene: str | Path, progress: Progress | None = None) -> SceneChe
     scene = Path(scene)
     folder = scene if scene.is_dir() else scene.parent
     if not scene.is_dir() and not (scene.is_file() and scene.suffix == ".json"):
-        raise scene_error(scene, "is not a folder; give the folder of the scene")
+        raise scene_error(scene, "not a folder; give the scene's folder")
     report = progress or (lambda step, done, total: None)
     try:
         loaded, corrected = _load(scene)

@@ -65,7 +65,7 @@ def _recognise(path: Path) -> SceneSource:
         root, transforms = path.parent.resolve(), path.parent.resolve() / path.name
         return read_transforms(root, transforms)
     if not path.is_dir():
-        raise scene_error(path, "is not a folder; give the folder that holds the scene")
+        raise scene_error(path, "not a folder; give the scene's folder")
     root = path.resolve()
     if file := find_transforms(root):
         return read_transforms(root, file)

@@ -130,8 +130,7 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
     reasons = _distinct_reasons(metrics)
     if reasons:
         blocks.append(
-            "A dash stands for a figure that cannot be had:\n\n"
-            + "\n".join(f"- {line}" for line in reasons)
+            "A dash stands for a missing figure:\n\n" + "\n".join(f"- {line}" for line in reasons)
         )
     return "\n\n".join([*blocks, CONVENTIONS]) + "\n"
 

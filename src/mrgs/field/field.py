@@ -44,7 +44,7 @@ class FieldConfig:
         anchor_weight: w_a of Eq. 12, the weight of a Gaussian's own refined feature.
         surrounding_weight: w_s of Eq. 12, the weight of the mean over its neighbours.
         color_scale: ĉ is multiplied by it, so that training starts at the plain colours.
-        temperature_scale: the same for t̂ and temperatures.
+        temperature_scale: t̂ is multiplied by it, so that training starts at the plain temperatures.
     """
 
     residuals: bool = True

@@ -115,7 +115,8 @@ class TrainConfig:
         return min(MAX_DEGREE, step // self.sh_every)
 
     def temperature_sh_degree_at(self, step: int) -> int:
-        """The same of the temperature's, as far as there are any.
+        """Highest degree of the temperature's spherical harmonics in use at this step, as far as
+        there are any.
 
         Where they come on top of t + t̂, every second step goes without them: what does not depend
         on the view must be a model by itself, because exports have nothing else. Without residuals

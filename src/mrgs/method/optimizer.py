@@ -164,7 +164,7 @@ class GaussianOptimizer:
         self._adam.zero_grad(set_to_none=True)
 
     def gradients(self) -> list[Tensor]:
-        """Those that there are."""
+        """Gradients of all parameters that have one."""
         return [
             tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None
         ]

@@ -108,7 +108,7 @@ def _check_folders(photos: Path, scene: Path) -> None:
         RunError: the scene's folder holds something else, or one of the folders lies in the other.
     """
     if not photos.is_dir():
-        raise scene_error(photos, "is not a folder; give the folder of the photos")
+        raise scene_error(photos, "not a folder; give the photos' folder")
     own = scene.resolve()
     if own.is_relative_to(photos) or photos.is_relative_to(own):
         raise RunError(

@@ -69,7 +69,7 @@ class BakedModel:
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
-        """Those that it renders, RGB first."""
+        """Modalities that the model renders, RGB first."""
         return tuple(self.opacities)
 
     def tensors(self) -> dict[str, Tensor]:

@@ -111,16 +111,23 @@ def find_method(name: str) -> Method:
         ConfigError: there is none.
     """
     if name not in _METHODS:
-        for plugin in entry_points(group=PLUGINS):
-            register(plugin.load())
+        _register_plugins()
     if name not in _METHODS:
         raise ConfigError(f"unknown method {name!r}; choose one of {', '.join(_METHODS)}")
     return _METHODS[name]
 
 
 def registered_methods() -> tuple[Method, ...]:
-    """All methods, in the order of their registration."""
+    """All methods, those of other packages included, in the order of their registration."""
+    _register_plugins()
     return tuple(_METHODS.values())
+
+
+def _register_plugins() -> None:
+    """Make the methods known that other packages offer as entry points."""
+    for plugin in entry_points(group=PLUGINS):
+        if plugin.name not in _METHODS:
+            register(plugin.load())
 
 
 for _name, _description in {

@@ -42,7 +42,7 @@ class Gaussians:
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
-        """Those that have an appearance."""
+        """Modalities that the Gaussians can be rendered in."""
         return tuple(self.sh_dc)
 
     @property

@@ -69,7 +69,7 @@ class Modality:
         return _QUANTITIES.get(self.name, self.title)
 
     def to_json(self) -> dict[str, Any]:
-        """What ``from_json`` reads."""
+        """Name, channels, unit and title as a JSON object; ``from_json`` reads it."""
         return {
             "name": self.name,
             "channels": self.channels,

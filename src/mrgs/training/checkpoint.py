@@ -271,7 +271,8 @@ def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dic
     try:
         with safe_open(path, framework="pt") as file:
             header = dict(json.loads((file.metadata() or {})["mrgs"]))
-            tensors = {name: file.get_tensor(name) for name in file.keys()} if with_tensors else {}  # noqa: SIM118
+            names = file.keys() if with_tensors else ()
+            tensors = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise _damaged(path) from error
     if header.get("format") != FORMAT:

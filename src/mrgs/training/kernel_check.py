@@ -50,7 +50,8 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             }
             seen = rows_in_view(state.model.gaussians, next(iter(cameras.values())))
             model = _sampled(state.model, seen, config.sh_degree_at(config.max_steps))
-            degrees = {THERMAL: config.temperature_sh_degree_at(config.max_steps)}
+            last = (config.max_steps - 1, config.max_steps)  # one of them goes without harmonics
+            degrees = {THERMAL: max(map(config.temperature_sh_degree_at, last))}
             rendering, _ = render(model, cameras, degrees)
             photos = {
                 modality: _random_photo(camera, modality.channels, generator, state.device)

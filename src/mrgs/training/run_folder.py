@@ -86,10 +86,7 @@ class RunFolder:
         self._require_config()
         found = self.checkpoints()
         if not found:
-            raise RunError(
-                f"{self.path} has no checkpoint yet: train it before you resume it",
-                options=("resume",),
-            )
+            raise RunError(f"{self.path} has no checkpoint yet: train it first")
         return found[-1]
 
     def drop_old_checkpoints(self) -> None:

@@ -187,7 +187,7 @@ def test_a_missing_file(tmp_path):
         ({"distance_m": float("nan")}, "distance_m = nan is not between"),
         ({"unit": "rankine"}, "the unit 'rankine' is not known"),
         ({"unit": "kelvin*0"}, r"the unit 'kelvin\*0' has a factor of 0"),
-        ({"bounds_c": (30.0, 10.0)}, "30 to 10 is no range in °C; give the smaller first"),
+        ({"bounds_c": (30.0, 10.0)}, "30 to 10 is not a range in °C; give the smaller value first"),
         ({"bounds_c": (1.0, 2.0), "unit": "kelvin"}, "a unit and bounds are both given"),
     ],
 )

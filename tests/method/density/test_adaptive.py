@@ -216,11 +216,8 @@ def test_the_schedule():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"every": 0}, "densification: every, reset_every and max_gaussians must be at least 1"),
-        (
-            {"max_gaussians": 0},
-            "densification: every, reset_every and max_gaussians must be at least 1",
-        ),
+        ({"every": 0}, "every of the densification must be at least 1, not 0"),
+        ({"max_gaussians": 0}, "max_gaussians of the densification must be at least 1, not 0"),
         ({"prune_opacity": 0.5}, "densification: 0 < prune_opacity < reset_opacity < 1 must hold"),
     ],
 )

@@ -487,9 +487,7 @@ def test_rules_that_do_not_fit(photos, rule, content, message):
 
 
 def test_a_folder_that_is_none(tmp_path):
-    with pytest.raises(
-        SceneError, match="nothing: is not a folder; give the folder that holds the photos"
-    ):
+    with pytest.raises(SceneError, match="nothing: not a folder; give the photos' folder"):
         find_pairs(tmp_path / "nothing")
 
 

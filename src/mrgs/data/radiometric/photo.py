@@ -51,21 +51,31 @@ class Overrides:
             value, (low, high, unit) = getattr(self, name), PARAMETER_LIMITS[name]
             if not low <= value <= high:
                 raise ConfigError(
-                    f"{name} = {value:g} is not between {low:g} and {high:g}{unit}; correct it"
+                    f"{name} = {value:g} is not between {low:g} and {high:g}{unit}; correct it",
+                    options=(name,),
                 )
         if self.unit is not None and not (known := UNIT.fullmatch(self.unit)):
             raise ConfigError(
-                f"the unit {self.unit!r} is not known; write celsius, kelvin, or such as kelvin*100"
+                f"the unit {self.unit!r} is not known; write celsius, kelvin, or for instance "
+                f"kelvin*100",
+                options=("unit",),
             )
         if self.unit is not None and known and known[2] is not None and float(known[2]) == 0:
-            raise ConfigError(f"the unit {self.unit!r} has a factor of 0; write such as kelvin*100")
+            raise ConfigError(
+                f"the unit {self.unit!r} has a factor of 0; write such as kelvin*100",
+                options=("unit",),
+            )
         if self.bounds_c is not None and not -273.15 <= self.bounds_c[0] < self.bounds_c[1] < 1e5:
             raise ConfigError(
-                f"{self.bounds_c[0]:g} to {self.bounds_c[1]:g} is no range in °C; give the "
-                f"smaller first"
+                f"{self.bounds_c[0]:g} to {self.bounds_c[1]:g} is not a range in °C; give the "
+                f"smaller value first",
+                options=("bounds_c",),
             )
         if self.unit is not None and self.bounds_c is not None:
-            raise ConfigError("a unit and bounds are both given; give one of the two")
+            raise ConfigError(
+                "a unit and bounds are both given; give one of the two",
+                options=("unit", "bounds_c"),
+            )
 
     def of_parameters(self) -> dict[str, float]:
         """The overridden parameters of the measurement, by name."""

@@ -66,10 +66,12 @@ class AdaptiveDensityControl(Strategy):
     reset_opacity: float = 0.01
 
     def __post_init__(self) -> None:
-        if self.every < 1 or self.reset_every < 1 or self.max_gaussians < 1:
-            raise ConfigError(
-                "densification: every, reset_every and max_gaussians must be at least 1"
-            )
+        for name in ("every", "reset_every", "max_gaussians"):
+            if getattr(self, name) < 1:
+                raise ConfigError(
+                    f"{name} of the densification must be at least 1, not {getattr(self, name)}",
+                    options=("max_gaussians",) if name == "max_gaussians" else (),
+                )
         if not 0 < self.prune_opacity < self.reset_opacity < 1:
             raise ConfigError("densification: 0 < prune_opacity < reset_opacity < 1 must hold")
 

@@ -42,7 +42,7 @@ def take_inventory(root: Path) -> Inventory:
         SceneError: the folder cannot be listed, or holds no file that can be a photo.
     """
     if not root.is_dir():
-        raise scene_error(root, "is not a folder; give the folder that holds the photos")
+        raise scene_error(root, "not a folder; give the photos' folder")
     photos, skipped = [], []
     for path in sorted(
         visible_files(root), key=lambda path: natural(path.relative_to(root).as_posix())

@@ -98,20 +98,16 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one
-    of each, fused.
+    of each, fused; NotImplemented for other layers.
 
     Raises:
-        ValueError: layers that are neither of these, or tensors of other types or sizes.
+        ValueError: no layer, or tensors of other types or sizes.
     """
     channels = [layer.features.shape[1] for layer in layers]
-    if (
-        not channels
-        or not set(channels) <= set(_SLOT_CHANNELS)
-        or len(set(channels)) != len(channels)
-    ):
-        raise ValueError(
-            f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
-        )
+    if not channels:
+        raise ValueError("there must be a layer")
+    if not set(channels) <= set(_SLOT_CHANNELS) or len(set(channels)) != len(channels):
+        return NotImplemented
     opacities, features, backgrounds = _merge_layers(
         dict(zip(channels, layers, strict=True)), means.shape[0]
     )

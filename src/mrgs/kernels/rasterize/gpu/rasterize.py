@@ -212,19 +212,19 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on a GPU: one layer of 3 or 1 channels, or one of
-    each, fused.
+    each, fused; NotImplemented for other layers.
 
     The camera may lie on any device; where it is not on that of ``means`` it is copied there.
 
     Raises:
-        ValueError: layers that are neither of these, or tensors of other types, sizes or devices.
+        ValueError: no layer, or tensors of other types, sizes or devices.
         MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
     """
     channels = [layer.features.shape[1] for layer in layers]
-    if not channels or not set(channels) <= _SLOTS.keys() or len(set(channels)) != len(channels):
-        raise ValueError(
-            f"layers must be one of 3 channels, one of 1 channel, or one of each, not of {channels}"
-        )
+    if not channels:
+        raise ValueError("there must be a layer")
+    if not set(channels) <= _SLOTS.keys() or len(set(channels)) != len(channels):
+        return NotImplemented
     what = _Pass({_SLOTS[c]: c for c in channels}, width, height)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
