@@ -38,3 +38,7 @@ class TrainingError(MrgsError):
 
 class MrgsWarning(UserWarning):
     """Something was repaired or skipped; the result is usable, the message says what changed."""
+
+
+class KernelWarning(MrgsWarning):
+    """A kernel does not compute what its plain definition says, so the definition runs."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import pytest
 
 from mrgs.comparison import child
 from mrgs.comparison.methods import Variant, configure, to_text
+from mrgs.errors import KernelWarning, MrgsWarning
 from tests.helpers.comparison import tiny_options
 
 
@@ -33,6 +35,17 @@ def request_for(tmp_path: Path):
 
 def said(capsys: pytest.CaptureFixture[str]) -> list[dict]:
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_a_kernel_that_differs_is_reported(small_scene, request_for, capsys, monkeypatch):
+    def run_one(*_: object, **__: object) -> bool:
+        warnings.warn("shade: the kernel differs", KernelWarning, stacklevel=1)
+        warnings.warn("the scene has no points", MrgsWarning, stacklevel=1)
+        return True
+
+    monkeypatch.setattr(child, "run_one", run_one)
+    assert child.main(request_for(small_scene)) == 0
+    assert said(capsys)[0] == {"warning": "shade: the kernel differs"}
 
 
 def test_a_run_is_followed_to_its_scores(small_scene, request_for, capsys):

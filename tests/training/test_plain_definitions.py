@@ -33,7 +33,7 @@ with warnings.catch_warnings(record=True) as caught:
         caught.clear()
     train(scene, output, config, device="cpu", plain=mode == "plain")
 for warning in caught:
-    if warning.category is MrgsWarning:
+    if issubclass(warning.category, MrgsWarning):
         print(warning.message)
 print("numba:", "numba" in sys.modules)
 """

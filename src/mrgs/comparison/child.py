@@ -2,9 +2,9 @@
 ``processes``.
 
 See ``mrgs.system.child`` for the protocol. The request holds ``scene``, ``folder``, ``config``
-(YAML), ``device`` and ``lpips_weights`` (a path or null); messages are ``{"step", "gaussians"}``
-and ``{"scored", "of"}``; the work ends "scored", "stopped" or with an error. On a request
-to stop, the run writes a checkpoint.
+(YAML), ``device`` and ``lpips_weights`` (a path or null); messages are ``{"step", "gaussians"}``,
+``{"scored", "of"}`` and ``{"warning"}``; the work ends "scored", "stopped" or with an error. On a
+request to stop, the run writes a checkpoint.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import threading
 import time
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mrgs.comparison.methods import from_text
 from mrgs.comparison.single import run_one
-from mrgs.errors import MrgsError
+from mrgs.errors import KernelWarning, MrgsError
 from mrgs.system.child import read_request, send, when_asked_to_stop
 
 REPORT_EVERY_S = 1.0
@@ -52,11 +52,17 @@ class Reporter:
             raise _StoppedError
 
 
+def _send_warning(message: Warning | str, *_: object, **__: object) -> None:
+    send(warning=str(message))
+
+
 def main(request: dict[str, Any]) -> int:
     """Train and score the run of a request; returns the exit status."""
     # The parent decides what Ctrl-C means, also on systems without sessions.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the parent has read the same scene and shown its warnings
+    warnings.simplefilter("always", KernelWarning)
+    warnings.showwarning = cast(Any, _send_warning)
     reporter = Reporter()
     weights = request["lpips_weights"]
     try:

@@ -46,7 +46,7 @@ class Progress:
     _last_line: float = field(default=0.0)
 
     def on_message(self, job: PlannedRun, message: Message) -> None:
-        """Handle a message: a run starts, takes steps, is scored or ends."""
+        """Handle a message: a run starts, takes steps, is scored, warns or ends."""
         if "start" in message:
             self._running[job] = _Running(self.clock())
             self.say(f"starts: {job}")
@@ -55,6 +55,8 @@ class Progress:
         elif "scored" in message:
             self._running[job].step = job.config.max_steps
             self._running[job].doing = f"scoring {message['scored']}/{message['of']}"
+        elif "warning" in message:
+            self.say(f"{job}: {message['warning']}")
         else:
             self._end(job, message)
 

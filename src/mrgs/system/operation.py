@@ -24,7 +24,7 @@ from typing import Any, Concatenate, Generic, Literal, NamedTuple, ParamSpec, Ty
 import torch
 from torch import Tensor, nn
 
-from mrgs.errors import MrgsWarning
+from mrgs.errors import KernelWarning
 from mrgs.system import gpu
 
 P = ParamSpec("P")
@@ -148,7 +148,7 @@ class Operation(Generic[P, R]):
             check.rejected.add(self.name)
             warnings.warn(
                 f"{self.__name__}: the kernel {problem}; the plain definition is used, slower",
-                MrgsWarning,
+                KernelWarning,
                 stacklevel=3,
             )
 
@@ -197,7 +197,7 @@ def checking(gradients: bool = True) -> Iterator[None]:
         gradients: whether to compare gradients as well as results.
 
     Warns:
-        MrgsWarning: a kernel differs from its plain definition, or fails.
+        KernelWarning: a kernel differs from its plain definition, or fails.
     """
     token = _check.set(_Check(gradients, set()))
     try:
