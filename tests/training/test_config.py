@@ -113,7 +113,7 @@ def test_any_text_gives_a_configuration_or_a_config_error(text):
         ({"preset": "slow"}, "unknown preset 'slow'; choose one of fast, default, paper"),
         ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
         ({"resolution": 8}, "resolution must be at least 16 px, not 8"),
-        ({"max_gaussians": 0}, "max_gaussians must be at least 1"),
+        ({"max_gaussians": 0}, "max_gaussians of the densification must be at least 1"),
     ],
 )
 def test_impossible_choices_are_named(options, message):
