@@ -10,13 +10,13 @@ from typing import Any
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.evaluation.figures import Figure, Missing, mean_figures, to_json
+from mrgs.evaluation.figures import Figure, Figures, Missing, mean_figures, to_json
 from mrgs.evaluation.metrics import psnr
 from mrgs.evaluation.truth import Truth
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
 from mrgs.render import Model, render
 from mrgs.runs.open import Run
-from mrgs.scene import BUILT_IN, RGB, THERMAL, Blend, CameraResponse, Pixels, TemperatureRange, View
+from mrgs.scene import BUILT_IN, THERMAL, Blend, Modality, Pixels, TemperatureRange, View
 
 KNOCK_OUT_FIGURES = ("thermal_psnr", "rgb_psnr", "truth_mae_c")
 
@@ -38,15 +38,8 @@ class Parts:
 
     def to_document(self) -> dict[str, Any]:
         """The object ``parts`` of ``metrics.json``; what cannot be had is null."""
-        span = None if self.temperature is None else self.temperature.span_c
-
-        def celsius(spread: float) -> float | None:
-            return None if span is None else spread * span
-
         return {
-            "temperature_residual_std_c": celsius(self.spreads.temperature_residual),
-            "heat_exchange_std_c": celsius(self.spreads.heat_exchange),
-            "color_residual_std": self.spreads.color_residual,
+            **self.spreads.to_json(self.temperature),
             "knock_out": {
                 part: {name: to_json(figure)[0] for name, figure in figures.items()}
                 for part, figures in self.knock_out.items()
@@ -73,40 +66,35 @@ def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> 
     spreads = part_spreads(run.model, views[0].camera.position.float())
     if spreads is None:
         return None
-    scored = {
-        part: _score(model, views, run.camera_response, run.temperature, truth)
-        for part, model in knock_outs(run.model).items()
-    }
-    return Parts(spreads, scored, run.temperature)
+    copies = knock_outs(run.model)
+    scored: dict[str, list[Figures]] = {part: [] for part in copies}
+    for view in views:
+        photos = {modality: image.load() for modality, image in view.images.items()}
+        for part, model in copies.items():
+            scored[part].append(_score(model, view, photos, run, truth))
+    means = {part: mean_figures(each, KNOCK_OUT_FIGURES) for part, each in scored.items()}
+    return Parts(spreads, means, run.temperature)
 
 
 def _score(
-    model: Model,
-    views: Sequence[View],
-    response: CameraResponse,
-    temperature: TemperatureRange | None,
-    truth: Truth | None,
-) -> Mapping[str, Figure]:
-    """Mean figures of the views, rendered on the CPU."""
-    scored = []
-    for view in views:
-        cameras = {each: view.cameras[each] for each in BUILT_IN if each in view.cameras}
-        with torch.no_grad():
-            rendering, _ = render(model, cameras)
-        observed = response(rendering, view.camera)
-        photos = {modality: image.load() for modality, image in view.images.items()}
-        figures: dict[str, Figure] = {
-            f"{modality}_psnr": _psnr(photos.get(modality), observed.get(modality))
-            for modality in (THERMAL, RGB)
-        }
-        thermal = rendering[THERMAL].image if THERMAL in rendering else None
-        figures["truth_mae_c"] = (
-            Missing("the scene has no exact truth")
-            if truth is None
-            else truth.score(view.name, thermal, None, None, temperature)["mae_c"]
-        )
-        scored.append(figures)
-    return mean_figures(scored, KNOCK_OUT_FIGURES)
+    model: Model, view: View, photos: Mapping[Modality, Pixels], run: Run, truth: Truth | None
+) -> Figures:
+    """One view's figures of a copy of the run's model, rendered on the CPU."""
+    cameras = {each: view.cameras[each] for each in BUILT_IN if each in view.cameras}
+    with torch.no_grad():
+        rendering, _ = render(model, cameras)
+    observed = run.camera_response(rendering, view.camera)
+    figures: Figures = {
+        f"{modality}_psnr": _psnr(photos.get(modality), observed.get(modality))
+        for modality in BUILT_IN
+    }
+    thermal = rendering[THERMAL].image if THERMAL in rendering else None
+    figures["truth_mae_c"] = (
+        Missing("the scene has no exact truth")
+        if truth is None
+        else truth.score(view.name, thermal, None, None, run.temperature)["mae_c"]
+    )
+    return figures
 
 
 def _psnr(photo: Pixels | None, blend: Blend | None) -> Figure:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from mrgs.field import RadianceField
 from mrgs.field.appearance import color_residuals
 from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
 from mrgs.render import Model
+from mrgs.scene import TemperatureRange
 
 
 class PartSpreads(NamedTuple):
@@ -31,6 +32,17 @@ class PartSpreads(NamedTuple):
     temperature_residual: float
     heat_exchange: float
     color_residual: float
+
+    def to_json(self, temperature: TemperatureRange | None) -> dict[str, float | None]:
+        """The spreads as ``metrics.json`` and ``log.jsonl`` name them, in °C; None without °C."""
+        span = None if temperature is None else temperature.span_c
+        return {
+            "temperature_residual_std_c": None
+            if span is None
+            else self.temperature_residual * span,
+            "heat_exchange_std_c": None if span is None else self.heat_exchange * span,
+            "color_residual_std": self.color_residual,
+        }
 
 
 @torch.no_grad()
@@ -83,21 +95,17 @@ def knock_outs(model: Model) -> Mapping[str, Model]:
     field = model.field
     if not field.config.residuals:
         return {}
-    copies: dict[str, Callable[[], Model]] = {
-        "temperature_residual": lambda: _with_residuals(
-            model, _temperature_residuals(model, field).mean(0, keepdim=True)
-        ),
-        "color_residual": lambda: _without_color_residual(model),
+    mean = _temperature_residuals(model, field).mean(0, keepdim=True)
+    copies = {
+        "temperature_residual": _with_residuals(model, mean),
+        "color_residual": _without_color_residual(model),
     }
     if field.config.neighbours_k > 0:
-        bare = without_heat_exchange(field)
-        copies["heat_exchange"] = lambda: _with_residuals(
-            model, _temperature_residuals(model, bare)
-        )
-        copies["shuffled_neighbours"] = lambda: _with_residuals(
-            model, _temperature_residuals(_with_shuffled_neighbours(model), field)
-        )
-    return {part: make() for part, make in copies.items()}
+        alone = _temperature_residuals(model, without_heat_exchange(field))
+        shuffled = _temperature_residuals(_with_shuffled_neighbours(model), field)
+        copies["heat_exchange"] = _with_residuals(model, alone)
+        copies["shuffled_neighbours"] = _with_residuals(model, shuffled)
+    return copies
 
 
 def _temperature_residuals(model: Model, field: RadianceField) -> Float[Tensor, "n 1"]:

@@ -157,7 +157,7 @@ class Driver(ABC, Generic[S]):
         if not statistics.skipped:
             entry["loss"] = statistics.loss
             entry |= {f"loss_{name}": value for name, value in statistics.terms.items()}
-            entry["thermal_error_c"] = celsius(statistics.thermal_error, self._facts.temperature)
+            entry["thermal_error_c"] = _celsius(statistics.thermal_error, self._facts.temperature)
         if statistics.gaussians is not None:
             entry["gaussians"] = statistics.gaussians
         if self._step_done % LOG_MODEL_EVERY == 0 or self._step_done == self._max_steps:
@@ -185,6 +185,5 @@ class Driver(ABC, Generic[S]):
         self._folder.drop_old_checkpoints()
 
 
-def celsius(difference: float | None, temperature: TemperatureRange | None) -> float | None:
-    """A difference of normalised temperatures in °C; None where there is none, or no scale."""
+def _celsius(difference: float | None, temperature: TemperatureRange | None) -> float | None:
     return None if difference is None or temperature is None else difference * temperature.span_c

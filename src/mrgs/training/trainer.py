@@ -22,7 +22,7 @@ from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
-from mrgs.training.driver import Driver, celsius
+from mrgs.training.driver import Driver
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
 from mrgs.training.run_folder import RunFolder
@@ -207,14 +207,7 @@ class _Trainer(Driver[StepStatistics]):
         """How much the parts of the model say, see ``PartSpreads``."""
         position = self._scene.train[0].camera.position
         spreads = part_spreads(self._state.model, position)
-        if spreads is None:
-            return {}
-        scale = self._scene.temperature
-        return {
-            "temperature_residual_std_c": celsius(spreads.temperature_residual, scale),
-            "heat_exchange_std_c": celsius(spreads.heat_exchange, scale),
-            "color_residual_std": spreads.color_residual,
-        }
+        return {} if spreads is None else spreads.to_json(self._scene.temperature)
 
     @property
     def _skipped_in_a_row(self) -> int:
