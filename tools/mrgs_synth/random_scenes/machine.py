@@ -7,7 +7,6 @@ import numpy as np
 from mrgs_synth.building import beam
 from mrgs_synth.random_scenes import finishes, furniture, machinery
 from mrgs_synth.random_scenes.draw import Draw
-from mrgs_synth.random_scenes.sensors import drawn_sensor
 from mrgs_synth.random_scenes.shell import Climate, Shell
 from mrgs_synth.shapes import tube
 from mrgs_synth.stage import Solid, Stage, constant
@@ -36,19 +35,7 @@ def machine(draw: Draw) -> Stage:
         solids += _pipe(draw, shell, f"run_{number}", air_c)
     solids += _overhead(draw, shell, air_c)
     cameras = shell.cameras(draw, (0.5, 1.1))
-    return Stage(
-        solids=finishes.emissive(solids, draw),
-        lamps=shell.lamps(draw, cameras),
-        sky=None,
-        exposure=None,
-        cameras=cameras,
-        beyond_c=constant(air_c),
-        point_noise_m=draw.between(0.003, 0.015),
-        surroundings_c=constant(air_c),
-        sensor=drawn_sensor(draw),
-        bounces=2,
-        denoised=True,
-    )
+    return shell.stage(draw, solids, air_c, cameras, (0.003, 0.015))
 
 
 def _machines(draw: Draw, shell: Shell, air_c: float) -> list[Solid]:

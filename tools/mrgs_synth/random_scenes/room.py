@@ -10,7 +10,6 @@ from mrgs_synth.building import Opening, beam, pane, window_frame
 from mrgs_synth.random_scenes import finishes, furniture
 from mrgs_synth.random_scenes.draw import Draw
 from mrgs_synth.random_scenes.fields import graded, spotted
-from mrgs_synth.random_scenes.sensors import drawn_sensor
 from mrgs_synth.random_scenes.shell import Climate, Shell
 from mrgs_synth.shapes import box_faces, merge, tube
 from mrgs_synth.stage import Material, Solid, Stage, TemperatureField, constant
@@ -23,19 +22,7 @@ def room(draw: Draw) -> Stage:
     solids = [*shell.surfaces(draw, climate), *_walls(draw, shell, climate)]
     solids += _middle(draw, shell, climate.air_c)
     cameras = shell.cameras(draw, (0.6, 1.2))
-    return Stage(
-        solids=finishes.emissive(solids, draw),
-        lamps=shell.lamps(draw, cameras),
-        sky=None,
-        exposure=None,
-        cameras=cameras,
-        beyond_c=constant(climate.air_c),
-        point_noise_m=draw.between(0.003, 0.012),
-        surroundings_c=constant(climate.air_c),
-        sensor=drawn_sensor(draw),
-        bounces=2,
-        denoised=True,
-    )
+    return shell.stage(draw, solids, climate.air_c, cameras, (0.003, 0.012))
 
 
 def _climate(draw: Draw) -> Climate:

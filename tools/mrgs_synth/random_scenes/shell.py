@@ -7,6 +7,7 @@ the back wall; things stand at the back, at the sides and around the middle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,9 @@ from mrgs_synth.random_scenes import finishes
 from mrgs_synth.random_scenes.checks import unseen
 from mrgs_synth.random_scenes.draw import Draw
 from mrgs_synth.random_scenes.fields import floor_heating, hidden_in_wall, touches
+from mrgs_synth.random_scenes.sensors import drawn_sensor
 from mrgs_synth.shapes import box_faces
-from mrgs_synth.stage import Lamp, Material, Solid, TemperatureField, constant
+from mrgs_synth.stage import Lamp, Material, Solid, Stage, TemperatureField, constant
 
 CELL_M = 0.05
 WALLS = ("back", "left", "right", "front")
@@ -143,6 +145,37 @@ class Shell:
                 )
             )
         return unseen(candidates, arc)[:wanted]
+
+    def stage(
+        self,
+        draw: Draw,
+        solids: Sequence[Solid],
+        air_c: float,
+        cameras: CameraArc,
+        point_noise_m: tuple[float, float],
+    ) -> Stage:
+        """The closed room with everything in it, lit by its lamps alone.
+
+        Args:
+            draw: of emissivities, lamps, noise and sensor, in this order.
+            solids: the room's surfaces and all that stands in it.
+            air_c: temperature of the air, which rough surfaces reflect, °C.
+            cameras: that no lamp may be seen by.
+            point_noise_m: least and largest noise of the sparse points, metres.
+        """
+        return Stage(
+            solids=finishes.emissive(solids, draw),
+            lamps=self.lamps(draw, cameras),
+            sky=None,
+            exposure=None,
+            cameras=cameras,
+            beyond_c=constant(air_c),
+            point_noise_m=draw.between(*point_noise_m),
+            surroundings_c=constant(air_c),
+            sensor=drawn_sensor(draw),
+            bounces=2,
+            denoised=True,
+        )
 
 
 def _at(
