@@ -48,13 +48,7 @@ class LossConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
-        for name in (
-            "smooth",
-            "smooth_rgb",
-            "smooth_thermal",
-            "smooth_depth",
-            "opaque",
-        ):
+        for name in ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{name} must be 0 or more, not {getattr(self, name)}")
 

@@ -134,10 +134,10 @@ def normalise_radiation(
         counts = valid[::every, ::every].flatten()
     ascending = torch.where(counts, sampled, math.inf).sort().values
     last = (counts.sum() - 1).clamp_min(0)
-    low, high = (ascending.take((share * last).round().long()) for share in QUANTILES)
-    if valid is not None:  # without a valid pixel nothing was found
-        found = counts.any()
-        low, high = torch.where(found, low, 0), torch.where(found, high, 0)
+    low, high = (
+        torch.where(counts.any(), ascending.take((share * last).round().long()), 0)
+        for share in QUANTILES
+    )
     span = high - low
     scaled = (radiation - low) / torch.where(span > 1e-6 * high, span, math.inf)
     return scaled.clamp(0, 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float
@@ -25,7 +25,7 @@ from mrgs.method.losses.radiation import (
 )
 from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
-from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality
 
 
 def configured_terms(
@@ -126,11 +126,9 @@ class Opaqueness(Term):
         return self._weight
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        cameras, rendering = context.cameras, context.rendering
-        both = RGB in cameras and THERMAL in cameras
-        if not (both and cameras[RGB].coincides_with(cameras[THERMAL])):
+        if not _share_pixels(context.cameras):
             return None
-        rgb, thermal = rendering[RGB], rendering[THERMAL]
+        rgb, thermal = context.rendering[RGB], context.rendering[THERMAL]
         return opaqueness_loss(thermal.alpha, rgb.alpha, thermal.depth, rgb.depth)
 
 
@@ -155,8 +153,8 @@ class Boltzmann(Term):
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
         photo, scale, config = context.photos.get(THERMAL), context.scale, self._config
-        surface = _rgb_surface(context) if config.area == "pixel" else None
-        if photo is None or (surface is None and config.area == "pixel"):
+        by_pixel = config.area == "pixel"
+        if photo is None or (by_pixel and not _share_pixels(context.cameras)):
             return None
         image, depth, alpha = context.observed[THERMAL]
         # A depth that is mostly background's is that of no surface, and no photo's temperature.
@@ -168,7 +166,7 @@ class Boltzmann(Term):
             depth if config.depth_gradient else depth.detach(),
             scale.extent,
             scale.temperature if config.temperatures == "kelvin" else None,
-            surface,
+            _surface_depth(context.rendering[RGB]) if by_pixel else None,
         )
         # u judges the depth and does not shape it: it would grow without end to make u small.
         uncertainty = self._uncertainty(depth.detach(), scale.extent)
@@ -180,13 +178,12 @@ class Boltzmann(Term):
         )
 
 
-def _rgb_surface(context: LossContext) -> Float[Tensor, "h w"] | None:
-    """Depth of the surface in the RGB image, without gradient, where it has the thermal image's
-    pixels; else None."""
-    cameras = context.cameras
-    if not (RGB in cameras and THERMAL in cameras):
-        return None
-    if not cameras[RGB].coincides_with(cameras[THERMAL]):
-        return None
-    rgb = context.rendering[RGB]
-    return rgb.depth.detach() / rgb.alpha.detach().clamp_min(HALF_COVERED)
+def _share_pixels(cameras: Mapping[Modality, Camera]) -> bool:
+    """Whether a pixel of the thermal image is the same pixel of the RGB image."""
+    both = RGB in cameras and THERMAL in cameras
+    return both and cameras[RGB].coincides_with(cameras[THERMAL])
+
+
+def _surface_depth(blend: Blend) -> Float[Tensor, "h w"]:
+    """Depth of the surface that a blend shows, in scene units, without gradient."""
+    return blend.depth.detach() / blend.alpha.detach().clamp_min(HALF_COVERED)
