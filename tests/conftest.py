@@ -35,9 +35,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = (ROOT / "src" / "mrgs", ROOT / "tools" / "mrgs_synth")
 UNCHECKED = (
     "mrgs.kernels",
-    "mrgs.app.terminal",
-    "mrgs.app.cli",
-    "mrgs.app.commands",
+    "mrgs.app",
 )
 """The hook's decorators break Numba's cache and Triton's reading of a kernel's source; cli imports
 what it annotates only when it is needed."""

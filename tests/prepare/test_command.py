@@ -10,7 +10,7 @@ import pytest
 
 from mrgs.app import terminal
 from mrgs.app.cli import main
-from mrgs.app.commands import Prepare, flag_of
+from mrgs.app.commands import PhotoOptions, flag_of
 from mrgs.check import Problem, SceneCheck
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import SceneError
@@ -121,7 +121,7 @@ def test_a_bad_option_is_one_line(arguments, message, asked, capsys):
 
 @pytest.mark.parametrize("kind", [PrepareOptions, Overrides])
 def test_every_option_of_the_python_api_has_its_flag(kind):
-    flags = {f"--{field.name.replace('_', '-')}" for field in fields(Prepare)}
+    flags = {f"--{field.name.replace('_', '-')}" for field in fields(PhotoOptions)}
     names = {field.name for field in fields(kind)} - {"overrides"}
     assert {flag_of(name) for name in names} <= flags
 

@@ -6,16 +6,14 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tyro
-
+from mrgs.app.arguments import EXIT_USER_ERROR, parse
 from mrgs.app.commands import (
     Check,
-    Command,
     CompareMethods,
     Demo,
     Eval,
@@ -28,6 +26,7 @@ from mrgs.app.commands import (
     ViewRun,
     flag_of,
 )
+from mrgs.app.style import say_error
 from mrgs.app.terminal import (
     PrepareProgress,
     TrainingProgress,
@@ -36,6 +35,7 @@ from mrgs.app.terminal import (
     note_unfinished,
     plain_warnings,
     print_baking_loss,
+    print_exported,
     print_figures,
     print_metrics,
     print_table,
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from mrgs.viewer import LiveView
 
 EXIT_BAD_SCENE = 1
-EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 MAX_TRAIN_SEED = 2**32 - 1
@@ -65,13 +64,6 @@ def main(argv: list[str] | None = None) -> int:
     # Threads that spin while they wait cost more than they save on shared cores. Read once, when
     # torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    command: Any = tyro.cli(
-        Command,
-        prog="mrgs",
-        description="Train a 3D Gaussian model with colour and °C from RGB and thermal photos.",
-        args=argv,
-        config=(tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff),
-    )
     handlers: dict[type, Callable[[Any], int | None]] = {
         Prepare: _prepare,
         Check: _check,
@@ -87,9 +79,10 @@ def main(argv: list[str] | None = None) -> int:
     }
     with plain_warnings():
         try:
+            command = _parsed(sys.argv[1:] if argv is None else argv)
             return handlers[type(command)](command) or 0
         except MrgsError as error:
-            print(f"mrgs: error: {error}{_flags(error)}", file=sys.stderr)
+            say_error(f"{error}{_flags(error)}")
             return EXIT_USER_ERROR
         except BrokenPipeError:  # the reader of the pipe has exited
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -97,6 +90,15 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             print("mrgs: stopped", file=sys.stderr)
             return EXIT_INTERRUPTED
+
+
+def _parsed(argv: Sequence[str]) -> Any:
+    """The command, or a text that is printed to its end before the program exits."""
+    try:
+        return parse(argv)
+    except SystemExit:
+        sys.stdout.flush()
+        raise
 
 
 def _flags(error: MrgsError) -> str:
@@ -113,7 +115,11 @@ def _prepare(command: Prepare) -> None:
     try:
         with progress:
             made = prepare(
-                command.photos, command.scene, command.options(), progress.step, progress.stage
+                command.photos,
+                command.scene,
+                command.photo.options(),
+                progress.step,
+                progress.stage,
             )
             progress.end(made)
     except KeyboardInterrupt:
@@ -370,7 +376,7 @@ def _export(command: Export) -> None:
             on_baked=print_baking_loss,
             progress=progress,
         )
-    print(*paths, sep="\n")
+    print_exported(folder, paths)
 
 
 def _report(command: Report) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import reduce
+from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
@@ -15,254 +18,80 @@ from mrgs.runs.registry import registered_methods
 if TYPE_CHECKING:
     from mrgs.prepare import PrepareOptions
 
+METHOD_NAMES = [each.name for each in registered_methods()]
 METHODS_HELP = "; ".join(f"{each.name}: {each.description}" for each in registered_methods())
 
-FORMATS_HELP = "what to write: all; " + "; ".join(
+FORMATS_HELP = "all, or one of: " + "; ".join(
     f"{each.name}: {each.files}" for each in FORMATS.values()
 )
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 """As in ``mrgs.system.gpu``, which loads torch."""
 
+T = TypeVar("T")
 
-@dataclass(frozen=True)
-class Train:
-    """Train a model of a scene.
+Maybe = Annotated[T | None, tyro.conf.arg(help_behavior_hint="")]
+"""An option that may be left out; the help does not list its default, None."""
 
-    A scene is a folder in the layout of ThermoScenes, nerfstudio or COLMAP. The model, its log and
-    its checkpoints are written to the run folder. Ctrl-C saves a checkpoint; --resume continues
-    from it.
-    """
+Several = Annotated[tuple[T, ...], tyro.conf.arg(help_behavior_hint="")]
+"""An option with any number of values, by default none."""
 
-    scene: tyro.conf.Positional[Path]
-    """Scene folder."""
-    output: Path | None = None
-    """Run folder; by default runs/SCENE-METHOD."""
-    method: Annotated[str, tyro.conf.arg(help=METHODS_HELP)] = "mrgs-plus"
-    preset: str = "default"
-    """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
-    max_steps: int | None = None
-    """Number of steps; the preset's schedule is rescaled to fit."""
-    max_gaussians: int | None = None
-    """Maximum number of Gaussians."""
-    resolution: int | None = None
-    """Downscale images wider than this many pixels."""
-    seed: int = 0
-    """Random seed."""
-    config: Path | None = None
-    """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
-    resume: bool = False
-    """Resume the run in --output; all options but --device, --plain and --view come from the saved
-    run."""
-    device: DeviceName = "auto"
-    """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
-    plain: bool = False
-    """Run the plain definition of every operation instead of its kernel, much slower; so does
-    MRGS_PLAIN=1, for any command."""
-    view: bool = False
-    """Show the model in the browser while it trains. Needs mrgs[view]."""
-    port: int = 8080
-    """TCP port of --view; 0 picks a free port."""
+PresetName = Annotated[str, tyro.conf.arg(metavar="{fast,default,paper}")]
+FormatName = Annotated[
+    str, tyro.conf.arg(metavar="{" + ",".join(["all", *FORMATS]) + "}", help=FORMATS_HELP)
+]
+MethodName = Annotated[
+    str, tyro.conf.arg(metavar="{" + ",".join(METHOD_NAMES) + "}", help=METHODS_HELP)
+]
+RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
 
 
 @dataclass(frozen=True)
-class Eval:
-    """Score a run on its scene's evaluation views.
+class PhotoOptions:
+    """Facts about the photos that their files do not hold."""
 
-    Writes metrics.json, metrics.md and contact_sheet.png to RUN/eval. With --renders DIR, scores
-    another program's images of a scene instead, and writes to DIR/eval.
-    """
-
-    run: tyro.conf.Positional[Path]
-    """Run folder; with --renders, the scene folder."""
-    renders: Path | None = None
-    """Images to score: DIR/rgb/NAME.png, DIR/thermal/NAME.png or .tiff (docs/experiments.md)."""
-    resolution: int | None = None
-    """With --renders: downscale photos wider than this many pixels, as in training."""
-    scene: Path | None = None
-    """Scene folder, if it has moved since training."""
-    lpips_weights: Path | None = None
-    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
-
-
-@dataclass(frozen=True)
-class Render:
-    """Render images into RUN/renders: RGB, temperature (°C as float32 TIFF, and colour-mapped),
-    depth."""
-
-    run: tyro.conf.Positional[Path]
-    """Run folder."""
-    scene: Path | None = None
-    """Scene folder, if it has moved since training."""
-    split: Literal["eval", "train", "path"] = "eval"
-    """Evaluation views, training views, or a camera path (frames; a video with mrgs[video])."""
-    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
-    """Palette of the thermal images."""
-    frames: int = 120
-    """Number of frames of the camera path."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
-
-
-@dataclass(frozen=True)
-class ViewRun:
-    """View a run in the browser: colour, temperature, depth, °C under the cursor. Needs
-    mrgs[view]."""
-
-    run: tyro.conf.Positional[Path]
-    """Run folder."""
-    scene: Path | None = None
-    """Scene folder, if it has moved since training."""
-    host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 exposes the viewer to the network."""
-    port: int = 8080
-    """TCP port; 0 picks a free port."""
-
-
-@dataclass(frozen=True)
-class Export:
-    """Export a run for other programs: splats, points, a mesh, cameras, a self-contained HTML
-    page."""
-
-    run: tyro.conf.Positional[Path]
-    """Run folder."""
-    format: Annotated[str, tyro.conf.arg(help=FORMATS_HELP)] = "all"
-    output: Path | None = None
-    """Output folder; by default RUN/export."""
-    scene: Path | None = None
-    """Scene folder, if it has moved since training."""
-    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
-    """Palette of the temperatures."""
-    range_c: tuple[float, float] | None = None
-    """°C of the palette's first and last colour; by default the scene's full range."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """Write a one-page report for a thermographer: hottest and coldest spots, scores, capture,
-    limits."""
-
-    run: tyro.conf.Positional[Path]
-    """Run folder."""
-    output: Path | None = None
-    """Output file; by default RUN/report.html."""
-    scene: Path | None = None
-    """Scene folder, if it has moved since training."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
-
-
-@dataclass(frozen=True)
-class Demo:
-    """Train on the bundled scene, score it and render it. Takes a few minutes."""
-
-    output: Path = Path("runs/demo")
-    """Run folder."""
-    device: DeviceName = "auto"
-    """Device to train and render on; auto uses a usable GPU, else the CPU."""
-
-
-@dataclass(frozen=True)
-class CompareMethods:
-    """Train and score methods on scenes, and write the paper's tables and figures.
-
-    Re-run the same command to resume. See docs/experiments.md for how to read the tables.
-    """
-
-    scenes: tyro.conf.Positional[tuple[Path, ...]]
-    """Scene folders."""
-    methods: tuple[str, ...] = (
-        "3dgs-rgbt",
-        "mrgs-base",
-        "mrgs-fourier",
-        "mrgs-boltz",
-        "mrgs",
-        "mrgs-plus",
-    )
-    """Methods, as for mrgs train --method."""
-    variants: tuple[str, ...] = ()
-    """Methods with other settings, NAME=FILE: as for mrgs train --config, plus method: METHOD."""
-    neighbours: tuple[int, ...] = ()
-    """Values of n for the table of neighbours; the paper has 1 3 5 7."""
-    renders: tuple[str, ...] = ()
-    """Other programs' images, NAME=DIR; those of each scene are in DIR/SCENE."""
-    seeds: int = 1
-    """Number of runs per method and scene."""
-    preset: str = "default"
-    """fast, default or paper, as in mrgs train."""
-    max_steps: int | None = None
-    """Number of steps; the preset's schedule is rescaled to fit."""
-    max_gaussians: int | None = None
-    """Maximum number of Gaussians."""
-    resolution: int | None = None
-    """Downscale images wider than this many pixels."""
-    jobs: int = 1
-    """Number of parallel runs; they share the cores."""
-    device: DeviceName = "auto"
-    """Device to train and render on; auto uses a usable GPU, else the CPU. Methods without GPU
-    support use the CPU."""
-    output: Path = Path("runs/compare")
-    """Folder of the runs, tables and figures."""
-    lpips_weights: Path | None = None
-    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
-
-
-@dataclass(frozen=True)
-class Prepare:
-    """Make a scene from a folder of photos: pairs, temperatures, poses, the thermal camera, scale.
-    Needs mrgs[sfm].
-
-    The photos are only read. Check SCENE/prepare.html before training: it shows what was found.
-    Re-run the same command to resume.
-    """
-
-    photos: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTOS")]
-    """Folder of the photos."""
-    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
-    """Folder to make."""
     pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
     """How RGB and thermal photos are paired: by file names, two folders, or time; thermal uses the
     thermal photos only."""
-    pair_table: Path | None = None
+    pair_table: Maybe[Path] = None
     """CSV file with two columns, the RGB and the thermal photo, if pairs cannot be inferred from
     file names."""
     tolerance: float = 2.0
     """Maximum time difference within a pair, in seconds."""
-    poses: Path | None = None
+    poses: Maybe[Path] = None
     """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
-    emissivity: float | None = None
+    emissivity: Maybe[float] = None
     """Surface emissivity. This and the next six options override the values stored in the photos;
     see docs/radiometric.md."""
-    reflected: float | None = None
+    reflected: Maybe[float] = None
     """Reflected apparent temperature, °C."""
-    distance: float | None = None
+    distance: Maybe[float] = None
     """Distance from the camera to the object, m."""
-    atmospheric: float | None = None
+    atmospheric: Maybe[float] = None
     """Air temperature, °C."""
-    humidity: float | None = None
+    humidity: Maybe[float] = None
     """Relative humidity of the air, 0 to 1."""
-    window: float | None = None
+    window: Maybe[float] = None
     """Temperature of an infrared window in front of the camera, °C."""
-    window_transmission: float | None = None
+    window_transmission: Maybe[float] = None
     """Transmission of that window, 0 to 1."""
-    unit: str | None = None
+    unit: Maybe[str] = None
     """Unit of the values in TIFF, PNG and CSV files, such as celsius or kelvin*100."""
-    bounds: tuple[float, float] | None = None
+    bounds: Maybe[tuple[float, float]] = None
     """Temperatures (°C) of black and white, for greyscale thermal photos with a fixed span."""
-    thermal_fov: float | None = None
+    thermal_fov: Maybe[float] = None
     """Horizontal field of view of the thermal camera in degrees, from its data sheet; helps to
     locate the camera."""
-    thermal_camera: Path | None = None
+    thermal_camera: Maybe[Path] = None
     """JSON file with the thermal camera, such as the transforms.json of another scene taken with
     it; see docs/prepare.md."""
     one_camera: bool = False
     """The two images of a pair show the same scene, pixel for pixel."""
-    target: tuple[str, float] | None = None
+    target: Maybe[tuple[str, float]] = None
     """Chessboard that both cameras see: inner corners and side of a square in m, such as
     7x6 0.05."""
-    known_distance: tuple[str, str, float] | None = None
+    known_distance: Maybe[tuple[str, str, float]] = None
     """Two pixels of one view and the distance between the points they show, in m: NAME:X,Y NAME:X,Y
     METRES."""
     eval_every: int = 8
@@ -305,23 +134,236 @@ class Prepare:
 
 
 @dataclass(frozen=True)
-class Check:
-    """Check a scene that was made elsewhere: images, cameras, points, temperatures. Changes nothing
-    in it.
+class Train:
+    """Train a model of a scene.
 
-    Lists the problems, the worst first, and draws the scene on SCENE/check.html. The exit code is 1
-    if the scene should not be trained as it is.
+    A scene is a folder in the layout of ThermoScenes, nerfstudio or COLMAP. The model, its log and
+    its checkpoints are written to the run folder. Ctrl-C saves a checkpoint; --resume continues
+    from it.
     """
 
-    scene: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
+    scene: ScenePath
+    """Scene folder."""
+    output: Maybe[Path] = None
+    """Run folder; by default runs/SCENE-METHOD."""
+    method: MethodName = "mrgs-plus"
+    preset: PresetName = "default"
+    """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
+    max_steps: Maybe[int] = None
+    """Number of steps; the preset's schedule is rescaled to fit."""
+    max_gaussians: Maybe[int] = None
+    """Maximum number of Gaussians."""
+    resolution: Maybe[int] = None
+    """Downscale images wider than this many pixels."""
+    seed: int = 0
+    """Random seed."""
+    config: Maybe[Path] = None
+    """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
+    resume: bool = False
+    """Resume the run in --output; all options but --device, --plain and --view come from the saved
+    run."""
+    device: DeviceName = "auto"
+    """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
+    plain: bool = False
+    """Run the plain definition of every operation instead of its kernel, much slower; so does
+    MRGS_PLAIN=1, for any command."""
+    view: bool = False
+    """Show the model in the browser while it trains. Needs mrgs[view]."""
+    port: int = 8080
+    """TCP port of --view; 0 picks a free port."""
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Score a run on the views that were held out from training.
+
+    Writes metrics.json, metrics.md and contact_sheet.png to RUN/eval. With --renders DIR, scores
+    another program's images of a scene instead, and writes to DIR/eval.
+    """
+
+    run: RunPath
+    """Run folder; with --renders, the scene folder."""
+    renders: Maybe[Path] = None
+    """Images to score: DIR/rgb/NAME.png, DIR/thermal/NAME.png or .tiff (docs/experiments.md)."""
+    resolution: Maybe[int] = None
+    """With --renders: downscale photos wider than this many pixels, as in training."""
+    scene: Maybe[Path] = None
+    """Scene folder, if it has moved since training."""
+    lpips_weights: Maybe[Path] = None
+    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
+    device: DeviceName = "auto"
+    """Device to render on; auto uses a usable GPU, else the CPU."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render images of a run: colour, temperature, depth.
+
+    Writes RGB as PNG, temperature as float32 TIFF in °C and colour-mapped, and depth to
+    RUN/renders.
+    """
+
+    run: RunPath
+    """Run folder."""
+    scene: Maybe[Path] = None
+    """Scene folder, if it has moved since training."""
+    split: Literal["eval", "train", "path"] = "eval"
+    """Evaluation views, training views, or a camera path (frames; a video with mrgs[video])."""
+    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    """Palette of the thermal images."""
+    frames: int = 120
+    """Number of frames of the camera path."""
+    device: DeviceName = "auto"
+    """Device to render on; auto uses a usable GPU, else the CPU."""
+
+
+@dataclass(frozen=True)
+class ViewRun:
+    """Explore a run in the browser and read °C under the cursor.
+
+    Needs mrgs[view].
+    """
+
+    run: RunPath
+    """Run folder."""
+    scene: Maybe[Path] = None
+    """Scene folder, if it has moved since training."""
+    host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0 exposes the viewer to the network."""
+    port: int = 8080
+    """TCP port; 0 picks a free port."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a run: splats, points, a mesh, cameras, a web page.
+
+    The page is one HTML file with everything in it: colour, temperature, °C under the cursor.
+    """
+
+    run: RunPath
+    """Run folder."""
+    format: FormatName = "all"
+    output: Maybe[Path] = None
+    """Output folder; by default RUN/export."""
+    scene: Maybe[Path] = None
+    """Scene folder, if it has moved since training."""
+    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    """Palette of the temperatures."""
+    range_c: Maybe[tuple[float, float]] = None
+    """°C of the palette's first and last colour; by default the scene's full range."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write a one-page report: hottest and coldest spots, scores, limits."""
+
+    run: RunPath
+    """Run folder."""
+    output: Maybe[Path] = None
+    """Output file; by default RUN/report.html."""
+    scene: Maybe[Path] = None
+    """Scene folder, if it has moved since training."""
+    device: DeviceName = "auto"
+    """Device to render on; auto uses a usable GPU, else the CPU."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Train on the bundled scene, score it and render it. Takes a few minutes."""
+
+    output: Path = Path("runs/demo")
+    """Run folder."""
+    device: DeviceName = "auto"
+    """Device to train and render on; auto uses a usable GPU, else the CPU."""
+
+
+@dataclass(frozen=True)
+class CompareMethods:
+    """Compare methods on scenes: the paper's tables and figures.
+
+    Trains and scores every method on every scene. Re-run the same command to resume. See
+    docs/experiments.md for how to read the tables.
+    """
+
+    scenes: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="SCENE [SCENE ...]", help_behavior_hint=""),
+    ]
+    """Scene folders."""
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD [METHOD ...]")] = (
+        "3dgs-rgbt",
+        "mrgs-base",
+        "mrgs-fourier",
+        "mrgs-boltz",
+        "mrgs",
+        "mrgs-plus",
+    )
+    """Any of the methods of mrgs train."""
+    variants: Several[str] = ()
+    """Methods with other settings, NAME=FILE: as for mrgs train --config, plus method: METHOD."""
+    neighbours: Several[int] = ()
+    """Values of n for the table of neighbours; the paper has 1 3 5 7."""
+    renders: Several[str] = ()
+    """Other programs' images, NAME=DIR; those of each scene are in DIR/SCENE."""
+    seeds: int = 1
+    """Number of runs per method and scene."""
+    preset: PresetName = "default"
+    """fast, default or paper, as in mrgs train."""
+    max_steps: Maybe[int] = None
+    """Number of steps; the preset's schedule is rescaled to fit."""
+    max_gaussians: Maybe[int] = None
+    """Maximum number of Gaussians."""
+    resolution: Maybe[int] = None
+    """Downscale images wider than this many pixels."""
+    jobs: int = 1
+    """Number of parallel runs; they share the cores."""
+    device: DeviceName = "auto"
+    """Device to train and render on; auto uses a usable GPU, else the CPU. Methods without GPU
+    support use the CPU."""
+    output: Path = Path("runs/compare")
+    """Folder of the runs, tables and figures."""
+    lpips_weights: Maybe[Path] = None
+    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
+
+
+@dataclass(frozen=True)
+class Prepare:
+    """Make a scene from a folder of photos.
+
+    Pairs the photos, reads the temperatures, estimates the camera poses and the scale, and
+    calibrates the thermal camera. The photos are only read. Check SCENE/prepare.html before
+    training: it shows what was found. Re-run the same command to resume. Needs mrgs[sfm].
+    """
+
+    photos: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTOS")]
+    """Folder of the photos."""
+    scene: ScenePath
+    """Folder to make."""
+    photo: tyro.conf.OmitArgPrefixes[PhotoOptions] = field(default_factory=PhotoOptions)
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check a scene that was made elsewhere.
+
+    Lists problems of images, cameras, points and temperatures, the worst first, and draws the scene
+    on SCENE/check.html; changes nothing else. The exit code is 1 if the scene should not be trained
+    as it is.
+    """
+
+    scene: ScenePath
     """Folder of the scene, in the layout of ThermoScenes, nerfstudio or COLMAP."""
 
 
 @dataclass(frozen=True)
 class Synth:
-    """Generate a scene with exact temperatures and depths. Needs mrgs[synth]."""
+    """Generate a scene with exact temperatures and depths.
 
-    output: tyro.conf.Positional[Path]
+    Needs mrgs[synth].
+    """
+
+    output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
     """Folder of the new scene."""
     scene: Literal[
         "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine", "random"
@@ -345,19 +387,36 @@ class Synth:
     """Also take near-infrared photos, a third modality."""
 
 
-Command = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Prepare, tyro.conf.subcommand("prepare")]
-    | Annotated[Check, tyro.conf.subcommand("check")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Eval, tyro.conf.subcommand("eval")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[ViewRun, tyro.conf.subcommand("view")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[CompareMethods, tyro.conf.subcommand("compare")]
-    | Annotated[Synth, tyro.conf.subcommand("synth")]
-)
+COMMANDS: dict[str, type] = {
+    "demo": Demo,
+    "prepare": Prepare,
+    "check": Check,
+    "train": Train,
+    "eval": Eval,
+    "render": Render,
+    "view": ViewRun,
+    "export": Export,
+    "report": Report,
+    "compare": CompareMethods,
+    "synth": Synth,
+}
+"""All commands by name, in the order in which they are listed."""
+
+
+def summary_of(command: type) -> str:
+    """The first paragraph of a command's help."""
+    return (inspect.getdoc(command) or "").partition("\n\n")[0].replace("\n", " ")
+
+
+def any_command() -> Any:
+    """The type of which every command is a subcommand, for shell completion."""
+    return reduce(
+        or_,
+        [
+            Annotated[kind, tyro.conf.subcommand(name, description=summary_of(kind))]
+            for name, kind in COMMANDS.items()
+        ],
+    )
 
 
 def flag_of(parameter: str) -> str:

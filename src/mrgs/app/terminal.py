@@ -7,8 +7,9 @@ import sys
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -22,6 +23,7 @@ from rich.progress import (
 )
 from rich.table import Column
 
+from mrgs.app.style import say_note
 from mrgs.errors import MrgsWarning, SceneError
 
 if TYPE_CHECKING:
@@ -42,7 +44,10 @@ PLAIN_LINE_EVERY_S = 10.0
 REFRESH_EVERY_S = 0.2
 """Interval of a progress bar's updates during training."""
 
-BAR_WIDTH = 20
+BAR_WIDTH = 12
+
+LEFT_OUT_FIRST = ("speed", "loss", "gaussians", "thermal")
+"""Parts of the training's line that a narrow terminal does not show."""
 
 STEPS_REMEMBERED = 250
 """Steps averaged per update; earlier ones weigh less than 1 % in the running means."""
@@ -60,12 +65,10 @@ def plain_warnings() -> Iterator[None]:
         if str(message) in shown:
             return
         shown.add(str(message))
-        print(
-            f"mrgs: note: {message}"
-            if issubclass(category, MrgsWarning)
-            else f"warning: {message}",
-            file=sys.stderr,
-        )
+        if issubclass(category, MrgsWarning):
+            say_note(str(message))
+        else:
+            print(f"warning: {message}", file=sys.stderr)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", MrgsWarning)
@@ -124,10 +127,9 @@ def note_gpu(device: torch.device) -> None:
 def note_unfinished(run: Run) -> None:
     """Warn that the run is unfinished and its newest checkpoint is used."""
     if run.facts.step < run.config.max_steps:
-        print(
-            f"mrgs: note: the run is at step {run.facts.step:,} of {run.config.max_steps:,}; "
-            "using its newest checkpoint",
-            file=sys.stderr,
+        say_note(
+            f"the run is at step {run.facts.step:,} of {run.config.max_steps:,}; using its newest "
+            f"checkpoint"
         )
 
 
@@ -142,12 +144,20 @@ def print_baking_loss(loss: BakingLoss) -> None:
     print(f"quality loss of the export: {lost}")
 
 
+def print_exported(folder: Path, paths: Sequence[Path]) -> None:
+    """How much an export wrote, and which file to open first."""
+    page = next((path for path in paths if path.suffix == ".html"), None)
+    size = sum(path.stat().st_size for path in paths)
+    print(f"files: {folder} ({len(paths):,} files, {size / 1e6:,.1f} MB)")
+    print(f"open:  {page} (in a browser)" if page is not None else f"open:  {paths[0]}")
+
+
 def scene_if_there(run: Run) -> Scene | None:
     """The run's scene, or None with a note if it cannot be read."""
     try:
         return run.load_scene()
     except SceneError as error:
-        print(f"mrgs: note: photos and cameras are not available: {error}", file=sys.stderr)
+        say_note(f"photos and cameras are not available: {error}")
         return None
 
 
@@ -222,10 +232,11 @@ class TrainingProgress:
         ):
             self._last_line = now
             self._read()
-            line = self._line(statistics, now)
+            parts = self._parts(statistics, now)
             if self._bar.disable:
-                print(line, flush=True)
+                print(" | ".join(parts.values()), flush=True)
             else:
+                line = _fitted(parts, self._bar.console.width - BAR_WIDTH - 1)
                 self._bar.update(
                     self._task, completed=statistics.step, description=line, refresh=True
                 )
@@ -240,26 +251,28 @@ class TrainingProgress:
                 self._smooth("thermal", statistics.thermal_error)
         self._unread.clear()
 
-    def _line(self, statistics: Statistics, now: float) -> str:
-        thermal = self._smoothed.get("thermal")
-        parts = [f"step {statistics.step:,}/{self._max_steps:,}"]
+    def _parts(self, statistics: Statistics, now: float) -> dict[str, str]:
+        """What a line says, by name."""
+        parts = {"step": f"step {statistics.step:,}/{self._max_steps:,}"}
         steps = statistics.step - (self._first_step or 0)
         speed = steps / (now - self._started) if steps > 0 and now > self._started else None
         if speed is not None:
-            parts.append(f"{_duration((self._max_steps - statistics.step) / speed)} left")
+            left = _duration((self._max_steps - statistics.step) / speed)
+            parts["time"] = f"{left} left"
         if "loss" in self._smoothed:
-            parts.append(f"loss {self._smoothed['loss']:.4f}")
+            parts["loss"] = f"loss {self._smoothed['loss']:.4f}"
+        thermal = self._smoothed.get("thermal")
         if thermal is not None:
-            parts.append(
+            parts["thermal"] = (
                 f"thermal error {thermal:.3f} (normalised)"
                 if self._span_c is None
                 else f"thermal error {thermal * self._span_c:.2f} °C"
             )
         if statistics.gaussians is not None:
-            parts.append(f"{statistics.gaussians:,} Gaussians")
+            parts["gaussians"] = f"{statistics.gaussians:,} Gaussians"
         if speed is not None:
-            parts.append(f"{speed:.1f} steps/s")
-        return " | ".join(parts)
+            parts["speed"] = f"{speed:.1f} steps/s"
+        return parts
 
     def _smooth(self, name: str, value: float) -> None:
         """Update the mean over about the last fifty steps; skips values that are not finite."""
@@ -286,7 +299,7 @@ class PrepareProgress:
         self._bar.stop()
         sys.stdout.flush()
         for text in self._warnings:
-            print(f"mrgs: note: {text}", file=sys.stderr)
+            say_note(text)
 
     def step(self, step: str, done: int, total: int) -> None:
         """Show how far a step is."""
@@ -322,6 +335,16 @@ class PrepareProgress:
             self._warnings.append(f"skipped: {item.name}: {item.reason}")
         if (more := len(preparation.skipped) - SKIPPED_SHOWN) > 0:
             self._warnings.append(f"skipped: {more} more; see {preparation.page}")
+
+
+def _fitted(parts: Mapping[str, str], width: int) -> str:
+    """The parts that fit into a line of this width, the least important ones left out."""
+    shown = dict(parts)
+    for name in LEFT_OUT_FIRST:
+        if len(" | ".join(shown.values())) <= width:
+            break
+        shown.pop(name, None)
+    return " | ".join(shown.values())
 
 
 def _plan(scene: Scene, config: RunConfig) -> str:

@@ -1,0 +1,65 @@
+"""From argv to a command: what is listed without one, and what is said of one that does not
+exist."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import tyro
+
+import mrgs
+from mrgs.app.commands import COMMANDS, any_command, summary_of
+from mrgs.app.style import say_error, styled
+
+EXIT_USER_ERROR = 2
+
+DESCRIPTION = "One 3D model in colour and in °C from RGB and thermal photos."
+
+_CONFIG = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)
+_COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
+
+
+def parse(argv: Sequence[str]) -> Any:
+    """The command, one of the types in ``COMMANDS``, with its options.
+
+    Raises:
+        SystemExit: with 0 after a help text, a version or a completion script was printed; with 2
+            after an error.
+    """
+    first = argv[0] if argv else "--help"
+    if first in ("-h", "--help", "help"):
+        print(overview())
+        raise SystemExit(0)
+    if first == "--version":
+        print(f"mrgs {mrgs.__version__}")
+        raise SystemExit(0)
+    if first.startswith(_COMPLETION):
+        return tyro.cli(any_command(), prog="mrgs", args=argv, config=_CONFIG)
+    if first not in COMMANDS:
+        say_error(_unknown(first))
+        raise SystemExit(EXIT_USER_ERROR)
+    return tyro.cli(COMMANDS[first], prog=f"mrgs {first}", args=argv[1:], config=_CONFIG)
+
+
+def overview() -> str:
+    """All commands, one line each."""
+    names = "\n".join(
+        f"  {styled(f'{name:9}', 'bold', sys.stdout)}{summary_of(command)}"
+        for name, command in COMMANDS.items()
+    )
+    return (
+        f"{DESCRIPTION}\n\nusage: mrgs COMMAND [OPTIONS]\n\n{names}\n\n"
+        "mrgs COMMAND --help lists the options of a command, mrgs --version prints the version."
+    )
+
+
+def _unknown(name: str) -> str:
+    """The message for a command that does not exist."""
+    if name.startswith("-"):
+        return f"{name} must follow a command; `mrgs` lists them"
+    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.6)
+    hint = f"did you mean {near[0]}?" if near else "`mrgs` lists the commands"
+    return f"unknown command {name!r}; {hint}"

@@ -1,0 +1,148 @@
+"""What is said without a command, for a wrong one, and by a shell's completion."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mrgs
+from mrgs.app import commands
+from mrgs.app.cli import main
+from mrgs.app.style import styled
+from mrgs.export.formats import FORMATS
+from mrgs.runs.registry import registered_methods
+
+
+def ended(code: int, *arguments: str) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([*arguments])
+    assert end.value.code == code
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",), ("help",)])
+def test_without_a_command_all_are_listed_in_one_line_each(arguments, capsys):
+    ended(0, *arguments)
+    lines = capsys.readouterr().out.splitlines()
+    listed = [line.split()[0] for line in lines if line.startswith("  ")]
+    assert listed == [*commands.COMMANDS]
+    assert max(map(len, lines)) <= 90
+
+
+def test_the_version_is_printed(capsys):
+    ended(0, "--version")
+    assert capsys.readouterr().out == f"mrgs {mrgs.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("tarin", "unknown command 'tarin'; did you mean train?"),
+        ("exprot", "unknown command 'exprot'; did you mean export?"),
+        ("photos", "unknown command 'photos'; `mrgs` lists the commands"),
+        ("--output", "--output must follow a command; `mrgs` lists them"),
+    ],
+)
+def test_an_unknown_command_is_one_line(typed, message, capsys):
+    ended(2, typed)
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("", f"mrgs: error: {message}\n")
+
+
+@pytest.mark.parametrize("name", commands.COMMANDS)
+def test_help_explains_every_option(name, capsys):
+    ended(0, name, "--help")
+    text = capsys.readouterr().out
+    fields = [*dataclasses.fields(commands.COMMANDS[name])]
+    if any(field.name == "photo" for field in fields):
+        fields = [field for field in fields if field.name != "photo"]
+        fields += dataclasses.fields(commands.PhotoOptions)
+    for field in fields:
+        positional = field.default is dataclasses.MISSING
+        option = "positional arguments" if positional else f"--{field.name.replace('_', '-')} "
+        assert option in text
+    assert "None" not in text
+
+
+def test_lists_of_choices_are_complete(capsys):
+    ended(0, "train", "--help")
+    text = re.sub(r"[\s│]", "", capsys.readouterr().out)
+    assert "{" + ",".join(method.name for method in registered_methods()) + "}" in text
+    ended(0, "export", "--help")
+    assert "{" + ",".join(["all", *FORMATS]) + "}" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["mrgs", "tr"], {"train"}),
+        (["mrgs", "export", "--for"], {"--format"}),
+        (["mrgs", "render", "--palette", "in"], {"inferno"}),
+    ],
+)
+def test_the_shell_completes(words, found, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["--tyro-print-completion", "bash"])
+    script = tmp_path / "mrgs.sh"
+    script.write_text(capsys.readouterr().out)
+    line = " ".join(words)
+    asked = (
+        f"source {script}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; COMP_LINE='{line}'; "
+        f"COMP_POINT={len(line)}; $(complete -p mrgs | sed 's/.*-F *\\([^ ]*\\).*/\\1/'); "
+        'echo "${COMPREPLY[@]}"'
+    )
+    bash = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, check=True)
+    assert found <= set(bash.stdout.split()), bash.stderr
+
+
+class Terminal:
+    """Standard error as a terminal has it."""
+
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        assert text == "", "the text is returned, not written"
+        return 0
+
+    def flush(self) -> None: ...
+
+
+def test_colours_only_where_they_are_wanted(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert styled("late", "bold red", sys.stderr) == "late"
+    coloured = styled("late", "bold red", Terminal())
+    assert "\033[" in coloured
+    assert "late" in coloured
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert styled("late", "bold red", Terminal()) == "late"
+
+
+def test_a_module_is_the_command(tmp_path):
+    source = Path(mrgs.__file__).parents[1]
+    run = subprocess.run(
+        [sys.executable, "-m", "mrgs", "--version"],
+        capture_output=True, text=True, check=True, env={"PYTHONPATH": str(source)},
+    )  # fmt: skip
+    assert run.stdout == f"mrgs {mrgs.__version__}\n"
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    source = Path(mrgs.__file__).parents[1]
+    with subprocess.Popen(
+        [sys.executable, "-m", "mrgs", "prepare", "--help"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={"PYTHONPATH": str(source)},
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == b""
