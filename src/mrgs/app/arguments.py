@@ -6,11 +6,11 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
 
 import tyro
 
-import mrgs
 from mrgs.app.commands import COMMANDS, any_command, summary_of
 from mrgs.app.style import say_error, styled
 
@@ -34,7 +34,7 @@ def parse(argv: Sequence[str]) -> Any:
         print(overview())
         raise SystemExit(0)
     if first == "--version":
-        print(f"mrgs {mrgs.__version__}")
+        print(f"mrgs {version('mrgs')}")
         raise SystemExit(0)
     if first.startswith(_COMPLETION):
         return tyro.cli(any_command(), prog="mrgs", args=argv, config=_CONFIG)
