@@ -24,6 +24,10 @@ class RunError(MrgsError):
     """A run folder, or a checkpoint in it, cannot be used."""
 
 
+class WriteError(RunError):
+    """A file cannot be written or removed: no room, or no permission."""
+
+
 class ConfigError(MrgsError):
     """An option or a configuration value is not allowed."""
 

@@ -236,7 +236,7 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "scene").write_text("mine")
     with (
-        pytest.raises(RunError, match=r"scene/prepare cannot be written \(.*\): free the place"),
+        pytest.raises(RunError, match=r"scene/prepare cannot be written \(.*\): make room"),
         locked(tmp_path / "scene" / "prepare"),
     ):
         pass

@@ -499,7 +499,7 @@ def test_a_full_disk(made, monkeypatch, scene):
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(
             RunError,
-            match=r"1\.jpg cannot be written \(No space left on device\): free the place or",
+            match=r"1\.jpg cannot be written \(No space left on device\): make room, or",
         ):
             made(SET)
     assert sorted(contents(scene / "images")) == ["0.jpg"]

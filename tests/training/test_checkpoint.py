@@ -215,7 +215,7 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(state, path
             save(path, state, FACTS._replace(step=3))
     assert (
         str(caught.value)
-        == f"{path} cannot be written (No space left on device): free the place or choose another"
+        == f"{path} cannot be written (No space left on device): make room, or choose another place"
     )
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]

@@ -62,7 +62,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(
         RunError,
-        match=r"file/run cannot be written \(.+\): make room, or choose another folder",
+        match=r"file/run cannot be written \(.+\): make room, or choose another place",
     ):
         RunFolder(tmp_path / "file" / "run").locked().__enter__()
 

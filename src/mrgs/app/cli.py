@@ -26,6 +26,7 @@ from mrgs.app.commands import (
     ViewRun,
     flag_of,
 )
+from mrgs.app.interrupts import BY_CTRL_C, Interrupted, interrupts
 from mrgs.app.style import say_error
 from mrgs.app.terminal import (
     PrepareProgress,
@@ -51,7 +52,9 @@ if TYPE_CHECKING:
     from mrgs.viewer import LiveView
 
 EXIT_BAD_SCENE = 1
-EXIT_INTERRUPTED = 130
+
+NO_MEMORY = ("can't allocate memory", "not enough memory")
+"""What torch says, in a RuntimeError, when the system has no memory left."""
 
 MAX_TRAIN_SEED = 2**32 - 1
 MAX_SYNTH_SEED = 1_000_000
@@ -59,11 +62,34 @@ MAX_SYNTH_SEED = 1_000_000
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0, 1 for a bad scene, 2 for a user error, 130 after
-    Ctrl-C."""
+    """Run a command; returns the exit code.
+
+    0 is success, 1 a bad scene, 2 a user error, and 128 plus its number the signal that ended the
+    command: 130 after Ctrl-C.
+    """
     # Threads that spin while they wait cost more than they save on shared cores. Read once, when
     # torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    with interrupts, plain_warnings():
+        try:
+            status = _run(argv)
+            sys.stdout.flush()
+            return status
+        except KeyboardInterrupt:
+            return _stopped()
+        except Exception as error:
+            if interrupts.received is not None:  # a library has turned it into an error of its own
+                return _stopped()
+            line = _line(error)
+            if line is None:
+                raise
+            say_error(line)
+            return EXIT_USER_ERROR
+
+
+def _run(argv: list[str] | None) -> int:
+    """Run the command that the arguments name; returns the exit code."""
+    command = _parsed(sys.argv[1:] if argv is None else argv)
     handlers: dict[type, Callable[[Any], int | None]] = {
         Prepare: _prepare,
         Check: _check,
@@ -77,19 +103,33 @@ def main(argv: list[str] | None = None) -> int:
         CompareMethods: _compare,
         Synth: _synth,
     }
-    with plain_warnings():
-        try:
-            command = _parsed(sys.argv[1:] if argv is None else argv)
-            return handlers[type(command)](command) or 0
-        except MrgsError as error:
-            say_error(f"{error}{_flags(error)}")
-            return EXIT_USER_ERROR
-        except BrokenPipeError:  # the reader of the pipe has exited
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 1
-        except KeyboardInterrupt:
-            print("mrgs: stopped", file=sys.stderr)
-            return EXIT_INTERRUPTED
+    return handlers[type(command)](command) or 0
+
+
+def _stopped() -> int:
+    """Say that the command was interrupted; returns the exit code."""
+    found = interrupts.received or BY_CTRL_C
+    if found.message:
+        print(found.message, file=sys.stderr)
+    return found.status
+
+
+def _line(error: Exception) -> str | None:
+    """What the user can do about an error, on one line; None for an error in the program."""
+    if isinstance(error, MrgsError):
+        return f"{error}{_flags(error)}"
+    if isinstance(error, OSError):  # what no part of the program expected of the system
+        place = "" if error.filename is None else f"{error.filename}: "
+        reason = error.strerror or error
+        return f"{place}{reason}; check its permissions and the room on its disk"
+    if isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and any(text in str(error) for text in NO_MEMORY)
+    ):
+        return (
+            "the system has no memory left: close other programs, or use fewer Gaussians or a "
+            "lower resolution (--max-gaussians, --resolution)"
+        )
+    return None
 
 
 def _parsed(argv: Sequence[str]) -> Any:
@@ -215,8 +255,8 @@ def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> 
         go_on = shlex.join(
             ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
         )
-        print(f"checkpoint saved; resume with: {go_on}")
-        raise KeyboardInterrupt
+        print(f"checkpoint saved; resume with: {go_on}", file=progress.sink)
+        raise Interrupted
     quoted = shlex.quote(str(output))
     print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
 
@@ -404,6 +444,8 @@ def _demo(command: Demo) -> None:
             device=device,
         )
     )
+    if interrupts.received is not None:  # in the training's last step
+        raise Interrupted
     _eval(Eval(run=command.output, device=device))
     _render(Render(run=command.output, device=device))
     print(f"\nOpen {command.output / 'eval' / 'contact_sheet.png'} first.")

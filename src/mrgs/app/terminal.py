@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 from rich.progress import (
@@ -23,6 +22,7 @@ from rich.progress import (
 )
 from rich.table import Column
 
+from mrgs.app.interrupts import CTRL_C, Interruption, interrupts
 from mrgs.app.style import say_note
 from mrgs.errors import MrgsWarning, SceneError
 
@@ -164,12 +164,13 @@ def scene_if_there(run: Run) -> Scene | None:
 class TrainingProgress:
     """Progress of a training: step, time left, loss, thermal error, Gaussians, speed.
 
-    The first Ctrl-C ends the training after the current step, the second at once.
+    Once the training has begun, an interruption ends it after the current step, and a second Ctrl-C
+    at once.
     """
 
     def __init__(self) -> None:
         self.unfinished = False
-        self._interrupted = False
+        self._interruption: Interruption | None = None
         self._span_c: float | None = None
         self._max_steps = 0
         self._first_step: int | None = None
@@ -178,28 +179,34 @@ class TrainingProgress:
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
         self._bar = _progress_bar(BarColumn(BAR_WIDTH), _text_column(), auto_refresh=False)
         self._task = self._bar.add_task("")
-        self._previous_handler: Any = None
+        self._postponed = ExitStack()
 
     def __enter__(self) -> None:
-        def stop(*_: Any) -> None:
-            if self._interrupted:
-                raise KeyboardInterrupt
-            self._interrupted = True
-            print(
-                "mrgs: stopping after this step; press Ctrl-C again to stop now, without a "
-                "checkpoint",
-                file=sys.stderr,
-            )
-
-        self._previous_handler = signal.signal(signal.SIGINT, stop)
+        self._postponed.__enter__()
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous_handler)
+        self._postponed.close()
         if self._first_step is not None:
             self._bar.stop()
 
+    @property
+    def sink(self) -> TextIO:
+        """Where the last words go: standard output, unless it is lost."""
+        is_signal = self._interruption is None or self._interruption.status >= 128
+        return sys.stdout if is_signal else sys.stderr
+
+    def _interrupt(self, interruption: Interruption) -> None:
+        """End the training after this step."""
+        self._interruption = interruption
+        if interruption.cause == CTRL_C:
+            then = "; press Ctrl-C again to stop now, without a checkpoint"
+        else:
+            then = f": {interruption.cause}"
+        print(f"mrgs: stopping after this step{then}", file=sys.stderr)
+
     def start(self, scene: Scene, config: RunConfig) -> None:
-        """Print what will be trained."""
+        """Print what will be trained; from here on interruptions wait for the end of a step."""
+        self._postponed.enter_context(interrupts.postponed(self._interrupt))
         self._max_steps = config.max_steps
         self._span_c = None if scene.temperature is None else scene.temperature.span_c
         print(
@@ -224,7 +231,7 @@ class TrainingProgress:
             self._bar.start()
         self._unread.append(statistics)
         interval = PLAIN_LINE_EVERY_S if self._bar.disable else REFRESH_EVERY_S
-        self.unfinished = self._interrupted and statistics.step < self._max_steps
+        self.unfinished = self._interruption is not None and statistics.step < self._max_steps
         if (
             now - self._last_line >= interval
             or statistics.step == self._max_steps

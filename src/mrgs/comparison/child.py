@@ -3,12 +3,14 @@
 
 See ``mrgs.system.child`` for the protocol. The request holds ``scene``, ``folder``, ``config``
 (YAML), ``device`` and ``lpips_weights`` (a path or null); messages are ``{"step", "gaussians"}``,
-``{"scored", "of"}`` and ``{"warning"}``; the work ends "scored", "stopped" or with an error. On a
-request to stop, the run writes a checkpoint.
+``{"scored", "of"}`` and ``{"warning"}``; the work ends "scored", "stopped" or with an error. When
+its parent or the system asks it to stop, a training writes a checkpoint first; anything else stops
+at once.
 """
 
 from __future__ import annotations
 
+import _thread
 import signal
 import sys
 import threading
@@ -25,20 +27,29 @@ from mrgs.system.child import read_request, send, when_asked_to_stop
 REPORT_EVERY_S = 1.0
 
 
-class _StoppedError(Exception):
-    """The parent requested a stop during scoring."""
+REQUESTS = ("SIGTERM", "SIGHUP")
+"""Signals that ask the process to stop, as far as the system knows them."""
+
+
+class _StoppedError(KeyboardInterrupt):
+    """A request to stop came while there was nothing to save."""
 
 
 class Reporter:
-    """Reports the progress of the run, and stops it at the parent's request."""
+    """Reports the progress of the run, and stops it on request."""
 
     def __init__(self) -> None:
         self._stop = threading.Event()
+        self._trains = False
         self._last = 0.0
-        when_asked_to_stop(self._stop.set)
+        for name in REQUESTS:
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), self._on_signal)
+        when_asked_to_stop(self._ask_to_stop)
 
     def on_step(self, statistics: Any) -> bool:
         """Called after each training step; returns True to stop the training."""
+        self._trains = True
         now = time.monotonic()
         if now - self._last >= REPORT_EVERY_S:
             self._last = now
@@ -47,8 +58,19 @@ class Reporter:
 
     def on_score(self, done: int, total: int) -> None:
         """Called after each scored view."""
+        self._trains = False
         send(scored=done, of=total)
         if self._stop.is_set():
+            raise _StoppedError
+
+    def _ask_to_stop(self) -> None:
+        """From another thread: the main thread handles it as a signal."""
+        self._stop.set()
+        _thread.interrupt_main(signal.SIGTERM)
+
+    def _on_signal(self, *_: object) -> None:
+        self._stop.set()
+        if not self._trains:
             raise _StoppedError
 
 

@@ -41,7 +41,7 @@ from mrgs.render import Rendering
 from mrgs.runs.open import open_run
 from mrgs.scene import Scene, View
 from mrgs.system import gpu
-from mrgs.system.atomic import remove, replacing
+from mrgs.system.atomic import remove, write_text
 from mrgs.system.gpu import DeviceName
 
 Say = Callable[[str], None]
@@ -203,8 +203,7 @@ def _write_tables(folder: Path, tables: Sequence[Table]) -> None:
     writers = {".md": to_markdown, ".tex": to_latex, ".csv": to_csv}
     for table in tables:
         for suffix, write in writers.items():
-            with replacing(folder / f"{table.name}{suffix}") as temporary:
-                temporary.write_text(write(table), encoding="utf-8")
+            write_text(folder / f"{table.name}{suffix}", write(table))
     for name in set(NAMES) - {table.name for table in tables}:
         for suffix in writers:
             remove(folder / f"{name}{suffix}")
@@ -236,10 +235,7 @@ def _write_results(
         "scenes": {name: str(folder) for name, folder in scenes.items()},
         "runs": runs,
     }
-    with replacing(path) as temporary:
-        temporary.write_text(
-            json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
-        )
+    write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 def _write_figures(

@@ -11,7 +11,7 @@ from mrgs.comparison.methods import Options, Variant, configure
 from mrgs.comparison.single import require_same_config
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, SceneError
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 from mrgs.training import make_config
 from mrgs.training.run_folder import RunConfig
 
@@ -140,5 +140,4 @@ def _claim(file: Path, named: dict[str, Path]) -> None:
                 f"folder, or, if the scene was moved, correct its path in {file}",
                 options=("output",),
             )
-    with replacing(file) as temporary:
-        temporary.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+    write_text(file, json.dumps(known, indent=2) + "\n")

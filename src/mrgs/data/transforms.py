@@ -16,7 +16,7 @@ from mrgs.data.lens import Lens
 from mrgs.scene import Camera, Modality
 from mrgs.scene.modality import BUILT_IN
 from mrgs.scene.rotations import opengl_camera_to_world
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
 
@@ -130,7 +130,4 @@ def pinhole_lens(camera: Camera) -> Lens:
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> Path:
-    with replacing(path) as temporary:
-        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        temporary.write_text(text, encoding="utf-8")
-    return path
+    return write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -13,7 +13,7 @@ from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_j
 from mrgs.evaluation.parts import Parts
 from mrgs.evaluation.truth import TRUTH_FIGURES
 from mrgs.scene import Modality
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 COLUMNS = {
     "psnr": ("PSNR, dB", 2),
@@ -157,8 +157,7 @@ def write_report(
     )
     paths = folder / "metrics.json", folder / "metrics.md"
     for path, content in zip(paths, (text, to_markdown(facts, metrics, parts)), strict=True):
-        with replacing(path) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+        write_text(path, content)
     return paths
 
 

@@ -31,7 +31,7 @@ from mrgs.export.splats import to_bytes
 from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene, TemperatureRange, View
 from mrgs.scene.rotations import quaternion_from_matrix
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 COLMAP_FOLDER = "sparse/0"
 
@@ -134,13 +134,13 @@ def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
         for i, (p, c) in enumerate(zip(positions, colors, strict=True), start=1)
     ]
     return [
-        _write_text(
+        write_text(
             folder / "cameras.txt", _lines("# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy", cameras)
         ),
-        _write_text(
+        write_text(
             folder / "images.txt", _lines("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", images)
         ),
-        _write_text(folder / "points3D.txt", _lines("# POINT3D_ID X Y Z R G B ERROR", points)),
+        write_text(folder / "points3D.txt", _lines("# POINT3D_ID X Y Z R G B ERROR", points)),
     ]
 
 
@@ -205,9 +205,3 @@ def _row(values: Sequence[float] | Float64[np.ndarray, " n"]) -> str:
 
 def _lines(header: str, lines: Sequence[str]) -> str:
     return "\n".join([header, *lines]) + "\n"
-
-
-def _write_text(path: Path, text: str) -> Path:
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path

@@ -16,7 +16,7 @@ from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.pictures.values import unit_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 MAX_TILT = 0.15
 """Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
@@ -117,12 +117,8 @@ def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
     Raises:
         RunError: the file cannot be written.
     """
-    sidecar = path.with_name(f"{path.name}.json")
-    with replacing(sidecar) as temporary:
-        temporary.write_text(
-            json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False), encoding="utf-8"
-        )
-    return sidecar
+    content = json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False)
+    return write_text(path.with_name(f"{path.name}.json"), content)
 
 
 def _other_facts(baked: BakedModel) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import jinja2
 from markupsafe import Markup
 from PIL import Image
 
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 PAGE_STYLE = "pictures/templates/page.css"
 """Style sheet of all pages that are read like a document."""
@@ -116,10 +116,7 @@ def write_html(
         script=Markup(script),
         **values,
     )
-    with replacing(path) as temporary:
-        # Names of files need not be valid text.
-        temporary.write_text(page, encoding="utf-8", errors="replace")
-    return path
+    return write_text(path, page)
 
 
 @cache

@@ -27,12 +27,15 @@ from torch import Tensor
 from mrgs.data.files import visible_files
 from mrgs.errors import MrgsError, RunError
 from mrgs.scene import Modality, modality_named
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import replacing, write_error
 
 Result = TypeVar("Result")
 
 CACHE_FOLDER = "prepare"
 """The cache's folder, inside the scene's folder."""
+
+LOCK = ".lock"
+"""File in it, by which a process holds the folder."""
 
 FORMAT = 3
 """Raise it when results change their meaning: stored ones are then ignored."""
@@ -103,7 +106,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=0)
+        lock = FileLock(folder / LOCK, timeout=0)
         lock.acquire()
     except Timeout:
         raise RunError(
@@ -111,10 +114,7 @@ def locked(folder: Path) -> Iterator[None]:
             f"folder"
         ) from None
     except OSError as error:
-        raise RunError(
-            f"{folder} cannot be written ({error.strerror}): free the place or choose another "
-            f"folder"
-        ) from None
+        raise write_error(folder, error) from None
     with lock:
         yield
 

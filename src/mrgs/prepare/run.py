@@ -9,7 +9,7 @@ from pathlib import Path
 from mrgs.data.files import scene_error
 from mrgs.errors import RunError
 from mrgs.prepare import stages
-from mrgs.prepare.cache import CACHE_FOLDER, locked
+from mrgs.prepare.cache import CACHE_FOLDER, LOCK, locked
 from mrgs.prepare.contract import Preparation, Progress, Reconstruction, StageReport
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.page.write import PAGE, write_page
@@ -18,7 +18,7 @@ from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import TEMPORARY, remove_abandoned, write_text
 
 MARKER = "README.txt"
 MARKER_TEXT = """mrgs prepare keeps the results of its stages here. Run the same command again to
@@ -81,6 +81,7 @@ def prepare(
     work.on_report = report or work.on_report
     _check_folders(work.photos, work.scene)
     with locked(work.cache.folder):
+        remove_abandoned(work.scene)
         _write_marker(work.cache.folder)
         work.run("pairs", stages.pairs)
         work.run("images", stages.images)
@@ -96,8 +97,7 @@ def prepare(
 def _write_marker(folder: Path) -> None:
     """Mark the folder as the program's own, for the user and for later calls."""
     if not (folder / MARKER).exists():
-        with replacing(folder / MARKER) as temporary:
-            temporary.write_text(MARKER_TEXT, encoding="utf-8")
+        write_text(folder / MARKER, MARKER_TEXT)
 
 
 def _check_folders(photos: Path, scene: Path) -> None:
@@ -116,7 +116,7 @@ def _check_folders(photos: Path, scene: Path) -> None:
         )
     try:
         foreign = (
-            own.is_dir() and not (own / CACHE_FOLDER / MARKER).is_file() and any(own.iterdir())
+            own.is_dir() and not (own / CACHE_FOLDER / MARKER).is_file() and not _is_unclaimed(own)
         )
     except OSError as error:
         raise RunError(
@@ -126,3 +126,13 @@ def _check_folders(photos: Path, scene: Path) -> None:
         raise RunError(
             f"{scene} holds something that `mrgs prepare` did not make: choose a new folder"
         )
+
+
+def _is_unclaimed(folder: Path) -> bool:
+    """Whether a folder is empty, but for what an earlier call leaves that ended before it could
+    mark the folder as its own."""
+    cache = folder / CACHE_FOLDER
+    if any(path != cache for path in folder.iterdir()):
+        return False
+    own = (LOCK, TEMPORARY)
+    return not cache.exists() or all(path.name.startswith(own) for path in cache.iterdir())

@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
+import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from mrgs.errors import RunError
+from safetensors import SafetensorError
+
+from mrgs.errors import WriteError
+
+try:
+    import fcntl
+except ImportError:  # Windows, which removes no file that is open
+    fcntl = None  # type: ignore[assignment]
+
+TEMPORARY = ".mrgs-"
+"""How the names of temporary folders begin; a file is written in one and then moved."""
+
+_LONGEST_SUFFIX = 16
+
+_swept: set[Path] = set()
+"""Folders whose abandoned files this process has removed."""
 
 
 @contextmanager
@@ -15,38 +34,129 @@ def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path beside ``path``; on success it is brought to the disk and becomes
     ``path``.
 
-    On any error the temporary file is removed. The folder is made if need be, and the suffix is
-    kept, because image writers choose the format by it.
+    On any error the temporary file is removed. That of a process which was killed is removed when a
+    later one writes into the folder. The folder is made if need be, and the suffix is kept, because
+    image writers choose the format by it.
 
     Raises:
-        RunError: the file cannot be written (permissions, a full disk).
+        WriteError: the file cannot be written (permissions, a full disk).
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise RunError(
-            f"{path} cannot be written ({error.strerror or error}): free the place or choose "
-            f"another"
-        ) from error
-    finally:
-        with suppress(OSError):  # it became the file, or was never made
-            temporary.unlink()
+        if path.parent not in _swept:
+            _swept.add(path.parent)
+            _remove_abandoned(path.parent.iterdir())
+        with _temporary_beside(path) as temporary:
+            yield temporary
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+    except (OSError, SafetensorError) as error:
+        raise write_error(path, error) from error
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file in UTF-8, whole or not at all; returns the path.
+
+    Parts of names that are not UTF-8 become escapes such as ``\\udcff``, which JSON reads back.
+
+    Raises:
+        WriteError: the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+    return path
 
 
 def remove(path: Path) -> None:
     """Remove a file if it is there.
 
     Raises:
-        RunError: it cannot be removed.
+        WriteError: it cannot be removed.
     """
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise RunError(
+        raise WriteError(
             f"{path} cannot be removed ({error.strerror}): remove it, or choose another folder"
         ) from None
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files of dead processes in a folder and all below it."""
+    _remove_abandoned(folder.rglob(f"{TEMPORARY}*"))
+
+
+def write_error(path: Path, error: Exception) -> WriteError:
+    """The error of a file or a folder that cannot be written, with its remedy.
+
+    Args:
+        path: what cannot be written.
+        error: what the system, or the safetensors library in its stead, says of it.
+    """
+    number, reason = getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)
+    if isinstance(error, SafetensorError) and (found := re.search(r"os error (\d+)", reason)):
+        number = int(found[1])
+        reason = os.strerror(number)
+    if number == errno.ENAMETOOLONG:
+        remedy = "choose a shorter name"
+    elif number in (errno.EACCES, errno.EPERM, errno.EROFS):
+        remedy = "choose a place that you may write to"
+    else:
+        remedy = "make room, or choose another place"
+    return WriteError(f"{path} cannot be written ({reason}): {remedy}")
+
+
+@contextmanager
+def _temporary_beside(path: Path) -> Iterator[Path]:
+    """A path in a folder of its own, which goes with all that a writer leaves there.
+
+    The folder is locked as long as this process lives, so that others can tell if it is abandoned.
+    """
+    folder, lock = _locked_folder(path.parent)
+    try:
+        yield folder / f"file{path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ''}"
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def _locked_folder(parent: Path) -> tuple[Path, int | None]:
+    """A new folder, and the descriptor that holds its lock; None where there are no locks."""
+    while True:
+        folder = parent / f"{TEMPORARY}{secrets.token_hex(6)}"
+        folder.mkdir(mode=0o700)
+        if fcntl is None:
+            return folder, None
+        with suppress(FileNotFoundError):  # taken for abandoned before it was locked
+            lock = os.open(folder, os.O_RDONLY)
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if folder.exists():
+                return folder, lock
+            os.close(lock)
+
+
+def _remove_abandoned(paths: Iterator[Path]) -> None:
+    """Remove those of the paths that are temporary folders which no process holds locked."""
+    if fcntl is None:
+        return
+    with suppress(OSError):  # a folder that may not be listed
+        for path in list(paths):
+            if path.name.startswith(TEMPORARY):
+                _remove_if_abandoned(path)
+
+
+def _remove_if_abandoned(folder: Path) -> None:
+    try:
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:  # gone, a link, or another user's
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(folder, ignore_errors=True)
+    except OSError:  # held, or a file system without locks
+        pass
+    finally:
+        os.close(lock)

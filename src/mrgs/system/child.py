@@ -112,9 +112,13 @@ class Child:
 
 
 def send(**message: Any) -> None:
-    """Send a message from a child to its parent."""
-    sys.stdout.write(json.dumps(message) + "\n")
-    sys.stdout.flush()
+    """Send a message from a child to its parent; does nothing if the parent has died."""
+    try:
+        sys.stdout.write(json.dumps(message) + "\n")
+        sys.stdout.flush()
+    except OSError:
+        # What is left in the buffer must not raise again when the process ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def read_request() -> Any:

@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from filelock import FileLock, Timeout
 
 from mrgs.errors import ConfigError, RunError, SceneError
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import remove_abandoned, write_error, write_text
 from mrgs.system.strict_yaml import parse_yaml, write_yaml
 
 CHECKPOINTS_KEPT = 2
@@ -128,8 +128,7 @@ class RunFolder:
         self.require_new()
         with self._writing():
             self.log_file.unlink(missing_ok=True)
-        with replacing(self.config_file) as temporary:
-            temporary.write_text(write_yaml(config), encoding="utf-8")
+        write_text(self.config_file, write_yaml(config))
 
     @property
     def method(self) -> str:
@@ -201,8 +200,7 @@ class RunFolder:
             return
         lines = self.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
         kept = [line for line in lines if _step_of(line) <= step]
-        with replacing(self.log_file) as temporary:
-            temporary.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
+        write_text(self.log_file, "".join(line + "\n" for line in kept))
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -238,6 +236,7 @@ class RunFolder:
             RunError: another process holds the folder, or it cannot be used.
         """
         with self.locked():
+            remove_abandoned(self.path)
             if not resume:
                 self.start(config)
             try:
@@ -263,11 +262,7 @@ class RunFolder:
         except Timeout:
             raise
         except OSError as error:
-            raise RunError(
-                f"{self.path} cannot be written ({error.strerror or error}): make room, or "
-                f"choose another folder",
-                options=("output",),
-            ) from error
+            raise write_error(self.path, error) from error
 
 
 def _step_of(line: str) -> int:

@@ -23,7 +23,7 @@ from mrgs.scene.rotations import (
     quaternion_from_matrix,
     rigid_transform,
 )
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 
 class Pose(NamedTuple):
@@ -189,6 +189,4 @@ def save_path(path: Path, keyframes: Sequence[Camera], seconds: float, fps: int)
         "fps": fps,
         "camera_path": entries,
     }
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    return path
+    return write_text(path, json.dumps(document, indent=1))

@@ -89,8 +89,8 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     with pytest.raises(RunError) as error:
         run_colmap(tmp_path, silent)
     assert str(error.value) == (
-        f"{tmp_path / 'log.txt'} cannot be written (Is a directory); free the place or choose "
-        f"another"
+        f"{tmp_path / 'log.txt'} cannot be written (Is a directory): make room, or choose another "
+        f"place"
     )
 
 

@@ -10,12 +10,11 @@ from pathlib import Path
 
 from PIL import Image
 
-from mrgs.errors import RunError
 from mrgs.prepare.cache import digest
 from mrgs.prepare.colmap.job import IMAGE_FOLDER, JOB_FILE
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.stretch import span_of, stretched
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import replacing, write_error
 
 FORMAT = 2
 """Raise it when features or matches are found in another way: older ones are then discarded."""
@@ -61,9 +60,7 @@ def set_up(
         with replacing(file) as temporary:  # last: it says that the rest is there
             temporary.write_bytes(content)
     except OSError as error:
-        raise RunError(
-            f"{folder} cannot be written ({error.strerror}); free the place or choose another"
-        ) from None
+        raise write_error(folder, error) from None
 
 
 def _job(images: Mapping[str, Path], stretch: bool) -> dict[str, object]:

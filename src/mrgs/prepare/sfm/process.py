@@ -10,8 +10,9 @@ import importlib.metadata
 from collections.abc import Sequence
 from pathlib import Path
 
-from mrgs.errors import ConfigError, RunError, SceneError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Progress
+from mrgs.system.atomic import write_error
 from mrgs.system.child import OUT_OF_MEMORY, Child
 
 CHILD = ("-m", "mrgs.prepare.colmap")
@@ -35,9 +36,7 @@ def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD)
     try:
         child = Child(program, str(folder.resolve()), log)
     except OSError as error:
-        raise RunError(
-            f"{log} cannot be written ({error.strerror}); free the place or choose another"
-        ) from None
+        raise write_error(log, error) from None
     try:
         for message in child.messages():
             progress(message["step"], message["done"], message["of"])
