@@ -277,7 +277,7 @@ def test_a_run_that_died_before_its_first_checkpoint_can_be_begun_anew(own_run, 
 @pytest.mark.parametrize("name", ["file", "file/run"])
 def test_an_output_folder_that_cannot_be_made_is_named(name, small_scene, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    message = rf"{name} cannot be written \(.*\): .*choose another folder \(--output\)"
+    message = rf"{name} cannot be written \(.*\): .*choose another place \(--output\)"
     refused(capsys, message, "train", small_scene, "--output", tmp_path / name, *TINY)
 
 

@@ -93,7 +93,8 @@ def test_an_encoder_that_fails_is_told_in_one_line(
 ) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", sys.executable)  # which does not know ffmpeg's options
     with pytest.raises(
-        RunError, match=r"path_rgb\.mp4 cannot be written \(.+\): make room, or choose another place"
+        RunError,
+        match=r"path_rgb\.mp4 cannot be written \(.+\): make room, or choose another place",
     ) as told:
         write(tmp_path, 20 * FRAMES)
     assert "\n" not in str(told.value)

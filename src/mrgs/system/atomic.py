@@ -87,12 +87,13 @@ def remove_abandoned(folder: Path) -> None:
     _remove_abandoned(folder.rglob(f"{TEMPORARY}*"))
 
 
-def write_error(path: Path, error: Exception) -> WriteError:
+def write_error(path: Path, error: Exception, options: tuple[str, ...] = ()) -> WriteError:
     """The error of a file or a folder that cannot be written, with its remedy.
 
     Args:
         path: what cannot be written.
         error: what the system, or the safetensors library in its stead, says of it.
+        options: those of the error.
     """
     number, reason = getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)
     if isinstance(error, SafetensorError) and (found := re.search(r"os error (\d+)", reason)):
@@ -104,7 +105,7 @@ def write_error(path: Path, error: Exception) -> WriteError:
         remedy = "choose a place that you may write to"
     else:
         remedy = "make room, or choose another place"
-    return WriteError(f"{path} cannot be written ({reason}): {remedy}")
+    return WriteError(f"{path} cannot be written ({reason}): {remedy}", options=options)
 
 
 @contextmanager

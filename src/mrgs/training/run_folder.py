@@ -262,7 +262,7 @@ class RunFolder:
         except Timeout:
             raise
         except OSError as error:
-            raise write_error(self.path, error) from error
+            raise write_error(self.path, error, options=("output",)) from error
 
 
 def _step_of(line: str) -> int:
