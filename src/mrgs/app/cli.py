@@ -121,7 +121,7 @@ def _line(error: Exception) -> str | None:
     if isinstance(error, OSError):  # what no part of the program expected of the system
         place = "" if error.filename is None else f"{error.filename}: "
         reason = error.strerror or error
-        return f"{place}{reason}; check its permissions and the room on its disk"
+        return f"{place}{reason}: check its permissions and the room on its disk"
     if isinstance(error, MemoryError) or (
         isinstance(error, RuntimeError) and any(text in str(error) for text in NO_MEMORY)
     ):
