@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -36,9 +37,15 @@ def twice(x):
 from mrgs.kernels.jit import kernel
 
 
+from mrgs.rasterizer.sizes import HALF as H
+
+
 @kernel()
 def squared(x):
-    return x * x
+    return x * x * H / LATER
+
+
+LATER = 0.5
 """,
 }
 """Kernels of a package made for these tests: ``above`` calls ``base``, ``other`` stands alone."""
@@ -67,22 +74,24 @@ cache.KernelCache.save_overload = lambda *args: (print("compiled", flush=True), 
 def package(tmp_path: Path) -> Path:
     """A package like this one: the real cache, and small kernels."""
     root = tmp_path / "mrgs"
-    for folder in (root, root / "kernels", root / "rasterizer"):
+    for folder in (root, root / "kernels", root / "rasterizer", root / "system"):
         folder.mkdir()
         (folder / "__init__.py").touch()
-    for name in ("jit.py", "cache.py"):
-        shutil.copy(cache.FOLDER / name, root / "kernels")
+    for name in ("kernels/jit.py", "kernels/cache.py", "system/private.py", "errors.py"):
+        shutil.copy(cache.FOLDER.parent / name, root / name)
     (root / "rasterizer" / "contract.py").write_text("OFFSET = 1.0\n")
+    (root / "rasterizer" / "sizes.py").write_text("import os\nHALF = float(os.environ['HALF'])\n")
     for name, text in MODULES.items():
         (root / "kernels" / f"{name}.py").write_text(text)
     return root
 
 
-def start(package: Path, before: str = "") -> subprocess.Popen[str]:
+def start(package: Path, before: str = "", **variables: str) -> subprocess.Popen[str]:
     path = [str(package.parent), *filter(None, sys.path)]
     return subprocess.Popen(
         [sys.executable, "-c", CALL.format(path=path, before=before)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "HALF": "0.5", "PYTHONDONTWRITEBYTECODE": "1", **variables},
     )  # fmt: skip
 
 
@@ -145,7 +154,68 @@ def test_without_the_lock_a_kernel_is_compiled_after_a_while(package, locks):
         holder.communicate("x")
 
 
-def test_a_stamp_covers_what_is_imported_and_nothing_else():
+def test_a_constant_is_known_by_its_value_wherever_it_comes_from(package):
+    assert printed(start(package))[:2] == ["14.0", "9.0"]
+    assert printed(start(package, HALF="5.0")) == ["14.0", "90.0", "squared"]
+    edit(package / "kernels/other.py", "LATER = 0.5", "LATER = 0.25")
+    assert printed(start(package)) == ["14.0", "18.0", "squared"]
+    (package / "rasterizer/more.py").write_text("OFFSET = 10.0\n")
+    (package / "rasterizer/contract.py").write_text("from mrgs.rasterizer.more import OFFSET\n")
+    assert printed(start(package)) == ["32.0", "18.0", "scaled", "twice"]
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_a_damaged_kernel_is_compiled_again(package, suffix):
+    printed(start(package))
+    cut, flipped, empty = package.rglob(f"*{suffix}")
+    cut.write_bytes(cut.read_bytes()[:100])
+    data = bytearray(flipped.read_bytes())
+    data[len(data) // 2] ^= 4
+    flipped.write_bytes(data)
+    empty.write_bytes(b"")
+    assert printed(start(package))[:2] == ["14.0", "9.0"]
+    assert printed(start(package)) == ["14.0", "9.0"]
+
+
+def test_a_folder_that_others_can_write_to_is_not_used(package, tmp_path):
+    open_to_all = tmp_path / "cache"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    kernels = package / "kernels/__pycache__"
+    kernels.mkdir()
+    kernels.chmod(0o777)
+    home = tmp_path / "home"
+    places = {"NUMBA_CACHE_DIR": str(open_to_all), "HOME": str(home), "XDG_CACHE_HOME": str(home)}
+    assert printed(start(package, **places))[:2] == ["14.0", "9.0"]
+    assert list(open_to_all.iterdir()) == []
+    assert not list(kernels.glob("*.nb?"))
+    assert len(list(home.rglob("*.nbi"))) == 3
+    assert printed(start(package, **places)) == ["14.0", "9.0"]
+
+
+def test_without_any_folder_kernels_run_and_one_line_says_why(package):
+    nowhere = {"NUMBA_CACHE_DIR": "/proc/none", "HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/no"}
+    (package / "kernels/__pycache__").touch()  # a file, where the folder would be
+    process = start(package, **nowhere)
+    out, err = process.communicate(timeout=120)
+    assert out.split() == ["14.0", "9.0", "scaled", "twice", "squared"]
+    assert err.count("compiled kernels are not kept") == 1
+
+
+def test_a_full_disk_costs_only_the_time_to_compile(package):
+    full = """
+from mrgs.kernels import cache
+def fail(*args):
+    raise OSError(28, "No space left on device")
+cache._Files._save_index = fail
+"""
+    process = start(package, full)
+    out, err = process.communicate(timeout=120)
+    assert out.split() == ["14.0", "9.0", "scaled", "twice", "squared"]
+    assert "cannot be written (No space left on device)" in err
+
+
+def test_a_stamp_covers_the_code_that_is_imported_and_nothing_else():
     def sources(name: str) -> set[str]:
         found = cache._sources(cache.FOLDER / name)
         return {path.relative_to(cache.FOLDER.parent).as_posix() for path in found}
@@ -154,6 +224,5 @@ def test_a_stamp_covers_what_is_imported_and_nothing_else():
     assert sources("dense/product.py") == {"kernels/dense/product.py", jit}
     assert sources("blur/separable.py") == {"kernels/blur/separable.py", "kernels/address.py", jit}
     rasterizer = sources("rasterize/cpu/blend_backward.py")
-    assert "rasterizer/splat.py" in rasterizer
     assert "kernels/rasterize/cpu/simd.py" in rasterizer
     assert "kernels/rasterize/cpu/projection.py" not in rasterizer
