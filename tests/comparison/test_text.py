@@ -32,7 +32,7 @@ def test_markdown_marks_and_notes(table):
     assert "| ours | **31.00** | **0.200** |" in text
     assert "| their_s | <u>30.00</u> | <u>0.300</u> |" in text
     assert "<u>29.00 ± 1.50</u> | –<sup>a</sup> |" in text
-    assert "<sup>a</sup> 100% \\| no °C, 1 < 2 > 0." in text
+    assert "<sup>a</sup> 100% \\| no °C, 1 &lt; 2 &gt; 0." in text
     assert "A remark." in text
 
 

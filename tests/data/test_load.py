@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+import os
 import pickle
-from pathlib import Path
 
 import pytest
 import torch
@@ -22,7 +22,7 @@ def test_a_folder_that_may_not_be_listed(writer, monkeypatch):
         raise PermissionError(13, "Permission denied", str(path))
 
     writer.transforms(writer.thermoscenes())
-    monkeypatch.setattr(Path, "iterdir", refuse)
+    monkeypatch.setattr(os, "scandir", refuse)
     with pytest.raises(
         SceneError, match=r"images: cannot be read \(Permission denied\); check its permissions"
     ):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.errors import ConfigError, MrgsWarning, RunError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, WriteError
 from mrgs.export import FORMATS, export
 from mrgs.field.spherical_harmonics import C0
 from mrgs.scene import RGB, THERMAL, View
@@ -212,6 +212,28 @@ def test_all_goes_on_without_the_package(tmp_path, solid, scene, monkeypatch):
         names = {path.name for path in export(solid, scene, "all", tmp_path)}
     assert "points.las" not in names
     assert "points.ply" in names
+
+
+def failing_mesh(monkeypatch: pytest.MonkeyPatch, error: MrgsError) -> None:
+    def fail(job: object) -> list[Path]:
+        raise error
+
+    monkeypatch.setitem(FORMATS, "mesh", replace(FORMATS["mesh"], export=fail))
+
+
+def test_all_writes_what_can_be_written_and_says_what_cannot(tmp_path, solid, scene, monkeypatch):
+    failing_mesh(monkeypatch, RunError("there are no surfaces: train it longer"))
+    with pytest.warns(MrgsWarning, match="mesh is left out: there are no surfaces: train it long"):
+        names = {path.name for path in export(solid, scene, "all", tmp_path)}
+    assert {"points.ply", "transforms.json", "page.html"} <= names
+    with pytest.raises(RunError, match="no surfaces"):
+        export(solid, scene, "mesh", tmp_path)
+
+
+def test_all_stops_where_nothing_more_can_be_written(tmp_path, solid, scene, monkeypatch):
+    failing_mesh(monkeypatch, WriteError("the disk is full"))
+    with pytest.raises(WriteError):
+        export(solid, scene, "all", tmp_path)
 
 
 def test_an_empty_model_and_a_file_in_the_folder_s_place_are_refused(tmp_path, scene):

@@ -10,6 +10,7 @@ from string import ascii_lowercase
 
 from mrgs.comparison.results import kind_of
 from mrgs.comparison.table import Mark, Table, marks, printed
+from mrgs.pictures.markdown import escape_markdown
 
 MARKDOWN_GROUPS = 3
 LATEX_GROUPS = 5
@@ -31,11 +32,11 @@ _LATEX = {
 def to_markdown(table: Table) -> str:
     """The table with marks, footnotes for its dashes, and remarks."""
     notes = _Notes()
-    blocks = [f"**{_escape_markdown(table.caption)}**"]
+    blocks = [f"**{escape_markdown(table.caption)}**"]
     for part in _parts(table, MARKDOWN_GROUPS):
         headings = [
-            *map(_escape_markdown, part.label_headings),
-            *map(_escape_markdown, _headings(part, "<br>")),
+            *map(escape_markdown, part.label_headings),
+            *_headings(_escaped_groups(part), "<br>"),
         ]
         lines = [
             _pipe(headings),
@@ -43,12 +44,12 @@ def to_markdown(table: Table) -> str:
         ]
         for labels, cells in _cells(part, notes):
             shown = [_markdown_cell(text, mark, note) for text, mark, note in cells]
-            lines.append(_pipe([*map(_escape_markdown, labels), *shown]))
+            lines.append(_pipe([*map(escape_markdown, labels), *shown]))
         blocks.append("\n".join(lines))
     footnotes = [
-        f"<sup>{letter}</sup> {_escape_markdown(text)}." for letter, text in notes.lettered()
+        f"<sup>{letter}</sup> {escape_markdown(text)}." for letter, text in notes.lettered()
     ]
-    blocks.append("<br>\n".join([LEGEND, *map(_escape_markdown, table.remarks), *footnotes]))
+    blocks.append("<br>\n".join([LEGEND, *map(escape_markdown, table.remarks), *footnotes]))
     return "\n\n".join(blocks) + "\n"
 
 
@@ -169,6 +170,12 @@ def _cells(
         yield row.labels, cells
 
 
+def _escaped_groups(table: Table) -> Table:
+    """The table, with the headings of its groups for Markdown."""
+    groups = (group._replace(heading=escape_markdown(group.heading)) for group in table.groups)
+    return replace(table, groups=tuple(groups))
+
+
 def _headings(table: Table, line_break: str) -> list[str]:
     arrows = {"higher": " ↑", "lower": " ↓", None: ""}
     headings = []
@@ -187,10 +194,6 @@ def _pipe(fields: Sequence[str]) -> str:
 def _markdown_cell(text: str, mark: Mark, note: str) -> str:
     marked = {"best": f"**{text}**", "second": f"<u>{text}</u>", "": text}[mark]
     return f"{marked}<sup>{note}</sup>" if note else marked
-
-
-def _escape_markdown(text: str) -> str:
-    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
 
 
 def _tabular(table: Table, notes: _Notes) -> list[str]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import reprlib
-from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from mrgs.errors import SceneError
@@ -136,8 +137,24 @@ def finite_number(value: object, name: str, file: Path | str) -> float:
 
 def without_image_suffix(name: str) -> str:
     """A name or a path without its image extension; other dots in it are kept."""
-    suffix = PurePosixPath(name).suffix
-    return name[: -len(suffix)] if suffix.lower() in IMAGE_SUFFIXES else name
+    stem, dot, suffix = name.rpartition(".")
+    is_image = stem.rpartition("/")[2] and f".{suffix.lower()}" in IMAGE_SUFFIXES
+    return stem if dot and is_image else name
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """The images of one folder inside the scene.
+
+    Attributes:
+        folder: where they lie.
+        links: by name, whether an image is a symbolic link.
+        by_stem: their names by what stands before the extension, sorted.
+    """
+
+    folder: Path
+    links: Mapping[str, bool]
+    by_stem: Mapping[str, list[str]]
 
 
 class ImageFinder:
@@ -145,7 +162,7 @@ class ImageFinder:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._listings: dict[Path, dict[str, list[Path]]] = {}
+        self._listings: dict[str, _Listing] = {}
 
     def find(self, relative: str, named_in: Path | str) -> Path | None:
         """The image ``relative``, or the one in the same folder that differs in the extension only;
@@ -154,15 +171,14 @@ class ImageFinder:
         Raises:
             SceneError: the path leaves the scene's folder.
         """
-        path = contained(self._root, relative, named_in)
-        if path.suffix.lower() in IMAGE_SUFFIXES and is_file(path):
-            return path
-        matches = self._listing(path.parent).get(without_image_suffix(path.name), [])
-        return (
-            contained(self._root, str(matches[0].relative_to(self._root)), named_in)
-            if matches
-            else None
-        )
+        folder, _, name = relative.replace("\\", "/").rpartition("/")
+        if not name or "\0" in name or relative[0] in "/\\":
+            contained(self._root, relative, named_in)
+            return None
+        listing = self._listing(folder, named_in)
+        if name not in listing.links:
+            name = next(iter(listing.by_stem.get(without_image_suffix(name), ())), "")
+        return self._path(listing, name, named_in) if name else None
 
     def find_mask(self, folder: str, image: str, named_in: Path | str) -> Path | None:
         """The mask of an image in a folder: of the same stem, or named like COLMAP's,
@@ -178,18 +194,32 @@ class ImageFinder:
             return {}
         found: dict[str, Path] = {}
         for directory in [folder, *sorted(child for child in folder.iterdir() if child.is_dir())]:
-            for stem, paths in self._listing(directory).items():
-                found[(directory.relative_to(folder) / stem).as_posix()] = paths[0]
-        return {
-            key: contained(self._root, str(found[key].relative_to(self._root)), folder)
-            for key in sorted(found)
-        }
+            listing = self._listing(directory.relative_to(self._root).as_posix(), folder)
+            below = directory.relative_to(folder)
+            for stem, names in listing.by_stem.items():
+                found[(below / stem).as_posix()] = self._path(listing, names[0], folder)
+        return {key: found[key] for key in sorted(found)}
 
-    def _listing(self, folder: Path) -> dict[str, list[Path]]:
+    def _path(self, listing: _Listing, name: str, named_in: Path | str) -> Path:
+        """An image of a listing; one that is a link must not lead out of the scene's folder."""
+        path = listing.folder / name
+        if listing.links[name]:
+            return contained(self._root, path.relative_to(self._root).as_posix(), named_in)
+        return path
+
+    def _listing(self, folder: str, named_in: Path | str) -> _Listing:
         if folder not in self._listings:
-            listing: dict[str, list[Path]] = {}
-            for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-                if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-                    listing.setdefault(without_image_suffix(path.name), []).append(path)
-            self._listings[folder] = listing
+            path = contained(self._root, folder, named_in)
+            links: dict[str, bool] = {}
+            by_stem: dict[str, list[str]] = {}
+            for entry in sorted(os.scandir(path), key=_name_of) if path.is_dir() else ():
+                stem = without_image_suffix(entry.name)
+                if stem != entry.name and entry.is_file():
+                    links[entry.name] = entry.is_symlink()
+                    by_stem.setdefault(stem, []).append(entry.name)
+            self._listings[folder] = _Listing(path, links, by_stem)
         return self._listings[folder]
+
+
+def _name_of(entry: os.DirEntry[str]) -> str:
+    return entry.name

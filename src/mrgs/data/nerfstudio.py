@@ -11,7 +11,8 @@ those that Python has registered.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -213,13 +214,20 @@ class _TransformsReader:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
         key = self._key_of(next(iter(paths.values())))
         what = f"{what} ({shown(key)})"
+        pose_of = cache(partial(self._viewmat, frame, what=what))
         images = {
-            modality: self._source(modality, frame, path, what) for modality, path in paths.items()
+            modality: self._source(modality, frame, path, what, pose_of)
+            for modality, path in paths.items()
         }
         return ViewSource(key, images)
 
     def _source(
-        self, modality: Modality, frame: Mapping[str, Any], path: Path, what: str
+        self,
+        modality: Modality,
+        frame: Mapping[str, Any],
+        path: Path,
+        what: str,
+        pose_of: Callable[[str], Float64[Tensor, "4 4"]],
     ) -> ImageSource:
         """An image with its camera: the frame's, unless its modality has one of its own."""
         prefix = "" if modality == RGB else f"{modality}_"
@@ -229,7 +237,7 @@ class _TransformsReader:
             raise scene_error(self.file, f"{camera} is {shown(own)}, not an object; correct it")
         lens = self._lens(frame if own is None else own, path, what, shared=own is None)
         pose = f"{prefix}transform_matrix"
-        viewmat = self._viewmat(frame, pose if pose in frame else "transform_matrix", what)
+        viewmat = pose_of(pose if pose in frame else "transform_matrix")
         mask = self._mask(frame, f"{prefix}mask_path", f"{prefix}masks", path, what)
         return ImageSource(path, lens, viewmat, mask)
 

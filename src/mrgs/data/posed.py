@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
 from mrgs.data.files import scene_error
@@ -50,14 +50,19 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
         pinhole = pinhole_of(source.lens)
     except ValueError as error:
         raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
-    K = torch.tensor(
-        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
-        dtype=torch.float64,
-    )
-    camera = Camera(K, source.viewmat, pinhole.width, pinhole.height)
+    camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
     return PosedImage(camera, partial(_load, source, decoder, camera.width, camera.height))
+
+
+@lru_cache(maxsize=1024)
+def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
+    """K of a lens without distortion; cameras share it."""
+    return torch.tensor(
+        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
+        dtype=torch.float64,
+    )
 
 
 def decode_intensities(

@@ -13,6 +13,8 @@ from torch import Tensor
 from mrgs.data.files import MAX_MAGNITUDE, scene_error, shown
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
 
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+
 ORTHONORMAL_TOLERANCE = 1e-3
 """Largest entry of |RᵀR − I| that counts as rounding; it is then removed."""
 
@@ -79,9 +81,7 @@ def viewmat_from_opengl(
     Raises:
         SceneError: not a rigid motion.
     """
-    if camera_to_world.shape[0] == 4 and not np.allclose(
-        camera_to_world[3], [0, 0, 0, 1], atol=1e-6
-    ):
+    if len(camera_to_world) == 4 and np.abs(camera_to_world[3] - _LAST_ROW).max() > 1e-6:
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
     rotation = OPENGL_FROM_OPENCV[:3, :3] @ nearest_rotation(camera_to_world[:3, :3], what, file).T
     return rigid_transform(rotation, -rotation @ camera_to_world[:3, 3])

@@ -12,6 +12,7 @@ from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_json
 from mrgs.evaluation.parts import Parts
 from mrgs.evaluation.truth import TRUTH_FIGURES
+from mrgs.pictures.markdown import escape_markdown
 from mrgs.scene import Modality
 from mrgs.system.atomic import write_text
 
@@ -113,16 +114,16 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
         else f"{facts.peak_memory_bytes / 2**20:.0f} MiB"
     )
     blocks = [
-        f"# {_escape(facts.method)} on {_escape(facts.scene)}",
+        f"# {escape_markdown(facts.method)} on {escape_markdown(facts.scene)}",
         f"{_count(facts.steps, 'steps')}{_count(facts.gaussians, 'Gaussians')}training {seconds}, "
-        f"peak memory {memory}, device {_escape(facts.device)}.",
+        f"peak memory {memory}, device {escape_markdown(facts.device)}.",
     ]
     for modality, mean in metrics.mean.items():
-        figures = [(_escape(view.name), view.figures[modality]) for view in metrics.views]
+        figures = [(escape_markdown(view.name), view.figures[modality]) for view in metrics.views]
         table = _table([("**mean**", mean), *figures], figure_names(modality))
         blocks += [f"## {heading(modality)}", table]
     if metrics.truth is not None:
-        truths = [(_escape(view.name), view.truth) for view in metrics.views if view.truth]
+        truths = [(escape_markdown(view.name), view.truth) for view in metrics.views if view.truth]
         table = _table([("**mean**", metrics.truth), *truths], TRUTH_FIGURES)
         blocks += ["## Against the exact truth", table]
     if parts is not None:
@@ -130,7 +131,8 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
     reasons = _distinct_reasons(metrics)
     if reasons:
         blocks.append(
-            "A dash stands for a missing figure:\n\n" + "\n".join(f"- {line}" for line in reasons)
+            "A dash stands for a missing figure:\n\n"
+            + "\n".join(f"- {escape_markdown(line)}" for line in reasons)
         )
     return "\n\n".join([*blocks, CONVENTIONS]) + "\n"
 
@@ -252,7 +254,3 @@ def _distinct_reasons(metrics: Metrics) -> list[str]:
         if isinstance(figure, Missing)
     ]
     return list(dict.fromkeys(lines))
-
-
-def _escape(text: str) -> str:
-    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")

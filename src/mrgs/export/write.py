@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
 
-from mrgs.errors import ConfigError, MrgsWarning
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, WriteError
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
 from mrgs.export.loss import BakingLoss, baking_loss_db
@@ -34,6 +34,8 @@ def export(
 ) -> list[Path]:
     """Write a model in one format, or in all, into a folder; returns the paths.
 
+    Of all formats, those that cannot be written are left out.
+
     Splat formats write one file for each modality that the scene has photos of: ``rgb.ply``,
     ``thermal.ply`` in the colours of the palette, any other in grey under its own name.
 
@@ -50,6 +52,9 @@ def export(
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
         on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each format with its number, the number of formats, and its name.
+
+    Warns:
+        MrgsWarning: a format is left out; the message says why.
 
     Raises:
         ConfigError: an unknown format, limits that cannot be used, or an extra that is not
@@ -68,7 +73,14 @@ def export(
     for number, each in enumerate(chosen, start=1):
         if progress is not None:
             progress(number, len(chosen), each.name)
-        paths += each.export(job)
+        try:
+            paths += each.export(job)
+        except WriteError:  # the next would fail as well
+            raise
+        except MrgsError as error:
+            if format != "all":
+                raise
+            _note_left_out(each, error)
     return paths
 
 
@@ -87,9 +99,13 @@ def _is_writable(format: Format, scene: Scene) -> bool:
     try:
         format.require(scene)
     except ConfigError as error:
-        warnings.warn(f"{format.name} is left out: {error}", MrgsWarning, stacklevel=4)
+        _note_left_out(format, error)
         return False
     return True
+
+
+def _note_left_out(format: Format, error: MrgsError) -> None:
+    warnings.warn(f"{format.name} is left out: {error}", MrgsWarning, stacklevel=4)
 
 
 def _job(

@@ -1,0 +1,23 @@
+"""Text of unknown origin in Markdown files."""
+
+from __future__ import annotations
+
+import html
+import re
+
+_ACTIVE = re.compile(r"[\\`*\[\]|~$@]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|(?<=:)//|(?<=www)\.")
+"""What Markdown reads as markup in any place: code, emphasis, links, table cells, formulas."""
+
+_AT_START = re.compile(r"^\s*(#|[-+=]|\d+(?=[.)]))")
+"""What makes a line a heading or an item of a list."""
+
+
+def escape_markdown(text: str) -> str:
+    """Text on one line that shows as it is, wherever it stands: no HTML, link, markup or cell."""
+    line = " ".join(text.split())
+    escaped = _ACTIVE.sub(lambda found: f"\\{found[0]}", html.escape(line, quote=False))
+    return _AT_START.sub(_escaped_start, escaped)
+
+
+def _escaped_start(found: re.Match[str]) -> str:
+    return f"{found[1]}\\" if found[1].isdigit() else f"\\{found[1]}"
