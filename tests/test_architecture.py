@@ -32,6 +32,7 @@ FLOORS = {
     "export": 10,
     "report": 10,
     "comparison": 10,
+    "pipeline": 11,
     "viewer": 11,
     "app": 12,
     "__main__": 13,

@@ -684,7 +684,7 @@ def test_export_and_report(own_run, capsys):
         out,
         re.MULTILINE,
     )
-    assert "export 1 of 1: ply\n" in out
+    assert "export 2 of 2: ply\n" in out
     assert (own_run / "export" / "rgb_thermal.ply").read_bytes().startswith(b"ply\n")
     assert (
         run(
@@ -788,7 +788,7 @@ def test_a_narrow_terminal_leaves_the_least_important_out():
 
 
 def test_time_left_is_readable():
-    assert [terminal._duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == [
+    assert [terminal.duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == [
         "0:00",
         "1:15",
         "1:00:00",

@@ -21,6 +21,7 @@ from mrgs.app.commands import (
     Prepare,
     Render,
     Report,
+    RunAll,
     Synth,
     Train,
     ViewRun,
@@ -91,6 +92,7 @@ def _run(argv: list[str] | None) -> int:
     """Run the command that the arguments name; returns the exit code."""
     command = _parsed(sys.argv[1:] if argv is None else argv)
     handlers: dict[type, Callable[[Any], int | None]] = {
+        RunAll: _run_all,
         Prepare: _prepare,
         Check: _check,
         Train: _train,
@@ -432,23 +434,18 @@ def _report(command: Report) -> None:
     print(f"report: {path}")
 
 
+def _run_all(command: RunAll) -> None:
+    _without_blas_threads()
+    from mrgs.app.pipeline import run_everything
+
+    run_everything(command)
+
+
 def _demo(command: Demo) -> None:
-    started = any((command.output / "checkpoints").glob("*.safetensors"))
-    device = command.device
-    _train(
-        Train(
-            scene=_bundled_scene(),
-            output=command.output,
-            preset="fast",
-            resume=started,
-            device=device,
-        )
-    )
-    if interrupts.received is not None:  # in the training's last step
-        raise Interrupted
-    _eval(Eval(run=command.output, device=device))
-    _render(Render(run=command.output, device=device))
-    print(f"\nOpen {command.output / 'eval' / 'contact_sheet.png'} first.")
+    _without_blas_threads()
+    from mrgs.app.pipeline import run_demo
+
+    run_demo(command, _bundled_scene())
 
 
 def _synth(command: Synth) -> None:

@@ -28,6 +28,9 @@ FORMATS_HELP = "all, or one of: " + "; ".join(
 DeviceName = Literal["auto", "cpu", "cuda"]
 """As in ``mrgs.system.gpu``, which loads torch."""
 
+QualityName = Literal["fast", "default", "best"]
+"""As in ``mrgs.pipeline.quality``, which loads torch."""
+
 T = TypeVar("T")
 
 Maybe = Annotated[T | None, tyro.conf.arg(help_behavior_hint="")]
@@ -131,6 +134,29 @@ class PhotoOptions:
             else parse_known_distance(*self.known_distance),
             eval_every=self.eval_every,
         )
+
+
+@dataclass(frozen=True)
+class RunAll:
+    """From photos to results in one command.
+
+    Prepares the scene, trains, scores and renders the model, and writes a report, a page and
+    exports, all into one folder beside the photos. The photos are only read. PHOTOS may also be a
+    scene in the layout of ThermoScenes, nerfstudio or COLMAP. Re-run the same command to resume:
+    only stages whose photos or settings have changed are repeated.
+    """
+
+    photos: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTOS")]
+    """Folder of the photos, or of a scene."""
+    quality: QualityName = "default"
+    """fast for a first look, default, or best (docs/run.md)."""
+    output: Maybe[Path] = None
+    """Folder of all results; by default PHOTOS-mrgs, beside the photos."""
+    yes: bool = False
+    """Continue in spite of warnings about the photos, without asking."""
+    device: DeviceName = "auto"
+    """Device to train and render on; auto uses a usable GPU, else the CPU."""
+    photo: tyro.conf.OmitArgPrefixes[PhotoOptions] = field(default_factory=PhotoOptions)
 
 
 @dataclass(frozen=True)
@@ -270,10 +296,12 @@ class Report:
 
 @dataclass(frozen=True)
 class Demo:
-    """Train on the bundled scene, score it and render it. Takes a few minutes."""
+    """Run the bundled scene: mrgs run on an example, in a few minutes."""
 
     output: Path = Path("runs/demo")
-    """Run folder."""
+    """Folder of all results."""
+    quality: QualityName = "fast"
+    """fast, default or best, as in mrgs run."""
     device: DeviceName = "auto"
     """Device to train and render on; auto uses a usable GPU, else the CPU."""
 
@@ -388,6 +416,7 @@ class Synth:
 
 
 COMMANDS: dict[str, type] = {
+    "run": RunAll,
     "demo": Demo,
     "prepare": Prepare,
     "check": Check,

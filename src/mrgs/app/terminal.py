@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
+    from mrgs.pipeline.forecast import Forecast
     from mrgs.prepare import Preparation, StageReport
     from mrgs.runs.open import Run, TrainedRun
     from mrgs.scene import Scene
@@ -94,17 +95,35 @@ def _text_column() -> TextColumn:
 
 
 @contextmanager
-def counter(verb: str) -> Iterator[Callable[..., None]]:
-    """A progress callback (done, total), or (number, total, name) for parts that have names.
+def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..., None]]:
+    """A progress callback (done, total), or (number, total, name) for parts that have names, both
+    with ``left_s`` if the time left is known.
 
     A bar on a terminal; elsewhere a line for each named part, or else one line at the end.
+
+    Args:
+        verb: what is being done.
+        forecast: tells the time left of named parts; without it, all parts count the same.
     """
-    with _progress_bar(_text_column(), BarColumn(BAR_WIDTH), auto_refresh=False) as bar:
+    started = time.perf_counter()
+    with _progress_bar(SpinnerColumn(), _text_column(), BarColumn(BAR_WIDTH)) as bar:
         task = bar.add_task(verb, total=None)
 
-        def show(done: int, total: int, name: str = "") -> None:
-            text = f"{verb} {done} of {total}: {name}" if name else f"{verb} {done}/{total}"
-            bar.update(task, description=text, completed=done, total=total, refresh=True)
+        def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
+            text = f"{verb} {done}/{total}" if total else verb
+            if name:
+                text = f"{verb} {done} of {total}: {name}" if total else f"{verb}: {name}"
+            if left_s is None and name and forecast is not None:
+                left_s = forecast.left(name)
+            elif left_s is None and done > bool(name):
+                finished = done - bool(name)
+                left_s = (time.perf_counter() - started) / finished * (total - finished)
+            if left_s is not None and not (done == total and not name):
+                text += f" | {duration(left_s)} left"
+            finished = done - 1 if name and done else done
+            bar.update(
+                task, description=text, completed=finished, total=total or None, refresh=True
+            )
             if bar.disable and (name or done == total):
                 print(text, flush=True)
 
@@ -264,7 +283,7 @@ class TrainingProgress:
         steps = statistics.step - (self._first_step or 0)
         speed = steps / (now - self._started) if steps > 0 and now > self._started else None
         if speed is not None:
-            left = _duration((self._max_steps - statistics.step) / speed)
+            left = duration((self._max_steps - statistics.step) / speed)
             parts["time"] = f"{left} left"
         if "loss" in self._smoothed:
             parts["loss"] = f"loss {self._smoothed['loss']:.4f}"
@@ -308,10 +327,12 @@ class PrepareProgress:
         for text in self._warnings:
             say_note(text)
 
-    def step(self, step: str, done: int, total: int) -> None:
-        """Show how far a step is."""
+    def step(self, step: str, done: int, total: int, left_s: float | None = None) -> None:
+        """Show how far a step is, and the time left of all steps if it is known."""
         now = time.perf_counter()
         text = f"{step} {done}/{total}" if total else step
+        if left_s is not None:
+            text += f" | {duration(left_s)} left"
         if step != self._step:
             self._step, self._started, self._last_line = step, now, now
             for task in self._bar.task_ids:
@@ -322,19 +343,24 @@ class PrepareProgress:
             self._bar.update(self._bar.task_ids[0], description=text)
         elif now - self._last_line >= PLAIN_LINE_EVERY_S:
             self._last_line = now
-            print(f"{text} | {_duration(now - self._started)}", flush=True)
+            print(f"{text} | {duration(now - self._started)}", flush=True)
 
-    def stage(self, report: StageReport) -> None:
-        """Print what a stage found."""
+    def pause(self) -> None:
+        """Clear the bar, until the next step."""
         self._bar.stop()
         self._step = ""
+
+    def stage(self, report: StageReport, *, warn: bool = True) -> None:
+        """Print what a stage found; its warnings follow at the end, unless ``warn`` is False."""
+        self.pause()
         took = "as before" if report.reused else f"{report.seconds:.1f} s"
         first, *others = report.lines
         print(f"{report.title + ':':17}{first} ({took})")
         for line in others:
             print(f"{'':17}{line}")
         sys.stdout.flush()
-        self._warnings += [f"{report.title}: {text}" for text in report.warnings]
+        if warn:
+            self._warnings += [f"{report.title}: {text}" for text in report.warnings]
 
     def end(self, preparation: Preparation) -> None:
         """List the skipped files."""
@@ -371,7 +397,7 @@ def _plan(scene: Scene, config: RunConfig) -> str:
     )
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """M:SS, or H:MM:SS from an hour on."""
     minutes, rest = divmod(int(seconds), 60)
     return (

@@ -18,7 +18,9 @@ from mrgs.prepare.page.pairs import thumbnail_width
 from mrgs.scene import Scene
 
 
-def check_scene(scene: str | Path, progress: Progress | None = None) -> SceneCheck:
+def check_scene(
+    scene: str | Path, progress: Progress | None = None, output: Path | None = None
+) -> SceneCheck:
     """Check a scene in any layout that ``load_scene`` reads; nothing in it is changed.
 
     Every image is read once. The page ``check.html`` in the scene's folder shows cameras and
@@ -27,6 +29,7 @@ def check_scene(scene: str | Path, progress: Progress | None = None) -> SceneChe
     Args:
         scene: the folder, or its transforms file.
         progress: called with a step's name, and how many views are done and there are.
+        output: folder of the page; by default the scene's.
 
     Raises:
         SceneError: there is no such folder.
@@ -41,13 +44,13 @@ def check_scene(scene: str | Path, progress: Progress | None = None) -> SceneChe
         loaded, corrected = _load(scene)
     except SceneError as error:
         unread = (Problem("error", str(error)),)
-        return SceneCheck(unread, (), write_check_page(folder, unread))
+        return SceneCheck(unread, (), write_check_page(folder, unread, output=output))
     statistics = _read_views(loaded, report)
     found = [*corrected, *pose_problems(loaded), *image_problems(loaded, statistics)]
     problems = worst_first(found)
     lines = _facts(loaded)
     return SceneCheck(
-        problems, lines, write_check_page(folder, problems, lines, loaded, statistics)
+        problems, lines, write_check_page(folder, problems, lines, loaded, statistics, output)
     )
 
 

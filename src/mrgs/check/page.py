@@ -28,8 +28,9 @@ def write_check_page(
     lines: Sequence[str] = (),
     scene: Scene | None = None,
     statistics: Sequence[ViewStatistics] = (),
+    output: Path | None = None,
 ) -> Path:
-    """Write ``check.html`` into the scene's folder; returns its path.
+    """Write ``check.html``; returns its path.
 
     Args:
         folder: the scene's.
@@ -37,12 +38,13 @@ def write_check_page(
         lines: facts about the scene, one sentence each.
         scene: None if it cannot be read.
         statistics: its views.
+        output: folder of the page; by default the scene's.
 
     Raises:
         RunError: the page cannot be written.
     """
     return write_scene_page(
-        folder / PAGE,
+        (output or folder) / PAGE,
         "check/check.html",
         f"Scene check: {folder.resolve().name}",
         None if scene is None else _world(scene),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
@@ -21,11 +21,14 @@ from mrgs.scene import Scene
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
 
+BAKING = "baking"
+"""The part of an export before its formats: the model as plain splats."""
+
 
 def export(
     model: Run | BakedModel,
     scene: Scene,
-    format: str,
+    format: str | Sequence[str],
     folder: Path,
     palette: PaletteName = "inferno",
     limits_c: tuple[float, float] | None = None,
@@ -46,12 +49,14 @@ def export(
         model: a run, which is baked here, or a model that is baked already (its baking loss is then
             not measured).
         scene: that the model was trained on.
-        format: the name of one of ``FORMATS``, or ``all``: every format that can be written here.
+        format: the name of one of ``FORMATS``, several names, or ``all``: every format that can be
+            written here.
         folder: made if it does not exist; files of these names are replaced.
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
         on_baked: called with the PSNR that baking a run costs, dB.
-        progress: called before each format with its number, the number of formats, and its name.
+        progress: called before each part with its number, the number of parts, and its name: first
+            ``BAKING``, then each format.
 
     Warns:
         MrgsWarning: a format is left out; the message says why.
@@ -65,20 +70,23 @@ def export(
     if format == "all":
         chosen = [each for each in FORMATS.values() if _is_writable(each, scene)]
     else:
-        chosen = [_required(format, scene)]
+        names = [format] if isinstance(format, str) else format
+        chosen = [_required(name, scene) for name in names]
+    parts = [BAKING, *(each.name for each in chosen)]
+    report = progress or (lambda number, count, name: None)
+    report(1, len(parts), BAKING)
     job = _job(model, scene, folder, palette, limits_c)
     if job.loss is not None and on_baked is not None:
         on_baked(job.loss)
     paths = []
-    for number, each in enumerate(chosen, start=1):
-        if progress is not None:
-            progress(number, len(chosen), each.name)
+    for number, each in enumerate(chosen, start=2):
+        report(number, len(parts), each.name)
         try:
             paths += each.export(job)
         except WriteError:  # the next would fail as well
             raise
         except MrgsError as error:
-            if format != "all":
+            if format == each.name:
                 raise
             _note_left_out(each, error)
     return paths

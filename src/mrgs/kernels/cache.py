@@ -97,6 +97,11 @@ class KernelCache(FunctionCache):
         """The folder; None where there is none."""
         return self._cache_path if self._is_open else None
 
+    @property
+    def is_saved(self) -> bool:
+        """Whether a compiled version for this source is on disk."""
+        return Path(self._cache_path, self._cache_file._index_name).is_file()
+
     @contextmanager
     def unlocking(self) -> Iterator[None]:
         """At the end of this block, release the lock if ``load_overload`` took it within."""

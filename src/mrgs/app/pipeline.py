@@ -1,0 +1,225 @@
+"""``mrgs run`` and ``mrgs demo``: what was understood, how far they are, what to open."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from mrgs.app.commands import Demo, RunAll
+from mrgs.app.interrupts import Interrupted, interrupts
+from mrgs.app.style import say_note, styled
+from mrgs.app.terminal import PrepareProgress, TrainingProgress, counter, duration
+from mrgs.errors import MrgsError
+from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
+from mrgs.pipeline.computer import free_disk
+from mrgs.prepare import PrepareOptions, StageReport
+from mrgs.scene import Scene
+from mrgs.training.driver import Statistics
+from mrgs.training.run_folder import RunConfig
+
+GIGABYTE = 1e9
+
+
+def run_everything(command: RunAll) -> None:
+    """``mrgs run``."""
+    _follow(
+        command.photos,
+        command.output,
+        command,
+        PipelineTerminal(command.yes),
+        command.photo.options(),
+    )
+
+
+def run_demo(command: Demo, scene: Path) -> None:
+    """``mrgs demo``: the same with the bundled scene, whose page is known."""
+    _follow(scene, command.output, command, PipelineTerminal(yes=True), PrepareOptions())
+
+
+def _follow(
+    source: Path,
+    output: Path | None,
+    command: RunAll | Demo,
+    terminal: PipelineTerminal,
+    options: PrepareOptions,
+) -> None:
+    started = time.perf_counter()
+    try:
+        results = run_pipeline(
+            source,
+            output,
+            quality=command.quality,
+            options=options,
+            device=command.device,
+            monitor=terminal,
+        )
+    except KeyboardInterrupt:
+        say_note("results so far are kept; re-run the same command to resume")
+        raise
+    print(f"finished in {duration(time.perf_counter() - started)}\n")
+    print(what_to_open(results))
+
+
+def what_to_open(results: PipelineResults) -> str:
+    """The last lines: the files to look at, and the command to go on with."""
+    files = {
+        results.report: "hottest and coldest spots, scores, limits of the measurement",
+        results.page: "the model in your browser: colour, temperature under the cursor",
+        results.contact_sheet: "photos beside renderings of the same views",
+        results.scene_page: "pairs, cameras and temperatures as they were understood",
+        results.renders: "images, temperatures as float32 TIFF, depth",
+        results.exports: "point cloud, mesh and splats for other programs",
+    }
+    lines = [f"  {path}\n      {text}" for path, text in files.items() if path is not None]
+    return "\n".join(["open:", *lines, f"explore: mrgs view {results.run}"])
+
+
+class PipelineTerminal(Monitor):
+    """Shows a pipeline at the terminal, and asks the user.
+
+    Args:
+        yes: accept warnings without asking.
+    """
+
+    def __init__(self, yes: bool) -> None:
+        self._yes = yes
+        self._preparing = PrepareProgress()
+        self._training = TrainingProgress()
+        self._show: Callable[..., None] | None = None
+
+    def planned(self, plan: PipelinePlan) -> None:  # noqa: D102
+        for name, text in _plan_lines(plan).items():
+            print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{text}")
+        for note in plan.notes:
+            say_note(note)
+        sys.stdout.flush()
+
+    def reused(self, stage: PlannedStage) -> None:  # noqa: D102
+        print(f"{_heading(stage)} (done before)", flush=True)
+
+    @contextmanager
+    def running(self, stage: PlannedStage, rest_s: float) -> Iterator[None]:  # noqa: D102
+        seconds = sum(stage.parts.values())
+        rest = f", then {rough(rest_s)} for the rest" if rest_s >= 1 else ""
+        print(f"{_heading(stage)} ({rough(seconds)}{rest})", flush=True)
+        if stage.name == "train":
+            self._training = TrainingProgress()
+            with self._training:
+                yield
+            if interrupts.received is not None:  # in the training's last step
+                raise Interrupted
+        elif stage.name in ("prepare", "check"):
+            self._preparing = PrepareProgress()
+            with self._preparing:
+                yield
+        else:
+            with counter(stage.name) as self._show:
+                yield
+
+    def progress(  # noqa: D102
+        self, part: str, done: int, total: int, left_s: float | None
+    ) -> None:
+        if self._show is None:
+            self._preparing.step(part, done, total, left_s)
+        else:
+            self._show(done, total, "" if total else part, left_s)
+
+    def prepared(self, report: StageReport) -> None:  # noqa: D102
+        self._preparing.stage(report, warn=False)
+
+    def training_started(self, scene: Scene, config: RunConfig) -> None:  # noqa: D102
+        self._training.start(scene, config)
+
+    def stepped(self, statistics: Statistics) -> bool | None:  # noqa: D102
+        return self._training.step(statistics)
+
+    def accepts(self, warnings: Sequence[str], page: Path) -> bool:  # noqa: D102
+        self._preparing.pause()
+        for text in warnings:
+            say_note(text)
+        if self._yes:
+            return True
+        return _ask(f"{page} shows what was found. Continue? [y/N] ").lower() in ("y", "yes")
+
+    def answer(  # noqa: D102
+        self, error: MrgsError, options: PrepareOptions
+    ) -> PrepareOptions | None:
+        self._preparing.pause()
+        if "unit" in error.options and options.overrides.unit is None:
+            unit = _ask(f"{error}\nunit of the values (celsius, kelvin, kelvin*100 ...): ")
+            overrides = replace(options.overrides, unit=unit or None)
+            return replace(options, overrides=overrides) if unit else None
+        if "thermal_fov_deg" in error.options and options.thermal_fov_deg is None:
+            degrees = _ask(
+                f"{error}\nhorizontal field of view of the thermal camera in degrees, from its "
+                f"data sheet: "
+            )
+            return replace(options, thermal_fov_deg=float(degrees)) if _is_number(degrees) else None
+        return None
+
+
+def _plan_lines(plan: PipelinePlan) -> dict[str, str]:
+    """What was understood and what will happen, by title."""
+    computer, quality, intake = plan.computer, plan.quality, plan.intake
+    cores = f"{computer.cores} core{'' if computer.cores == 1 else 's'}"
+    if computer.share < 0.75 * computer.cores:
+        cores += f" ({computer.share:.1f} of them free now)"
+    facts = [cores]
+    if computer.free_memory is not None:
+        facts.append(
+            f"{computer.free_memory / GIGABYTE:.1f} GB memory free "
+            f"(about {plan.memory / GIGABYTE:.1f} needed)"
+        )
+    free = free_disk(plan.output) / GIGABYTE
+    facts.append(f"{free:.1f} GB disk free (about {plan.disk / GIGABYTE:.1f} needed)")
+    if plan.device != "cpu":
+        facts.append(plan.device)
+    stages = ", ".join(
+        f"{stage.name} {'done' if stage.is_done else duration(stage.seconds)}"
+        for stage in plan.stages
+    )
+    return {
+        "photos" if intake.kind == "photos" else "scene": f"{intake.source}: {intake.summary}",
+        **({"pairs": " ".join(intake.facts)} if intake.facts else {}),
+        "computer": ", ".join(facts),
+        "quality": f"{quality.name}: {quality.max_steps:,} steps, at most "
+        f"{quality.max_gaussians:,} Gaussians, photos at most {quality.resolution:,} px wide",
+        "results": str(plan.output),
+        "time": f"{rough(plan.seconds)} ({stages})",
+    }
+
+
+def _heading(stage: PlannedStage) -> str:
+    text = f"stage {stage.number} of {stage.total}: {stage.name}"
+    return styled(text, "bold", sys.stdout)
+
+
+def rough(seconds: float) -> str:
+    """A time that is not known exactly."""
+    if seconds < 90:
+        return f"about {max(5 * round(seconds / 5), 5)} seconds"
+    if seconds < 90 * 60:
+        return f"about {round(seconds / 60)} minutes"
+    return f"about {seconds / 3600:.1f} hours"
+
+
+def _ask(question: str) -> str:
+    """The user's answer; empty where there is nobody to ask."""
+    if not sys.stdin.isatty():
+        return ""
+    try:
+        return input(question).strip()
+    except EOFError:
+        return ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,173 @@
+"""What the stages of a pipeline cost: a model of their steps, in processor seconds.
+
+The coefficients were fitted to runs on one core type (decision 027); ``Computer`` translates them
+into time on the computer at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mrgs.pipeline.intake import Intake, Size
+from mrgs.pipeline.quality import Quality
+from mrgs.prepare.colmap.pairs import ALIKE, MAX_EXHAUSTIVE, NEIGHBOURS
+from mrgs.scene import RGB, THERMAL
+
+FEATURE_PX = 1600 * 1200
+"""Larger images are reduced before features are found in them."""
+
+POINTS_PER_VIEW = 450
+"""Start points that structure from motion finds per view, roughly."""
+
+MATURE = 0.3
+"""Share of the steps after which a model has reached its cap on the Gaussians."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The cost of a stage.
+
+    Attributes:
+        parts: processor seconds by part, in order.
+        parallel: share of the work that is spread over the cores.
+    """
+
+    parts: Mapping[str, float]
+    parallel: float
+
+
+@dataclass(frozen=True)
+class Workload:
+    """What a pipeline has to do, as far as its cost depends on it.
+
+    Attributes:
+        photos: whether poses must be found.
+        views: of the scene.
+        held_out: of them.
+        source_px: pixels of a view's images as they are.
+        feature_px: pixels of the images whose features are matched, at most ``FEATURE_PX``.
+        kpx: thousands of pixels of a view's images in training.
+        start: start points.
+        gaussians: at the end.
+        steps: of training.
+        has_two_cameras: whether a thermal camera must be placed.
+        kernels_are_compiled: whether the kernels of an earlier run can be used.
+    """
+
+    photos: bool
+    views: int
+    held_out: int
+    source_px: int
+    feature_px: int
+    kpx: float
+    start: int
+    gaussians: int
+    steps: int
+    has_two_cameras: bool
+    kernels_are_compiled: bool
+
+    @classmethod
+    def of(cls, intake: Intake, quality: Quality, kernels_are_compiled: bool) -> Workload:
+        """The workload of photos or a scene at a quality."""
+        posed = intake.sizes.get(RGB) or intake.sizes[THERMAL]
+        points = intake.points
+        start = POINTS_PER_VIEW * intake.views if points is None else points
+        return cls(
+            photos=intake.kind == "photos",
+            views=intake.views,
+            held_out=intake.held_out,
+            source_px=sum(width * height for width, height in intake.sizes.values()),
+            feature_px=min(posed[0] * posed[1], FEATURE_PX),
+            kpx=sum(_reduced_px(size, quality.resolution) for size in intake.sizes.values()) / 1e3,
+            start=min(start, quality.max_gaussians),
+            gaussians=quality.max_gaussians,
+            steps=quality.max_steps,
+            has_two_cameras=len(intake.sizes) > 1,
+            kernels_are_compiled=kernels_are_compiled,
+        )
+
+    @property
+    def mean_gaussians(self) -> float:
+        """Over the training: a ramp from the start to the cap, then the cap."""
+        return MATURE * (self.start + self.gaussians) / 2 + (1 - MATURE) * self.gaussians
+
+
+def _reduced_px(size: Size, resolution: int) -> float:
+    return size[0] * size[1] * min(1.0, resolution / size[0]) ** 2
+
+
+def stage_costs(work: Workload) -> dict[str, Cost]:
+    """The cost of each stage by its name, in order."""
+    views, kgauss = work.views, work.gaussians / 1e3
+    render = _render(work, kgauss)
+    return {
+        "prepare" if work.photos else "check": Cost(_prepare(work), 0.6),
+        "train": Cost(_train(work), 0.5),
+        "score": Cost({"scoring": 1.0 + work.held_out * (8 * render + 0.2e-3 * work.kpx)}, 0.4),
+        "render": Cost({"rendering": (work.held_out or views) * (render + 0.5e-3 * work.kpx)}, 0.2),
+        "report": Cost(
+            {
+                "hottest and coldest spots": 1.0 + views * (2 * render + 0.1e-3 * work.kpx),
+                "pictures of the spots": 2.0,
+                "scores and page": 1.0,
+            },
+            0.4,
+        ),
+        "page": Cost(_page(work, render), 0.4),
+        "exports": Cost(_exports(work, render), 0.4),
+    }
+
+
+def _render(work: Workload, kgauss: float) -> float:
+    """Rendering one view, both modalities."""
+    return 4e-3 + 0.6e-3 * kgauss + 0.06e-3 * work.kpx
+
+
+def _prepare(work: Workload) -> dict[str, float]:
+    reading = work.views * (0.02 + 0.04e-6 * work.source_px)
+    if not work.photos:
+        return {"reading images": reading}
+    pairs = min(work.views, MAX_EXHAUSTIVE) * (min(work.views, MAX_EXHAUSTIVE) - 1) / 2
+    if work.views > MAX_EXHAUSTIVE:
+        pairs = work.views * (NEIGHBOURS + ALIKE)
+    return {
+        "pairs": 0.1 + 0.005 * work.views,
+        "images": reading,
+        "features": 1.5e-6 * work.feature_px * work.views,
+        "matching": 0.1 * pairs,
+        "mapping": 0.3 * work.views,
+        "thermal camera": 1.2 * work.views if work.has_two_cameras else 0.0,
+        "page": 2.0 + 0.02 * work.views,
+    }
+
+
+def _train(work: Workload) -> dict[str, float]:
+    step = 0.014 + 1.55e-3 * work.mean_gaussians / 1e3 + 0.2e-3 * work.kpx
+    compiling = 0.0 if work.kernels_are_compiled else 60.0
+    return {"compiling": 3.0 + compiling, "steps": step * work.steps}
+
+
+def _page(work: Workload, render: float) -> dict[str, float]:
+    return {"baking": 0.5 + work.views * 2e-3 + work.held_out * 2 * render, "page": 0.5}
+
+
+def _exports(work: Workload, render: float) -> dict[str, float]:
+    kgauss = work.gaussians / 1e3
+    surface = work.views * (render + 0.1e-3 * work.kpx)
+    return {
+        "baking": 0.5 + work.views * 2e-3 + work.held_out * 2 * render,
+        "ply": 0.01 * kgauss,
+        "spz": 0.01 * kgauss,
+        "glb": 0.01 * kgauss,
+        "splat": 0.03 * kgauss,
+        "points": surface,
+        "las": 0.05 * kgauss,
+        "mesh": 3.0 + 3 * surface,
+        "cameras": views_cost(work),
+    }
+
+
+def views_cost(work: Workload) -> float:
+    """Undistorting and writing every image."""
+    return work.views * (0.005 + 0.2e-6 * work.source_px)

@@ -1,0 +1,180 @@
+"""What a folder holds, from the headers of its files: photos or a scene, how many, of what size,
+with °C or without."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from PIL import Image
+
+from mrgs.data import load_scene
+from mrgs.data.colmap_model import find_model
+from mrgs.data.files import scene_error
+from mrgs.data.images import probe
+from mrgs.data.nerfstudio import find_transforms
+from mrgs.data.radiometric import ThermalPhoto, read_thermal_photo
+from mrgs.errors import MrgsError
+from mrgs.prepare.contract import MIN_VIEWS, PhotoPair
+from mrgs.prepare.options import PrepareOptions
+from mrgs.prepare.pairs.find import find_pairs
+from mrgs.scene import RGB, THERMAL, Modality
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Intake:
+    """What a folder holds.
+
+    Attributes:
+        source: the folder.
+        kind: photos, or a scene with poses.
+        views: number of pairs, or of a scene's views.
+        held_out: views that are kept for scoring.
+        sizes: width and height of the images by modality, px.
+        camera: model of the thermal camera; empty if the files do not say.
+        has_celsius: whether the thermal photos hold temperatures; None without thermal photos.
+        points: start points of a scene; None for photos.
+        bytes: size of the files that are used.
+        facts: further sentences for the user.
+    """
+
+    source: Path
+    kind: Literal["photos", "scene"]
+    views: int
+    held_out: int
+    sizes: Mapping[Modality, Size]
+    camera: str
+    has_celsius: bool | None
+    points: int | None
+    bytes: int
+    facts: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """One line."""
+        noun = "views" if self.kind == "scene" else "pairs" if RGB in self.sizes else "photos"
+        parts = [f"{self.views} {noun}"]
+        parts += [
+            f"{modality.title} {width}×{height} px"
+            for modality, (width, height) in self.sizes.items()
+        ]
+        if self.camera:
+            parts.append(self.camera)
+        if self.has_celsius is not None:
+            parts.append("temperatures in °C" if self.has_celsius else "no °C (relative values)")
+        return ", ".join(parts)
+
+
+def is_scene(folder: Path) -> bool:
+    """Whether a folder holds poses in a layout that ``load_scene`` reads."""
+    if folder.is_file():
+        return folder.suffix == ".json"
+    if not folder.is_dir():
+        return False
+    root = folder.resolve()
+    return find_transforms(root) is not None or find_model(root) is not None
+
+
+def take_in(source: Path, options: PrepareOptions) -> Intake:
+    """Look at a folder of photos, or at a scene; nothing is written.
+
+    Raises:
+        SceneError: the folder cannot be used: not there, no photos, too few pairs, or a thermal
+            photo that cannot be read.
+        ConfigError: an option that does not fit the photos.
+    """
+    if is_scene(source):
+        return _scene(source)
+    if not source.is_dir():
+        raise scene_error(source, "not a folder; give the folder of the photos, or a scene")
+    return _photos(source, options)
+
+
+def _scene(source: Path) -> Intake:
+    scene = load_scene(source)
+    cameras = scene.train[0].cameras
+    folder = source if source.is_dir() else source.parent
+    has_thermal = THERMAL in scene.modalities
+    return Intake(
+        source,
+        "scene",
+        len(scene.train) + len(scene.eval),
+        len(scene.eval),
+        {modality: (camera.width, camera.height) for modality, camera in cameras.items()},
+        "",
+        (scene.temperature is not None) if has_thermal else None,
+        len(scene.points.positions),
+        sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()),
+    )
+
+
+def _photos(source: Path, options: PrepareOptions) -> Intake:
+    pairing = find_pairs(
+        source, rule=options.pairs, table=options.pair_table, tolerance_s=options.tolerance_s
+    )
+    count = len(pairing.pairs)
+    if count < MIN_VIEWS:
+        raise scene_error(
+            source,
+            f"holds {count} pair{'' if count == 1 else 's'} of photos, and a model needs at least "
+            f"{MIN_VIEWS}, better 20 or more; add photos of the same object from other places",
+        )
+    thermal = _first_readable(pairing.pairs, options)
+    has_celsius = thermal.temperature_c is not None
+    return Intake(
+        source,
+        "photos",
+        count,
+        0 if options.eval_every == 0 else (count + options.eval_every - 1) // options.eval_every,
+        _sizes(pairing.pairs[0], thermal),
+        thermal.facts.camera or "",
+        has_celsius,
+        None,
+        sum(path.stat().st_size for pair in pairing.pairs for path in pair.photos.values()),
+        (pairing.rule, *_unused(len(pairing.skipped))),
+    )
+
+
+def _unused(count: int) -> tuple[str, ...]:
+    if count == 0:
+        return ()
+    return ("1 other file is not used." if count == 1 else f"{count} other files are not used.",)
+
+
+def _first_readable(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> ThermalPhoto:
+    """The first thermal photo that can be read.
+
+    Raises:
+        SceneError: none can.
+    """
+    found = [_read(pair, options) for pair in pairs[:MIN_VIEWS]]
+    errors = [each for each in found if isinstance(each, MrgsError)]
+    photos = [each for each in found if isinstance(each, ThermalPhoto)]
+    if not photos:
+        raise errors[0]
+    return photos[0]
+
+
+def _read(pair: PhotoPair, options: PrepareOptions) -> ThermalPhoto | MrgsError:
+    """A pair's thermal photo, or why it cannot be read."""
+    try:
+        return read_thermal_photo(pair.photos[THERMAL], options.overrides)
+    except MrgsError as error:
+        return error
+
+
+def _sizes(pair: PhotoPair, thermal: ThermalPhoto) -> dict[Modality, Size]:
+    height, width = thermal.valid.shape
+    sizes: dict[Modality, Size] = {}
+    if RGB in pair.photos:
+        info = probe(pair.photos[RGB])
+        sizes[RGB] = (info.width, info.height)
+    elif pair.embedded and thermal.facts.visible is not None:
+        with Image.open(io.BytesIO(thermal.facts.visible.data), formats=("JPEG", "PNG")) as image:
+            sizes[RGB] = image.size
+    return {**sizes, THERMAL: (width, height)}

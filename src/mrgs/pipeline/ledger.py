@@ -1,0 +1,118 @@
+"""Which stages of a pipeline are done, and from what."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mrgs.data.files import visible_files
+from mrgs.system.atomic import replacing
+
+LEDGER = "pipeline.json"
+
+Stamp = tuple[str, int, int]
+"""Path, size in bytes and time of the last change (ns)."""
+
+
+class Ledger:
+    """The stages that are done, in a JSON file; what it does not hold, or what cannot be read, is
+    not done.
+
+    Args:
+        folder: of the file, and of the files that stages make.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._file = folder / LEDGER
+        self._stages = _read(self._file)
+
+    def open(self) -> None:
+        """Make the file if there is none: it marks the folder as a pipeline's.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        if not self._file.is_file():
+            self._write()
+
+    def is_done(self, stage: str, made_from: str) -> bool:
+        """Whether a stage was finished with these inputs, and its files are as it left them."""
+        entry = self._stages.get(stage, {})
+        files = entry.get("files")
+        if entry.get("made_from") != made_from or not isinstance(files, dict):
+            return False
+        return all(_size(self._folder / name) == size for name, size in files.items())
+
+    def is_begun(self, stage: str, made_from: str) -> bool:
+        """Whether a stage was begun, or finished, with these inputs."""
+        return bool(self._stages.get(stage, {}).get("made_from") == made_from)
+
+    def begin(self, stage: str, made_from: str) -> None:
+        """Note that a stage begins.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        self._stages[stage] = {"made_from": made_from}
+        self._write()
+
+    def finish(self, stage: str, made_from: str, files: Sequence[Path]) -> None:
+        """Note that a stage is finished, and the files that it made.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        sizes = {path.relative_to(self._folder).as_posix(): _size(path) for path in files}
+        self._stages[stage] = {"made_from": made_from, "files": sizes}
+        self._write()
+
+    def _write(self) -> None:
+        with replacing(self._file) as temporary:
+            temporary.write_text(json.dumps(self._stages, indent=1), encoding="utf-8")
+
+
+def _read(file: Path) -> dict[str, dict[str, Any]]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(content, dict):
+        return {}
+    return {name: entry for name, entry in content.items() if isinstance(entry, dict)}
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except (OSError, ValueError):
+        return None
+
+
+def file_stamp(path: Path, root: Path) -> Stamp:
+    """The stamp of a file below a folder. A copy that keeps its times is the same file."""
+    status = path.stat()
+    return path.relative_to(root).as_posix(), status.st_size, status.st_mtime_ns
+
+
+def folder_stamps(folder: Path, without: Sequence[str] = ()) -> tuple[Stamp, ...]:
+    """The stamps of all visible files below a folder, sorted.
+
+    Args:
+        folder: where.
+        without: names of folders, or endings such as ``*.html``, that do not count.
+    """
+    return tuple(
+        sorted(
+            file_stamp(path, folder)
+            for path in visible_files(folder)
+            if path.is_file()
+            and not any(
+                part.match(pattern)
+                for pattern in without
+                for part in (Path(name) for name in path.relative_to(folder).parts)
+            )
+        )
+    )

@@ -1,0 +1,245 @@
+"""From photos, or a scene, to a model, its scores, images, report, page and exports."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from mrgs.errors import ConfigError, MrgsError, RunError
+from mrgs.pipeline.computer import Computer, kernels_are_compiled, measure_computer
+from mrgs.pipeline.costs import Workload, stage_costs
+from mrgs.pipeline.forecast import Forecast
+from mrgs.pipeline.intake import Intake, take_in
+from mrgs.pipeline.ledger import LEDGER
+from mrgs.pipeline.monitor import Monitor
+from mrgs.pipeline.plan import (
+    PipelinePlan,
+    PlannedStage,
+    disk_bytes,
+    memory_bytes,
+    planned_seconds,
+    require_disk,
+    require_extras,
+)
+from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.pipeline.stages import Job, Report, Stage
+from mrgs.prepare.options import PrepareOptions
+from mrgs.system import gpu
+from mrgs.system.gpu import DeviceName
+from mrgs.training.run_folder import RunFolder
+
+
+@dataclass(frozen=True)
+class PipelineResults:
+    """The files that a pipeline made.
+
+    Attributes:
+        scene: folder of the scene.
+        scene_page: page that shows the scene.
+        run: folder of the model; ``load_run`` opens it.
+        report: one-page report.
+        page: the model as one HTML file.
+        contact_sheet: photos beside renderings; None if no views are held out.
+        renders: folder of the images.
+        exports: folder of the exported files.
+    """
+
+    scene: Path
+    scene_page: Path
+    run: Path
+    report: Path
+    page: Path
+    contact_sheet: Path | None
+    renders: Path
+    exports: Path
+
+
+def run_pipeline(
+    source: str | Path,
+    output: str | Path | None = None,
+    *,
+    quality: str = "default",
+    options: PrepareOptions | None = None,
+    device: DeviceName = "auto",
+    monitor: Monitor | None = None,
+) -> PipelineResults:
+    """Prepare, train, score, render, report, page, exports; the same call resumes after an
+    interruption, and repeats only stages whose inputs or settings have changed.
+
+    Args:
+        source: folder of photos, or of a scene; it is only read.
+        output: folder of all results; by default ``NAME-mrgs`` beside the source.
+        quality: how much work is put into the model: "fast", "default" or "best".
+        options: facts about the photos.
+        device: where it is trained and rendered.
+        monitor: follows the progress, and accepts warnings; by default nothing is accepted.
+
+    Raises:
+        SceneError: the photos or the scene cannot be used, or warnings about them were not
+            accepted.
+        ConfigError: an option that does not fit the photos, or an extra that is not installed.
+        RunError: a folder cannot be written or is in use, or the disk has too little space.
+        DeviceError: the GPU was asked for and cannot be used.
+        TrainingError: the training failed.
+        KeyboardInterrupt: the monitor stopped the training; the same call resumes it.
+    """
+    monitor = monitor or Monitor()
+    source, chosen = Path(source), _quality(quality)
+    title = gpu.device_title(gpu.choose_device(device))
+    intake, options = _taken_in(source, options or PrepareOptions(), monitor)
+    target = default_output(source) if output is None else Path(output)
+    _require_own(source, target)
+    missing = require_extras(intake, options)
+    work = Workload.of(intake, chosen, kernels_are_compiled())
+    disk = disk_bytes(work, intake)
+    require_disk(disk - _size_of(target), target)
+    with RunFolder(target).locked():
+        job = Job(intake, chosen, options, target, device, monitor)
+        job.ledger.open()
+        computer, memory = measure_computer(), memory_bytes(work)
+        plan = PipelinePlan(
+            intake,
+            chosen,
+            computer,
+            title,
+            target,
+            _planned(job, work, computer),
+            memory,
+            disk,
+            (*missing, *_doubts(memory, computer)),
+        )
+        monitor.planned(plan)
+        _run_stages(job, plan, monitor)
+    return _results(job)
+
+
+def default_output(source: Path) -> Path:
+    """The folder of the results of a source: beside it, with its name."""
+    folder = source.parent if source.is_file() else source
+    folder = folder.resolve()
+    return folder.parent / f"{folder.name}-mrgs"
+
+
+def _quality(name: str) -> Quality:
+    if name not in QUALITIES:
+        raise ConfigError(f"unknown quality {name!r}; choose one of {', '.join(QUALITIES)}")
+    return QUALITIES[name]
+
+
+def _taken_in(
+    source: Path, options: PrepareOptions, monitor: Monitor
+) -> tuple[Intake, PrepareOptions]:
+    """What the folder holds, and the options, completed by the monitor where the photos do not say
+    what their values mean."""
+    if (source / LEDGER).is_file():
+        raise RunError(
+            f"{source} holds the results of an earlier run; give the folder of the photos"
+        )
+    try:
+        return take_in(source, options), options
+    except MrgsError as error:
+        if (completed := monitor.answer(error, options)) is None:
+            raise
+    return _taken_in(source, completed, monitor)
+
+
+def _require_own(source: Path, output: Path) -> None:
+    """The folder of the results must be new, or an earlier pipeline's.
+
+    Raises:
+        RunError: it is the source, or holds something else.
+    """
+    own, folder = output.resolve(), source.resolve()
+    if own == folder or own.is_relative_to(folder):
+        raise RunError(
+            f"{output} lies in the folder of the photos: choose another folder", options=("output",)
+        )
+    try:
+        foreign = (
+            own.is_dir()
+            and not (own / LEDGER).is_file()
+            and any(path.name != ".lock" for path in own.iterdir())
+        )
+    except OSError as error:
+        raise RunError(
+            f"{output} cannot be read ({error.strerror}): choose another folder",
+            options=("output",),
+        ) from None
+    if foreign:
+        raise RunError(f"{output} holds something else: choose a new folder", options=("output",))
+
+
+def _size_of(folder: Path) -> int:
+    """Bytes of what an earlier call has written."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def _doubts(memory: int, computer: Computer) -> tuple[str, ...]:
+    if computer.free_memory is None or memory <= computer.free_memory:
+        return ()
+    return (
+        f"training needs about {memory / 1e9:.1f} GB of memory, and "
+        f"{computer.free_memory / 1e9:.1f} GB are free: close other programs, or choose a lower "
+        f"quality",
+    )
+
+
+def _planned(job: Job, work: Workload, computer: Computer) -> tuple[PlannedStage, ...]:
+    costs, stages, done = stage_costs(work), job.stages, True
+    planned = []
+    for number, (stage, (name, cost)) in enumerate(zip(stages, costs.items(), strict=True), 1):
+        done = done and _is_done(job, stage)
+        parts = planned_seconds(cost, computer)
+        planned.append(PlannedStage(name, number, len(stages), parts, done))
+    return tuple(planned)
+
+
+def _is_done(job: Job, stage: Stage) -> bool:
+    return job.ledger.is_done(stage.name, stage.made_from())
+
+
+def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:
+    """Run what is not done; what one stage changes, the following depend on."""
+    expected = taken = 0.0
+    for stage, planned in zip(job.stages, plan.stages, strict=True):
+        if _is_done(job, stage):
+            monitor.reused(planned)
+            continue
+        pace = taken / expected if expected > 0 else 1.0
+        rest_s = pace * sum(each.seconds for each in plan.stages[planned.number :])
+        started, made_from = time.perf_counter(), stage.made_from()
+        with monitor.running(planned, rest_s):
+            files = stage.run(_reporting(planned, pace, monitor))
+        job.ledger.finish(stage.name, made_from, files)
+        expected += sum(planned.parts.values())
+        taken += time.perf_counter() - started
+
+
+def _reporting(planned: PlannedStage, pace: float, monitor: Monitor) -> Report:
+    """Passes the progress of a stage on, with the time left."""
+    forecast = Forecast({name: pace * seconds for name, seconds in planned.parts.items()})
+
+    def report(text: str, done: int, total: int) -> None:
+        title, _, step = text.partition(": ")
+        part = step if title == "poses" else title
+        share = done / total if total and part != "thermal camera" else None
+        monitor.progress(text, done, total, forecast.left(part, share))
+
+    return report
+
+
+def _results(job: Job) -> PipelineResults:
+    model = job.model
+    sheet = model / "eval" / "contact_sheet.png"
+    photos = job.intake.kind == "photos"
+    return PipelineResults(
+        scene=job.scene,
+        scene_page=job.scene / "prepare.html" if photos else job.output / "check.html",
+        run=model,
+        report=model / "report.html",
+        page=model / "export" / "page.html",
+        contact_sheet=sheet if sheet.is_file() else None,
+        renders=model / "renders",
+        exports=model / "export",
+    )

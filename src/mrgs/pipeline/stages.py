@@ -1,0 +1,285 @@
+"""The stages of a pipeline: what each does, what it depends on, and the files that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from mrgs.check import check_scene
+from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
+from mrgs.evaluation import evaluate_run, render_run
+from mrgs.export import FORMATS, export
+from mrgs.method.config import to_yaml
+from mrgs.pipeline.intake import Intake
+from mrgs.pipeline.ledger import Ledger, file_stamp, folder_stamps
+from mrgs.pipeline.monitor import Monitor
+from mrgs.pipeline.quality import METHOD, Quality
+from mrgs.prepare import Preparation, PrepareOptions, prepare
+from mrgs.prepare.cache import CACHE_FOLDER, fingerprint
+from mrgs.report import write_report
+from mrgs.runs.open import Run, load_run
+from mrgs.runs.registry import find_method
+from mrgs.scene import Scene
+from mrgs.system.gpu import DeviceName
+from mrgs.training.driver import Statistics
+from mrgs.training.run_folder import RunFolder
+
+PAGE_FORMAT = "page"
+
+Report = Callable[[str, int, int], None]
+"""Called with a part's name, how much of it is done, and of how much (0 if not known)."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a pipeline.
+
+    Attributes:
+        name: unique.
+        made_from: a digest of everything that its result depends on; called once the stages before
+            it are done.
+        run: does the work; returns the files that it made.
+    """
+
+    name: str
+    made_from: Callable[[], str]
+    run: Callable[[Report], Sequence[Path]]
+
+
+class Job:
+    """The stages for one folder of photos, or one scene, at one quality.
+
+    Attributes:
+        intake: what the folder holds.
+        quality: of the model.
+        options: facts about the photos.
+        output: folder of all results.
+        device: where it is trained and rendered.
+        monitor: hears of the progress, and is asked.
+        ledger: the stages that are done.
+    """
+
+    def __init__(
+        self,
+        intake: Intake,
+        quality: Quality,
+        options: PrepareOptions,
+        output: Path,
+        device: DeviceName,
+        monitor: Monitor,
+    ) -> None:
+        self.intake = intake
+        self.quality = quality
+        self.options = options
+        self.output = output
+        self.device = device
+        self.monitor = monitor
+        self.ledger = Ledger(output)
+        self.config = quality.config()
+
+    @property
+    def scene(self) -> Path:
+        """The scene's folder."""
+        return self.intake.source if self.intake.kind == "scene" else self.output / "scene"
+
+    @property
+    def model(self) -> Path:
+        """The run's folder."""
+        return self.output / self.quality.name
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All stages, in order."""
+        own = self.quality.name
+        first = self._prepare if self.intake.kind == "photos" else self._check
+        return (
+            Stage("prepare", self._made_from_source, first),
+            Stage(f"{own}/train", self._made_from_scene, self._train),
+            Stage(f"{own}/score", self._made_from_model, self._score),
+            Stage(f"{own}/render", self._made_from_model, self._render),
+            Stage(f"{own}/report", self._made_from_scores, self._report),
+            Stage(f"{own}/page", self._made_from_model, self._page),
+            Stage(f"{own}/exports", self._made_from_model, self._exports),
+        )
+
+    def _made_from_source(self) -> str:
+        source, options = self.intake.source, self.options
+        files = [
+            file_stamp(path, path.parent)
+            for path in (options.pair_table, options.thermal_camera)
+            if path is not None and path.is_file()
+        ]
+        given = options.poses
+        poses = folder_stamps(given) if given is not None and given.is_dir() else ()
+        return fingerprint(self._stamps_of(source), options, files, poses)
+
+    def _made_from_scene(self) -> str:
+        return fingerprint(self._stamps_of(self.scene), to_yaml(self.config))
+
+    def _made_from_model(self) -> str:
+        newest = RunFolder(self.model).newest_checkpoint()
+        scene = self._stamps_of(self.scene)
+        return fingerprint(version("mrgs"), file_stamp(newest, self.model), scene)
+
+    def _made_from_scores(self) -> str:
+        scores = self.model / "eval" / "metrics.json"
+        stamps = [file_stamp(scores, self.model)] if scores.is_file() else []
+        return fingerprint(self._made_from_model(), stamps)
+
+    @staticmethod
+    def _stamps_of(folder: Path) -> tuple[Any, ...]:
+        """The stamps of photos or of a scene, without pages and without the cache of prepare."""
+        if folder.is_file():
+            folder = folder.parent
+        return folder_stamps(folder, without=(CACHE_FOLDER, "*.html"))
+
+    def _prepare(self, report: Report) -> list[Path]:
+        made = self._prepared(report)
+        self._require_accepted(
+            [f"{stage.title}: {text}" for stage in made.stages for text in stage.warnings],
+            made.page,
+        )
+        return [self.scene / "transforms.json", made.page]
+
+    def _prepared(self, report: Report) -> Preparation:
+        """The scene, after the monitor was asked for what the photos do not say."""
+        try:
+            return prepare(
+                self.intake.source, self.scene, self.options, report, self.monitor.prepared
+            )
+        except MrgsError as error:
+            if (completed := self.monitor.answer(error, self.options)) is None:
+                raise
+        self.options = completed
+        return self._prepared(report)
+
+    def _check(self, report: Report) -> list[Path]:
+        found = check_scene(self.scene, report, self.output)
+        self._require_accepted(
+            [
+                f"{problem.severity}: {problem.text} {problem.remedy}".rstrip()
+                for problem in found.problems
+                if problem.severity != "note"
+            ],
+            found.page,
+        )
+        return [found.page]
+
+    def _require_accepted(self, warnings: Sequence[str], page: Path) -> None:
+        """Stop at warnings about the scene, unless they are accepted.
+
+        Raises:
+            SceneError: they are not.
+        """
+        if warnings and not self.monitor.accepts(warnings, page):
+            count = f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'}"
+            raise SceneError(
+                f"stopped at {count} about the scene: check {page}; then run again and accept them",
+                options=("yes",),
+            )
+
+    def _train(self, report: Report) -> list[Path]:
+        folder, method, made_from = (
+            RunFolder(self.model),
+            find_method(METHOD),
+            self._made_from_scene(),
+        )
+        resume = bool(folder.checkpoints())
+        if resume and not self.ledger.is_begun(self.stages[1].name, made_from):
+            self._set_aside()
+            resume = False
+        self.ledger.begin(self.stages[1].name, made_from)
+        last = self.config.max_steps
+
+        def stepped(statistics: Statistics) -> bool | None:
+            nonlocal last
+            last = statistics.step
+            return self.monitor.stepped(statistics)
+
+        method.train(
+            self.scene,
+            self.model,
+            self.config,
+            resume=resume,
+            device=self.device,
+            on_start=self.monitor.training_started,
+            on_step=stepped,
+        )
+        if last < self.config.max_steps:
+            raise KeyboardInterrupt
+        return [folder.config_file, folder.newest_checkpoint()]
+
+    def _set_aside(self) -> None:
+        """Keep the results of other photos or settings under another name.
+
+        Raises:
+            RunError: the folder cannot be renamed.
+        """
+        number = 1
+        while (old := self.output / f"{self.quality.name}-{number}").exists():
+            number += 1
+        try:
+            self.model.rename(old)
+        except OSError as error:
+            raise RunError(
+                f"{self.model} cannot be renamed ({error.strerror}): choose another folder",
+                options=("output",),
+            ) from None
+
+    @cached_property
+    def _run(self) -> Run:
+        return load_run(self.model, self.scene, self.device)
+
+    @cached_property
+    def _loaded(self) -> Scene:
+        return self._run.load_scene()
+
+    def _score(self, report: Report) -> list[Path]:
+        if not self._loaded.eval:
+            return []
+        evaluate_run(self._run, progress=lambda done, total: report("scoring", done, total))
+        return [self.model / "eval" / name for name in ("metrics.json", "contact_sheet.png")]
+
+    def _render(self, report: Report) -> list[Path]:
+        folder = render_run(
+            self._run,
+            "eval" if self._loaded.eval else "train",
+            progress=lambda done, total: report("rendering", done, total),
+        )
+        return [path for path in folder.rglob("*") if path.is_file()]
+
+    def _report(self, report: Report) -> list[Path]:
+        return [
+            write_report(self._run, self._loaded, self.model / "report.html", _named_parts(report))
+        ]
+
+    def _page(self, report: Report) -> list[Path]:
+        return export(
+            self._run,
+            self._loaded,
+            PAGE_FORMAT,
+            self.model / "export",
+            progress=_named_parts(report),
+        )
+
+    def _exports(self, report: Report) -> list[Path]:
+        formats = [name for name in FORMATS if name != PAGE_FORMAT and self._is_writable(name)]
+        return export(
+            self._run, self._loaded, formats, self.model / "export", progress=_named_parts(report)
+        )
+
+    def _is_writable(self, name: str) -> bool:
+        try:
+            FORMATS[name].require(self._loaded)
+        except ConfigError:  # the plan has said so
+            return False
+        return True
+
+
+def _named_parts(report: Report) -> Callable[[int, int, str], None]:
+    """For work that reports its parts as they begin, by number and name."""
+    return lambda number, total, name: report(name, 0, 0)

@@ -1,0 +1,164 @@
+"""``mrgs run`` and ``mrgs demo`` as their user sees them."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from mrgs.app import cli, pipeline
+from mrgs.app.cli import main
+from mrgs.app.commands import COMMANDS
+from mrgs.app.pipeline import PipelineTerminal, rough
+from mrgs.errors import SceneError
+from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.prepare import PrepareOptions
+from tests.helpers.photos import photo
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quality that takes seconds."""
+    monkeypatch.setitem(QUALITIES, "fast", Quality("fast", "fast", 2, 100, 640))
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+class Terminal(io.StringIO):
+    """A terminal whose user types one answer."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def typed(monkeypatch: pytest.MonkeyPatch, answer: str) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(answer + "\n"))
+
+
+def test_it_says_what_was_understood_how_far_it_is_and_what_to_open(small_scene, tmp_path, capsys):
+    output = tmp_path / "results"
+    arguments = ("run", small_scene, "--quality", "fast", "--output", output)
+    assert run(*arguments, "--yes") == 0
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert lines[0].endswith("8 views, RGB 40×30 px, thermal 40×30 px, temperatures in °C")
+    assert re.match(r"computer: \d+ cores?.* GB disk free", lines[1])
+    assert re.match(r"time:     about .* \(check 0:\d\d, train \d:\d\d, .*exports \d", lines[4])
+    stages = [line for line in lines if re.match(r"stage \d of 7: \w+ \(about ", line)]
+    names = [line.split()[4] for line in stages]
+    assert names == ["check", "train", "score", "render", "report", "page", "exports"]
+    assert re.search(r"^exports: mesh \| 0:\d\d left$", printed.out, re.MULTILINE)
+    assert re.search(r"^report: pictures of the spots \| 0:\d\d left$", printed.out, re.MULTILINE)
+    opened = lines.index("open:")
+    assert lines[opened + 1] == f"  {output / 'fast' / 'report.html'}"
+    assert lines[-1] == f"explore: mrgs view {output / 'fast'}"
+    assert all(Path(line.strip()).exists() for line in lines[opened + 1 : -1 : 2])
+    assert "mrgs: note: " in printed.err
+
+    assert run(*arguments) == 0, "what was accepted is not asked again"
+    again = capsys.readouterr()
+    assert again.out.count("(done before)") == 7
+    assert again.out.splitlines()[-1] == lines[-1]
+
+
+def test_warnings_stop_it_where_nobody_can_be_asked(small_scene, tmp_path, capsys):
+    assert run("run", small_scene, "--quality", "fast", "--output", tmp_path / "results") == 2
+    error = capsys.readouterr().err.splitlines()
+    assert error[-1].startswith("mrgs: error: stopped at ")
+    assert error[-1].endswith("(--yes)")
+    assert error[0].startswith("mrgs: note: warning: ")
+
+
+@pytest.mark.parametrize(
+    ("answer", "goes_on"), [("y", True), ("Yes", True), ("n", False), ("", False)]
+)
+def test_at_a_terminal_it_asks(answer, goes_on, monkeypatch, capsys):
+    typed(monkeypatch, answer)
+    assert PipelineTerminal(yes=False).accepts(["pairs: blurred"], Path("page.html")) == goes_on
+    printed = capsys.readouterr()
+    assert printed.err == "mrgs: note: pairs: blurred\n"
+    assert "page.html shows what was found. Continue? [y/N] " in printed.out
+
+
+@pytest.mark.parametrize(
+    ("answer", "degrees"), [("57", 57.0), ("42.5", 42.5), ("", None), ("wide", None)]
+)
+def test_a_field_of_view_is_asked_for(answer, degrees, monkeypatch, capsys):
+    typed(monkeypatch, answer)
+    error = SceneError("cannot be placed", options=("thermal_fov_deg", "target"))
+    options = PipelineTerminal(yes=True).answer(error, PrepareOptions())
+    assert (None if options is None else options.thermal_fov_deg) == degrees
+    assert "cannot be placed" in capsys.readouterr().out
+
+
+def test_a_unit_is_asked_for_and_only_once(monkeypatch):
+    error = SceneError("could be °C or K", options=("unit",))
+    typed(monkeypatch, "kelvin*100")
+    options = PipelineTerminal(yes=False).answer(error, PrepareOptions())
+    assert options is not None
+    assert options.overrides.unit == "kelvin*100"
+    typed(monkeypatch, "celsius")
+    assert PipelineTerminal(yes=False).answer(error, options) is None
+
+
+def test_what_nobody_can_know_is_not_asked(monkeypatch):
+    typed(monkeypatch, "57")
+    error = SceneError("no pairs", options=("pair_table",))
+    assert PipelineTerminal(yes=False).answer(error, PrepareOptions()) is None
+
+
+def test_an_interrupted_run_says_how_to_go_on(small_scene, tmp_path, monkeypatch, capsys):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "run_pipeline", interrupted)
+    assert run("run", small_scene, "--quality", "fast") == 130
+    assert "re-run the same command to resume" in capsys.readouterr().err
+
+
+MISUSE = {
+    "wrong path": ((), "not a folder; give the folder of the photos, or a scene"),
+    "empty folder": ({}, "holds no photos"),
+    "other files": ({"a.txt": b"text"}, "none of its 1 files is a photo"),
+    "one pair": (
+        {"1_V.JPG": photo("jpg", (32, 24)), "1_T.tiff": photo("celsius")},
+        "holds 1 pair of photos, and a model needs at least 3",
+    ),
+    "no thermal photos": (
+        {f"{number}.jpg": photo("jpg") for number in range(4)},
+        r"is known to be thermal: .*\(--pair-table\)",
+    ),
+}
+
+
+@pytest.mark.parametrize(("files", "message"), MISUSE.values(), ids=MISUSE)
+def test_misuse_is_one_line_and_leaves_nothing(files, message, tmp_path, capsys):
+    photos = tmp_path / "photos"
+    if files != ():
+        photos.mkdir()
+        for name, content in files.items():
+            (photos / name).write_bytes(content)
+    assert run("run", photos) == 2
+    error = capsys.readouterr().err
+    assert re.fullmatch(f"mrgs: error: .*{message}.*\n", error), error
+    assert not (tmp_path / "photos-mrgs").exists()
+
+
+def test_the_demo_is_the_same_with_the_bundled_scene(small_scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cli, "_bundled_scene", lambda: small_scene)
+    assert run("demo", "--output", tmp_path / "demo") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"explore: mrgs view {tmp_path}/demo/fast"
+
+
+def test_it_is_the_first_command():
+    assert next(iter(COMMANDS)) == "run"
+
+
+def test_times_are_rounded():
+    times = {3: "5 seconds", 42: "40 seconds", 100: "2 minutes", 3000: "50 minutes"}
+    assert all(rough(seconds) == f"about {text}" for seconds, text in times.items())
+    assert rough(7000) == "about 1.9 hours"

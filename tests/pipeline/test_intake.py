@@ -1,0 +1,120 @@
+"""What a folder holds, said before anything is done with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mrgs.data.radiometric import Overrides
+from mrgs.errors import SceneError
+from mrgs.pipeline.intake import is_scene, take_in
+from mrgs.prepare import PrepareOptions
+from mrgs.scene import RGB, THERMAL
+from tests.helpers.photos import photo
+
+
+def write(folder: Path, files: dict[str, bytes]) -> Path:
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def pairs(count: int, thermal: bytes) -> dict[str, bytes]:
+    """Photos as a DJI camera names them."""
+    name = "DJI_202405141030{:02d}_{:04d}_{}.{}"
+    suffix = "JPG" if thermal.startswith(b"\xff\xd8") else "tiff"
+    found = {}
+    for number in range(1, count + 1):
+        found[name.format(number, number, "V", "JPG")] = photo("jpg", (32, 24))
+        found[name.format(number, number, "T", suffix)] = thermal
+    return found
+
+
+def test_pairs_with_temperatures(tmp_path):
+    folder = write(tmp_path, {**pairs(9, photo("celsius")), "notes.txt": b"mine"})
+    found = take_in(folder, PrepareOptions())
+    assert (found.kind, found.views, found.held_out, found.has_celsius) == ("photos", 9, 2, True)
+    assert found.sizes == {RGB: (32, 24), THERMAL: (16, 12)}
+    assert found.summary == "9 pairs, RGB 32×24 px, thermal 16×12 px, temperatures in °C"
+    assert found.facts[-1] == "1 other file is not used."
+    assert take_in(folder, PrepareOptions(eval_every=0)).held_out == 0
+
+
+def test_pairs_without_temperatures(tmp_path):
+    found = take_in(write(tmp_path, pairs(3, photo("jpg"))), PrepareOptions())
+    assert found.summary.endswith("no °C (relative values)")
+
+
+def test_photos_with_an_embedded_photo(tmp_path):
+    files = {f"FLIR{number:04d}.jpg": photo("flir with visible") for number in range(1, 5)}
+    found = take_in(write(tmp_path, files), PrepareOptions())
+    assert found.views == 4
+    assert found.sizes[RGB] == (24, 20)
+    assert found.camera
+    assert found.camera in found.summary
+
+
+def test_thermal_photos_alone(tmp_path):
+    files = {f"thermal/{number}.tiff": photo("celsius") for number in range(4)}
+    found = take_in(write(tmp_path, files), PrepareOptions())
+    assert [*found.sizes] == [THERMAL]
+    assert found.summary.startswith("4 photos, thermal 16×12 px")
+
+
+def test_a_scene(small_scene):
+    assert is_scene(small_scene)
+    found = take_in(small_scene, PrepareOptions())
+    assert (found.kind, found.views, found.held_out, found.points) == ("scene", 8, 2, 25)
+    assert found.summary == "8 views, RGB 40×30 px, thermal 40×30 px, temperatures in °C"
+    assert take_in(small_scene / "transforms.json", PrepareOptions()).views == 8
+
+
+def test_one_photo_that_cannot_be_read_is_passed_over(tmp_path):
+    folder = write(tmp_path, pairs(4, photo("flir")))
+    first = min(folder.glob("*_T.JPG"))
+    first.write_bytes(first.read_bytes()[:-3000] + bytes(100))
+    assert take_in(folder, PrepareOptions()).has_celsius
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ({}, "holds no photos"),
+        ({"a.txt": b"text", "b.pdf": b"%PDF-1.4"}, "none of its 2 files is a photo"),
+        (
+            pairs(1, photo("celsius")),
+            "holds 1 pair of photos, and a model needs at least 3, better 20 or more",
+        ),
+        (pairs(2, photo("celsius")), "holds 2 pairs of photos"),
+        ({f"{number}.jpg": photo("jpg") for number in range(5)}, "is known to be thermal"),
+        (pairs(3, photo("dji", model="DJI M3T")), "dji_irp"),
+    ],
+    ids=["empty", "other files", "one", "two", "no thermal", "R-JPEG"],
+)
+def test_what_cannot_be_used_is_said_in_one_line(files, message, tmp_path):
+    with pytest.raises(SceneError, match=message) as error:
+        take_in(write(tmp_path, files), PrepareOptions())
+    assert "\n" not in str(error.value)
+
+
+def test_a_wrong_path_is_named(tmp_path):
+    with pytest.raises(SceneError, match="nowhere: not a folder; give the folder of the photos"):
+        take_in(tmp_path / "nowhere", PrepareOptions())
+
+
+def test_a_unit_that_is_not_known_is_the_option_of_the_error(tmp_path):
+    import io
+
+    import numpy as np
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(np.full((12, 16), 200.0, np.float32)).save(file, "TIFF")
+    folder = write(tmp_path, pairs(3, file.getvalue()))
+    with pytest.raises(SceneError) as error:
+        take_in(folder, PrepareOptions())
+    assert "unit" in error.value.options
+    given = PrepareOptions(overrides=Overrides(unit="celsius"))
+    assert take_in(folder, given).has_celsius

@@ -1,0 +1,79 @@
+"""Which stages are done."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from mrgs.pipeline.ledger import LEDGER, Ledger, folder_stamps
+
+
+@pytest.fixture
+def done(tmp_path):
+    """A ledger with one stage that made one file."""
+    (tmp_path / "a.txt").write_text("abc")
+    ledger = Ledger(tmp_path)
+    ledger.finish("train", "photos", [tmp_path / "a.txt"])
+    return ledger
+
+
+def test_what_is_done_is_known_to_the_next_process(done, tmp_path):
+    for ledger in (done, Ledger(tmp_path)):
+        assert ledger.is_done("train", "photos")
+        assert ledger.is_begun("train", "photos")
+        assert not ledger.is_done("train", "other photos")
+        assert not ledger.is_begun("train", "other photos")
+        assert not ledger.is_done("score", "photos")
+
+
+@pytest.mark.parametrize("content", [None, "abcd"])
+def test_a_file_that_is_gone_or_was_changed_must_be_made_again(content, done, tmp_path):
+    if content is None:
+        (tmp_path / "a.txt").unlink()
+    else:
+        (tmp_path / "a.txt").write_text(content)
+    assert not done.is_done("train", "photos")
+    assert done.is_begun("train", "photos")
+
+
+def test_what_is_begun_is_not_done(done, tmp_path):
+    done.begin("train", "new photos")
+    ledger = Ledger(tmp_path)
+    assert ledger.is_begun("train", "new photos")
+    assert not ledger.is_done("train", "new photos")
+    assert not ledger.is_done("train", "photos")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "", "{", "[]", '{"train": 3}', '{"train": {"made_from": "photos", "files": 1}}',
+        '{"train": {"made_from": "photos", "files": {"a\\u0000": 3}}}', "[" * 100_000,
+    ],
+)  # fmt: skip
+def test_a_damaged_ledger_holds_nothing(content, tmp_path):
+    (tmp_path / LEDGER).write_text(content)
+    assert not Ledger(tmp_path).is_done("train", "photos")
+
+
+def test_opening_marks_the_folder_and_keeps_what_is_there(done, tmp_path):
+    before = (tmp_path / LEDGER).read_text()
+    done.open()
+    assert (tmp_path / LEDGER).read_text() == before
+    (tmp_path / "new").mkdir()
+    Ledger(tmp_path / "new").open()
+    assert json.loads((tmp_path / "new" / LEDGER).read_text()) == {}
+
+
+def test_stamps_see_changes_and_leave_out_what_does_not_count(tmp_path):
+    for name in ("a.txt", "prepare/x.bin", "check.html", "images/prepare.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    stamps = folder_stamps(tmp_path, without=("prepare", "*.html"))
+    assert [name for name, _, _ in stamps] == ["a.txt", "images/prepare.png"]
+    (tmp_path / "check.html").write_text("other")
+    assert folder_stamps(tmp_path, without=("prepare", "*.html")) == stamps
+    os.utime(tmp_path / "a.txt", (1, 1))
+    assert folder_stamps(tmp_path, without=("prepare", "*.html")) != stamps

@@ -1,0 +1,294 @@
+"""The pipeline from a folder to results: what is done, kept, repeated and refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
+from mrgs.pipeline import Monitor, PipelinePlan, PlannedStage, run_pipeline
+from mrgs.pipeline import run as run_module
+from mrgs.pipeline import stages as stages_module
+from mrgs.pipeline.ledger import LEDGER
+from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.prepare import Preparation, PrepareOptions, StageReport
+from tests.helpers.photos import photo
+from tests.helpers.scenes import write_scene
+
+STAGES = ["check", "train", "score", "render", "report", "page", "exports"]
+
+
+class Watcher(Monitor):
+    """Notes what happens; accepts warnings; stops when a stage begins.
+
+    Args:
+        stop_at: the stage.
+    """
+
+    def __init__(self, stop_at: str = "", accept: bool = True) -> None:
+        self.stop_at, self.accept = stop_at, accept
+        self.ran: list[str] = []
+        self.reused_stages: list[str] = []
+        self.left: list[float | None] = []
+        self.plan: PipelinePlan | None = None
+        self.warnings: Sequence[str] = ()
+
+    def planned(self, plan: PipelinePlan) -> None:
+        self.plan = plan
+
+    def reused(self, stage: PlannedStage) -> None:
+        self.reused_stages.append(stage.name)
+
+    @contextmanager
+    def running(self, stage: PlannedStage, rest_s: float) -> Iterator[None]:
+        assert rest_s >= 0
+        if stage.name == self.stop_at:
+            raise KeyboardInterrupt
+        yield
+        self.ran.append(stage.name)
+
+    def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:
+        self.left.append(left_s)
+
+    def accepts(self, warnings: Sequence[str], page: Path) -> bool:
+        assert page.is_file()
+        self.warnings = warnings
+        return self.accept
+
+
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Qualities that take seconds."""
+    for name, steps in (("fast", 2), ("default", 3), ("best", 4)):
+        monkeypatch.setitem(QUALITIES, name, Quality(name, "fast", steps, 100, 640))
+
+
+@pytest.fixture(scope="module")
+def finished(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished pipeline, stopped before each stage and continued by the same call."""
+    output = tmp_path_factory.mktemp("pipeline") / "results"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(QUALITIES, "fast", Quality("fast", "fast", 2, 100, 640))
+        for index, stage in enumerate(STAGES):
+            watcher = Watcher(stop_at=stage)
+            with pytest.raises(KeyboardInterrupt):
+                run_pipeline(small_scene, output, quality="fast", monitor=watcher)
+            assert watcher.reused_stages == STAGES[: max(index - 1, 0)]
+            assert watcher.ran == STAGES[max(index - 1, 0) : index]
+        last = Watcher()
+        run_pipeline(small_scene, output, quality="fast", monitor=last)
+        assert (last.reused_stages, last.ran) == (STAGES[:-1], STAGES[-1:])
+        assert last.left, "the exports say how long they take"
+        assert None not in last.left
+    return output
+
+
+@pytest.fixture
+def own(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the finished pipeline's folder, whose files keep their times."""
+    return shutil.copytree(finished, tmp_path / "own")
+
+
+def test_everything_lands_in_one_folder(finished, small_scene, tmp_path):
+    before = sorted(path for path in small_scene.rglob("*"))
+    watcher = Watcher()
+    results = run_pipeline(small_scene, finished, quality="fast", monitor=watcher)
+    assert watcher.ran == []
+    assert watcher.reused_stages == STAGES
+    assert watcher.plan is not None
+    assert watcher.plan.seconds == 0
+    files = (results.scene_page, results.report, results.page, results.contact_sheet)
+    assert all(path is not None and path.is_file() for path in files)
+    assert (results.exports / "points.ply").is_file()
+    assert any(results.renders.rglob("*.tiff"))
+    assert results.run == finished / "fast"
+    assert sorted(path for path in small_scene.rglob("*")) == before, "the scene is only read"
+
+
+def test_the_results_lie_beside_the_photos_by_default(small_scene):
+    folder = run_module.default_output(small_scene)
+    assert folder == small_scene.parent / f"{small_scene.name}-mrgs"
+    assert run_module.default_output(small_scene / "transforms.json") == folder
+
+
+def test_a_result_that_is_gone_is_made_again_and_nothing_else(own, small_scene):
+    (own / "fast" / "report.html").unlink()
+    watcher = Watcher()
+    run_pipeline(small_scene, own, quality="fast", monitor=watcher)
+    assert watcher.ran == ["report"]
+
+
+def test_another_quality_keeps_the_first_one(own, small_scene):
+    watcher = Watcher(stop_at="score")
+    with pytest.raises(KeyboardInterrupt):
+        run_pipeline(small_scene, own, quality="best", monitor=watcher)
+    assert watcher.reused_stages == ["check"]
+    assert watcher.ran == ["train"]
+    assert (own / "fast" / "report.html").is_file()
+    assert (own / "best" / "checkpoints").is_dir()
+
+
+def test_a_changed_scene_is_trained_anew_and_the_old_model_is_kept(own, tmp_path):
+    scene = write_scene(tmp_path / "scene")
+    watcher = Watcher(stop_at="score")
+    with pytest.raises(KeyboardInterrupt):
+        run_pipeline(scene, own, quality="fast", monitor=watcher)
+    assert watcher.ran == ["check", "train"]
+    assert (own / "fast-1" / "report.html").is_file()
+    assert not (own / "fast" / "report.html").exists()
+
+
+def test_a_training_that_was_stopped_is_resumed(small_scene, tmp_path):
+    class Stopping(Watcher):
+        def stepped(self, statistics):
+            return statistics.step == 1
+
+    output = tmp_path / "results"
+    with pytest.raises(KeyboardInterrupt):
+        run_pipeline(small_scene, output, quality="fast", monitor=Stopping())
+    checkpoints = output / "fast" / "checkpoints"
+    assert [path.name for path in checkpoints.iterdir()] == ["step_000001.safetensors"]
+    steps = []
+
+    class Counting(Watcher):
+        def stepped(self, statistics):
+            steps.append(statistics.step)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_pipeline(small_scene, output, quality="fast", monitor=Counting(stop_at="score"))
+    assert steps == [2]
+
+
+def test_warnings_stop_it_unless_they_are_accepted(small_scene, tmp_path):
+    refusing = Watcher(accept=False)
+    with pytest.raises(
+        SceneError, match=r"stopped at . warnings? about the scene: check "
+    ) as error:
+        run_pipeline(small_scene, tmp_path / "results", quality="fast", monitor=refusing)
+    assert error.value.options == ("yes",)
+    assert refusing.warnings
+    accepting = Watcher(stop_at="train")
+    with pytest.raises(KeyboardInterrupt):
+        run_pipeline(small_scene, tmp_path / "results", quality="fast", monitor=accepting)
+    assert accepting.ran == ["check"], "it was not done"
+
+
+def photos_in(folder: Path) -> Path:
+    """Five pairs."""
+    folder.mkdir()
+    for number in range(5):
+        (folder / f"DJI_000{number}_V.JPG").write_bytes(photo("jpg", (32, 24)))
+        (folder / f"DJI_000{number}_T.tiff").write_bytes(photo("celsius"))
+    return folder
+
+
+@pytest.fixture
+def prepared(monkeypatch: pytest.MonkeyPatch) -> list[PrepareOptions]:
+    """In place of ``prepare``: writes a small scene; needs the thermal camera's field of view."""
+    calls: list[PrepareOptions] = []
+
+    def prepare(photos, scene, options, progress, report) -> Preparation:
+        calls.append(options)
+        progress("poses: features", 1, 2)
+        if options.thermal_fov_deg is None:
+            raise SceneError("cannot be placed", options=("thermal_fov_deg", "thermal_camera"))
+        write_scene(scene)
+        (scene / "prepare.html").write_text("page")
+        stage = StageReport("pairs", ("5 pairs.",), ("The clocks differ.",))
+        report(stage)
+        return Preparation(scene, scene / "prepare.html", (stage,))
+
+    monkeypatch.setattr(stages_module, "prepare", prepare)
+    return calls
+
+
+def test_what_photos_do_not_say_is_asked_once(prepared, tmp_path):
+    asked = []
+
+    class Answering(Watcher):
+        def answer(self, error: MrgsError, options: PrepareOptions) -> PrepareOptions | None:
+            asked.append(error.options)
+            return PrepareOptions(thermal_fov_deg=57.0)
+
+    photos, watcher = photos_in(tmp_path / "photos"), Answering(stop_at="train")
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            run_pipeline(photos, quality="fast", monitor=watcher)
+    assert asked == [("thermal_fov_deg", "thermal_camera")]
+    assert len(prepared) == 2
+    assert watcher.warnings == ["pairs: The clocks differ."]
+    assert watcher.reused_stages == ["prepare"]
+    assert (tmp_path / "photos-mrgs" / "scene" / "transforms.json").is_file()
+    with pytest.raises(SceneError, match="cannot be placed"):
+        run_pipeline(photos, tmp_path / "other", quality="fast", monitor=Watcher())
+
+
+def test_a_new_photo_is_prepared(prepared, tmp_path):
+    photos, options = photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
+    for number, ran in ((0, ["prepare"]), (1, []), (2, ["prepare"])):
+        if number == 2:
+            (photos / "notes.txt").write_text("new")
+        watcher = Watcher(stop_at="train")
+        with pytest.raises(KeyboardInterrupt):
+            run_pipeline(photos, quality="fast", options=options, monitor=watcher)
+        assert watcher.ran == ran
+
+
+def test_missing_extras_are_noticed_before_the_first_stage(tmp_path, monkeypatch):
+    monkeypatch.setattr("mrgs.pipeline.plan.installed_version", lambda: None)
+    photos = photos_in(tmp_path / "photos")
+    with pytest.raises(ConfigError, match=r"needs pycolmap: pip install \"mrgs\[sfm\]\""):
+        run_pipeline(photos, quality="fast")
+    assert not (tmp_path / "photos-mrgs").exists()
+
+
+def test_a_full_disk_is_noticed_before_the_first_stage(small_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("mrgs.pipeline.plan.free_disk", lambda folder: 1_000_000)
+    with pytest.raises(RunError, match=r"the results need about 0\.1 GB, and 0\.0 GB are free"):
+        run_pipeline(small_scene, tmp_path / "results", quality="fast")
+    assert not (tmp_path / "results").exists()
+
+
+def test_little_memory_is_said(small_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("mrgs.pipeline.computer.free_memory", lambda: 10_000_000)
+    watcher = Watcher(stop_at="check")
+    with pytest.raises(KeyboardInterrupt):
+        run_pipeline(small_scene, tmp_path / "results", quality="fast", monitor=watcher)
+    assert watcher.plan is not None
+    assert "GB of memory" in watcher.plan.notes[-1]
+
+
+def test_folders_that_cannot_hold_the_results_are_refused(small_scene, finished, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    for output, message in (
+        (tmp_path, "holds something else: choose a new folder"),
+        (small_scene, "lies in the folder of the photos"),
+        (small_scene / "results", "lies in the folder of the photos"),
+    ):
+        with pytest.raises(RunError, match=message) as error:
+            run_pipeline(small_scene, output, quality="fast")
+        assert error.value.options == ("output",)
+    with pytest.raises(RunError, match="holds the results of an earlier run"):
+        run_pipeline(finished, tmp_path / "new", quality="fast")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_folder_in_use_is_left_alone(own, small_scene):
+    with FileLock(own / ".lock"), pytest.raises(RunError, match="is in use by another run"):
+        run_pipeline(small_scene, own, quality="fast")
+
+
+def test_an_unknown_quality_is_named(small_scene, tmp_path):
+    with pytest.raises(ConfigError, match="unknown quality 'good'; choose one of fast, default"):
+        run_pipeline(small_scene, tmp_path / "results", quality="good")
+
+
+def test_the_ledger_knows_every_stage(finished):
+    stages = json.loads((finished / LEDGER).read_text())
+    assert [*stages] == ["prepare", *(f"fast/{name}" for name in STAGES[1:])]
