@@ -182,7 +182,7 @@ def test_each_format_is_announced_before_it_is_written(tmp_path, solid, scene):
     export(solid, scene, "all", tmp_path, progress=progress)
     count = len(FORMATS)
     assert [part[:3] for part in announced] == [
-        (number, count, name) for number, name in enumerate(FORMATS, start=1)
+        (number, count + 1, name) for number, name in enumerate(["baking", *FORMATS], start=1)
     ]
     assert not next(part for part in announced if part[2] == "points")[3]
 

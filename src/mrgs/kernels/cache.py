@@ -99,8 +99,9 @@ class KernelCache(FunctionCache):
 
     @property
     def is_saved(self) -> bool:
-        """Whether a compiled version for this source is on disk."""
-        return Path(self._cache_path, self._cache_file._index_name).is_file()
+        """Whether a compiled version for this source is on disk; asked once all modules that the
+        kernel uses are imported."""
+        return self._is_open and Path(self._cache_path, self._cache_file._index_name).is_file()
 
     @contextmanager
     def unlocking(self) -> Iterator[None]:
