@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.points import RANDOM_POINTS, point_cloud, random_points
+from mrgs.data.points import point_cloud
 from mrgs.data.sources import ReadingNotes
 from mrgs.scene import Camera
+from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 
 K = torch.tensor([[50.0, 0, 32], [0, 50.0, 24], [0, 0, 1]], dtype=torch.float64)
 

@@ -80,5 +80,5 @@ def test_each_modality_has_its_own_frames_along_a_path(run):
 def test_a_scene_without_held_out_views_cannot_be_scored(run, tmp_path):
     scene = replace(run.load_scene(), eval=())
     with pytest.raises(SceneError, match="no views are held out"):
-        score_views(scene, Path(run.facts.scene), run.render_view, facts_of(run), tmp_path / "eval")
+        score_views(scene, None, run.render_view, facts_of(run, scene), tmp_path / "eval")
     assert not (tmp_path / "eval").exists()

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import numpy as np
+import pytest
 import torch
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mrgs.scene import Camera
@@ -133,3 +135,66 @@ def test_cameras_that_differ_in_anything_do_not_coincide():
     ):
         assert not original.coincides_with(other)
         assert not other.coincides_with(original)
+
+
+@given(st.integers(1, 2_000), st.integers(1, 2_000), st.floats(1.0, 170.0))
+def test_the_field_of_view_spans_the_width(width, height, fov_deg):
+    made = Camera.from_fov(width, height, fov_deg)
+    left, right = (ray(made, u, 0.5) for u in (0.0, 1.0))
+    angle = torch.rad2deg(torch.arccos(torch.nn.functional.cosine_similarity(left, right, dim=0)))
+    assert angle.item() == pytest.approx(fov_deg, abs=1e-5)
+    assert made.K[0, 0] == made.K[1, 1]
+
+
+@pytest.mark.parametrize("fov_deg", [0.0, 180.0, float("nan")])
+def test_a_field_of_view_is_an_angle_of_a_pinhole(fov_deg):
+    with pytest.raises(ValueError, match="between 0° and 180°"):
+        Camera.from_fov(4, 3, fov_deg)
+
+
+@given(st.tuples(*[st.floats(-5, 5)] * 3), st.tuples(*[st.floats(-5, 5)] * 3))
+def test_looking_at_a_target(position, target):
+    forward = np.subtract(target, position)
+    assume(np.linalg.norm(np.cross(forward, [0, 0, 1])) > 1e-3)
+    up = torch.tensor([0.0, 0, 1], dtype=torch.float64)
+    placed = camera().look_at(position, np.array(target))
+    pixel, depth = placed.project(torch.tensor([target], dtype=torch.float64))
+    torch.testing.assert_close(pixel[0], placed.K[:2, 2], rtol=0, atol=1e-6)
+    assert depth.item() == pytest.approx(np.linalg.norm(forward))
+    np.testing.assert_allclose(placed.position, position, atol=1e-9)
+    assert torch.linalg.det(placed.viewmat[:3, :3]).item() == pytest.approx(1)
+    above, _ = placed.project(torch.tensor([target], dtype=torch.float64) + up / 1_000)
+    assert above[0, 1] < pixel[0, 1], "up is up in the image"
+
+
+def test_up_must_not_be_the_viewing_direction():
+    for position, target in (([0, 0, 5.0], [0, 0, 0.0]), ([1.0, 2, 3], [1.0, 2, 3])):
+        with pytest.raises(ValueError, match="up must not point along"):
+            camera().look_at(position, target)
+    camera().look_at([0, 0, 5.0], [0, 0, 0.0], up=[0.0, 1, 0])
+
+
+def test_arrays_and_lists_become_float64_tensors():
+    K = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1]], dtype=np.float32)
+    made = Camera(K, np.eye(4).tolist(), 64, 48)
+    assert made.K.dtype == made.viewmat.dtype == torch.float64
+    np.testing.assert_array_equal(made.K, K)
+
+
+@pytest.mark.parametrize(
+    ("K", "viewmat", "size", "message"),
+    [
+        (np.eye(4), np.eye(4), (4, 3), r"K must have shape \[3, 3\], not \[4, 4\]"),
+        (np.eye(3), np.eye(4)[:3], (4, 3), r"viewmat must have shape \[4, 4\], not \[3, 4\]"),
+        (np.eye(3), [["a"] * 4] * 4, (4, 3), "viewmat must be an array of numbers"),
+        (np.eye(3), np.eye(4), (0, 3), "at least one pixel, not 0×3"),
+    ],
+)
+def test_what_is_no_camera(K, viewmat, size, message):
+    with pytest.raises(ValueError, match=message):
+        Camera(K, viewmat, *size)
+
+
+def test_a_camera_is_one_short_line():
+    made = Camera.from_fov(640, 480, 60).look_at([1.0, -2, 0.5], [0.0, 0, 0])
+    assert repr(made) == "Camera(640×480, 60° wide, at 1, -2, 0.5)"

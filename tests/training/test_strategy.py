@@ -14,13 +14,14 @@ from safetensors.torch import load_file
 from torch import nn
 
 import mrgs
-from mrgs import Method, Strategy, Term, load_run, make_config, open_run, register, train
+from mrgs import Method, Strategy, Term, load_run, make_config, open_run, register
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
 from mrgs.method.config import METHODS
 from mrgs.method.density import DensityUpdate
 from mrgs.runs import registry
 from mrgs.runs.registry import find_method, registered_methods
+from mrgs.training import train
 from tests.helpers.training import short_config
 
 

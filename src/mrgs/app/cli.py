@@ -224,6 +224,7 @@ def _train(command: Train) -> None:
             resume=command.resume,
             device=device,
             plain=command.plain,
+            tensorboard=command.tensorboard,
             **_hooks(progress, live),
         )
     _say_what_next(command, output, progress)

@@ -186,13 +186,15 @@ class Train:
     config: Maybe[Path] = None
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
     resume: bool = False
-    """Resume the run in --output; all options but --device, --plain and --view come from the saved
-    run."""
+    """Resume the run in --output; all options but --device, --plain, --tensorboard and --view come
+    from the saved run."""
     device: DeviceName = "auto"
     """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
     plain: bool = False
     """Run the plain definition of every operation instead of its kernel, much slower; so does
     MRGS_PLAIN=1, for any command."""
+    tensorboard: bool = False
+    """Also write the log to RUN/tensorboard. Needs mrgs[tensorboard]."""
     view: bool = False
     """Show the model in the browser while it trains. Needs mrgs[view]."""
     port: int = 8080

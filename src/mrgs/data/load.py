@@ -12,13 +12,13 @@ from mrgs.data.colmap import read_colmap
 from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
 from mrgs.data.files import scene_error
 from mrgs.data.nerfstudio import find_transforms, read_transforms
-from mrgs.data.points import RANDOM_POINTS, random_points
 from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
 from mrgs.data.sources import SceneSource, ViewSource
 from mrgs.data.splits import Split, assign_splits
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
+from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -50,7 +50,7 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
         )
     try:
         source = _recognise(Path(path))
-        scene = _assemble(source, resolution, seed)
+        scene = _assemble(source, Path(path), resolution, seed)
     except OSError as error:  # a folder that may not be listed, a disk that failed
         raise scene_error(
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
@@ -79,7 +79,7 @@ def _recognise(path: Path) -> SceneSource:
     )
 
 
-def _assemble(source: SceneSource, resolution: int | None, seed: int) -> Scene:
+def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
     thermal_kinds = []
     for view in source.views:
         for modality, image in view.images.items():
@@ -117,6 +117,8 @@ def _assemble(source: SceneSource, resolution: int | None, seed: int) -> Scene:
         points=points,
         temperature=temperature,
         notes=tuple(source.notes.all),
+        path=str(path.resolve()),
+        resolution=resolution,
     )
 
 

@@ -33,6 +33,7 @@ from mrgs.errors import MrgsWarning, RunError, SceneError
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.report import RunFacts
 from mrgs.evaluation.score_run import Progress, score_views
+from mrgs.evaluation.truth import Truth
 from mrgs.scene import (
     THERMAL,
     Blend,
@@ -136,7 +137,6 @@ def evaluate_renders(
     folder = Path(folder)
     loaded = load_scene(scene, resolution=resolution)
     renders = find_renders(folder, loaded)
-    path = Path(scene)
     facts = RunFacts(
         method=name or folder.resolve().name,
         scene=loaded.name,
@@ -148,7 +148,7 @@ def evaluate_renders(
     )
     return score_views(
         loaded,
-        path.parent if path.is_file() else path,
+        Truth.of(loaded),
         lambda view: renders.rendering(view, loaded.temperature),
         facts,
         output or folder / "eval",

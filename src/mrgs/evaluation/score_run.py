@@ -45,17 +45,14 @@ def evaluate_run(
         SceneError: the scene cannot be read, or has no eval views.
         RunError: the weights cannot be read, or a file cannot be written.
     """
-    scene, folder = run.load_scene(), _scene_folder(run)
-    parts = (
-        score_parts(run, scene.eval, Truth.find(folder))
-        if isinstance(run, Run) and scene.eval
-        else None
-    )
+    scene = run.load_scene()
+    truth = Truth.of(scene)
+    parts = score_parts(run, scene.eval, truth) if isinstance(run, Run) and scene.eval else None
     return score_views(
         scene,
-        folder,
+        truth,
         run.render_view,
-        facts_of(run),
+        facts_of(run, scene),
         run.folder.path / "eval",
         lpips_weights,
         progress,
@@ -66,7 +63,7 @@ def evaluate_run(
 
 def score_views(
     scene: Scene,
-    scene_folder: Path,
+    truth: Truth | None,
     render: Callable[[View], Rendering],
     facts: RunFacts,
     output: Path,
@@ -79,8 +76,8 @@ def score_views(
     folder.
 
     Args:
-        scene: as ``load_scene`` returns it.
-        scene_folder: the scene's folder, for the exact truth.
+        scene: whose eval views are scored.
+        truth: the scene's exact truth; None if there is none.
         render: from a view to its images.
         facts: listed in the report besides the figures.
         output: the folder to write into.
@@ -96,9 +93,8 @@ def score_views(
     """
     if not scene.eval:
         raise SceneError(
-            f"{scene_folder}: no views are held out, so there is nothing to score; put 'eval' "
-            f"into the file names "
-            "of some, or list them in val_filenames, and retrain"
+            f"{scene.path or scene.name}: no views are held out, so there is nothing to score; put "
+            f"'eval' into the file names of some, or list them in val_filenames, and retrain"
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
     shown = SheetRows(len(scene.eval))
@@ -107,7 +103,7 @@ def score_views(
         render,
         scene.temperature,
         lpips,
-        Truth.find(scene_folder),
+        truth,
         _visitor(scene, shown, progress),
         camera_response,
     )
@@ -133,23 +129,17 @@ def _visitor(scene: Scene, shown: SheetRows, progress: Progress | None) -> Visit
     return visit
 
 
-def facts_of(run: TrainedRun) -> RunFacts:
+def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:
     """Facts about a run for its report: method, scene, size and cost."""
     return RunFacts(
         method=run.config.method,
-        scene=_scene_folder(run).name,
+        scene=scene.name,
         steps=run.facts.step,
         gaussians=run.gaussian_count,
         train_seconds=run.facts.train_seconds,
         peak_memory_bytes=run.facts.peak_memory_bytes or None,
         device=run.facts.device,
     )
-
-
-def _scene_folder(run: TrainedRun) -> Path:
-    """The folder of the run's scene, which may have been given as its transforms file."""
-    path = Path(run.facts.scene)
-    return path.parent if path.is_file() else path
 
 
 def render_run(
@@ -179,7 +169,7 @@ def render_run(
     views = scene.eval if split == "eval" else scene.train
     if not views:
         raise ConfigError(
-            f"{run.facts.scene}: no views are held out; choose the split train or path",
+            f"{scene.path or scene.name}: no views are held out; choose the split train or path",
             options=("split",),
         )
     ball = scene.reach

@@ -21,7 +21,7 @@ from torch import Tensor
 from mrgs.errors import SceneError
 from mrgs.evaluation.figures import Figure, Figures, Missing, all_missing
 from mrgs.evaluation.metrics import mean_absolute_error
-from mrgs.scene import Pixels, TemperatureRange
+from mrgs.scene import Pixels, Scene, TemperatureRange
 
 TRUTH_FIGURES = ("mae_c", "camera_mae_c", "depth_median_relative_error")
 
@@ -37,6 +37,14 @@ class Truth:
         """The exact truth in a scene's folder; None if there is none, as for every real capture."""
         folder = scene / "truth"
         return cls(folder) if folder.is_dir() else None
+
+    @classmethod
+    def of(cls, scene: Scene) -> Truth | None:
+        """The exact truth of a scene; None if there is none, or if it was made from arrays."""
+        path = Path(scene.path)
+        if not scene.path:
+            return None
+        return cls.find(path.parent if path.is_file() else path)
 
     def score(
         self,

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.ndimage
 import torch
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64
 
-from mrgs.scene import Camera
+from mrgs.scene.depth_map import DepthMap, visible
 
 TRUNCATION_VOXELS = 4
 """Half width of the band."""
@@ -25,22 +25,6 @@ MIN_VIEWS = 2
 BOUNDS_PERCENTILE = 2.0
 """The box holds the points between this percentile and its counterpart on each axis: far background
 is left out."""
-
-
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """Depth and image of one camera.
-
-    Attributes:
-        camera: of the images.
-        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is
-            not known, [H, W].
-        image: any C channels to be carried over to the surface, [H, W, C].
-    """
-
-    camera: Camera
-    depth: Float32[np.ndarray, "h w"]
-    image: Float32[np.ndarray, "h w c"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,21 +66,6 @@ def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray,
     known = count >= MIN_VIEWS
     field[tuple(samples[known].T)] = total[known] / count[known]
     return field, grid
-
-
-def visible(
-    camera: Camera, positions: Float32[np.ndarray, "n 3"]
-) -> tuple[
-    Int64[np.ndarray, " m"],
-    tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]],
-    Float32[np.ndarray, " m"],
-]:
-    """The points inside a camera's image: their rows, their pixels (row, column) and their
-    z-depth."""
-    pixels, depth = camera.project(torch.from_numpy(positions))
-    rows = camera.contains(pixels).nonzero()[:, 0]
-    column, row = pixels[rows].long().unbind(dim=1)
-    return rows.numpy(), (row.numpy(), column.numpy()), depth[rows].numpy()
 
 
 def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:

@@ -15,11 +15,12 @@ from mrgs.data.ply import table, write_ply
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
 from mrgs.export.job import ExportJob, described
-from mrgs.export.rendered import carry_over, depth_maps, value_columns
+from mrgs.export.rendered import depth_maps, value_columns
 from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_nets import surface_nets
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
+from mrgs.scene.depth_map import carry_over
 
 RESOLUTION = 320
 """Samples along the longest side of the scene."""

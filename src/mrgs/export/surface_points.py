@@ -10,17 +10,15 @@ import torch
 from jaxtyping import Float32, UInt8
 
 from mrgs.errors import RunError
-from mrgs.export.rendered import carry_over, depth_maps, value_columns
+from mrgs.export.rendered import depth_maps, value_columns
 from mrgs.export.splats import to_float32
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
+from mrgs.scene.depth_map import SURFACE_DEPTH, carry_over
 
 MIN_OPACITY = 0.3
 """A splat becomes a point if one of its opacities reaches this: fainter ones fill gaps and haze,
 and lie off the surfaces."""
-
-SURFACE_DEPTH = 0.03
-"""A splat lies on a surface that a camera sees if the two depths differ by less than this share."""
 
 
 @dataclass(frozen=True, eq=False)

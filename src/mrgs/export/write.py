@@ -25,6 +25,34 @@ BAKING = "baking"
 """The part of an export before its formats: the model as plain splats."""
 
 
+def export_run(
+    run: Run,
+    folder: str | Path | None = None,
+    format: str = "all",
+    palette: PaletteName = "inferno",
+    limits_c: tuple[float, float] | None = None,
+) -> list[Path]:
+    """Write a run in one format, or in all that can be written here, for other programs; returns
+    the paths.
+
+    Args:
+        run: what ``load_run`` or ``train`` returns.
+        folder: made if it does not exist; files of these names are replaced. The run's folder
+            ``export`` if None.
+        format: the name of one of ``mrgs.export.FORMATS``, or ``all``.
+        palette: colours of the colour-mapped files.
+        limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
+
+    Raises:
+        ConfigError: an unknown format, limits that cannot be used, or an extra that is not
+            installed.
+        RunError: the model cannot be exported, or a file cannot be written.
+        SceneError: the scene or a photo cannot be read.
+    """
+    target = run.folder.path / "export" if folder is None else Path(folder)
+    return export(run, run.load_scene(), format, target, palette, limits_c)
+
+
 def export(
     model: Run | BakedModel,
     scene: Scene,

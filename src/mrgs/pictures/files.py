@@ -14,6 +14,7 @@ from mrgs.pictures.drawing import Scale, blank, scale_bar
 from mrgs.pictures.palette import PaletteName, colorize, display_range
 from mrgs.pictures.values import folder_of_values, full_scale, in_unit
 from mrgs.scene import Modality, PosedImage, Reach, Rendering, TemperatureRange, View
+from mrgs.scene.preview import to_rgb8
 from mrgs.system.atomic import replacing
 
 _IMAGE_DESCRIPTION_TAG = 270
@@ -90,17 +91,6 @@ def shown_depth(
 def to_array(tensor: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
     """A tensor as a float32 array in main memory, detached."""
     return tensor.detach().float().cpu().numpy()
-
-
-def to_rgb8(image: Float[Tensor, "h w c"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Intensities in [0, 1], clamped, as bytes; NaN turns black.
-
-    Three channels are colours; of any other number, the mean is shown as grey.
-    """
-    values = np.nan_to_num(to_array(image)).clip(0, 1)
-    if values.shape[2] != 3:
-        values = np.repeat(values.mean(axis=2, keepdims=True), 3, axis=2)
-    return np.rint(values * 255).astype(np.uint8)
 
 
 def to_picture(

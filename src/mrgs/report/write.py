@@ -25,6 +25,21 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 PARTS = ("hottest and coldest spots", "pictures of the spots", "scores and page")
 
 
+def report_run(run: Run, path: str | Path | None = None) -> Path:
+    """Write a page about a run for a thermographer; returns its path. See ``write_report``.
+
+    Args:
+        run: what ``load_run`` or ``train`` returns.
+        path: ends with .html; ``report.html`` in the run's folder if None.
+
+    Raises:
+        SceneError: the scene cannot be read.
+        RunError: the scores or the contact sheet cannot be read, or the file cannot be written.
+    """
+    target = run.folder.path / "report.html" if path is None else Path(path)
+    return write_report(run, run.load_scene(), target)
+
+
 def write_report(run: Run, scene: Scene, path: Path, progress: Progress | None = None) -> Path:
     """Write a page about the run for a thermographer; returns its path.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
@@ -15,7 +15,7 @@ from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.runs.registry import Method, find_method
-from mrgs.scene import Camera, Modality, Rendering
+from mrgs.scene import Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training.checkpoint import load_model
@@ -26,7 +26,7 @@ from mrgs.training.trained_run import TrainedRun
 __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open_run"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run(TrainedRun):
     """A run with Gaussians. It may render on a GPU; its model and its images are in the host's
     memory in any case.
@@ -71,13 +71,14 @@ class Run(TrainedRun):
 
 
 def open_run(
-    path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
+    path: str | Path, scene: Scene | str | Path | None = None, device: DeviceName = "auto"
 ) -> TrainedRun:
     """Open the newest checkpoint of a run of any method, to render and to score it.
 
     Args:
         path: the run's folder.
-        scene: the scene's folder, if it has moved since training.
+        scene: the scene's folder, if it has moved since training; the scene itself, if it was made
+            from arrays.
         device: where it renders, whatever it was trained on; "auto" takes the GPU where there is
             one that the method can use.
 
@@ -92,15 +93,20 @@ def open_run(
     """
     folder = RunFolder(path)
     folder.newest_checkpoint()
-    return cast(TrainedRun, method_of(folder).open(path, scene, device))
+    if not isinstance(scene, Scene):
+        return cast(TrainedRun, method_of(folder).open(path, scene, device))
+    run = cast(TrainedRun, method_of(folder).open(path, scene.path or None, device))
+    return replace(run, scene=scene)
 
 
-def load_run(path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto") -> Run:
+def load_run(
+    path: str | Path, scene: Scene | str | Path | None = None, device: DeviceName = "auto"
+) -> Run:
     """Open the newest checkpoint of a run with Gaussians.
 
     Args:
         path: the run's folder.
-        scene: the scene's folder, if it has moved since training.
+        scene: the scene, see ``open_run``.
         device: where it renders, see ``open_run``.
 
     Raises:

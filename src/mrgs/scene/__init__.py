@@ -1,5 +1,6 @@
 """The nouns: cameras, views, temperatures, Gaussians. Nothing here opens a file or prints."""
 
+from mrgs.scene.arrays import Array
 from mrgs.scene.camera import Camera
 from mrgs.scene.gaussians import Gaussians
 from mrgs.scene.modality import (
@@ -13,9 +14,10 @@ from mrgs.scene.modality import (
     modality_named,
     register_modality,
 )
+from mrgs.scene.point_cloud import PointCloud
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.rendering import Blend, CameraResponse, Rendering, ideal_cameras
-from mrgs.scene.scene import PointCloud, Scene
+from mrgs.scene.scene import Scene
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
 
@@ -23,6 +25,7 @@ __all__ = [
     "BUILT_IN",
     "RGB",
     "THERMAL",
+    "Array",
     "Blend",
     "Camera",
     "CameraResponse",

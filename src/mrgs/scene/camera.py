@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
+
+from mrgs.scene.arrays import Array, as_tensor
 
 MIN_DEPTH = 1e-6
 """Scene units; a point nearer to the plane through the camera's centre may lie on either side of
@@ -23,27 +26,93 @@ class CameraTensors(NamedTuple):
     position: Float[Tensor, "3"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Camera:
     """A pinhole camera with OpenCV axes: x right, y down, z forward.
 
     The centre of the pixel in column u and row v lies at (u + 0.5, v + 0.5); a world point X
     projects to K · (R X + t), with [R | t] the upper rows of ``viewmat``.
 
+    ``K`` and ``viewmat`` may be given as arrays or nested lists; they are kept as float64 tensors.
+
     Attributes:
         K: intrinsics in pixels, [3, 3]; fx and fy may differ, the skew is zero.
         viewmat: world to camera, [4, 4], a rotation and a translation in scene units.
         width: image width in pixels.
         height: image height in pixels.
+
+    Raises:
+        ValueError: a matrix of another shape, or a size below one pixel.
     """
 
     K: Float64[Tensor, "3 3"]
     viewmat: Float64[Tensor, "4 4"]
     width: int
     height: int
-    _tensors: dict[tuple[torch.device, torch.dtype], CameraTensors] = field(
-        default_factory=dict, init=False, repr=False
-    )
+    _tensors: dict[tuple[torch.device, torch.dtype], CameraTensors] = field(init=False)
+
+    def __init__(self, K: Array, viewmat: Array, width: int, height: int) -> None:
+        if width < 1 or height < 1:
+            raise ValueError(f"a camera needs at least one pixel, not {width}×{height}")
+        values = {
+            "K": as_tensor(K, torch.float64, (3, 3), "K"),
+            "viewmat": as_tensor(viewmat, torch.float64, (4, 4), "viewmat"),
+            "width": width,
+            "height": height,
+            "_tensors": {},
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_fov(cls, width: int, height: int, fov_deg: float) -> Camera:
+        """A camera at the origin with square pixels, its axis in the middle of the image.
+
+        It looks along +z; place it with :meth:`look_at`.
+
+        Args:
+            width: image width in pixels.
+            height: image height in pixels.
+            fov_deg: horizontal field of view in degrees, between 0 and 180.
+
+        Raises:
+            ValueError: a field of view out of range, or a size below one pixel.
+        """
+        if not 0 < fov_deg < 180:
+            raise ValueError(f"a field of view lies between 0° and 180°, not {fov_deg}°")
+        focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
+        K = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
+        return cls(K, torch.eye(4), width, height)
+
+    def look_at(self, position: Array, target: Array, up: Array = (0.0, 0.0, 1.0)) -> Camera:
+        """The same camera at another place, its axis through a target.
+
+        Args:
+            position: of the centre of projection, world coordinates, [3].
+            target: a point that appears on the optical axis, world coordinates, [3].
+            up: the world direction that points up in the image, [3]; +z by default.
+
+        Raises:
+            ValueError: the target is the position, or ``up`` points along the axis.
+        """
+        here, there, upwards = (
+            as_tensor(value, torch.float64, (3,), name)
+            for value, name in ((position, "position"), (target, "target"), (up, "up"))
+        )
+        forward = there - here
+        right = torch.linalg.cross(forward, upwards)
+        if not right.norm() > 1e-9 * forward.norm() * upwards.norm():
+            raise ValueError("up must not point along the viewing direction, nor either be zero")
+        axes = torch.stack([right, torch.linalg.cross(forward, right), forward])
+        rotation = axes / axes.norm(dim=1, keepdim=True)
+        viewmat = torch.eye(4, dtype=torch.float64)
+        viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ here
+        return Camera(self.K, viewmat, self.width, self.height)
+
+    def __repr__(self) -> str:
+        fov = math.degrees(2 * math.atan(self.width / 2 / self.K[0, 0].item()))
+        x, y, z = self.position.tolist()
+        return f"Camera({self.width}×{self.height}, {fov:.0f}° wide, at {x:.3g}, {y:.3g}, {z:.3g})"
 
     def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
         """The camera on a device; kept, because to copy it for every image would make the host wait

@@ -12,7 +12,7 @@ from torch import Tensor
 from mrgs.scene.modality import Modality, known_modalities
 
 
-@dataclass
+@dataclass(repr=False)
 class Gaussians:
     """Parameters of N Gaussians (row i of every tensor belongs to Gaussian i).
 
@@ -39,6 +39,9 @@ class Gaussians:
 
     def __len__(self) -> int:
         return self.means.shape[0]
+
+    def __repr__(self) -> str:
+        return f"Gaussians({len(self):,}, {', '.join(map(str, self.modalities))})"
 
     @property
     def modalities(self) -> tuple[Modality, ...]:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import Modality
+from mrgs.scene.preview import preview_png
 
 
 class Blend(NamedTuple):
@@ -27,6 +28,10 @@ class Blend(NamedTuple):
     image: Float[Tensor, "h w c"]
     depth: Float[Tensor, "h w"]
     alpha: Float[Tensor, "h w"]
+
+    def __repr__(self) -> str:
+        height, width, channels = self.image.shape
+        return f"Blend({width}×{height}, {channels} channels)"
 
     @classmethod
     def of_image(cls, image: Float[Tensor, "h w c"]) -> Blend:
@@ -79,6 +84,13 @@ class Rendering(Mapping[Modality, Blend]):
 
     def __len__(self) -> int:
         return len(self._blends)
+
+    def __repr__(self) -> str:
+        return f"Rendering({', '.join(f'{each}: {blend!r}' for each, blend in self.items())})"
+
+    def _repr_png_(self) -> bytes:
+        """The images side by side, for a notebook."""
+        return preview_png([blend.image for blend in self.values()])
 
     def with_depth(self, first: Modality) -> Modality | None:
         """The modality whose depth is shown or scored: ``first`` if its depth is known, or else

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float32
-from torch import Tensor
 
+from mrgs.errors import SceneError
+from mrgs.scene.arrays import Array
 from mrgs.scene.camera import Camera
+from mrgs.scene.from_arrays import (
+    cloud_from_arrays,
+    range_from_arrays,
+    views_from_arrays,
+)
 from mrgs.scene.modality import Modality, in_order
+from mrgs.scene.point_cloud import PointCloud, random_points
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import View
@@ -18,16 +25,7 @@ STILL_CAMERAS = 1e-3
 """Cameras that stay within this share of the distance to what they see count as standing still."""
 
 
-@dataclass(frozen=True, eq=False)
-class PointCloud:
-    """Start points of the Gaussians: positions in world coordinates [N, 3] and RGB in [0, 1] [N,
-    3]."""
-
-    positions: Float32[Tensor, "n 3"]
-    colors: Float32[Tensor, "n 3"]
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """What training and evaluation need to know about a capture.
 
@@ -38,6 +36,8 @@ class Scene:
         points: start points.
         temperature: scale of the thermal values; None if the capture has no known °C.
         notes: repairs and decisions of the reader, one sentence each, for the user and the report.
+        path: absolute path that it was read from; empty for a scene made from arrays.
+        resolution: wider images were reduced to this width when it was read; None if they were not.
     """
 
     name: str
@@ -46,6 +46,66 @@ class Scene:
     points: PointCloud
     temperature: TemperatureRange | None
     notes: tuple[str, ...] = ()
+    path: str = field(default="", kw_only=True)
+    resolution: int | None = field(default=None, kw_only=True)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        cameras: Sequence[Camera],
+        *,
+        rgb: Array = (),
+        celsius: Array = (),
+        thermal_cameras: Sequence[Camera] = (),
+        points: Array = (),
+        colors: Array = (),
+        eval_every: int = 8,
+        seed: int = 0,
+        name: str = "scene",
+    ) -> Scene:
+        """A scene from images in memory, without a folder.
+
+        The images are not copied where they need not be; do not change them while the scene is in
+        use. °C are scaled to the range of all views, rounded outwards to whole degrees.
+
+        Args:
+            cameras: of the views, one each, in the order of the images; of the RGB images, and of
+                the thermal images unless ``thermal_cameras`` are given.
+            rgb: of each view, [H, W, 3]: uint8, or numbers in [0, 1]; None for a view without one,
+                empty if there are none at all.
+            celsius: temperatures in °C of each view, [H, W]; NaN where a pixel is not known. None
+                and empty as for ``rgb``.
+            thermal_cameras: of the thermal images, one for each view; those of ``cameras`` if
+                empty.
+            points: start points in world coordinates, [N, 3]; drawn before the cameras if empty.
+            colors: RGB of the points in [0, 1], [N, 3]; grey if empty.
+            eval_every: every Nth view is held out, beginning with the first; 0 holds out none.
+            seed: for the start points where none are given.
+            name: of the scene, for reports and the default names of files.
+
+        Raises:
+            SceneError: there is no view, a view has no image, or no temperature is finite.
+            ValueError: the numbers of cameras and images differ, an image has not the size of its
+                camera, or another array has the wrong shape.
+        """
+        temperature = range_from_arrays(celsius)
+        views = views_from_arrays(cameras, rgb, celsius, thermal_cameras or cameras, temperature)
+        if not views:
+            raise SceneError("a scene needs at least one view: give cameras and images")
+        held_out = tuple(views[::eval_every]) if eval_every and len(views) > 1 else ()
+        train = tuple(view for view in views if view not in held_out)
+        cloud = cloud_from_arrays(points, colors)
+        if cloud is None:
+            cloud = random_points([each for view in train for each in view.cameras.values()], seed)
+        return cls(name, train, held_out, cloud, temperature)
+
+    def __repr__(self) -> str:
+        modalities = " + ".join(modality.title for modality in self.modalities)
+        scale = "no °C" if self.temperature is None else str(self.temperature)
+        return (
+            f"Scene({self.name!r}, {len(self.train)} training + {len(self.eval)} evaluation views, "
+            f"{modalities}, {scale}, {len(self.points):,} points)"
+        )
 
     @property
     def extent(self) -> float:

@@ -30,6 +30,9 @@ class TemperatureRange:
         if not -ZERO_CELSIUS_K <= self.min_c < self.max_c < math.inf:
             raise ValueError(f"not a temperature range in °C: {self.min_c} to {self.max_c}")
 
+    def __str__(self) -> str:
+        return f"{self.min_c:g} to {self.max_c:g} °C"
+
     @property
     def span_c(self) -> float:
         """Width of the range in °C (equally in K)."""

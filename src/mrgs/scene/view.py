@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import Modality
+from mrgs.scene.preview import preview_png
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class PosedImage:
     load: Callable[[], Pixels]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class View:
     """One moment of a capture: an image of each modality that was captured, each with its own
     camera.
@@ -60,6 +61,14 @@ class View:
     def __post_init__(self) -> None:
         if not self.images:
             raise ValueError(f"view {self.name} has no image")
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{m} {i.camera.width}×{i.camera.height}" for m, i in self.images.items())
+        return f"View({self.name!r}, {sizes})"
+
+    def _repr_png_(self) -> bytes:
+        """The photos side by side, for a notebook."""
+        return preview_png([image.load().values for image in self.images.values()])
 
     @property
     def cameras(self) -> dict[Modality, Camera]:

@@ -37,7 +37,7 @@ class CheckpointFacts(NamedTuple):
 
     Attributes:
         step: steps done.
-        scene: absolute path of the scene's folder.
+        scene: absolute path of the scene's folder; empty for a scene made from arrays.
         capture: what the image model must know of the scene's photos.
         temperature: the scene's scale; None without known °C.
         train_seconds: time spent in training so far.
@@ -59,16 +59,10 @@ class CheckpointFacts(NamedTuple):
     modalities: tuple[Modality, ...] = (RGB, THERMAL)
 
     @classmethod
-    def at_start(cls, scene: Scene, path: str | Path) -> CheckpointFacts:
-        """Before the first step.
-
-        Args:
-            scene: to train on.
-            path: of its folder.
-        """
-        place = str(Path(path).resolve())
+    def at_start(cls, scene: Scene) -> CheckpointFacts:
+        """Before the first step on a scene."""
         capture, modalities = Capture.of(scene), scene.modalities
-        return cls(0, place, capture, scene.temperature, 0.0, 0, 0, modalities=modalities)
+        return cls(0, scene.path, capture, scene.temperature, 0.0, 0, 0, modalities=modalities)
 
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:
         """These facts with the scene's current path, if one is given."""
@@ -154,16 +148,16 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     same_views = facts.capture.views == len(scene.train)
     if not same_views or not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
         raise RunError(
-            f"{scene.name} has other cameras than the run's scene: use {facts.scene} as it was"
+            f"{scene.name} has other cameras than the run's scene: use that scene as it was"
         )
     if facts.temperature != scene.temperature:
         raise RunError(
             f"{scene.name} has another temperature range than the run was trained with: "
-            f"bring back the one that stood in {facts.scene}, or retrain"
+            f"bring back the one that it had, or retrain"
         )
 
 
-def facts_to_resume(path: Path, scene: Scene, scene_path: str | Path) -> CheckpointFacts:
+def facts_to_resume(path: Path, scene: Scene) -> CheckpointFacts:
     """The facts of a checkpoint that is trained on, with the current path of its scene.
 
     Raises:
@@ -174,7 +168,7 @@ def facts_to_resume(path: Path, scene: Scene, scene_path: str | Path) -> Checkpo
     if untrained := set(scene.modalities) - set(model_modalities(facts.modalities)):
         names = ", ".join(sorted(each.name for each in untrained))
         raise RunError(f"{scene.name} has images that the run began without ({names}): retrain")
-    return facts.moved_to(scene_path)._replace(capture=Capture.of(scene))
+    return facts._replace(scene=scene.path, capture=Capture.of(scene))
 
 
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts, ImageModel]:

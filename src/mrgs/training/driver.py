@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
@@ -112,17 +112,34 @@ class Driver(ABC, Generic[S]):
         checkpointed."""
         last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
         while self._step_done < last:
-            statistics = self._take_step()
-            self._step_done = statistics.step
-            self._unchecked.append(statistics)
-            if self._step_done % self._check_every == 0:
-                self._note_skipped_steps()
-            if self._step_done % LOG_EVERY == 0 or self._step_done == self._max_steps:
-                self._log(statistics)
+            statistics = self._next_step()
             if on_step is not None and on_step(statistics) is True:
                 last = self._step_done
             if self._step_done % self._checkpoint_every == 0 or self._step_done == last:
-                self._save()
+                self.save()
+
+    def steps(self) -> Generator[S, None, None]:
+        """Step until the end of the schedule, or until closed; the last step is checkpointed."""
+        while self._step_done < self._max_steps:
+            statistics = self._next_step()
+            try:
+                yield statistics
+            except GeneratorExit:
+                self.save()
+                raise
+            if self._step_done % self._checkpoint_every == 0 or self._step_done == self._max_steps:
+                self.save()
+
+    def _next_step(self) -> S:
+        """Take a step, and log it if its turn has come."""
+        statistics = self._take_step()
+        self._step_done = statistics.step
+        self._unchecked.append(statistics)
+        if self._step_done % self._check_every == 0:
+            self._note_skipped_steps()
+        if self._step_done % LOG_EVERY == 0 or self._step_done == self._max_steps:
+            self._log(statistics)
+        return statistics
 
     def _note_skipped_steps(self) -> None:
         """Log and count the steps that were skipped since the last call."""
@@ -172,7 +189,12 @@ class Driver(ABC, Generic[S]):
         is_same = self._facts.device == gpu.device_title(self._device)
         return max(self._facts.peak_memory_bytes if is_same else 0, peak_memory_bytes(self._device))
 
-    def _save(self) -> None:
+    def save(self) -> None:
+        """Write a checkpoint of the last step.
+
+        Raises:
+            RunError: it cannot be written.
+        """
         self._note_skipped_steps()
         facts = self._facts._replace(
             step=self._step_done,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -48,6 +51,9 @@ Config = TypeVar("Config")
 ReadConfig = Callable[[str, str], Config]
 """From the text of a config.yaml and the file's name, for messages."""
 
+LogMirror = Callable[[Mapping[str, Any]], None]
+"""Receives each entry of the log."""
+
 
 class RunFolder:
     """``config.yaml``, ``log.jsonl``, ``checkpoints/step_NNNNNN.safetensors``; scores and pictures
@@ -55,6 +61,10 @@ class RunFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._log_mirrors: list[LogMirror] = []
+
+    def __repr__(self) -> str:
+        return f"RunFolder({str(self.path)!r})"
 
     @property
     def config_file(self) -> Path:
@@ -193,6 +203,17 @@ class RunFolder:
         """
         with self._writing(), self.log_file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, allow_nan=False) + "\n")
+        for mirror in self._log_mirrors:
+            mirror(entry)
+
+    @contextmanager
+    def log_mirrored(self, mirror: LogMirror) -> Iterator[None]:
+        """Within this block, hand over each entry of the log as well."""
+        self._log_mirrors.append(mirror)
+        try:
+            yield
+        finally:
+            self._log_mirrors.remove(mirror)
 
     def cut_log(self, step: int) -> None:
         """Drop the lines behind a step, which a resumed run writes again."""
@@ -263,6 +284,14 @@ class RunFolder:
             raise
         except OSError as error:
             raise write_error(self.path, error, options=("output",)) from error
+
+
+class TemporaryRunFolder(RunFolder):
+    """A run's folder among the system's temporary files, removed with this object."""
+
+    def __init__(self) -> None:
+        super().__init__(tempfile.mkdtemp(prefix="mrgs-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 def _step_of(line: str) -> int:

@@ -4,16 +4,17 @@ made or loaded."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from mrgs.data import load_scene
 from mrgs.scene import Scene
 from mrgs.system.operation import plainly
 from mrgs.training.checkpoint import CheckpointFacts, facts_to_resume
 from mrgs.training.run_folder import RunConfig, RunFolder
+from mrgs.training.tensorboard import tensorboard_log
 
 C = TypeVar("C", bound=RunConfig)
 S = TypeVar("S")
@@ -40,12 +41,13 @@ class TrainingStart(Generic[C, S]):
 
 @contextmanager
 def start_training(
-    scene: str | Path,
+    scene: Scene | str | Path,
     output: str | Path,
     config: C,
     *,
     resume: bool,
     plain: bool,
+    tensorboard: bool,
     read_config: Callable[[RunFolder], C],
     initial_state: Callable[[Scene, C], S],
     load_state: Callable[[Path, C], S],
@@ -53,11 +55,12 @@ def start_training(
     """Within this block the run's folder is locked, and no other process trains in it.
 
     Args:
-        scene: the scene's folder.
+        scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
         resume: continue the run from its newest checkpoint.
         plain: run the plain definitions of all operations instead of kernels.
+        tensorboard: also write the log to the run's folder ``tensorboard``.
         read_config: the configuration of the run that is continued.
         initial_state: the state at step 0.
         load_state: the state in a checkpoint.
@@ -65,6 +68,7 @@ def start_training(
     Raises:
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used.
+        ConfigError: TensorBoard was asked for and is not installed.
     """
     folder = RunFolder(output)
     if resume:
@@ -72,14 +76,20 @@ def start_training(
         config = read_config(folder)
     else:
         folder.require_new()
-    loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
+    if isinstance(scene, Scene):
+        loaded = scene
+        if not resume:
+            config = replace(cast(Any, config), resolution=scene.resolution)
+    else:
+        loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
     with folder.training(config, resume), plainly(plain):
         if resume:
             newest = folder.newest_checkpoint()
-            facts = facts_to_resume(newest, loaded, scene)
+            facts = facts_to_resume(newest, loaded)
             state = load_state(newest, config)
             folder.cut_log(facts.step)
         else:
-            facts = CheckpointFacts.at_start(loaded, scene)
+            facts = CheckpointFacts.at_start(loaded)
             state = initial_state(loaded, config)
-        yield TrainingStart(folder, facts, loaded, config, state)
+        with tensorboard_log(folder, facts.step) if tensorboard else nullcontext():
+            yield TrainingStart(folder, facts, loaded, config, state)

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.scene import THERMAL, Camera, Modality, Rendering, Scene, TemperatureRange, View
+from mrgs.scene import THERMAL, Array, Camera, Modality, Rendering, Scene, TemperatureRange, View
+from mrgs.scene.arrays import as_tensor
+from mrgs.scene.depth_map import (
+    MAX_STEP,
+    MIN_ALPHA,
+    SURFACE_DEPTH,
+    DepthMap,
+    carry_over,
+    surveying_cameras,
+)
 from mrgs.training.checkpoint import CheckpointFacts, require_same_scene
 from mrgs.training.run_folder import RunConfig, RunFolder
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrainedRun(ABC):
     """A run's newest checkpoint, of any method: what scoring and rendering need.
 
@@ -25,11 +37,18 @@ class TrainedRun(ABC):
         folder: the run's folder.
         config: what it was trained with.
         facts: steps, scene, temperature scale, cost.
+        scene: that it was trained on, if it was given in memory; None to read it from its folder.
     """
 
     folder: RunFolder
     config: RunConfig
     facts: CheckpointFacts
+    scene: Scene | None = field(default=None, kw_only=True)
+
+    def __repr__(self) -> str:
+        count = self.gaussian_count
+        size = "" if count is None else f", {count:,} Gaussians"
+        return f"{type(self).__name__}({self.config.method}, step {self.facts.step:,}{size})"
 
     @abstractmethod
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
@@ -88,6 +107,42 @@ class TrainedRun(ABC):
             )
         return self.temperature.to_celsius(rendering[THERMAL].image[..., 0])
 
+    def temperature_at(self, points: Array) -> Float[Tensor, " n"]:
+        """Temperatures of points on surfaces, as the scene's thermal cameras see them in the model.
+
+        A point counts as seen by a camera where the rendered surface lies within 3 % of its depth:
+        points behind a surface, in the air or on an outline are not. The value is the mean over the
+        cameras that see it, nearer ones weighing more. The first call renders at most 64 training
+        cameras; later ones only look the points up.
+
+        Args:
+            points: world coordinates, scene units, [N, 3].
+
+        Returns:
+            °C, NaN for a point that no camera sees on a surface, [N].
+
+        Raises:
+            ValueError: the scene has no known °C, or ``points`` has another shape.
+            SceneError: the scene is no longer where it was, or cannot be used.
+        """
+        positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
+        values, seen = carry_over(self._thermal_maps, positions, 0.0, SURFACE_DEPTH)
+        return torch.from_numpy(np.where(seen, values[:, 0], np.float32(np.nan)))
+
+    @cached_property
+    def _thermal_maps(self) -> list[DepthMap]:
+        """Depths and °C from the scene's thermal cameras."""
+        scene = self.load_scene()
+        cameras = [view.images[THERMAL].camera for view in scene.train if THERMAL in view.images]
+        maps = []
+        for camera in surveying_cameras(cameras):
+            rendering = self.render_cameras({THERMAL: camera})
+            depth = rendering[THERMAL].surface_depth(MIN_ALPHA, MAX_STEP)
+            distant = scene.reach.without_background(camera, depth).float()
+            celsius = self.temperatures_c(rendering)[..., None]
+            maps.append(DepthMap(camera, distant.numpy(), celsius.numpy()))
+        return maps
+
     def load_scene(self) -> Scene:
         """The scene that the run was trained on, at the run's resolution.
 
@@ -96,6 +151,15 @@ class TrainedRun(ABC):
             RunError: the scene has other cameras or another temperature range than the run was
                 trained with.
         """
+        if self.scene is not None:
+            require_same_scene(self.facts, self.scene)
+            return self.scene
+        if not self.facts.scene:
+            raise SceneError(
+                f"{self.folder.path} was trained on a scene made from arrays: open it with that "
+                f"scene",
+                options=("scene",),
+            )
         if not Path(self.facts.scene).exists():
             raise SceneError(
                 f"{self.facts.scene}: the scene that {self.folder.path} was trained on is no "

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from typing import TypeVar
@@ -10,7 +11,6 @@ from typing import TypeVar
 import torch
 
 from mrgs.errors import TrainingError
-from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import SceneScale, Term
@@ -37,14 +37,45 @@ OnStep = Callable[[StepStatistics], bool | None]
 """Called after every step; returning True stops the training with a checkpoint."""
 
 
-def train(
-    scene: str | Path,
+@contextmanager
+def open_training(
+    scene: Scene | str | Path,
     output: str | Path,
     config: TrainConfig,
     *,
     resume: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
+    tensorboard: bool = False,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+) -> Iterator[Trainer]:
+    """Within this block the run's folder is locked, and a trainer is ready for its first step; see
+    ``train``."""
+    chosen = gpu.choose_device(device)
+    with start_training(
+        scene,
+        output,
+        config,
+        resume=resume,
+        plain=plain,
+        tensorboard=tensorboard,
+        read_config=lambda folder: folder.read_config(from_yaml),
+        initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
+        load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
+    ) as run:
+        yield Trainer(run)
+
+
+def train(
+    scene: Scene | str | Path,
+    output: str | Path,
+    config: TrainConfig,
+    *,
+    resume: bool = False,
+    device: DeviceName = "auto",
+    plain: bool = False,
+    tensorboard: bool = False,
     stop_at: int | None = None,
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
@@ -52,10 +83,10 @@ def train(
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, CameraResponse], None] | None = None,
 ) -> RunFolder:
-    """Train a model of a scene folder into a run folder.
+    """Train a model of a scene into a run folder.
 
     Args:
-        scene: the scene's folder.
+        scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
         resume: continue the run from its newest checkpoint, exactly; on another device up to
@@ -63,6 +94,7 @@ def train(
         device: "auto" takes the GPU where there is one that can be used.
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
+        tensorboard: also write the log to the run's folder ``tensorboard``.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
@@ -82,50 +114,67 @@ def train(
         RunError: the output folder cannot be used, or the resumed run had another strategy or other
             terms.
         DeviceError: the GPU was asked for and cannot be used.
+        ConfigError: TensorBoard was asked for and is not installed.
         TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
             up to ten steps later), or the GPU's memory does not suffice; the last good checkpoint
             is kept.
     """
-    chosen = gpu.choose_device(device)
-    with start_training(
+    with open_training(
         scene,
         output,
         config,
         resume=resume,
+        device=device,
         plain=plain,
-        read_config=lambda folder: folder.read_config(from_yaml),
-        initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
-        load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
-    ) as run:
-        trainer = _Trainer(run)
+        tensorboard=tensorboard,
+        strategy=strategy,
+        terms=terms,
+    ) as trainer:
         if on_start is not None:
-            on_start(run.scene, run.config)
+            on_start(trainer.scene, trainer.config)
         if on_model is not None:
-            on_model(run.state.model, _response_of(run.state.image_model, chosen))
-        check_kernels(run.state, run.scene, run.config)
+            on_model(trainer.state.model, _response_of(trainer.state))
+        trainer.check_kernels()
         trainer.run(stop_at, on_step)
-    return run.folder
+    return trainer.folder
 
 
-def _response_of(image_model: ImageModel, device: torch.device) -> CameraResponse:
+def _response_of(state: TrainingState) -> CameraResponse:
     """Turns a rendering in the host's memory into what the cameras write, as far as is learned when
     it is called."""
-    if device == HOST:
+    image_model = state.image_model
+    if state.device == HOST:
         return image_model.expected
     return lambda rendering, camera: deepcopy(image_model).to(HOST).expected(rendering, camera)
 
 
-class _Trainer(Driver[StepStatistics]):
-    """Trains Gaussians: choose a view, take a step on it, control the density."""
+class Trainer(Driver[StepStatistics]):
+    """Trains Gaussians: choose a view, take a step on it, control the density.
+
+    Attributes:
+        folder: of the run, locked.
+        scene: that is trained on.
+        config: in force.
+        state: all that changes during training.
+    """
 
     def __init__(self, run: TrainingStart[TrainConfig, TrainingState]) -> None:
-        self._scene, self._config, self._state = run.scene, run.config, run.state
+        self.folder, self.scene, self.config, self.state = (
+            run.folder,
+            run.scene,
+            run.config,
+            run.state,
+        )
         device = run.state.device
         self._scale = SceneScale(run.scene.extent, run.scene.temperature)
         self._photos: PhotoSource = PhotoCache() if device == HOST else DevicePhotos(device)
         super().__init__(
             run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device
         )
+
+    def check_kernels(self) -> None:
+        """Compare the kernels in use with their plain definitions; the training stays the same."""
+        check_kernels(self.state, self.scene, self.config)
 
     def _take_step(self) -> StepStatistics:
         result = self._with_enough_memory(self._step_on_next_view)
@@ -134,18 +183,18 @@ class _Trainer(Driver[StepStatistics]):
         return result.statistics
 
     def _step_on_next_view(self) -> StepResult:
-        number = self._state.sampler.next()
-        view = self._scene.train[number]
+        number = self.state.sampler.next()
+        view = self.scene.train[number]
         photos = {modality: self._photos.load(image) for modality, image in view.images.items()}
-        return training_step(self._state, view, number, photos, self._config, self._scale)
+        return training_step(self.state, view, number, photos, self.config, self._scale)
 
     def _control_density(self, result: StepResult) -> None:
-        state = self._state
-        counts = control_density(state, result, self._config, self._scale.extent)
+        state = self.state
+        counts = control_density(state, result, self.config, self._scale.extent)
         if counts is None:
             return
         gaussians = len(state.model.gaussians)
-        self._folder.append_log({"step": state.step, **counts, "gaussians": gaussians})
+        self.folder.append_log({"step": state.step, **counts, "gaussians": gaussians})
         if gaussians == 0:
             raise TrainingError(
                 f"every Gaussian has turned transparent by step {state.step}: check the scene's "
@@ -154,11 +203,11 @@ class _Trainer(Driver[StepStatistics]):
 
     def _fetch_next_view(self) -> None:
         """Let its photos come ahead of their turn, if there is memory for them."""
-        following = self._state.sampler.peek()
+        following = self.state.sampler.peek()
         if following is None:
             return
         try:
-            self._photos.fetch(list(self._scene.train[following].images.values()))
+            self._photos.fetch(list(self.scene.train[following].images.values()))
         except torch.cuda.OutOfMemoryError:
             self._photos.release()
 
@@ -172,7 +221,7 @@ class _Trainer(Driver[StepStatistics]):
             TrainingError: a GPU's memory does not suffice; the state before is left as a
                 checkpoint.
         """
-        state = self._state
+        state = self.state
         before = (state.step, state.generator.get_state(), state.sampler.state())
 
         def undo() -> None:
@@ -187,11 +236,11 @@ class _Trainer(Driver[StepStatistics]):
 
     def _out_of_memory(self) -> TrainingError:
         """Leaves a checkpoint of the last good step."""
-        state = self._state
+        state = self.state
         self._step_done = state.step
         if state.step > 0:
-            self._save()
-        found = self._folder.checkpoints()
+            self.save()
+        found = self.folder.checkpoints()
         kept = (
             f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
         )
@@ -205,13 +254,13 @@ class _Trainer(Driver[StepStatistics]):
 
     def _describe_model(self) -> Mapping[str, float | None]:
         """How much the parts of the model say, see ``PartSpreads``."""
-        position = self._scene.train[0].camera.position
-        spreads = part_spreads(self._state.model, position)
-        return {} if spreads is None else spreads.to_json(self._scene.temperature)
+        position = self.scene.train[0].camera.position
+        spreads = part_spreads(self.state.model, position)
+        return {} if spreads is None else spreads.to_json(self.scene.temperature)
 
     @property
     def _skipped_in_a_row(self) -> int:
-        return int(self._state.skipped_in_a_row)
+        return int(self.state.skipped_in_a_row)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
-        checkpoint.save(path, self._state, facts)
+        checkpoint.save(path, self.state, facts)

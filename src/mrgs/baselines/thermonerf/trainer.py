@@ -35,13 +35,14 @@ OnStep = Callable[[ThermoNerfStatistics], bool | None]
 
 
 def train_thermonerf(
-    scene: str | Path,
+    scene: Scene | str | Path,
     output: str | Path,
     config: ThermoNerfConfig,
     *,
     resume: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
+    tensorboard: bool = False,
     stop_at: int | None = None,
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, ThermoNerfConfig], None] | None = None,
@@ -49,12 +50,13 @@ def train_thermonerf(
     """Train a ThermoNeRF of a scene folder into a run folder.
 
     Args:
-        scene: the scene's folder.
+        scene: the scene or its folder.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
         resume: continue the run from its newest checkpoint, exactly.
         device: "auto" or "cpu".
         plain: run the plain definitions of all operations instead of kernels, much slower.
+        tensorboard: also write the log to the run's folder ``tensorboard``.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once before the first step with the scene and the configuration in force.
@@ -77,6 +79,7 @@ def train_thermonerf(
         config,
         resume=resume,
         plain=plain,
+        tensorboard=tensorboard,
         read_config=_config_of,
         initial_state=initial_state,
         load_state=checkpoint.load_state,

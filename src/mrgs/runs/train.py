@@ -1,0 +1,212 @@
+"""Training from Python: from a scene to a run, at once or step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from mrgs.method.config import TrainConfig, make_config
+from mrgs.method.density import Strategy
+from mrgs.method.losses.term import Term
+from mrgs.render import Model, render
+from mrgs.runs.open import Run, load_run
+from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
+from mrgs.system.gpu import DeviceName
+from mrgs.training import trainer
+from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
+from mrgs.training.step import StepStatistics
+from mrgs.training.trainer import OnStep, Trainer
+
+METHOD = "mrgs-plus"
+"""Trained where no configuration is given."""
+
+
+def train(
+    scene: Scene | str | Path,
+    output: str | Path | None = None,
+    config: TrainConfig | None = None,
+    *,
+    resume: bool = False,
+    device: DeviceName = "auto",
+    plain: bool = False,
+    tensorboard: bool = False,
+    stop_at: int | None = None,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+    on_step: OnStep | None = None,
+    on_start: Callable[[Scene, TrainConfig], None] | None = None,
+    on_model: Callable[[Model, CameraResponse], None] | None = None,
+) -> Run:
+    """Train a model of a scene, and open the run.
+
+    Args:
+        scene: the scene or its folder; one that was read before keeps its resolution.
+        output: the run's folder; must not hold a run unless ``resume``. None takes a temporary
+            folder, which is removed with the returned run.
+        config: what to train, see ``make_config``; ``mrgs-plus`` with the preset ``default`` if
+            None. A resumed run keeps its own.
+        resume: continue the run from its newest checkpoint, exactly; on another device up to
+            rounding.
+        device: "auto" takes the GPU where there is one that can be used.
+        plain: run the plain definitions of all operations instead of kernels, much slower; so does
+            the environment variable MRGS_PLAIN=1.
+        tensorboard: also write the log to the run's folder ``tensorboard``.
+        stop_at: leave after this step with a checkpoint, without changing the schedule.
+        strategy: density control instead of the configuration's; a resumed run needs it again.
+        terms: of the loss, besides the configuration's; one with the name of such a term takes its
+            place. A resumed run needs them again.
+        on_step: called after every step; returning True stops with a checkpoint.
+        on_start: called once before the first step with the scene and the configuration in force.
+        on_model: called after it with the model that is trained, which ``on_step`` may look at and
+            must not change, and with what the scene's cameras are taken to do to its renderings, as
+            far as is learned by then.
+
+    Warns:
+        MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
+            in its place.
+
+    Raises:
+        SceneError: the scene cannot be used.
+        RunError: the output folder cannot be used, or the resumed run had another strategy or other
+            terms.
+        DeviceError: the GPU was asked for and cannot be used.
+        ConfigError: TensorBoard was asked for and is not installed.
+        TrainingError: three steps in a row gave values that are not finite, or the GPU's memory
+            does not suffice; the last good checkpoint is kept.
+    """
+    folder = _folder(output)
+    trainer.train(
+        scene,
+        folder.path,
+        config or make_config(METHOD),
+        resume=resume,
+        device=device,
+        plain=plain,
+        tensorboard=tensorboard,
+        stop_at=stop_at,
+        strategy=strategy,
+        terms=terms,
+        on_step=on_step,
+        on_start=on_start,
+        on_model=on_model,
+    )
+    run = load_run(folder.path, scene, device)
+    return replace(run, folder=folder)
+
+
+def train_steps(
+    scene: Scene | str | Path,
+    output: str | Path | None = None,
+    config: TrainConfig | None = None,
+    *,
+    resume: bool = False,
+    device: DeviceName = "auto",
+    plain: bool = False,
+    tensorboard: bool = False,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+) -> Generator[LiveRun, None, None]:
+    """Train a model of a scene step by step: the loop is the caller's.
+
+    Leaving the loop early writes a checkpoint, from which ``resume`` continues. The run's folder is
+    locked until the loop ends.
+
+    Args:
+        scene: as for ``train``, like all others.
+        output: the run's folder; None takes a temporary one, which is removed when neither the loop
+            nor a snapshot is left.
+        config: what to train.
+        resume: continue the run from its newest checkpoint.
+        device: "auto" takes the GPU where there is one that can be used.
+        plain: run the plain definitions of all operations instead of kernels, much slower.
+        tensorboard: also write the log to the run's folder ``tensorboard``.
+        strategy: density control instead of the configuration's.
+        terms: of the loss, besides the configuration's.
+
+    Yields:
+        the run after each step.
+
+    Raises:
+        MrgsError: as ``train``.
+    """
+    folder = _folder(output)
+    with trainer.open_training(
+        scene,
+        folder.path,
+        config or make_config(METHOD),
+        resume=resume,
+        device=device,
+        plain=plain,
+        tensorboard=tensorboard,
+        strategy=strategy,
+        terms=terms,
+    ) as opened:
+        opened.check_kernels()
+        for statistics in opened.steps():
+            yield LiveRun(statistics, opened, folder)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiveRun:
+    """A run that is being trained, after one of its steps.
+
+    Attributes:
+        statistics: what the step measured.
+    """
+
+    statistics: StepStatistics
+    _trainer: Trainer
+    _folder: RunFolder
+
+    def __repr__(self) -> str:
+        count = self.gaussian_count
+        return f"LiveRun(step {self.step:,}, loss {self.loss:.4f}, {count:,} Gaussians)"
+
+    @property
+    def step(self) -> int:
+        """Number of the step, from 1."""
+        return self.statistics.step
+
+    @property
+    def loss(self) -> float:
+        """L_total of the step; not finite if the step was skipped."""
+        return self.statistics.loss
+
+    @property
+    def gaussian_count(self) -> int:
+        """Number of Gaussians now."""
+        return len(self.model.gaussians)
+
+    @property
+    def model(self) -> Model:
+        """The model that is trained, on the training's device; changes with the next step."""
+        return self._trainer.state.model
+
+    def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
+        """Render any camera with the model as it is now, without gradients.
+
+        Args:
+            cameras: one for all modalities, or one for each modality to render.
+        """
+        if isinstance(cameras, Camera):
+            cameras = dict.fromkeys(self.model.gaussians.modalities, cameras)
+        with torch.no_grad():
+            return render(self.model, cameras)[0].cpu()
+
+    def snapshot(self) -> Run:
+        """The run as it is now, rendering on the CPU, to be scored or exported while the training
+        goes on; writes a checkpoint and opens it.
+
+        Raises:
+            RunError: the checkpoint cannot be written.
+        """
+        self._trainer.save()
+        run = load_run(self._folder.path, self._trainer.scene, "cpu")
+        return replace(run, folder=self._folder)
+
+
+def _folder(output: str | Path | None) -> RunFolder:
+    return TemporaryRunFolder() if output is None else RunFolder(output)

@@ -1,0 +1,97 @@
+"""What cameras see of a model's surfaces, carried over to points in space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int64
+
+from mrgs.scene.camera import Camera
+from mrgs.scene.view import evenly_spaced
+
+MAX_VIEWS = 64
+MAX_WIDTH_PX = 480
+"""Of at most so many cameras, and so many pixels across: memory and time."""
+
+MIN_ALPHA = 0.5
+"""A pixel that lets through more light than this has no depth."""
+
+SURFACE_DEPTH = 0.03
+"""A point lies on a surface that a camera sees if the two depths differ by less than this share."""
+
+MAX_STEP = 0.05
+"""A pixel whose depth differs by more than this share within its neighbours lies on an outline: it
+has no depth."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth and image of one camera.
+
+    Attributes:
+        camera: of the images.
+        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is
+            not known, [H, W].
+        image: any C channels to be carried over to the surface, [H, W, C].
+    """
+
+    camera: Camera
+    depth: Float32[np.ndarray, "h w"]
+    image: Float32[np.ndarray, "h w c"]
+
+
+def carry_over(
+    maps: Sequence[DepthMap],
+    points: Float32[np.ndarray, "n 3"],
+    tolerance: float,
+    relative_tolerance: float = 0.0,
+) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
+    """Image values of each point [N, C], averaged over the cameras that see it with weights
+    1 / z², and whether any camera does [N].
+
+    Args:
+        maps: of the cameras.
+        points: world coordinates.
+        tolerance: a point this far before or behind the depth of its pixel is still seen there,
+            scene units.
+        relative_tolerance: tolerance as a share of the point's depth; the larger of the two
+            tolerances applies.
+    """
+    total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
+    weight = np.zeros(len(points), dtype=np.float32)
+    for item in maps:
+        rows, pixels, z = visible(item.camera, points)
+        seen = np.abs(item.depth[pixels] - z) < np.maximum(
+            tolerance, relative_tolerance * z
+        )  # false for NaN
+        rows, pixels, near = rows[seen], (pixels[0][seen], pixels[1][seen]), 1 / z[seen] ** 2
+        total[rows] += near[:, None] * item.image[pixels]
+        weight[rows] += near
+    return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
+
+
+def visible(
+    camera: Camera, positions: Float32[np.ndarray, "n 3"]
+) -> tuple[
+    Int64[np.ndarray, " m"],
+    tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]],
+    Float32[np.ndarray, " m"],
+]:
+    """The points inside a camera's image: their rows, their pixels (row, column) and their
+    z-depth."""
+    pixels, depth = camera.project(torch.from_numpy(positions))
+    rows = camera.contains(pixels).nonzero()[:, 0]
+    column, row = pixels[rows].long().unbind(dim=1)
+    return rows.numpy(), (row.numpy(), column.numpy()), depth[rows].numpy()
+
+
+def surveying_cameras(cameras: Sequence[Camera]) -> list[Camera]:
+    """At most ``MAX_VIEWS`` of the cameras, spread evenly, at most ``MAX_WIDTH_PX`` wide."""
+    chosen = [cameras[index] for index in evenly_spaced(len(cameras), MAX_VIEWS)]
+    return [
+        camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
+        for camera in chosen
+    ]

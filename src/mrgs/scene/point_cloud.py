@@ -1,0 +1,84 @@
+"""Start points of the Gaussians, and how they are drawn where a capture has none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from mrgs.scene.camera import Camera
+
+RANDOM_POINTS = 20_000
+
+NEAREST, FARTHEST = 0.5, 4.0
+"""Range of the random points' depths, as multiples of the depth at which the cameras look."""
+
+GREY = 0.5
+"""Of points whose colours are not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Start points of the Gaussians: positions in world coordinates [N, 3] and RGB in [0, 1] [N,
+    3]."""
+
+    positions: Float32[Tensor, "n 3"]
+    colors: Float32[Tensor, "n 3"]
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __repr__(self) -> str:
+        return f"PointCloud({len(self):,} points)"
+
+
+def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
+    """``RANDOM_POINTS`` grey points inside the cameras' view cones.
+
+    Each lies on the ray of a random pixel of a random camera, at a depth between ``NEAREST`` and
+    ``FARTHEST`` times the depth at which the cameras look, uniform in 1/depth. Around an object the
+    cones overlap there, so that the points gather on it; before a facade they fill the space in
+    front of the cameras; none is placed unseen.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    K = torch.stack([camera.K for camera in cameras])
+    camera_to_world = torch.linalg.inv(torch.stack([camera.viewmat for camera in cameras]))
+    size = torch.tensor([[camera.width, camera.height] for camera in cameras], dtype=torch.float64)
+    which = torch.randint(len(cameras), (RANDOM_POINTS,), generator=generator)
+    unit = torch.rand(RANDOM_POINTS, 3, generator=generator, dtype=torch.float64)
+    pixel = unit[:, :2] * size[which]
+    focal, centre = K[which][:, [0, 1], [0, 1]], K[which][:, [0, 1], [2, 2]]
+    depth = _looking_depth(cameras) / torch.lerp(
+        torch.full((RANDOM_POINTS,), 1 / NEAREST, dtype=torch.float64),
+        torch.tensor(1 / FARTHEST).double(),
+        unit[:, 2],
+    )
+    in_camera = torch.cat(
+        [(pixel - centre) / focal, torch.ones(RANDOM_POINTS, 1, dtype=torch.float64)], dim=1
+    )
+    in_camera = in_camera * depth[:, None]
+    pose = camera_to_world[which]
+    positions = (pose[:, :3, :3] @ in_camera[..., None])[..., 0] + pose[:, :3, 3]
+    return PointCloud(positions.float(), torch.full((RANDOM_POINTS, 3), GREY))
+
+
+def _looking_depth(cameras: Sequence[Camera]) -> float:
+    """Mean depth of the point nearest to all optical axes; where they are almost parallel, the
+    cameras' spread.
+
+    The point p minimises Σ |(I − f fᵀ)(p − c)|² over the cameras' centres c and directions f.
+    """
+    centre = torch.stack([camera.position for camera in cameras])
+    forward = torch.stack([camera.forward for camera in cameras])
+    spread = (centre - centre.mean(dim=0)).norm(dim=1).max().item()
+    across = torch.eye(3, dtype=torch.float64) - forward[:, :, None] * forward[:, None, :]
+    normal = across.mean(dim=0)
+    if torch.linalg.eigvalsh(normal)[0] > 0.01:  # the axes differ by some six degrees or more
+        focus = torch.linalg.solve(normal, (across @ centre[..., None]).mean(dim=0))[:, 0]
+        depth = ((focus - centre) * forward).sum(dim=1).mean().item()
+        if depth > 0.1 * spread:
+            return depth
+    return 2 * spread if spread > 1e-6 else 1.0

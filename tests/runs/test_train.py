@@ -1,0 +1,165 @@
+"""Training from Python, from arrays to a model and back."""
+
+from __future__ import annotations
+
+import gc
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from mrgs import (
+    evaluate_run,
+    export_run,
+    load_run,
+    load_scene,
+    make_config,
+    report_run,
+    train,
+    train_steps,
+)
+from mrgs.errors import RunError, SceneError
+from mrgs.scene import RGB, THERMAL, Scene, View
+from mrgs.training import train as train_into
+
+CONFIG = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
+
+
+def from_arrays(folder: Path) -> Scene:
+    """The small scene from arrays, its views in the same order."""
+    scene = load_scene(folder)
+    assert scene.temperature is not None
+
+    def arrays(read: Callable[[View], np.ndarray]) -> np.ndarray:
+        return np.stack([read(view) for view in scene.train])
+
+    celsius = scene.temperature.to_celsius
+    return Scene.from_arrays(
+        scene.train_cameras,
+        rgb=arrays(lambda view: view.images[RGB].load().values.numpy()),
+        celsius=arrays(lambda view: celsius(view.images[THERMAL].load().values[..., 0].numpy())),
+        points=scene.points.positions,
+        colors=scene.points.colors,
+        eval_every=3,
+    )
+
+
+def same_files(one: Path, other: Path) -> bool:
+    first, second = load_file(one), load_file(other)
+    return first.keys() == second.keys() and all(
+        torch.equal(first[name], second[name]) for name in first
+    )
+
+
+def test_from_arrays_to_scores_and_files_without_a_folder(small_scene: Path, tmp_path: Path):
+    scene = from_arrays(small_scene)
+    run = train(scene, config=CONFIG)
+    place = run.folder.path
+    assert (run.load_scene(), run.facts.scene) == (scene, "")
+    assert repr(run).startswith("Run(mrgs, step 6, ")
+    metrics = evaluate_run(run)
+    assert [view.name for view in metrics.views] == [view.name for view in scene.eval]
+    assert json.loads((place / "eval" / "metrics.json").read_text())["scene"] == "scene"
+    assert [path.name for path in export_run(run, tmp_path, "points")] == [
+        "points.ply",
+        "points.ply.json",
+    ]
+    assert "Thermal report: scene" in report_run(run).read_text()
+    del run
+    gc.collect()
+    assert not place.exists(), "a temporary run goes with its last reference"
+
+
+def test_the_folder_gives_the_same_run_as_the_scene_read_from_it(small_scene, tmp_path):
+    one = train(small_scene, tmp_path / "one", CONFIG)
+    other = train(load_scene(small_scene), tmp_path / "other", CONFIG)
+    assert same_files(one.folder.newest_checkpoint(), other.folder.newest_checkpoint())
+    assert other.facts.scene == str(small_scene.resolve())
+    assert load_run(other.folder.path).load_scene().name == small_scene.name
+
+
+def test_a_scene_keeps_the_resolution_that_it_was_read_with(small_scene, tmp_path):
+    run = train(load_scene(small_scene, resolution=20), tmp_path / "run", CONFIG)
+    camera = load_run(run.folder.path).load_scene().train[0].camera
+    assert (run.config.resolution, camera.width) == (20, 20)
+
+
+def test_a_run_from_arrays_is_opened_with_its_scene(small_scene, tmp_path):
+    scene = from_arrays(small_scene)
+    train(scene, tmp_path / "run", CONFIG)
+    with pytest.raises(SceneError, match="made from arrays: open it with that scene"):
+        load_run(tmp_path / "run").load_scene()
+    assert load_run(tmp_path / "run", scene).load_scene() is scene
+    other = Scene.from_arrays(scene.train_cameras[:1], rgb=np.zeros((1, 30, 40, 3)))
+    with pytest.raises(RunError, match="scene has other cameras than the run's scene"):
+        load_run(tmp_path / "run", other).load_scene()
+
+
+def test_the_loop_is_the_callers(small_scene, tmp_path):
+    seen = []
+    for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
+        assert repr(state).startswith(f"LiveRun(step {state.step}, loss {state.loss:.4f}, ")
+        seen.append((state.step, state.statistics.terms["rgb"], state.gaussian_count))
+    logged = []
+    whole = train_into(
+        small_scene,
+        tmp_path / "whole",
+        CONFIG,
+        on_step=lambda s: logged.append((s.step, s.terms["rgb"], s.gaussians)) is True,
+    )
+    assert [step for step, _, _ in seen] == [1, 2, 3, 4, 5, 6]
+    assert [entry[:2] for entry in seen] == [entry[:2] for entry in logged]
+    run = load_run(tmp_path / "loop")
+    assert same_files(run.folder.newest_checkpoint(), whole.newest_checkpoint())
+
+
+def test_leaving_the_loop_keeps_a_checkpoint_to_resume_from(small_scene, tmp_path):
+    for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
+        if state.step == 2:
+            break
+    del state
+    assert load_run(tmp_path / "loop").facts.step == 2
+    steps = [s.step for s in train_steps(small_scene, tmp_path / "loop", CONFIG, resume=True)]
+    whole = train(small_scene, tmp_path / "whole", CONFIG)
+    assert steps == [3, 4, 5, 6]
+    newest = load_run(tmp_path / "loop").folder.newest_checkpoint()
+    assert same_files(newest, whole.folder.newest_checkpoint())
+
+
+def test_an_error_in_the_loop_keeps_the_step_and_frees_the_folder(small_scene, tmp_path):
+    def loop() -> None:
+        for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
+            if state.step == 2:
+                raise ArithmeticError
+
+    with pytest.raises(ArithmeticError):
+        loop()
+    gc.collect()
+    assert load_run(tmp_path / "loop").facts.step == 2
+    train(small_scene, tmp_path / "loop", CONFIG, resume=True)
+
+
+def test_a_live_run_renders_and_a_snapshot_stays(small_scene):
+    scene = load_scene(small_scene)
+    camera = scene.eval[0].camera
+    loop = train_steps(scene, config=CONFIG)
+    state = next(loop)
+    snapshot, first = state.snapshot(), state.render(camera)
+    torch.testing.assert_close(snapshot.render(camera)[RGB].image, first[RGB].image)
+    *_, state = loop
+    assert not torch.equal(state.render(camera)[RGB].image, first[RGB].image)
+    torch.testing.assert_close(snapshot.render(camera)[RGB].image, first[RGB].image)
+    assert (snapshot.facts.step, state.step) == (1, 6)
+    assert evaluate_run(snapshot).views
+
+
+def test_an_existing_run_is_not_overwritten(small_scene, tmp_path):
+    train(small_scene, tmp_path / "run", CONFIG)
+    with pytest.raises(RunError, match="already holds a run"):
+        next(train_steps(small_scene, tmp_path / "run", CONFIG))
+    shutil.rmtree(tmp_path / "run")
