@@ -2,7 +2,7 @@
 
 The bundled scene is trained again and again, in turns: alone; watched by somebody who moves the
 camera now and then; and by somebody who never stops dragging it. The onlooker is a process of its
-own that speaks viser's protocol as a browser does, but throws every picture away: a browser's
+own that asks for pictures as the page does, but throws every picture away: a browser's
 drawing is the browser's cost, and may happen elsewhere.
 
 The trainings of a round are compared by the clock and by the processor time of the process (a
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import json
 import multiprocessing
 import statistics
 import sys
@@ -28,17 +29,15 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
-import msgspec
-import viser
 import websockets
-import zstandard
 
 from mrgs import load_scene, make_config, train
-from mrgs.scene.camera_paths import focus_point, orbit
+from mrgs.pictures.stage import camera_facts
+from mrgs.scene.camera_paths import orbit
 from mrgs.training import StepStatistics
 from mrgs.viewer import LiveView
-from mrgs.viewer.cameras import rotation_wxyz, vertical_fov
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 WINDOW_PX = (1280, 800)
@@ -181,64 +180,53 @@ def _percentages(watched: Turn, alone: Turn) -> tuple[float, ...]:
 def look_on(orders: Connection) -> None:
     """The onlooker's process: watch each address that is sent, and send back how many pictures
     came."""
-    cameras = camera_messages()
+    cameras = looks()
     while (order := orders.recv()) is not None:
         orders.send(asyncio.run(watch(*order, cameras)))
 
 
-def camera_messages() -> list[bytes]:
-    """Cameras around the scene, as a browser sends them."""
-    cameras = load_scene(SCENE).train_cameras
+def looks() -> list[dict[str, Any]]:
+    """Cameras around the scene, as the page asks for pictures from them."""
     width, height = WINDOW_PX
-    shared = {
-        "type": "ViewerCameraMessage", "near": 0.01, "far": 1000.0, "image_width": width,
-        "image_height": height,
-        "look_at": focus_point(cameras).tolist(), "up_direction": [0.0, 0.0, 1.0],
-    }  # fmt: skip
+    facts = [
+        camera_facts(camera.resized(width, height))
+        for camera in orbit(load_scene(SCENE).train_cameras, PATH_CAMERAS)
+    ]
     return [
-        msgspec.msgpack.encode(
-            {
-                **shared,
-                "wxyz": rotation_wxyz(camera).tolist(),
-                "position": camera.position.tolist(),
-                "fov": vertical_fov(camera),
-            }
-        )
-        for camera in orbit(cameras, PATH_CAMERAS)
+        {
+            "type": "look",
+            "rotation": each["rotation"],
+            "position": each["position"],
+            "focal": [each["fx"], each["fy"]],
+            "centre": [each["cx"], each["cy"]],
+            "width": width,
+            "height": height,
+        }
+        for each in facts
     ]
 
 
-async def watch(url: str, pause_s: float, cameras: Sequence[bytes]) -> int:
-    """Be a browser until the server goes; returns the number of pictures that it sent."""
+async def watch(url: str, pause_s: float, looks: Sequence[dict[str, Any]]) -> int:
+    """Be a browser until the server goes; returns the number of pictures that it sent.
+
+    As the page does, it asks for the next picture when it has the last, and for a sharp one where
+    the camera rests.
+    """
     pictures = 0
-    address, protocol = (
-        url.replace("http", "ws", 1),
-        websockets.Subprotocol(f"viser-v{viser.__version__}"),
-    )
-    async with websockets.connect(
-        address, subprotocols=[protocol], compression=None, max_size=None
-    ) as socket:
-        moving = asyncio.create_task(_move(socket, pause_s, cameras))
-        with suppress(websockets.ConnectionClosed):
-            while True:
-                pictures += _is_picture(await socket.recv())
-        moving.cancel()
-    return pictures
-
-
-async def _move(socket: Any, pause_s: float, cameras: Sequence[bytes]) -> None:
+    parts = urlsplit(url)
+    address = f"ws://{parts.netloc}/socket?{parts.query}"
     with suppress(websockets.ConnectionClosed):
-        while True:
-            for camera in cameras:
-                await socket.send(camera)
+        async with websockets.connect(address, compression=None, max_size=None) as socket:
+            while True:
+                efforts = ["moving"] if pause_s < 1 else ["moving", "resting"]
+                for effort in efforts:
+                    look = looks[pictures % len(looks)]
+                    await socket.send(json.dumps({**look, "number": pictures, "effort": effort}))
+                    while isinstance(await socket.recv(), str):
+                        pass
+                    pictures += 1
                 await asyncio.sleep(pause_s)
-
-
-def _is_picture(message: bytes) -> bool:
-    """Whether a message has a picture: 8 bytes length, 8 bytes length packed, packed descriptions,
-    then the arrays."""
-    packed = message[16 : 16 + int.from_bytes(message[8:16], "little")]
-    return b"BackgroundImageMessage" in zstandard.decompress(packed)
+    return pictures
 
 
 if __name__ == "__main__":

@@ -133,7 +133,7 @@ def test_it_is_shown_and_read_in_the_viewer(run: Run, tmp_path: Path) -> None:
     for label, mode in labels.items():
         inspection = Inspection(subject)
         inspection.settings = Settings(mode)
-        pictures[label] = inspection.picture(camera, coarse=False)
+        pictures[label] = inspection.picture(camera).pixels
     infrared = pictures["Near infrared"]
     assert all(
         (infrared != other).any() for label, other in pictures.items() if other is not infrared
@@ -145,7 +145,7 @@ def test_it_is_shown_and_read_in_the_viewer(run: Run, tmp_path: Path) -> None:
 
     inspection = Inspection(subject)
     inspection.settings = Settings(labels["Near infrared"])
-    inspection.picture(camera, coarse=False)
+    inspection.picture(camera)
     solid = int(rendering.alpha.argmax())
     row, column = divmod(solid, 96)
     shown = inspection.click((column + 0.5) / 96, (row + 0.5) / 72)
@@ -153,10 +153,9 @@ def test_it_is_shown_and_read_in_the_viewer(run: Run, tmp_path: Path) -> None:
     assert shown.modality == NIR
     assert shown.value == pytest.approx(rendering.image[row, column, 0].item(), abs=1e-4)
     assert set(shown.reading.values) == {THERMAL, NIR}
-    text = texts.point(inspection)
-    assert f"{shown.value:.3f}" in text
-    assert "(normalised)" in text
-    assert "°C" in text  # the temperature is read as well
+    text = texts.point(shown, subject)
+    assert text["value"] == f"Near infrared {shown.value:.3f}"
+    assert "°C" in text["lines"][0]  # the temperature is read as well
 
 
 def test_a_modality_with_a_unit_has_a_palette_and_its_unit(run: Run, tmp_path: Path) -> None:
@@ -181,12 +180,12 @@ def test_a_modality_with_a_unit_has_a_palette_and_its_unit(run: Run, tmp_path: P
     inspection = Inspection(subject)
     inspection.settings = Settings(Mode("image", (metric,)), "iron")
     camera = run.load_scene().train[0].camera
-    inspection.picture(camera, coarse=False)
-    scale = inspection.scales.values[NIR]
+    scale = inspection.picture(camera).scales.values[NIR]
     assert (scale.palette, scale.unit) == ("iron", "W/m²")
     row, column = divmod(int(run.render({NIR: camera})[NIR].alpha.argmax()), camera.width)
-    inspection.click((column + 0.5) / camera.width, (row + 0.5) / camera.height)
-    assert "W/m²" in texts.point(inspection)
+    shown = inspection.click((column + 0.5) / camera.width, (row + 0.5) / camera.height)
+    assert shown is not None
+    assert "W/m²" in texts.point(shown, subject)["value"]
 
 
 def test_it_is_offered_by_the_page(run: Run, tmp_path: Path) -> None:

@@ -331,7 +331,7 @@ def test_the_children_never_interpret_the_kernels(monkeypatch):
 def test_parts_run_without_what_a_bare_machine_lacks(tmp_path):
     """One part for real, from another folder, where the command line's and the viewer's packages
     are missing."""
-    for name in ("tyro", "rich", "viser", "pytest", "hypothesis", "beartype", "matplotlib"):
+    for name in ("tyro", "rich", "websockets", "pytest", "hypothesis", "beartype", "matplotlib"):
         (tmp_path / f"{name}.py").write_text(f"raise ImportError('{name} is missing')")
     environment = gpu.environment(None)
     environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), environment["PYTHONPATH"]])

@@ -10,12 +10,12 @@ import pytest
 from mrgs.runs.open import load_run
 from mrgs.training import make_config, train
 
-pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
+pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
 
 from benchmarks import live_view
-from benchmarks.live_view import ALONE, PAUSES_S, Turn, camera_messages, to_markdown, watch
+from benchmarks.live_view import ALONE, PAUSES_S, Turn, looks, to_markdown, watch
+from mrgs.viewer.opening import open_viewer
 from mrgs.viewer.source import TrainedSource
-from mrgs.viewer.web import open_viewer
 
 
 def test_the_onlooker_is_a_browser_to_the_viewer(small_scene, tmp_path, monkeypatch):
@@ -26,13 +26,13 @@ def test_the_onlooker_is_a_browser_to_the_viewer(small_scene, tmp_path, monkeypa
         TrainedSource, "charge", lambda _: charged.add(threading.current_thread().name)
     )
     monkeypatch.setattr(live_view, "SCENE", small_scene)
-    cameras = camera_messages()
+    asked = looks()
     run = load_run(
         train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=60)).path
     )
     viewer = open_viewer(run, run.load_scene(), "127.0.0.1", 0)
     with ThreadPoolExecutor(1) as pool:
-        pictures = pool.submit(lambda: asyncio.run(watch(viewer.url, 0.1, cameras)))
+        pictures = pool.submit(lambda: asyncio.run(watch(viewer.url, 0.1, asked)))
         try:
             _until(lambda: len(charged) == 2)
             time.sleep(0.3)  # the picture is on its way

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import io
-import re
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,21 +16,20 @@ from PIL import Image
 from mrgs.pictures.palette import palette_table
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
+from mrgs.viewer.painting import NO_SURFACE_COLOR
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
-pytest.importorskip("viser", reason='the viewer needs viser: pip install "mrgs[view]"')
+pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
 pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install playwright"
 )
 
-from playwright.sync_api import Error as BrowserError
-
-from mrgs.viewer.web import Viewer, open_viewer
+from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.web import Viewer
 
 pytestmark = [needs_chromium, pytest.mark.slow]
-CONNECTIONS = 3
-"""viser's page hangs up after five seconds without an answer, and starts anew as another client:
-where the server gets no processor for so long, the page is opened again."""
+
+SETTLED = "#view[data-settled=true]"
 
 
 @pytest.fixture(scope="module")
@@ -45,144 +45,229 @@ def browser() -> Iterator[Any]:
         yield browser
 
 
-@pytest.fixture(scope="module")
-def page(browser: Any, viewer: Viewer) -> Any:
-    return open_connected(browser, viewer)
+@pytest.fixture
+def open_page(browser: Any, viewer: Viewer) -> Iterator[Any]:
+    """Opens the page; whatever it reports as an error, or fetches elsewhere, fails the test."""
+    errors: list[str] = []
+    contexts = []
+
+    def open_it(**options: Any) -> Any:
+        page = new_page(browser, **{"viewport": {"width": 900, "height": 600}, **options})
+        contexts.append(page.context)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
+        own = (f"http://127.0.0.1:{viewer.port}/", "blob:", "data:")
+        page.on("request", lambda r: None if r.url.startswith(own) else errors.append(r.url))
+        page.goto(viewer.url)
+        page.wait_for_selector(SETTLED)
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+    wait_until(lambda: not viewer.browsers, "closed pages are forgotten")
+    assert errors == []
 
 
-def open_connected(browser: Any, viewer: Viewer) -> Any:
-    """A page that is one of the server's clients, with its controls."""
-    others = len(viewer.browsers)
-    for left in reversed(range(CONNECTIONS)):
-        page = new_page(browser, viewport={"width": 900, "height": 600}, reduced_motion="reduce")
-        page.foreign = []
-        page.on("request", lambda request, page=page: page.foreign.append(request.url))
-        try:
-            page.goto(viewer.url)
-            page.locator(".mrgs-hint").wait_for()
-            # It is told that this is software rendering.
-            page.locator(".mantine-Notification-closeButton").first.click()
-            wait_until(lambda: len(viewer.browsers) == others + 1, "it is connected", page)
-            return page
-        except (BrowserError, AssertionError):
-            page.context.close()
-            if not left:
-                raise
+def picture(page: Any) -> np.ndarray:
+    """The canvas alone: what the server drew."""
+    content = page.locator("#view").evaluate("canvas => canvas.toDataURL('image/png')")
+    return np.asarray(
+        Image.open(io.BytesIO(base64.b64decode(content.split(",")[1]))).convert("RGB")
+    )
 
 
-def choose(page: Any, label: str, option: str) -> None:
-    page.get_by_label(label, exact=True).click()
-    page.get_by_role("option", name=option, exact=True).click()
-
-
-def is_drawn(viewer: Viewer) -> bool:
-    (browser,) = viewer.browsers
-    return browser.inspection.camera is not None and not browser.drawing
-
-
-def wait_until_sharp(viewer: Viewer, page: Any) -> None:
-    """Until nothing is due on the server, and the browser has shown the last picture.
-
-    A note that is sent after the picture is shown after it; a picture that is still decoded then
-    shows in the screenshots.
-    """
-    wait_until(lambda: is_drawn(viewer), "the server has drawn", page)
-    (browser,) = viewer.browsers
-    wait_until_sharp.notes += 1
-    browser.set_note(f"Note {wait_until_sharp.notes}.")
-    page.get_by_text(f"Note {wait_until_sharp.notes}.").wait_for(state="attached")
-    seen: list[np.ndarray] = []
-
-    def at_rest() -> bool:
-        page.wait_for_timeout(300)
-        seen.append(screenshot(page))
-        return len(seen) > 1 and np.array_equal(seen[-1], seen[-2])
-
-    wait_until(at_rest, "two screenshots in a row are the same", page)
-
-
-wait_until_sharp.notes = 0
-
-
-def screenshot(page: Any, path: Path | None = None) -> np.ndarray:
+def screenshot(page: Any, name: str, folder: Path) -> np.ndarray:
+    path = Path(os.environ.get("MRGS_SCREENSHOTS", folder)) / name
     return np.asarray(Image.open(io.BytesIO(page.screenshot(path=path))).convert("RGB"))
 
 
-def test_temperature_is_shown_and_read(viewer, page, small_run, pytestconfig):
-    kept = Path(pytestconfig.cache.mkdir("viewer"))  # .pytest_cache/d/viewer
-    choose(page, "Show", "Colour")
-    wait_until_sharp(viewer, page)
-    colour = screenshot(page, kept / "colour.png")
-    choose(page, "Show", "Temperature")
-    wait_until_sharp(viewer, page)
-    before = screenshot(page, kept / "before.png")
-    inspection = viewer.browsers[0].inspection
-    camera = inspection.camera
-    canvas = page.locator("canvas").first.bounding_box()
-    x, y = int(canvas["x"] + 0.5 * canvas["width"]), int(canvas["y"] + 0.45 * canvas["height"])
+def middle(page: Any) -> tuple[float, float]:
+    box = page.locator("#view").bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def shown_celsius(page: Any, selector: str) -> float:
+    page.wait_for_selector(f"{selector}:text-matches('°C')")
+    return float(page.locator(selector).inner_text().split()[0].replace("−", "-"))
+
+
+def test_the_temperature_under_the_cursor_needs_no_click(open_page, viewer, small_run, tmp_path):
+    page = open_page()
+    assert "token" not in page.url
+    drawn = viewer.browsers[0].inspection.drawn
+    page.mouse.move(*middle(page))
+    told = shown_celsius(page, "#tip")
+    rendered = small_run.temperatures_c(small_run.render(drawn.camera))
+    row, column = (side // 2 for side in rendered.shape)
+    assert told == pytest.approx(rendered[row, column].item(), abs=0.1)
+
+    scale = drawn.scales.values[THERMAL]
+    color = picture(page)[row, column].astype(int)
+    place = np.abs(palette_table("inferno").astype(int) - color).sum(axis=1).argmin() / 255
+    span = scale.high - scale.low
+    assert scale.low + place * span == pytest.approx(told, abs=0.04 * span)
+    assert page.locator("#view").evaluate("canvas => canvas.width") == page.locator(
+        "#view"
+    ).evaluate("canvas => canvas.clientWidth"), "not at the screen's resolution"
+    screenshot(page, "viewer.png", tmp_path)
+
+
+def test_marks_and_scale_lie_over_the_picture_and_not_in_it(open_page):
+    page = open_page()
+    before = picture(page)
+    x, y = middle(page)
     page.mouse.click(x, y)
-    text = page.locator(".mrgs-reading", has_text="°C").inner_text()
-    shown = float(re.search(r"(−?\d+\.\d) °C", text).group(1).replace("−", "-"))
-
-    column, row = (
-        int((x - canvas["x"]) / canvas["width"] * camera.width),
-        int((y - canvas["y"]) / canvas["height"] * camera.height),
-    )
-    rendered = small_run.temperatures_c(small_run.render(camera))[row, column].item()
-    assert shown == pytest.approx(rendered, abs=0.1)
-
-    scale = inspection.scales.values[THERMAL]
-    drawn = np.abs(palette_table("inferno").astype(int) - before[y, x]).sum(axis=1).argmin() / 255
-    assert scale.low + drawn * (scale.high - scale.low) == pytest.approx(
-        shown, abs=0.05 * (scale.high - scale.low)
-    )
-    assert np.abs(colour[y, x].astype(int) - before[y, x]).max() > 20, "the picture did not change"
-    wait_until_sharp(viewer, page)
-    after = screenshot(page, kept / "temperature.png")
-    assert (after[y, x] > 200).all(), "no marker at the point that was read"
+    page.wait_for_selector("#marks text")
+    page.wait_for_selector(SETTLED)
+    np.testing.assert_array_equal(picture(page), before)
+    told = shown_celsius(page, "#value")
+    assert page.locator("#marks text").text_content() == page.locator("#value").inner_text()
+    assert page.locator("#deviation").inner_text().startswith("± ")
+    ticks = page.locator(".scale span").all_inner_texts()
+    numbers = [float(tick.split()[0].replace("−", "-")) for tick in ticks]
+    assert len({round(step, 6) for step in np.diff(numbers)}) == 1
+    assert min(numbers) - 20 < told < max(numbers) + 20
+    page.click("#keep")
+    page.wait_for_selector("#spots li")
+    page.click("#clear")
+    wait_until(lambda: page.locator("#marks text").count() == 0, "the marks are gone", page)
 
 
-def test_a_box_is_drawn_with_the_mouse(viewer, page):
-    page.get_by_role("tab", name="Measure").click()
-    page.get_by_role("button", name="Draw a box").click()
-    page.get_by_text("Now drag over the picture").wait_for()
-    canvas = page.locator("canvas").first.bounding_box()
-    left, top = canvas["x"] + 0.35 * canvas["width"], canvas["y"] + 0.35 * canvas["height"]
-    page.mouse.move(left, top)
+def test_the_scale_stays_while_the_view_moves(open_page):
+    page = open_page()
+    limits = page.locator("#low").input_value(), page.locator("#high").input_value()
+    x, y = middle(page)
+    page.mouse.move(x, y)
     page.mouse.down()
-    page.mouse.move(left + 50, top + 50, steps=3)
-    page.mouse.move(left + 120, top + 120, steps=3)
+    page.mouse.move(x + 150, y + 10, steps=5)
     page.mouse.up()
-    page.locator(".mrgs-boxes td").first.wait_for()
-    cells = page.locator(".mrgs-boxes td").all_inner_texts()
-    assert cells[0] == "B1"
-    low, mean, high = (float(cell.replace("−", "-")) for cell in cells[1:4])
-    assert low < mean < high
-    (box,) = viewer.browsers[0].inspection.boxes
-    assert (box.u0, box.v0) == pytest.approx((0.35, 0.35), abs=0.01)
-
-
-def test_a_photo_can_be_gone_to(viewer, page, balls):
-    page.get_by_role("tab", name="Photos").click()
-    page.get_by_role("button", name="Next photo").click()
-    inspection = viewer.browsers[0].inspection
-    wait_until(lambda: inspection.view is balls.train[1], "the second photo is chosen", page)
-    expected = balls.train[1].camera.position
+    page.wait_for_selector(SETTLED)
+    assert (page.locator("#low").input_value(), page.locator("#high").input_value()) == limits
+    page.check("#follow")
     wait_until(
-        lambda: np.allclose(inspection.camera.position, expected, atol=1e-3),
-        "the view is the photo's",
+        lambda: (page.locator("#low").input_value(), page.locator("#high").input_value()) != limits,
+        "the scale follows when asked to",
         page,
     )
-    wait_until_sharp(viewer, page)
-    np.testing.assert_allclose(inspection.camera.position, expected, atol=1e-3)
 
 
-def test_nothing_is_fetched_from_elsewhere(page, viewer):
-    assert page.foreign
-    assert all(url.startswith((viewer.url, "data:", "blob:")) for url in page.foreign)
+def test_home_leads_back(open_page, viewer):
+    page = open_page()
+    start = picture(page)
+    x, y = middle(page)
+    page.mouse.move(x, y)
+    page.mouse.wheel(0, 500)
+    wait_until(lambda: not np.array_equal(picture(page), start), "the wheel is felt", page)
+    page.click("#home")
+    page.wait_for_selector(SETTLED)
+    np.testing.assert_array_equal(picture(page), start)
+    page.keyboard.press("Tab")
+    page.locator("#view").focus()
+    page.keyboard.press("ArrowLeft")
+    wait_until(lambda: not np.array_equal(picture(page), start), "the key is felt", page)
+    page.keyboard.press("h")
+    page.wait_for_selector(SETTLED)
+    np.testing.assert_array_equal(picture(page), start)
 
 
-def test_a_closed_browser_is_forgotten(browser, viewer, page):
-    (kept,) = viewer.browsers
-    open_connected(browser, viewer).close()
-    wait_until(lambda: viewer.browsers == [kept], "the server forgets the browser", page)
+def test_a_box_is_drawn_with_the_mouse(open_page, viewer):
+    page = open_page()
+    page.click("#draw-box")
+    box = page.locator("#view").bounding_box()
+    left, top = box["x"] + 0.35 * box["width"], box["y"] + 0.35 * box["height"]
+    page.mouse.move(left, top)
+    page.mouse.down()
+    page.mouse.move(left + 120, top + 120, steps=3)
+    page.mouse.up()
+    page.wait_for_selector("#boxes td")
+    name, *figures = page.locator("#boxes td").all_inner_texts()
+    low, mean, high = (float(figure.replace("−", "-")) for figure in figures)
+    assert name == "B1, °C"
+    assert low < mean < high
+    (drawn,) = viewer.browsers[0].inspection.boxes
+    assert (drawn.u0, drawn.v0) == pytest.approx((0.35, 0.35), abs=0.01)
+    assert page.locator("#marks circle").count() == 2
+
+
+def test_a_photo_can_be_gone_to(open_page, viewer, balls, tmp_path):
+    page = open_page()
+    page.select_option("#photo", balls.train[1].name)
+    inspection = viewer.browsers[0].inspection
+    wait_until(lambda: inspection.view is balls.train[1], "the photo is chosen", page)
+    page.wait_for_selector(SETTLED)
+    expected = balls.train[1].camera.position
+    np.testing.assert_allclose(inspection.drawn.camera.position, expected, atol=1e-3)
+    page.select_option("#compare", label="Photos beside the model")
+    wait_until(lambda: page.locator("#marks text").count() == 4, "each part has a title", page)
+    page.wait_for_selector(SETTLED)
+    screenshot(page, "viewer_photos.png", tmp_path)
+    page.click("[data-mode='1']")
+    page.check("#show-cameras")
+    page.wait_for_selector("#marks .camera")
+    page.locator("#marks .camera").first.dispatch_event("click")
+    wait_until(lambda: inspection.view is not balls.train[1], "a camera can be clicked on", page)
+
+
+def test_a_hidden_page_asks_for_nothing(open_page, viewer):
+    """A page behind another one is not called back for a frame."""
+    page = open_page()
+    page.evaluate("window.requestAnimationFrame = () => 1")  # as the browser does for hidden pages
+    drawn = viewer.browsers[0].inspection.drawn
+    viewer.refresh("The model has changed.")
+    page.wait_for_selector("#note:text('The model has changed.')")
+    page.wait_for_timeout(300)
+    assert viewer.browsers[0].inspection.drawn is drawn
+    viewer.note = ""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (800, 600), (1440, 900)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_the_window(open_page, width, height, scheme, tmp_path):
+    phone = width < 500
+    page = open_page(
+        viewport={"width": width, "height": height},
+        color_scheme=scheme,
+        has_touch=phone,
+        is_mobile=phone,
+    )
+    image = screenshot(page, f"viewer_{width}_{scheme}.png", tmp_path)
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    box = page.locator("#view").bounding_box()
+    assert box["width"] * box["height"] > 0.4 * width * height
+    for selector in ("#home", ".scale", "#modes"):
+        place = page.locator(selector).bounding_box()
+        assert 0 <= place["x"] <= place["x"] + place["width"] <= width
+        assert 0 <= place["y"] <= place["y"] + place["height"] <= height
+    header = image[10, width - 10]
+    assert (header.mean() < 80) == (scheme == "dark")
+    if phone:
+        page.touchscreen.tap(*middle(page))
+        page.wait_for_selector("#marks text")
+
+
+def test_the_token_is_asked_for(browser, viewer):
+    page = new_page(browser)
+    page.goto(f"http://127.0.0.1:{viewer.port}/")
+    page.get_by_label("Token").fill(viewer._gate.token)
+    page.get_by_role("button", name="Open").click()
+    page.wait_for_selector(SETTLED)
+    page.context.close()
+
+
+def test_the_end_of_the_viewer_is_said(browser, small_run):
+    viewer = open_viewer(small_run, None, "127.0.0.1", 0)
+    page = new_page(browser)
+    page.goto(viewer.url)
+    page.wait_for_selector(SETTLED)
+    assert not page.locator("#photo-section").is_visible()
+    viewer.close()
+    page.wait_for_selector("#status:has-text('The viewer has ended')")
+    page.context.close()
+
+
+def test_what_shows_no_surface_has_a_colour_of_its_own():
+    tables = np.concatenate(
+        [palette_table(name) for name in ("inferno", "iron", "grey", "rainbow")]
+    )
+    assert np.abs(tables.astype(int) - NO_SURFACE_COLOR).sum(axis=1).min() > 15

@@ -3,14 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.pictures.palette import INVALID_COLOR, palette_table
+from mrgs.pictures.palette import palette_table
 from mrgs.scene import RGB, THERMAL, Camera, Reach, TemperatureRange
 from mrgs.viewer.fields import PaneImages, difference
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,
+    NO_SURFACE_COLOR,
     Mark,
+    annotate,
     blend,
     compose,
     measure_scales,
@@ -56,7 +58,7 @@ def test_empty_pixels_do_not_count_for_the_range(camera):
 
 
 def test_the_range_can_be_set_by_hand(camera):
-    image = painted(camera, limits=(20.0, 40.0), palette="iron")
+    image = painted(camera, limits={THERMAL: (20.0, 40.0)}, palette="iron")
     table = palette_table("iron")
     assert (image[0, 0] == table[0]).all()
     assert (image[0, -1] == table[128]).all()
@@ -77,7 +79,7 @@ def test_what_the_model_does_not_cover_has_no_temperature(camera):
     fields.solid[:60] = False
     settings = Settings(isotherm=(10.0, 30.0))
     image = paint(pane, fields, measure_scales([pane], [fields], settings, RANGE), settings)
-    assert (image[:60] == INVALID_COLOR).all()
+    assert (image[:60] == NO_SURFACE_COLOR).all()
     assert (image[60:] == ISOTHERM_COLOR).all()
 
 
@@ -136,14 +138,16 @@ def test_the_scale_of_a_difference_is_even_about_zero(camera):
 def compose_one(camera, depth: float = 3.0, **extras) -> np.ndarray:
     pane, settings = thermal_pane(camera), Settings(palette="grey")
     fields = heat(depth)
-    return compose(
-        SIZE,
-        [pane],
-        [fields],
-        measure_scales([pane], [fields], settings, RANGE),
-        settings,
-        **extras,
-    )
+    scales = measure_scales([pane], [fields], settings, RANGE)
+    picture = compose(SIZE, [pane], [fields], scales, settings)
+    return annotate(picture, [pane], [fields], scales, **extras)
+
+
+def test_the_picture_itself_has_no_marks_and_no_scale(camera):
+    pane, settings = thermal_pane(camera), Settings(palette="grey")
+    scales = measure_scales([pane], [heat()], settings, RANGE)
+    picture = compose(SIZE, [pane], [heat()], scales, settings)
+    assert (picture == picture[:1]).all(), "each row of the ramp is the same"
 
 
 def test_marks_stand_where_their_points_are_seen(camera):

@@ -75,8 +75,19 @@ def render(template: str, **values: Any) -> Markup:
     return Markup(_environment().get_template(template).render(values))
 
 
-def write_html(
-    path: Path,
+class Page(NamedTuple):
+    """A page of one HTML file.
+
+    Attributes:
+        html: the file's text.
+        policy: its content security policy, which the text names too.
+    """
+
+    html: Markup
+    policy: str
+
+
+def make_page(
     template: str,
     *,
     title: str,
@@ -84,17 +95,42 @@ def write_html(
     scripts: Sequence[str] = (),
     sources: Sequence[str] = (),
     **values: Any,
-) -> Path:
-    """Write a page that needs nothing from the network, and whose policy forbids requests.
+) -> Page:
+    """A page whose policy allows its own script and style, and nothing else.
 
     Args:
-        path: ends with .html.
         template: extends ``pictures/templates/base.html``.
         title: plain text.
         styles: paths of style sheets inside the package ``mrgs``.
         scripts: paths of scripts inside the package ``mrgs``, run as one.
         sources: further directives of the content security policy.
         values: for the template.
+    """
+    style = "\n".join(asset(name) for name in styles)
+    script = '"use strict";\n' + "\n".join(asset(name) for name in scripts) if scripts else ""
+    directives = ["default-src 'none'", "base-uri 'none'", "img-src data:", *sources]
+    directives += [f"script-src {policy_hash(script)}"] if script else []
+    directives += [f"style-src {policy_hash(style)}"]
+    policy = "; ".join(directives)
+    html = render(
+        template,
+        title=title,
+        version=version("mrgs"),
+        policy=Markup(policy),
+        style=Markup(style),
+        script=Markup(script),
+        **values,
+    )
+    return Page(html, policy)
+
+
+def write_html(path: Path, template: str, **values: Any) -> Path:
+    """Write a page that needs nothing from the network, and whose policy forbids requests.
+
+    Args:
+        path: ends with .html.
+        template: and all further arguments: see ``make_page``.
+        values: of these.
 
     Returns:
         The path.
@@ -102,21 +138,7 @@ def write_html(
     Raises:
         RunError: the file cannot be written.
     """
-    style = "\n".join(asset(name) for name in styles)
-    script = '"use strict";\n' + "\n".join(asset(name) for name in scripts) if scripts else ""
-    policy = ["default-src 'none'", "img-src data:", *sources]
-    policy += [f"script-src {policy_hash(script)}"] if script else []
-    policy += [f"style-src {policy_hash(style)}"]
-    page = render(
-        template,
-        title=title,
-        version=version("mrgs"),
-        policy=Markup("; ".join(policy)),
-        style=Markup(style),
-        script=Markup(script),
-        **values,
-    )
-    return write_text(path, page)
+    return write_text(path, make_page(template, **values).html)
 
 
 @cache

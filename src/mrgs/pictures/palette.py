@@ -63,13 +63,19 @@ def round_ticks(low: float, high: float, count: int = 6) -> list[float]:
     """Round numbers (1, 2, 2.5 or 5 times a power of ten apart) between the two limits, at most
     about ``count``."""
     low, high = min(low, high), max(low, high)
-    rough = (high - low) / max(count, 1)
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(
-        factor * power for factor in (1, 2, 2.5, 5, 10) if factor * power >= rough * (1 - 1e-9)
-    )
+    step = tick_step(low, high, count)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [round(index * step, 12) + 0.0 for index in range(first, last + 1)]
+
+
+def tick_step(low: float, high: float, count: int) -> float:
+    """The smallest of 1, 2, 2.5 or 5 times a power of ten that divides the range into at most about
+    ``count`` parts."""
+    rough = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(
+        factor * power for factor in (1, 2, 2.5, 5, 10) if factor * power >= rough * (1 - 1e-9)
+    )
 
 
 def round_up(value: float) -> float:

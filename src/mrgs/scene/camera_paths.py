@@ -36,7 +36,7 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     target, up = focus_point(cameras), _mean_up(cameras)
     path = centre + np.sqrt(2) * (circle * spread) @ axes[:2]
-    return [_posed(cameras[0], _look_at(position, target, up), position) for position in path]
+    return [_posed(cameras[0], look_at(position, target, up), position) for position in path]
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
@@ -72,10 +72,14 @@ def _mean_up(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     return -np.stack([camera.viewmat[1, :3].numpy() for camera in cameras]).mean(axis=0)
 
 
-def _look_at(
+def look_at(
     position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3 3"]:
-    """World-to-camera rotation; its rows are the camera's right, down and forward."""
+    """World-to-camera rotation [3, 3] of a camera at ``position`` that looks at ``target``; its
+    rows are the camera's right, down and forward in the world.
+
+    Where ``up`` is the viewing direction itself, any upright is taken.
+    """
     forward = target - position
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
 import socket
+from importlib.util import find_spec
 
 from mrgs.errors import ConfigError
 
 
-def require_viser() -> None:
-    """Check that viser, the extra ``view``, is installed.
+def require_web_server() -> None:
+    """Check that the extra ``view`` is installed.
 
     Raises:
         ConfigError: it is not.
     """
-    if importlib.util.find_spec("viser") is None:
-        raise ConfigError('the viewer needs viser: pip install "mrgs[view]"')
+    missing = [name for name in ("websockets", "msgspec") if find_spec(name) is None]
+    if missing:
+        raise ConfigError(f'the viewer needs {" and ".join(missing)}: pip install "mrgs[view]"')
 
 
 def require_free(host: str, port: int) -> None:
-    """Check that the port can be used; viser would take the next one in silence.
+    """Check that the port can be used, before a training begins that is to be watched there.
 
     Raises:
         ConfigError: it cannot.

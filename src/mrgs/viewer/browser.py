@@ -1,322 +1,378 @@
-"""One browser: connects the panel's controls and the mouse to an inspection, and sends it
-pictures."""
+"""One browser: does what it asks for, and sends it pictures and texts."""
 
 from __future__ import annotations
 
+import io
 import logging
-from collections.abc import Callable
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import viser
+from PIL import Image
 
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.scene import Camera, in_order
+from mrgs.pictures.stage import PALETTE_CHOICES, camera_facts, modality_facts, palette_facts
+from mrgs.pictures.values import range_of
+from mrgs.scene import Modality
 from mrgs.viewer import texts
-from mrgs.viewer.cameras import Pose, pinhole, pose_at, rotation_wxyz, vertical_fov
-from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.panel import build_panel
-from mrgs.viewer.scheduler import RenderScheduler
-from mrgs.viewer.settings import Subject
-from mrgs.viewer.splats import BrowserSplats, covariances, splat_colors
+from mrgs.viewer.cameras import fitted_size
+from mrgs.viewer.inspection import DrawnPicture, Inspection, VideoProgress
+from mrgs.viewer.layout import Pane
+from mrgs.viewer.messages import (
+    Act,
+    AnyMessage,
+    Choose,
+    DrawBox,
+    GoToPhoto,
+    Hover,
+    Look,
+    ReadPoint,
+    RenderVideo,
+    SavePath,
+    decode,
+    encode,
+)
+from mrgs.viewer.painting import pane_scale, seen_marks
+from mrgs.viewer.settings import Settings, Start, Subject
+from mrgs.viewer.worker import Worker
 
-COARSE_JPEG_QUALITY = 70
-SHARP_JPEG_QUALITY = 90
-FRUSTUM_SCALE = 0.06
-"""Length of a camera's symbol, as a share of the scene's extent."""
+MOVING_S = 0.05
+"""Processor time of a picture while the camera moves; the picture has as many pixels as fit."""
 
-ERROR_COLOR = "#b91c1c"
+FEWEST_PIXELS = 240
+"""Longest side of the coarsest picture."""
+
+MOVING_JPEG: dict[str, Any] = {"quality": 80}
+SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
 
 _log = logging.getLogger(__name__)
 
+Send = Callable[[str | bytes], "Future[None]"]
+
 
 class Browser:
-    """Everything of one connected browser; its state is ``inspection``.
+    """One connected browser; its state is ``inspection``.
+
+    A picture is drawn only when the browser asks for one, and a browser whose page is hidden does
+    not ask. While one picture is on its way no other is drawn for it.
 
     Args:
-        client: viser's handle of it.
         subject: the model to show.
-        start: first viewpoint.
-        note: a sentence for the top of the panel; may be empty.
-        splats: the model as plain splats, for the browser to draw; None if that is not possible.
+        start: the first viewpoint, and what the camera turns about.
+        note: a sentence for the user; may be empty.
+        worker: does everything that uses the model.
+        send: sends a text or bytes, from any thread.
     """
 
     def __init__(
-        self,
-        client: viser.ClientHandle,
-        subject: Subject,
-        start: Pose,
-        note: str,
-        splats: BrowserSplats | None,
+        self, subject: Subject, start: Start, note: str, worker: Worker, send: Send
     ) -> None:
-        self._client = client
-        self._subject = subject
         self.inspection = Inspection(subject)
-        self._splats = splats
-        self._panel = build_panel(client.gui, self.inspection, note, splats is not None)
-        self._scheduler = RenderScheduler(self._draw, self._report)
-        self._frustums: list[Any] = []
-        self._splat_node: Any = None
-        self._go_to(start)
-        self._connect()
-        self._scheduler.moved()
+        self._subject = subject
+        self._worker = worker
+        self._send = send
+        self._lock = threading.Lock()
+        self._look: Look | None = None
+        self._sending = False
+        self._moving_side_px = float(subject.source.most_pixels["moving"])
+        self._tell("hello", **self._hello(start), note=note)
 
-    def close(self) -> None:
-        """Stop drawing for this browser; a picture that is being drawn is finished."""
-        self._scheduler.close()
-
-    @property
-    def drawing(self) -> bool:
-        """Whether a picture is due, or being drawn."""
-        return self._scheduler.busy
-
-    def refresh(self) -> None:
-        """Redraw, because the model has changed."""
-        if not self.drawing:
-            self._scheduler.refresh()
+    def receive(self, data: str | bytes) -> None:
+        """Do what a message asks for; what cannot be understood is answered, and has no effect."""
+        try:
+            self._obey(decode(data))
+        except (ValueError, MrgsError) as error:
+            self._report(error)
+        self._subject.source.charge()
 
     def set_note(self, note: str) -> None:
-        """Replace the sentence at the top of the panel."""
-        self._panel.header.content = texts.header(self._subject, note)
+        """Replace the note, and say that the model has changed."""
+        self._tell("note", text=note)
 
-    def _connect(self) -> None:
-        panel, client = self._panel, self._client
-        client.camera.on_update(self._moved)
-        client.scene.on_click()(self._contained(self._clicked))
-        for control in panel.pictures():
-            control.on_update(self._contained(self._changed))
-        panel.browser_splats.on_update(self._contained(self._changed))
-        panel.photo.on_update(self._contained(self._photo_chosen))
-        panel.show_cameras.on_update(self._contained(self._show_cameras))
-        panel.previous.on_click(self._contained(lambda _: self._step_photo(-1)))
-        panel.next.on_click(self._contained(lambda _: self._step_photo(1)))
-        panel.keep_spot.on_click(self._contained(self._keep_spot))
-        panel.draw_box.on_click(self._contained(self._arm_box))
-        panel.clear_marks.on_click(self._contained(self._clear_marks))
-        panel.screenshot.on_click(self._contained(self._screenshot))
-        panel.add_keyframe.on_click(self._contained(self._add_keyframe))
-        panel.clear_path.on_click(self._contained(self._clear_path))
-        panel.save_path.on_click(self._contained(self._save_path))
-        panel.render_video.on_click(self._contained(self._render_video))
+    def close(self) -> None:
+        """Forget what the browser still waits for."""
+        self._worker.drop(lambda key: isinstance(key, tuple) and key[0] == id(self))
 
-    async def _moved(self, _: viser.CameraHandle) -> None:
-        """The camera has moved. Being asynchronous, it runs on the server's own thread, whose time
-        it accounts for."""
-        self._subject.source.charge()
-        self._scheduler.moved()
+    def _obey(self, message: AnyMessage) -> None:
+        match message:
+            case Look():
+                message.camera()  # raises for a wrong one
+                with self._lock:
+                    self._look = message
+                self._draw_if_idle()
+            case Hover():
+                self._tell("hover", text=self.inspection.hover(message.x, message.y))
+            case Choose():
+                self._choose(message)
+            case DrawBox():
+                self.inspection.add_box(message.x0, message.y0, message.x1, message.y1)
+                self._redraw()
+            case ReadPoint():
+                self._do("read", lambda: self._read(message.x, message.y))
+            case GoToPhoto():
+                self.inspection.view_index = self._view_index(message.index)
+            case SavePath():
+                self._do("save", lambda: self._saved(self.inspection.save_path(message.seconds)))
+            case RenderVideo():
+                self._do("video", lambda: self._begin_video(message.seconds))
+            case Act():
+                self._act(message)
 
-    def _contained(self, action: Callable[[Any], None]) -> Callable[[Any], None]:
-        """The action; what it raises becomes a line in the panel."""
+    def _act(self, message: Act) -> None:
+        match message.what:
+            case "fit":
+                self._do("fit", self._fit)
+            case "keep_spot":
+                self.inspection.keep_spot()
+                self._marks_changed()
+            case "clear_marks":
+                self.inspection.clear()
+                self._marks_changed()
+            case "screenshot":
+                self._do("screenshot", lambda: self._saved(self.inspection.screenshot()))
+            case "add_keyframe":
+                self.inspection.add_keyframe()
+                self._path_changed()
+            case "clear_path":
+                self.inspection.keyframes = ()
+                self._path_changed()
 
-        def run(event: Any) -> None:
+    def _do(self, name: str, job: Callable[[], None]) -> None:
+        """Have a job done by the worker; what it raises is told to the user."""
+
+        def contained() -> None:
             try:
-                action(event)
+                job()
+            except (MrgsError, ValueError) as error:
+                self._report(error)
             except Exception as error:
                 self._report(error)
+                raise
 
-        return run
+        self._worker.put((id(self), name), contained)
 
-    def _report(self, error: Exception) -> None:
-        if not isinstance(error, MrgsError):
-            _log.warning("the viewer failed: %r", error, exc_info=error)
-        self._say(str(error) or repr(error), ERROR_COLOR)
+    def _fit(self) -> None:
+        self.inspection.fit()
+        self._tell("limits", of=self._limits())
+        self._redraw()
 
-    def _say(self, text: str, color: str = "inherit") -> None:
-        self._panel.status.content = texts.paragraph(text, color)
+    # --- pictures ---
 
-    def _say_saved(self, path: Path) -> None:
-        self._say(f"Saved in the run's folder: {path.relative_to(self._subject.folder).as_posix()}")
+    def _draw_if_idle(self) -> None:
+        with self._lock:
+            if self._look is None or self._sending:
+                return
+        self._do("picture", self._draw)
 
-    def _camera(self) -> Camera:
-        camera = self._client.camera
-        return pinhole(
-            np.asarray(camera.wxyz), np.asarray(camera.position), float(camera.fov),
-            max(camera.image_width, 1),
-            max(camera.image_height, 1),
-        )  # fmt: skip
-
-    def _draw(self, coarse: bool) -> None:
-        """Draw and send a picture; on the scheduler's thread."""
-        if self._panel.browser_splats.value and self._splats is not None:
+    def _draw(self) -> None:
+        with self._lock:
+            look, self._look = self._look, None
+        if look is None:
             return
+        source, moving = self._subject.source, look.effort == "moving"
+        longest = self._moving_side_px if moving else source.most_pixels[look.effort]
+        camera = look.camera()
+        camera = camera.resized(*fitted_size(camera.width, camera.height, round(longest)))
+        started_s = time.thread_time()
+        if moving:
+            with source.small_work():
+                drawn = self.inspection.picture(camera, moving=True)
+        else:
+            drawn = self.inspection.picture(camera)
+        message = self._picture(drawn, look)
+        if moving:
+            self._adapt(time.thread_time() - started_s)
+        source.charge()
+        self._sending = True
+        self._send(message).add_done_callback(self._sent)
+
+    def _adapt(self, taken_s: float) -> None:
+        """More or fewer pixels for the next picture on the way, as this one took less or more."""
+        factor = math.sqrt(MOVING_S / max(taken_s, 1e-3))
+        side = self._moving_side_px * min(max(factor, 0.7), 1.15)
+        most = self._subject.source.most_pixels["moving"]
+        self._moving_side_px = min(max(side, FEWEST_PIXELS), most)
+
+    def _sent(self, _: Future[None]) -> None:
+        self._sending = False
+        self._draw_if_idle()
+
+    def _redraw(self) -> None:
+        """Have the browser ask for a picture: it knows where its camera is."""
+        self._tell("changed")
+
+    def _picture(self, drawn: DrawnPicture, look: Look) -> bytes:
+        """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG."""
         inspection = self.inspection
-        image = inspection.picture(self._camera(), coarse)
-        quality = COARSE_JPEG_QUALITY if coarse else SHARP_JPEG_QUALITY
-        self._client.scene.set_background_image(image, format="jpeg", jpeg_quality=quality)
-        if coarse:
-            return
-        panel = self._panel
-        scale = inspection.scales.values.get(panel.scaled)
-        if panel.automatic.value and scale is not None:
-            panel.lowest.value, panel.highest.value = round(scale.low, 2), round(scale.high, 2)
-        panel.boxes.content = texts.boxes(
-            inspection.box_readings, inspection.measured, self._subject
-        )
-        if inspection.view is not None and panel.photo.value != inspection.view.name:
-            panel.photo.value = inspection.view.name
-        for index, frustum in enumerate(self._frustums):  # the nearest one would stand in the way
-            frustum.visible = index != inspection.view_index
+        readings = inspection.box_readings(drawn)
+        buffer = io.BytesIO()
+        options = MOVING_JPEG if look.effort == "moving" else SHARP_JPEG
+        Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)
+        facts = {
+            "number": look.number,
+            "effort": look.effort,
+            "full": max(drawn.size) >= min(max(look.width, look.height), self._most_pixels),
+            "panes": [self._pane(drawn, index, readings) for index in range(len(drawn.panes))],
+            "photo": inspection.view_index,
+            "boxes": texts.boxes(
+                [next(filter(None, each), None) for each in readings],
+                inspection.measured,
+                self._subject,
+            ),
+        }
+        header = encode(facts).encode()
+        return struct.pack("<I", len(header)) + header + buffer.getvalue()
 
-    def _changed(self, event: Any) -> None:
-        if event.client is None:  # set by the program, to follow the picture
-            return
-        inspection, panel = self.inspection, self._panel
-        inspection.settings = panel.settings()
-        panel.show_relevant(inspection.settings)
-        if panel.browser_splats.value and self._splats is not None:
-            self._draw_in_browser()
-            return
-        if self._splat_node is not None:
-            self._splat_node.remove()
-            self._splat_node = None
-        self._place_frustums()
-        self._scheduler.refresh()
+    @property
+    def _most_pixels(self) -> int:
+        return self._subject.source.most_pixels["still"]
 
-    def _draw_in_browser(self) -> None:
-        assert self._splats is not None
-        mode = self.inspection.settings.mode
-        if mode.kind != "image":
-            self._panel.browser_splats.value = False
-            shown = " or ".join(each.quantity for each in in_order(self._subject.modalities))
-            raise ConfigError(f"the browser can draw {shown}, not: {mode.label}")
-        self._say("Sending the model to the browser ...")
-        baked = self._splats.baked()
-        opacities = baked.opacities[mode.modalities[0]]
-        self._splat_node = self._client.scene.add_gaussian_splats(
-            "/splats",
-            centers=baked.means.numpy(),
-            covariances=covariances(baked.quats, baked.scales).numpy(),
-            rgbs=splat_colors(baked, self.inspection.settings, self.inspection.scales) / 255,
-            opacities=opacities.numpy()[:, None],
-        )
-        self._client.scene.set_background_image(np.zeros((2, 2, 3), np.uint8))
-        self._say("Drawn by the browser.")
+    def _pane(self, drawn: DrawnPicture, index: int, readings: list[list[Any]]) -> dict[str, Any]:
+        """A pane for the page, which draws title, scale, marks and boxes over the picture; all
+        places from 0 to 1."""
+        pane, shown = drawn.panes[index], drawn.images[index]
+        scale = pane_scale(pane, drawn.scales)
+        return {
+            "place": _place(pane, drawn.size),
+            "free": pane.photo is None,
+            "title": pane.title,
+            "scale": None if scale is None else scale._asdict(),
+            "marks": seen_marks(pane, shown, self.inspection.marks()),
+            "boxes": [
+                {"corners": [box.u0, box.v0, box.u1, box.v1], "extremes": _extremes(each[index])}
+                for box, each in zip(self.inspection.boxes, readings, strict=True)
+            ],
+        }
 
-    def _clicked(self, event: Any) -> None:
-        x, y = event.screen_pos
-        if self._panel.browser_splats.value:
-            self.inspection.picture(self._camera(), coarse=True)
-        reading = self.inspection.click(float(x), float(y))
-        self._panel.point.content = texts.point(self.inspection)
-        self._say(texts.EMPTY_HINT if reading is None else "")
-        self._scheduler.refresh()
+    # --- choices and actions ---
 
-    def _keep_spot(self, _: Any) -> None:
-        self.inspection.keep_spot()
-        self._marks_changed()
+    def _choose(self, message: Choose) -> None:
+        subject, old = self._subject, self.inspection.settings
+        if message.mode >= len(subject.modes):
+            raise ConfigError(f"there is no picture number {message.mode}")
+        scaled = next((each for each in subject.modalities if each.name == message.scaled), None)
+        limits = dict(old.limits)
+        if scaled is not None:
+            limits.pop(scaled, None)
+            if message.limits is not None:
+                limits[scaled] = _rising(message.limits)
+        self.inspection.settings = Settings(
+            subject.modes[message.mode], message.palette, limits, message.isotherm, message.share,
+            scaled or old.scaled,
+        )  # fmt: skip
+        self._redraw()
 
-    def _clear_marks(self, _: Any) -> None:
-        self.inspection.clear()
-        self._marks_changed()
+    def _read(self, x: float, y: float) -> None:
+        reading = self.inspection.click(x, y)
+        if reading is None:
+            self._say(texts.EMPTY_HINT)
+        self._tell_point()
+        self._redraw()
+
+    def _tell_point(self) -> None:
+        point = self.inspection.point
+        self._tell("point", of=None if point is None else texts.point(point, self._subject))
 
     def _marks_changed(self) -> None:
-        self._panel.spots.content = texts.spots(self.inspection)
-        self._panel.point.content = texts.point(self.inspection)
-        self._scheduler.refresh()
-
-    def _arm_box(self, _: Any) -> None:
-        scene = self._client.scene
-        scene.remove_rect_select_callback("all")  # pressed twice
-
-        def selected(event: Any) -> None:
-            scene.remove_rect_select_callback("all")
-            self._say("")
-            self.inspection.add_box(
-                *(float(value) for value in (*event.screen_min, *event.screen_max))
-            )
-            self._scheduler.refresh()
-
-        scene.on_rect_select()(self._contained(selected))
-        self._say("Now drag over the picture to draw the box.")
-
-    def _photo_chosen(self, event: Any) -> None:
-        if event.client is not None:
-            self._go_to_photo(
-                [view.name for view in self._subject.views].index(self._panel.photo.value)
-            )
-
-    def _step_photo(self, step: int) -> None:
-        views = self._subject.views
-        index = [view.name for view in views].index(self._panel.photo.value) + step
-        self._go_to_photo(index % len(views))
-
-    def _go_to_photo(self, index: int) -> None:
-        views = self._subject.views
-        self.inspection.view_index = index
-        self._panel.photo.value = views[index].name
-        self._go_to(pose_at(views[index], views))
-        self._scheduler.refresh()
-
-    def _go_to(self, pose: Pose) -> None:
-        camera = self._client.camera
-        with self._client.atomic():
-            camera.up_direction = pose.up
-            camera.position = pose.position
-            camera.look_at = pose.target
-            camera.fov = pose.fov
-
-    def _show_cameras(self, _: Any) -> None:
-        self._place_frustums()
-
-    def _place_frustums(self) -> None:
-        """Symbols of the captured cameras, where the picture is one undivided view."""
-        mode = self.inspection.settings.mode
-        undivided = not mode.shows_photos and mode.kind != "side_by_side"
-        wanted = self._panel.show_cameras.value and undivided
-        if wanted == bool(self._frustums):
-            return
-        for frustum in self._frustums:
-            frustum.remove()
-        self._frustums = []
-        scene = self._subject.scene
-        if not wanted or scene is None:
-            return
-        for index, view in enumerate(self._subject.views):
-            camera = view.camera
-            frustum = self._client.scene.add_camera_frustum(
-                f"/cameras/{index}", vertical_fov(camera), camera.width / camera.height,
-                scale=FRUSTUM_SCALE * scene.extent, color=(255, 170, 0), thickness=1.5,
-                thickness_units="screen",
-                wxyz=rotation_wxyz(camera),
-                position=camera.position.numpy(),
-            )  # fmt: skip
-            frustum.visible = index != self.inspection.view_index
-            frustum.on_click(self._contained(self._goes_to(index)))
-            self._frustums.append(frustum)
-
-    def _goes_to(self, index: int) -> Callable[[Any], None]:
-        return lambda _: self._go_to_photo(index)
-
-    def _screenshot(self, _: Any) -> None:
-        self._say_saved(self.inspection.screenshot())
-
-    def _add_keyframe(self, _: Any) -> None:
-        self.inspection.add_keyframe()
-        self._path_changed()
-
-    def _clear_path(self, _: Any) -> None:
-        self.inspection.keyframes = ()
-        self._path_changed()
+        self._tell("spots", of=[spot.label for spot in self.inspection.spots])
+        self._tell_point()
+        self._redraw()
 
     def _path_changed(self) -> None:
-        count = len(self.inspection.keyframes)
-        text = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}.get(
-            count, f"{count} keyframes."
-        )
-        self._panel.keyframes.content = texts.paragraph(text)
+        self._tell("keyframes", text=texts.keyframes(len(self.inspection.keyframes)))
 
-    def _save_path(self, _: Any) -> None:
-        self._say_saved(self.inspection.save_path(self._panel.seconds.value))
+    def _begin_video(self, seconds: float) -> None:
+        self._go_on(self.inspection.render_video(seconds))
 
-    def _render_video(self, _: Any) -> None:
-        panel = self._panel
-        panel.render_video.disabled = True
-        try:
-            path = self.inspection.render_video(
-                panel.seconds.value,
-                lambda done, total: self._say(f"Rendering frame {done} of {total} ..."),
-            )
-            self._say_saved(path)
-        finally:
-            panel.render_video.disabled = False
+    def _go_on(self, video: Iterator[VideoProgress]) -> None:
+        """Render the next frame; then the other jobs have their turn before the one after it."""
+        progress = next(video, None)
+        if progress is None:
+            return
+        if progress.path is not None:
+            self._saved(progress.path)
+        else:
+            self._say(f"Rendering frame {progress.done} of {progress.total}…")
+        self._do("video", lambda: self._go_on(video))
+
+    def _view_index(self, index: int) -> int:
+        if index >= len(self._subject.views):
+            raise ConfigError(f"there is no photo number {index}")
+        return index
+
+    # --- what it is told ---
+
+    def _hello(self, start: Start) -> dict[str, Any]:
+        subject = self._subject
+        return {
+            "name": subject.name,
+            "known": texts.header(subject),
+            "start": start._asdict(),
+            "modes": [
+                {
+                    "label": mode.label,
+                    "slider": mode.has_slider,
+                    "compares": mode.kind not in ("image", "depth"),
+                    "scaled": next(
+                        (each.name for each in reversed(mode.modalities) if each.is_metric), None
+                    ),
+                }
+                for mode in subject.modes
+            ],
+            "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
+            "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
+            "choices": PALETTE_CHOICES,
+            "modalities": [self._modality(each) for each in subject.modalities],
+            "readable": bool(subject.readable),
+        }
+
+    def _modality(self, modality: Modality) -> Any:
+        temperature = self._subject.temperature
+        limits = self.inspection.settings.limits.get(modality, range_of(modality, temperature))
+        return modality_facts(modality, temperature, limits)
+
+    def _limits(self) -> dict[str, tuple[float, float]]:
+        limits = self.inspection.settings.limits
+        return {modality.name: ends for modality, ends in limits.items()}
+
+    def _saved(self, path: Path) -> None:
+        place = path.relative_to(self._subject.folder).as_posix()
+        self._say(f"Saved in the run's folder: {place}")
+
+    def _report(self, error: Exception) -> None:
+        self._say(str(error) or repr(error), failed=True)
+
+    def _say(self, text: str, failed: bool = False) -> None:
+        self._tell("status", text=text, failed=failed)
+
+    def _tell(self, kind: str, **facts: Any) -> None:
+        self._send(encode({"type": kind, **facts}))
+
+
+def _place(pane: Pane, size: tuple[int, int]) -> list[float]:
+    """Left, top, width and height of a pane, from 0 to 1."""
+    width, height = size
+    return [
+        pane.left / width, pane.top / height,
+        pane.camera.width / width,
+        pane.camera.height / height,
+    ]  # fmt: skip
+
+
+def _extremes(reading: Any) -> list[list[float]]:
+    """Places of the smallest and of the largest value in a box; none without a reading."""
+    if reading is None:
+        return []
+    return [[each.u, each.v] for each in (reading.lowest, reading.highest)]
+
+
+def _rising(limits: tuple[float, float]) -> tuple[float, float]:
+    low, high = limits
+    if not low < high:
+        raise ConfigError("the upper end of the scale must be above the lower")
+    return low, high

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera, View
-from mrgs.scene.camera_paths import focus_point
+from mrgs.scene.camera_paths import look_at
 from mrgs.scene.rotations import (
     matrix_from_quaternion,
     opengl_camera_to_world,
@@ -24,22 +23,6 @@ from mrgs.scene.rotations import (
     rigid_transform,
 )
 from mrgs.system.atomic import write_text
-
-
-class Pose(NamedTuple):
-    """A viewpoint that orbits a target.
-
-    Attributes:
-        position: in world coordinates, [3].
-        target: world coordinates of the point that it orbits, [3].
-        up: the upright direction in the world, [3].
-        fov: vertical field of view, radians.
-    """
-
-    position: Float[np.ndarray, "3"]
-    target: Float[np.ndarray, "3"]
-    up: Float[np.ndarray, "3"]
-    fov: float
 
 
 def pinhole(
@@ -66,11 +49,6 @@ def pinhole(
     return Camera(K, rigid_transform(rotation, -rotation @ np.asarray(position)), width, height)
 
 
-def rotation_wxyz(camera: Camera) -> Float[np.ndarray, "4"]:
-    """Rotation from the camera's axes to the world, as a quaternion."""
-    return quaternion_from_matrix(camera.viewmat[:3, :3].numpy().T)
-
-
 def vertical_fov(camera: Camera) -> float:
     """Vertical field of view of a camera, radians."""
     return 2 * math.atan(0.5 * camera.height / camera.K[1, 1].item())
@@ -83,37 +61,14 @@ def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def pose_at(view: View, views: Sequence[View]) -> Pose:
-    """Look from a captured camera, turning about the point that it has in common with the others.
-
-    The target lies on the camera's own axis; upright is the mean of all cameras, so that orbiting
-    stays level.
-    """
-    cameras = [each.camera for each in views]
-    camera = view.camera
-    position, forward = camera.position.numpy(), camera.forward.numpy()
-    centre = focus_point(cameras)
-    distance = float((centre - position) @ forward)
-    if distance <= 0:
-        distance = float(np.linalg.norm(centre - position)) or 1.0
-    up = -np.stack([each.viewmat[1, :3].numpy() for each in cameras]).mean(axis=0)
-    if np.linalg.norm(np.cross(up, forward)) < 1e-3:
-        up = -camera.viewmat[1, :3].numpy()
-    return Pose(
-        position, position + distance * forward, up / np.linalg.norm(up), vertical_fov(camera)
-    )
-
-
-def pose_around(means: Float[np.ndarray, "n 3"]) -> Pose:
+def camera_around(means: Float[np.ndarray, "n 3"]) -> Camera:
     """The first viewpoint for a model without known cameras: towards its middle; z is up."""
     centre = np.median(means, axis=0).astype(np.float64)
     radius = float(np.median(np.linalg.norm(means - centre, axis=1))) or 1.0
-    return Pose(
-        centre + 2.5 * radius * np.array([1.0, -1.0, 0.6]),
-        centre,
-        np.array([0.0, 0.0, 1.0]),
-        math.radians(50),
-    )
+    position = centre + 2.5 * radius * np.array([1.0, -1.0, 0.6])
+    rotation = look_at(position, centre, np.array([0.0, 0.0, 1.0]))
+    wxyz = quaternion_from_matrix(rotation.T)
+    return pinhole(wxyz, position, math.radians(50), 800, 600)
 
 
 def nearest_view(

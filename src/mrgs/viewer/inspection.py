@@ -4,9 +4,10 @@ camera paths."""
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -17,13 +18,11 @@ from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
-from mrgs.viewer.layout import Pane, panes_of, place_at
-from mrgs.viewer.painting import Mark, Scales, compose, measure_scales
+from mrgs.viewer.layout import Pane, Place, panes_of, place_at
+from mrgs.viewer.limits import rounded
+from mrgs.viewer.painting import Mark, Scales, annotate, compose, measure_scales
 from mrgs.viewer.picking import Box, BoxReading, Reading, read_box, read_point
 from mrgs.viewer.settings import Settings, Subject
-
-COARSE_SIDE_PX = 400
-"""Longest side that is rendered while the camera moves."""
 
 VIDEO_SIDE_PX = 960
 PHOTOS_KEPT = 4
@@ -31,17 +30,26 @@ PHOTOS_KEPT = 4
 
 @dataclass(frozen=True, eq=False)
 class DrawnPicture:
-    """The latest picture.
+    """A picture, and what it was painted from.
 
     Attributes:
-        size: width and height, pixels.
+        camera: that it was drawn from, at its size.
         panes: its parts.
         images: what each pane was painted from.
+        scales: what the colours mean.
+        pixels: the colours, without marks and scales, [H, W, 3].
     """
 
-    size: tuple[int, int]
+    camera: Camera
     panes: tuple[Pane, ...]
     images: tuple[PaneImages, ...]
+    scales: Scales
+    pixels: UInt8[np.ndarray, "h w 3"]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.camera.width, self.camera.height
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +73,20 @@ class PointReading:
         return None if self.modality is None else self.reading.values[self.modality].value
 
 
+class VideoProgress(NamedTuple):
+    """How far a video is.
+
+    Attributes:
+        done: frames that are written.
+        total: frames of the video.
+        path: the finished mp4, or the folder of the frames; None before the end.
+    """
+
+    done: int
+    total: int
+    path: Path | None = None
+
+
 class Inspection:
     """State and actions of one browser. Pictures are drawn on one thread; actions may come from
     others.
@@ -72,26 +94,27 @@ class Inspection:
     Attributes:
         subject: the model.
         settings: the choices that the next picture is drawn with.
-        camera: of the latest picture, at its size; None before the first.
+        drawn: the latest picture; None before the first.
         view_index: of the captured view nearest to it, in ``subject.views``.
         point: the latest reading.
         spots: points that were kept as labelled marks.
         boxes: rectangles that were drawn.
-        box_readings: one per box, of the latest sharp picture; None for a box without values.
         keyframes: of the camera path.
     """
 
     def __init__(self, subject: Subject) -> None:
         self.subject = subject
-        self.settings = Settings(mode=subject.modes[0])
-        self.camera: Camera | None = None
+        self.settings = Settings(
+            mode=subject.modes[0],
+            limits=subject.limits,
+            scaled=subject.scaled or subject.modalities[0],
+        )
+        self.drawn: DrawnPicture | None = None
         self.view_index: int | None = None
         self.point: PointReading | None = None
         self.spots: tuple[Mark, ...] = ()
         self.boxes: tuple[Box, ...] = ()
-        self.box_readings: tuple[BoxReading | None, ...] = ()
         self.keyframes: tuple[Camera, ...] = ()
-        self._picture: DrawnPicture | None = None
         self._scales = Scales()
         self._photos: dict[int, PaneImages] = {}
         self._photo_lock = threading.Lock()
@@ -107,56 +130,67 @@ class Inspection:
         """The modality that boxes read: that of the mode, else the subject's first readable one."""
         return _first_readable((*reversed(self.settings.mode.modalities), *self.subject.readable))
 
-    @property
-    def scales(self) -> Scales:
-        """The colour scales of the latest sharp picture."""
-        return self._scales
-
-    def picture(self, camera: Camera, coarse: bool) -> UInt8[np.ndarray, "h w 3"]:
+    def picture(self, camera: Camera, moving: bool = False) -> DrawnPicture:
         """Draw what the camera sees; the modes with photos show the captured camera nearest to it.
 
         Args:
-            camera: the browser's, as large as its window.
-            coarse: few pixels, and the scales of the last sharp picture, so that colours do not
-                flicker on the way.
+            camera: of the picture, at its size.
+            moving: whether the next camera is on its way: then the scales that follow the picture
+                stay those of the last picture at rest, so that colours do not flicker.
         """
-        camera = camera.resized(
-            *fitted_size(camera.width, camera.height, self.subject.source.max_side_px)
-        )
         if self.subject.scene is not None:
             self.view_index = nearest_view(
                 self.subject.views, camera, self.subject.scene.extent, self.view_index
             )
         settings = self.settings
-        drawn = self._render(settings, camera, COARSE_SIDE_PX if coarse else None)
-        scales = self._measure(drawn, settings)
-        if coarse:
+        panes, images = self._render(settings, camera)
+        scales = self._measure(panes, images, settings)
+        if moving:
             scales = _known(self._scales, scales, settings)
-        boxes = [
-            (box, [self._box_reading(each, box) for each in drawn.images]) for box in self.boxes
-        ]
-        image = compose(
-            drawn.size, drawn.panes, drawn.images, scales, settings, self._marks(), boxes
-        )
-        self.camera, self._picture = camera, drawn
-        if not coarse:
+        else:
             self._scales = scales
-            self.box_readings = tuple(next(filter(None, readings), None) for _, readings in boxes)
-        self.subject.source.charge()
-        return image
+        size = camera.width, camera.height
+        pixels = compose(size, panes, images, scales, settings)
+        self.drawn = DrawnPicture(camera, panes, images, scales, pixels)
+        return self.drawn
 
-    def _render(self, settings: Settings, camera: Camera, longest: int | None) -> DrawnPicture:
+    def fit(self) -> None:
+        """Lock the scale of each modality that is shown at the limits of what the latest picture
+        shows."""
+        drawn = self.drawn
+        if drawn is not None:
+            measured = self._measure(drawn.panes, drawn.images, replace(self.settings, limits={}))
+            fitted = {
+                modality: rounded(modality, (scale.low, scale.high), self.subject.temperature)
+                for modality, scale in measured.values.items()
+                if modality.is_metric
+            }
+            self.settings = replace(self.settings, limits={**self.settings.limits, **fitted})
+
+    def marks(self) -> list[Mark]:
+        """The spots, and the point that was read last."""
+        point = self.point
+        if point is None:
+            return list(self.spots)
+        return [*self.spots, Mark(point.reading.position, self._value_text(point) or "point")]
+
+    def box_readings(self, drawn: DrawnPicture) -> list[list[BoxReading | None]]:
+        """Of each box, what each pane shows of ``measured`` in it; None for a pane without its
+        values."""
+        return [[self._box_reading(each, box) for each in drawn.images] for box in self.boxes]
+
+    def _render(
+        self, settings: Settings, camera: Camera
+    ) -> tuple[tuple[Pane, ...], tuple[PaneImages, ...]]:
         panes = panes_of(settings.mode, camera, self.view)
-        scale = 1.0 if longest is None else min(1.0, longest / max(camera.width, camera.height))
-        images = tuple(self._images(pane, scale) for pane in panes)
-        return DrawnPicture((camera.width, camera.height), panes, images)
+        return panes, tuple(self._images(pane) for pane in panes)
 
-    def _measure(self, drawn: DrawnPicture, settings: Settings) -> Scales:
-        return measure_scales(
-            drawn.panes, drawn.images, settings, self.subject.temperature, self._ball
-        )
+    def _measure(
+        self, panes: Sequence[Pane], images: Sequence[PaneImages], settings: Settings
+    ) -> Scales:
+        return measure_scales(panes, images, settings, self.subject.temperature, self._ball)
 
-    def _images(self, pane: Pane, scale: float) -> PaneImages:
+    def _images(self, pane: Pane) -> PaneImages:
         subject = self.subject
         if pane.kind == "photo":
             return self._photo(pane)
@@ -166,10 +200,6 @@ class Inspection:
             assert pane.photo is not None
             assert self.view is not None
             camera, compared_with = pane.photo.camera, self.view.camera
-        elif scale < 1:
-            camera = camera.resized(
-                max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
-            )
         images = subject.source.run(
             lambda model: render_pane(model, camera, subject, compared_with)
         )
@@ -196,12 +226,6 @@ class Inspection:
             return None
         return read_box(images.images[self.measured], images.solid, box)
 
-    def _marks(self) -> list[Mark]:
-        point = self.point
-        if point is None:
-            return list(self.spots)
-        return [*self.spots, Mark(point.reading.position, self._value_text(point) or "point")]
-
     def _value_text(self, point: PointReading) -> str:
         """The value that is named first; empty for a model without readable values."""
         if point.modality is None or point.value is None:
@@ -212,10 +236,7 @@ class Inspection:
         """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None
         if it is empty."""
         self.point = None
-        drawn = self._picture
-        place = (
-            None if drawn is None else place_at(drawn.panes, x * drawn.size[0], y * drawn.size[1])
-        )
+        place = self._place(x, y)
         if place is None:
             return None
         pane, subject = place.pane, self.subject
@@ -228,6 +249,31 @@ class Inspection:
             photo_value = self._photo_value(pane, place.u, place.v)
             self.point = PointReading(reading, modality, photo_value)
         return self.point
+
+    def hover(self, x: float, y: float) -> str:
+        """What the latest picture shows at a place (x to the right, y down, 0 to 1), as text; empty
+        where it shows no value."""
+        place, drawn = self._place(x, y), self.drawn
+        if place is None or drawn is None:
+            return ""
+        pane, shown = place.pane, drawn.images[drawn.panes.index(place.pane)]
+        modality = _first_readable((*reversed(pane.modalities), *self.subject.readable))
+        values = None if modality is None else shown.images.get(modality)
+        if modality is None or values is None:
+            return ""
+        row, column = int(place.v * values.shape[0]), int(place.u * values.shape[1])
+        value = float(values[row, column])
+        if not shown.solid[row, column] or not np.isfinite(value):
+            return "no surface"
+        text = self.subject.format_value(modality, value)
+        return f"+{text}" if pane.kind == "difference" and value > 0 else text
+
+    def _place(self, x: float, y: float) -> Place | None:
+        """The pane and the place in it at a place of the latest picture; None between the panes."""
+        drawn = self.drawn
+        if drawn is None:
+            return None
+        return place_at(drawn.panes, x * drawn.size[0], y * drawn.size[1])
 
     def _photo_value(self, pane: Pane, u: float, v: float) -> float | None:
         """What the pane's photo has at a place, in its unit; None for colours or no photo."""
@@ -256,12 +302,9 @@ class Inspection:
         Raises:
             ConfigError: the rectangle does not begin in the picture, or is a mere line.
         """
-        drawn = self._picture
+        drawn = self.drawn
         (x0, x1), (y0, y1) = sorted((x0, x1)), sorted((y0, y1))
-        place = None
-        if drawn is not None:
-            middle = 0.5 * (x0 + x1) * drawn.size[0], 0.5 * (y0 + y1) * drawn.size[1]
-            place = place_at(drawn.panes, *middle)
+        place = self._place(0.5 * (x0 + x1), 0.5 * (y0 + y1))
         if drawn is None or place is None or x1 - x0 < 0.005 or y1 - y0 < 0.005:
             raise ConfigError("drag a larger box within the picture")
         pane = place.pane
@@ -271,7 +314,7 @@ class Inspection:
 
     def clear(self) -> None:
         """Remove the point, the spots and the boxes."""
-        self.point, self.spots, self.boxes, self.box_readings = None, (), (), ()
+        self.point, self.spots, self.boxes = None, (), ()
 
     def add_keyframe(self) -> None:
         """Add the current camera to the path.
@@ -279,9 +322,9 @@ class Inspection:
         Raises:
             ConfigError: no picture has been drawn yet.
         """
-        if self.camera is None:
+        if self.drawn is None:
             raise ConfigError("wait for the first picture, then add a keyframe")
-        self.keyframes = (*self.keyframes, self.camera)
+        self.keyframes = (*self.keyframes, self.drawn.camera)
 
     def screenshot(self) -> Path:
         """Write the current view, sharp and with its marks, into ``renders/screenshots``; returns
@@ -291,10 +334,13 @@ class Inspection:
             ConfigError: no picture has been drawn yet.
             RunError: the file cannot be written.
         """
-        if self.camera is None:
+        if self.drawn is None:
             raise ConfigError("wait for the first picture, then take a screenshot")
         folder = self.subject.folder / "renders" / "screenshots"
-        return write_png(_next_free(folder, ".png"), self.picture(self.camera, coarse=False))
+        drawn = self.picture(self.drawn.camera)
+        boxes = list(zip(self.boxes, self.box_readings(drawn), strict=True))
+        image = annotate(drawn.pixels, drawn.panes, drawn.images, drawn.scales, self.marks(), boxes)
+        return write_png(_next_free(folder, ".png"), image)
 
     def save_path(self, seconds: float) -> Path:
         """Write the keyframes into ``renders/paths``, in nerfstudio's format; returns the file.
@@ -306,18 +352,17 @@ class Inspection:
         folder = self.subject.folder / "renders" / "paths"
         return save_path(_next_free(folder, ".json"), self.keyframes, seconds, VIDEO_FPS)
 
-    def render_video(
-        self, seconds: float, progress: Callable[[int, int], None], mp4: bool | None = None
-    ) -> Path:
-        """Render the path with the current settings into ``renders/videos``; returns the mp4, or
-        the frames' folder.
+    def render_video(self, seconds: float, mp4: bool | None = None) -> Iterator[VideoProgress]:
+        """Render the path with the current settings into ``renders/videos``, frame by frame.
 
         The colour scale is the current one throughout. Spots are drawn, boxes are not.
 
         Args:
             seconds: length of the video.
-            progress: called with the number of frames done and of all.
             mp4: whether to write one; None writes it if imageio-ffmpeg is installed.
+
+        Yields:
+            After each frame how far it is; the last time, with the mp4 or the frames' folder.
 
         Raises:
             ConfigError: fewer than two keyframes, or a mode that is bound to photos.
@@ -333,20 +378,21 @@ class Inspection:
         target = _next_free(folder, "")
         mp4 = can_write_mp4() if mp4 is None else mp4
         with frame_writer(folder, target.name, size, mp4=mp4) as add:
-            for frame in self._video_frames([camera.resized(*size) for camera in path], progress):
+            frames = self._video_frames([camera.resized(*size) for camera in path])
+            for number, frame in enumerate(frames, start=1):
                 add(frame)
-        return target.with_suffix(".mp4") if mp4 else target
+                yield VideoProgress(number, len(path))
+        written = target.with_suffix(".mp4") if mp4 else target
+        yield VideoProgress(len(path), len(path), written)
 
-    def _video_frames(
-        self, cameras: Sequence[Camera], progress: Callable[[int, int], None]
-    ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    def _video_frames(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         settings, scales, marks = self.settings, self._scales, self.spots
-        for number, camera in enumerate(cameras, start=1):
-            drawn = self._render(settings, camera, None)
-            scales = _known(scales, self._measure(drawn, settings), settings)
-            yield compose(drawn.size, drawn.panes, drawn.images, scales, settings, marks)
-            self.subject.source.charge()
-            progress(number, len(cameras))
+        for camera in cameras:
+            panes, images = self._render(settings, camera)
+            scales = _known(scales, self._measure(panes, images, settings), settings)
+            size = camera.width, camera.height
+            pixels = compose(size, panes, images, scales, settings)
+            yield annotate(pixels, panes, images, scales, marks)
 
 
 def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
@@ -355,10 +401,8 @@ def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
     values = dict(known.values)
     for modality, scale in measured.values.items():
         kept = values.get(modality)
-        by_hand = settings.limits is not None and modality == settings.scaled
-        values[modality] = (
-            scale if kept is None or by_hand else kept._replace(palette=scale.palette)
-        )
+        locked = modality in settings.limits
+        values[modality] = scale if kept is None or locked else kept._replace(palette=scale.palette)
     return Scales(values, known.depth or measured.depth, known.difference or measured.difference)
 
 

@@ -35,6 +35,9 @@ ISOTHERM_ON_RAINBOW = (255, 0, 220)
 EMPTY_COLOR = (38, 41, 48)
 """Around the panes."""
 
+NO_SURFACE_COLOR = (58, 66, 78)
+"""Where there is no value: bluish, so that it is neither a cold place nor a grey one."""
+
 TEXT_PX = 14
 SCALE_FROM_PX = 180
 """Panes lower than this have no room for a scale bar."""
@@ -109,8 +112,8 @@ def measure_scales(
             unit = unit_of(modality, temperature)
         elif modality is not None:
             values.setdefault(modality, []).append(shown.images[modality][shown.solid])
-    if settings.limits is not None:
-        values.setdefault(settings.scaled, [])
+    for modality in settings.limits:
+        values.setdefault(modality, [])
     near_far = display_range(np.concatenate(depth)) if depth else None
     largest = display_range(np.concatenate(errors))[1] if errors else None
     return Scales(
@@ -129,8 +132,8 @@ def _scale_of(
     """The scale of a modality's values: the user's limits, or what suits the values that are
     seen."""
     scale = full_scale(modality, temperature, settings.palette)
-    if modality == settings.scaled and settings.limits is not None:
-        low, high = settings.limits
+    if modality in settings.limits:
+        low, high = settings.limits[modality]
     elif modality.is_metric:
         low, high = display_range(np.concatenate(seen))
     else:
@@ -155,16 +158,23 @@ def paint(
     if pane.kind == "depth":
         assert images.depth is not None
         assert scales.depth is not None
-        return scales.depth.colorize(images.depth)
+        return _where_solid(scales.depth.colorize(images.depth), images)
     if pane.kind == "difference":
         (modality,) = pane.modalities
         assert scales.difference is not None
-        return scales.difference.colorize(images.images[modality])
+        return _where_solid(scales.difference.colorize(images.images[modality]), images)
     painted = [_paint_modality(each, images, scales, settings) for each in pane.modalities]
     if pane.kind in ("blend", "split"):
         below, above = painted
         return (blend if pane.kind == "blend" else split)(below, above, settings.share)
     return painted[0]
+
+
+def _where_solid(
+    painted: UInt8[np.ndarray, "h w 3"], images: PaneImages
+) -> UInt8[np.ndarray, "h w 3"]:
+    painted[~images.solid] = NO_SURFACE_COLOR
+    return painted
 
 
 def _paint_modality(
@@ -174,14 +184,13 @@ def _paint_modality(
     values = images.images[modality]
     if modality.channels > 1:
         return values
-    # What the model does not cover has no temperature; the background's colour would look like a
-    # cold one.
-    shown = np.where(images.solid, values, np.nan) if modality.is_metric else values
-    painted = scales.values[modality].colorize(shown)
+    painted = scales.values[modality].colorize(values)
     if modality == settings.scaled and settings.isotherm is not None:
         band = images.solid & _in_band(values, settings.isotherm)
         painted[band] = isotherm_color(settings.palette)
-    return painted
+    # What the model does not cover has no temperature; the background's colour would look like a
+    # cold one.
+    return _where_solid(painted, images) if modality.is_metric else painted
 
 
 def isotherm_color(palette: PaletteName) -> tuple[int, int, int]:
@@ -222,10 +231,8 @@ def compose(
     images: Sequence[PaneImages],
     scales: Scales,
     settings: Settings,
-    marks: Sequence[Mark] = (),
-    boxes: Sequence[tuple[Box, Sequence[BoxReading | None]]] = (),
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The whole picture with its marks, boxes, titles and scale bars.
+    """The picture alone, without marks and scales, [H, W, 3].
 
     Args:
         size: width and height of the picture.
@@ -233,41 +240,86 @@ def compose(
         images: of each pane, at any size; they are stretched to the pane.
         scales: what the colours mean.
         settings: palette, isotherm, slider.
-        marks: points to label where they are seen.
-        boxes: rectangles to draw into every pane, each with what was read in each pane.
     """
+    painted = [
+        paint(pane, shown, scales, settings) for pane, shown in zip(panes, images, strict=True)
+    ]
+    if len(panes) == 1 and painted[0].shape[1::-1] == size:
+        return painted[0]
     picture = blank(size, EMPTY_COLOR)
-    for number, (pane, shown) in enumerate(zip(panes, images, strict=True)):
-        part = Image.fromarray(np.ascontiguousarray(paint(pane, shown, scales, settings)))
+    for pane, colors in zip(panes, painted, strict=True):
+        part = Image.fromarray(np.ascontiguousarray(colors))
         wanted = (pane.camera.width, pane.camera.height)
         if part.size != wanted:
             part = part.resize(wanted, Image.Resampling.BILINEAR)
-        _draw_marks(part, pane, shown, marks)
-        for name, (box, readings) in enumerate(boxes, start=1):
-            _draw_box(part, box, f"B{name}", readings[number])
-        if pane.title:
-            _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
-        scale = scales.of(pane)
-        # The bar of the model is also that of the photo beside it.
-        if scale is not None and part.height >= SCALE_FROM_PX and pane.kind != "photo":
-            _draw_scale(part, scale)
         picture.paste(part, (pane.left, pane.top))
     return np.asarray(picture)
 
 
-def _draw_marks(image: Image.Image, pane: Pane, images: PaneImages, marks: Sequence[Mark]) -> None:
-    draw = ImageDraw.Draw(image)
+def annotate(
+    picture: UInt8[np.ndarray, "h w 3"],
+    panes: Sequence[Pane],
+    images: Sequence[PaneImages],
+    scales: Scales,
+    marks: Sequence[Mark] = (),
+    boxes: Sequence[tuple[Box, Sequence[BoxReading | None]]] = (),
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture [H, W, 3] for a file: with its marks, boxes, titles and scale bars drawn in.
+
+    Args:
+        picture: as ``compose`` makes it.
+        panes: its parts.
+        images: of each pane.
+        scales: what the colours mean.
+        marks: points to label where they are seen.
+        boxes: rectangles to draw into every pane, each with what was read in each pane.
+    """
+    whole = Image.fromarray(picture)
+    for number, (pane, shown) in enumerate(zip(panes, images, strict=True)):
+        place = (pane.left, pane.top, pane.left + pane.camera.width, pane.top + pane.camera.height)
+        part = whole.crop(place)
+        for mark in seen_marks(pane, shown, marks):
+            _draw_mark(part, mark)
+        for name, (box, readings) in enumerate(boxes, start=1):
+            _draw_box(part, box, f"B{name}", readings[number])
+        if pane.title:
+            _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
+        scale = pane_scale(pane, scales)
+        if scale is not None and part.height >= SCALE_FROM_PX:
+            _draw_scale(part, scale)
+        whole.paste(part, (pane.left, pane.top))
+    return np.asarray(whole)
+
+
+def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
+    """The scale to draw over a pane; that of the model is also that of the photo beside it."""
+    return None if pane.kind == "photo" else scales.of(pane)
+
+
+def seen_marks(
+    pane: Pane, images: PaneImages, marks: Sequence[Mark]
+) -> list[tuple[float, float, str]]:
+    """Where a pane shows marks: x and y from 0 to 1 over the pane, and the label; without those
+    that lie outside or behind something."""
+    places = []
+    size = pane.camera.width, pane.camera.height
     for mark in marks:
         pixel, depth = pane.camera.project(torch.from_numpy(mark.position))
-        if not pane.camera.contains(pixel) or _is_hidden(
-            (*pixel.tolist(), depth.item()), images, image.size
-        ):
+        if not pane.camera.contains(pixel):
             continue
-        x, y = (round(value) for value in pixel.tolist())
-        for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
-            draw.line([(x - 9, y), (x + 9, y)], fill=color, width=width)
-            draw.line([(x, y - 9), (x, y + 9)], fill=color, width=width)
-        _draw_card(image, (x + 12, y - TEXT_PX - 10), mark.label)
+        x, y = pixel.tolist()
+        if not _is_hidden((x, y, depth.item()), images, size):
+            places.append((x / size[0], y / size[1], mark.label))
+    return places
+
+
+def _draw_mark(image: Image.Image, mark: tuple[float, float, str]) -> None:
+    x, y, label = round(mark[0] * image.width), round(mark[1] * image.height), mark[2]
+    draw = ImageDraw.Draw(image)
+    for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
+        draw.line([(x - 9, y), (x + 9, y)], fill=color, width=width)
+        draw.line([(x, y - 9), (x, y + 9)], fill=color, width=width)
+    _draw_card(image, (x + 12, y - TEXT_PX - 10), label)
 
 
 def _is_hidden(

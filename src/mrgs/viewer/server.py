@@ -14,7 +14,7 @@ from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene
 from mrgs.training import StepStatistics, TrainConfig
-from mrgs.viewer.address import require_free, require_viser
+from mrgs.viewer.address import require_free, require_web_server
 from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource
 
@@ -25,7 +25,7 @@ DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
 
 LIVE_REFRESH_S = 3.0
-"""Time between two pictures of a model in training, for a browser at rest."""
+"""Time after which a browser at rest is told that the model has changed."""
 
 _log = logging.getLogger(__name__)
 
@@ -51,10 +51,10 @@ def view(
 
     Raises:
         RunError: the model is empty.
-        ConfigError: viser is not installed, or the address or port cannot be used.
+        ConfigError: the extra ``view`` is not installed, or the address or port cannot be used.
     """
-    require_viser()
-    from mrgs.viewer.web import open_viewer
+    require_web_server()
+    from mrgs.viewer.opening import open_viewer
 
     viewer = open_viewer(run, scene, host, port)
     try:
@@ -72,7 +72,7 @@ def view(
 class LiveView:
     """Shows a model while it trains; pass its methods to ``mrgs.training.train``.
 
-    It takes at most 5 % of the training's time, and none while no browser is open. Whatever fails
+    It takes at most 5 % of the training's time, and none while nobody looks. Whatever fails
     in it is logged, and the training continues.
 
     Args:
@@ -89,7 +89,7 @@ class LiveView:
         port: int = DEFAULT_PORT,
         on_ready: Callable[[str], None] | None = None,
     ) -> None:
-        require_viser()
+        require_web_server()
         require_free(host, port)
         self._output, self._host, self._port, self._on_ready = Path(output), host, port, on_ready
         self._source = LiveSource()
@@ -115,7 +115,8 @@ class LiveView:
         ``train(on_model=...)``."""
         self._model = model
         try:
-            from mrgs.viewer.web import Viewer, start_pose
+            from mrgs.viewer.opening import start_at, start_camera
+            from mrgs.viewer.web import Viewer
 
             scene = self._scene
             temperature = None if scene is None else scene.temperature
@@ -131,7 +132,7 @@ class LiveView:
                 response,
             )
             self._viewer = self._served = Viewer(
-                subject, start_pose(scene, model), self._host, self._port
+                subject, start_at(start_camera(scene, model), scene), self._host, self._port
             )
             if self._on_ready is not None:
                 self._on_ready(self._viewer.url)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import format_value
@@ -21,11 +23,22 @@ from mrgs.scene import (
     in_order,
     metric_first,
 )
+from mrgs.viewer.limits import starting_limits
 from mrgs.viewer.source import Source
 
 Kind = Literal["image", "depth", "side_by_side", "blend", "split", "photos", "difference"]
 
-PALETTE_CHOICES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
+
+class Start(NamedTuple):
+    """Where a browser begins.
+
+    Attributes:
+        camera: the first viewpoint, as ``camera_facts`` writes it.
+        world: what the camera turns about, and the upright direction, see ``world_facts``.
+    """
+
+    camera: dict[str, Any]
+    world: dict[str, list[float]]
 
 
 @dataclass(frozen=True)
@@ -78,18 +91,18 @@ class Settings:
     Attributes:
         mode: what is shown.
         palette: colours of values with a unit.
-        limits: values of the palette's first and last colour, in the unit of ``scaled``; None
-            follows the picture.
+        limits: values of the palette's first and last colour, of each modality in its unit; those
+            of a modality that is not in it follow the picture.
         isotherm: first and last value of the band that is marked in one colour, in the unit of
             ``scaled``; None marks nothing.
         share: of the slider in the kinds ``blend`` and ``split``: 0 shows only the lower or left
             image, 1 only the other.
-        scaled: the modality that ``limits`` and ``isotherm`` apply to.
+        scaled: the modality that ``isotherm`` applies to.
     """
 
     mode: Mode = Mode("depth")
     palette: PaletteName = "inferno"
-    limits: tuple[float, float] | None = None
+    limits: Mapping[Modality, tuple[float, float]] = field(default_factory=dict)
     isotherm: tuple[float, float] | None = None
     share: float = 0.5
     scaled: Modality = THERMAL
@@ -121,14 +134,14 @@ class Subject:
     camera_response: CameraResponse = ideal_cameras
 
     @property
-    def has_thermal(self) -> bool:
-        """Whether the model has temperatures."""
-        return THERMAL in self.modalities
-
-    @property
     def scaled(self) -> Modality | None:
         """The modality whose range and isotherm can be chosen: the first with a unit, else None."""
         return next((modality for modality in self.modalities if modality.is_metric), None)
+
+    @cached_property
+    def limits(self) -> Mapping[Modality, tuple[float, float]]:
+        """Of each modality with a unit, the limits that its scale is locked at to begin with."""
+        return starting_limits(self.modalities, self.scene, self.temperature)
 
     @property
     def readable(self) -> tuple[Modality, ...]:

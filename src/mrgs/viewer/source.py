@@ -9,14 +9,19 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any, TypeAlias, TypeVar
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from mrgs.render import Model
 from mrgs.system.gpu import HOST
+from mrgs.system.threads import one_thread
 
 Result = TypeVar("Result")
+
+Effort = Literal["moving", "resting", "still"]
+"""A picture soon, a sharp one, or one of the screen's full resolution."""
 
 LIVE_SHARE = 0.04
 """Share of the training's time that looking at it may take; the promise is 5 %."""
@@ -28,8 +33,8 @@ MAX_CREDIT_S = 0.5
 class TrainedSource:
     """Access to a model that no longer changes."""
 
-    max_side_px = 1280
-    """Longest side of a sharp picture."""
+    most_pixels: Mapping[Effort, int] = {"moving": 640, "resting": 1280, "still": 4096}
+    """Longest side of a picture, by how long the camera rests."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
@@ -39,6 +44,10 @@ class TrainedSource:
         """Run a job on the model after those before it; returns the result of the job."""
         with self._lock:
             return job(self._model)
+
+    def small_work(self) -> AbstractContextManager[None]:
+        """Around the drawing of a small picture: on one thread, see ``one_thread``."""
+        return one_thread()
 
     def charge(self) -> None:
         """Does nothing: no training competes for the processor."""
@@ -54,7 +63,7 @@ class LiveSource:
         thread_clock: processor time of the calling thread, seconds.
     """
 
-    max_side_px = 640
+    most_pixels: Mapping[Effort, int] = {"moving": 400, "resting": 640, "still": 640}
 
     def __init__(
         self,
@@ -92,6 +101,10 @@ class LiveSource:
             else:
                 self._jobs.append((future, job))
         return future.result()
+
+    def small_work(self) -> AbstractContextManager[None]:
+        """Changes nothing: the training's own thread draws, with as many as it trains with."""
+        return nullcontext()
 
     def charge(self) -> None:
         """Account for the processor time that the calling thread has used since it last called

@@ -1,127 +1,110 @@
-"""The panel's texts as HTML; text that comes from files is escaped."""
+"""What the panel says, as plain text: the page shows it as text, so that nothing in it can become
+a tag."""
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
+from typing import TypedDict
 
-from mrgs.pictures.values import NORMALISED, decimals_of, unit_of
-from mrgs.scene import Modality
-from mrgs.viewer.inspection import Inspection
+from mrgs.pictures.values import decimals_of, unit_of
+from mrgs.scene import THERMAL, Modality
+from mrgs.viewer.inspection import PointReading
 from mrgs.viewer.picking import BoxReading, ValueReading
 from mrgs.viewer.settings import Subject
 
-_STYLE = "font-size:13px;line-height:1.45;padding:2px 12px 6px 12px"
-CLICK_HINT = "Click on the picture to read a point."
-EMPTY_HINT = "Nothing there: the model is empty at this point. Click on something solid."
+EMPTY_HINT = "Nothing there: the model is empty at this point."
 
 
-def paragraph(text: str, color: str = "inherit") -> str:
-    """A line of text as an HTML paragraph, escaped."""
-    return f'<div style="{_STYLE};color:{color};overflow-wrap:anywhere">{html.escape(text)}</div>'
+class ReadingText(TypedDict):
+    """A point that was read: the value in large type, its deviation, and further lines."""
+
+    value: str
+    deviation: str
+    lines: list[str]
 
 
-def header(subject: Subject, note: str) -> str:
-    """The temperature range, or why there is none, and the note."""
+class BoxRow(TypedDict):
+    """A box that was read: its name, and minimum, mean and maximum; or why there are none."""
+
+    name: str
+    figures: list[str]
+    missing: str
+
+
+def header(subject: Subject) -> str:
+    """The temperature range, or why there is none."""
     scale = subject.temperature
-    if not subject.has_thermal:
+    if THERMAL not in subject.modalities:
         shown = ", ".join(modality.quantity for modality in subject.modalities)
-        known = f"No thermal photos: {shown} and depth only."
-    elif scale is None:
-        known = "This scene has no known °C: temperatures are normalised, 0 to 1."
-    else:
-        known = f"The cameras' range: {_number(scale.min_c, 1)} to {_number(scale.max_c, 1)} °C."
-    lines = [html.escape(known)]
-    if note:
-        lines.append(f'<span style="color:#c2410c">{html.escape(note)}</span>')
-    return f'<div style="{_STYLE}">{"<br>".join(lines)}</div>'
+        return f"No thermal photos: {shown} and depth only."
+    if scale is None:
+        return "This scene has no known °C: temperatures are normalised, 0 to 1."
+    return f"Recorded range {number(scale.min_c, 1)} to {number(scale.max_c, 1)} °C."
 
 
-def point(inspection: Inspection) -> str:
-    """The point that was read last: value, photo, other modalities, depth and position."""
-    shown, subject = inspection.point, inspection.subject
-    if shown is None:
-        return _block(html.escape(CLICK_HINT), "mrgs-hint", subject)
+def point(shown: PointReading, subject: Subject) -> ReadingText:
+    """A point: value, photo, other modalities, depth and position."""
     reading, first = shown.reading, shown.modality
+    value = deviation = ""
     lines = []
     if first is not None:
-        lines.append(_value_line(reading.values[first], first, subject))
+        value, deviation = _value_texts(reading.values[first], first, subject)
+        if first != subject.readable[0]:
+            value = f"{first.quantity} {value}"
     if first is not None and shown.photo_value is not None:
         gap = reading.values[first].value - shown.photo_value
         sign = "+" if gap >= 0 else "−"
-        photo = _text(first, shown.photo_value, subject)
-        lines.append(f"photo {photo}, model {sign}{_text(first, abs(gap), subject)}")
+        photo = subject.format_value(first, shown.photo_value)
+        lines.append(f"photo {photo}, model {sign}{subject.format_value(first, abs(gap))}")
     for modality, other in reading.values.items():
         if modality != first:
-            name = html.escape(modality.quantity)
-            lines.append(
-                f"{name} {_text(modality, other.value, subject)} "
-                f"± {_text(modality, other.deviation, subject)}"
-            )
-    lines.append(f"depth {reading.depth:.3f} ± {reading.depth_deviation:.3f} (scene units)")
-    lines.append("position " + ", ".join(_number(value, 3) for value in reading.position))
-    return _block("<br>".join(lines), "mrgs-reading", subject)
-
-
-def _value_line(value: ValueReading, modality: Modality, subject: Subject) -> str:
-    """A value in large type, with its standard deviation; named if it is not the default one."""
-    name = "" if modality == subject.readable[0] else f"{html.escape(modality.quantity)} "
-    unit = unit_of(modality, subject.temperature)
-    suffix = f" ({unit})" if unit == NORMALISED else ""
-    return (
-        f'{name}<span class="mrgs-value" style="font-size:22px;font-weight:600">'
-        f"{_text(modality, value.value, subject)}</span> "
-        f"<span>± {_text(modality, value.deviation, subject)} std. dev.{suffix}</span>"
+            lines.append(" ".join((modality.quantity, *_value_texts(other, modality, subject))))
+    lines.append(
+        f"depth {number(reading.depth, 3)} ± {number(reading.depth_deviation, 3)} (scene units)"
     )
-
-
-def _text(modality: Modality, value: float, subject: Subject) -> str:
-    """A value with its unit, escaped: units may come from a file."""
-    return html.escape(subject.format_value(modality, value))
-
-
-def _block(content: str, name: str, subject: Subject) -> str:
-    """As high with a hint as with a reading, so that the controls below do not jump."""
-    height = 76 + 20 * max(len(subject.readable), 1)
-    return f'<div style="{_STYLE};min-height:{height}px" class="{name}">{content}</div>'
-
-
-def spots(inspection: Inspection) -> str:
-    """The spots that were kept, one line each."""
-    if not inspection.spots:
-        return paragraph("No spots yet.", "#6b7280")
-    lines = [
-        html.escape(spot.label) + " at " + ", ".join(_number(value, 2) for value in spot.position)
-        for spot in inspection.spots
-    ]
-    return f'<div style="{_STYLE}" class="mrgs-spots">{"<br>".join(lines)}</div>'
+    lines.append("position " + ", ".join(number(each, 3) for each in reading.position))
+    return {"value": value, "deviation": deviation, "lines": lines}
 
 
 def boxes(
     readings: Sequence[BoxReading | None], modality: Modality | None, subject: Subject
-) -> str:
-    """Minimum, mean and maximum of a modality in each box, as a table."""
-    if not readings or modality is None:
-        return paragraph("No boxes yet.", "#6b7280")
-    digits = decimals_of(modality, subject.temperature)
-    rows = "".join(
-        _box_row(f"B{number}", reading, digits, modality.quantity)
-        for number, reading in enumerate(readings, start=1)
-    )
-    unit = html.escape(unit_of(modality, subject.temperature))
-    head = f"<tr><th></th><th>min</th><th>mean</th><th>max</th><th>{unit}</th></tr>"
-    table = f'<table class="mrgs-boxes" style="width:100%;text-align:right">{head}{rows}</table>'
-    return f'<div style="{_STYLE}">{table}</div>'
+) -> list[BoxRow]:
+    """Minimum, mean and maximum of a modality in each box."""
+    if modality is None:
+        return []
+    return [
+        _box_row(f"B{order}", reading, modality, subject)
+        for order, reading in enumerate(readings, start=1)
+    ]
 
 
-def _number(value: float, digits: int) -> str:
+def keyframes(count: int) -> str:
+    """How many keyframes a path has, and what it still needs."""
+    few = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}
+    return few.get(count, f"{count} keyframes.")
+
+
+def number(value: float, digits: int) -> str:
     """The number with a proper minus sign."""
     return f"{value:.{digits}f}".replace("-", "−")
 
 
-def _box_row(name: str, reading: BoxReading | None, digits: int, quantity: str) -> str:
+def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> tuple[str, str]:
+    """A value, and its standard deviation."""
+    return (
+        subject.format_value(modality, value.value),
+        f"± {subject.format_value(modality, value.deviation)} std. dev.",
+    )
+
+
+def _box_row(name: str, reading: BoxReading | None, modality: Modality, subject: Subject) -> BoxRow:
     if reading is None:
-        return f'<tr><td>{name}</td><td colspan="4">no {html.escape(quantity)} in it</td></tr>'
+        return {"name": name, "figures": [], "missing": f"no {modality.quantity} in it"}
+    digits = decimals_of(modality, subject.temperature)
     figures = (reading.lowest.value, reading.mean, reading.highest.value)
-    cells = "".join(f"<td>{_number(figure, digits)}</td>" for figure in figures)
-    return f"<tr><td>{name}</td>{cells}<td></td></tr>"
+    unit = unit_of(modality, subject.temperature)
+    return {
+        "name": f"{name}, {unit}",
+        "figures": [number(figure, digits) for figure in figures],
+        "missing": "",
+    }

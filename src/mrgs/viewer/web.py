@@ -1,75 +1,115 @@
-"""The web server: one model, any number of browsers. Needs viser; ``server.py`` checks
-that it is installed."""
+"""The web server: one page, one model, any number of browsers. Needs websockets and msgspec;
+``server.py`` checks that they are installed."""
 
 from __future__ import annotations
 
-import io
+import asyncio
+import ipaddress
+import logging
 import threading
-import warnings
-from contextlib import redirect_stdout
-from pathlib import Path
-from typing import Any
+from concurrent import futures
+from contextlib import suppress
+from http import HTTPStatus
+from urllib.parse import urlsplit
 
-import viser
-from filelock import FileLock, Timeout
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
 
-from mrgs.errors import ConfigError, MrgsWarning, RunError
-from mrgs.render import Model
-from mrgs.runs.baked import bake
-from mrgs.runs.open import Run
-from mrgs.scene import Scene
-from mrgs.viewer.address import require_free
+from mrgs.errors import ConfigError
+from mrgs.pictures.html import Page, make_page
+from mrgs.pictures.stage import STAGE_SCRIPTS, STAGE_STYLE
+from mrgs.scene import Camera
 from mrgs.viewer.browser import Browser
-from mrgs.viewer.cameras import Pose, pose_around, pose_at
-from mrgs.viewer.settings import Subject, shown_modalities
-from mrgs.viewer.source import TrainedSource
-from mrgs.viewer.splats import BrowserSplats
+from mrgs.viewer.cameras import fitted_size
+from mrgs.viewer.gate import Gate
+from mrgs.viewer.inspection import Inspection
+from mrgs.viewer.messages import LARGEST_MESSAGE
+from mrgs.viewer.settings import Start, Subject
+from mrgs.viewer.worker import Worker
+
+SOCKET_PATH = "/socket"
+SECONDS_TO_CLOSE = 2.0
+MOST_WAITING = 64
+"""Messages that a browser has not taken; one that lets more wait is cut off."""
+
+POLICY = ["connect-src 'self'", "form-action 'self'"]
+"""What the page may do beyond what a page from a file may."""
+
+_log = logging.getLogger("mrgs.viewer.web")
+_log.setLevel(logging.CRITICAL)  # a broken request is its sender's mistake
 
 
 class Viewer:
     """A web server that shows one model to any number of browsers.
 
+    It has two threads, however many browsers come: one for the network, one for the model.
+
     Args:
         subject: the model.
         start: first viewpoint of each browser.
         host: the address to listen on; anything but this computer's own makes the model visible to
-            the network.
+            the network, for whoever has the token.
         port: TCP port; 0 takes a free one.
-        splats: the model as plain splats; None if browsers cannot draw it.
+
+    Attributes:
+        note: a sentence for whoever connects; may be empty.
+        url: the address to open, with the token.
 
     Raises:
-        ConfigError: viser is not installed, or the address or port cannot be used.
+        ConfigError: the address or port cannot be used.
     """
 
-    def __init__(
-        self,
-        subject: Subject,
-        start: Pose,
-        host: str,
-        port: int,
-        splats: BrowserSplats | None = None,
-    ) -> None:
+    def __init__(self, subject: Subject, start: Start, host: str, port: int) -> None:
+        self.note = subject.note
         self._subject = subject
         self._start = start
-        self._splats = splats
-        self._browsers: dict[int, Browser] = {}
+        self._gate = Gate(host)
+        self._worker = Worker()
+        self._browsers: dict[ServerConnection, Browser] = {}
         self._lock = threading.Lock()
-        self.note = subject.note
-        self._server = _serve(host, port, subject.name)
-        self._server.gui.configure_theme(
-            show_logo=False, show_share_button=False, control_width="medium"
+        self._page = make_page(
+            "viewer/page/page.html",
+            title=subject.name,
+            styles=[STAGE_STYLE, "viewer/page/page.css"],
+            scripts=[*STAGE_SCRIPTS, "viewer/page/app.js"],
+            sources=POLICY,
         )
-        self._server.gui.main_panel.dock_right()
-        self._server.on_client_connect(self._connected)
-        self._server.on_client_disconnect(self._disconnected)
-        self.url = f"http://{host}:{self._server.get_port()}"
+        self._question = make_page(
+            "viewer/page/token.html",
+            title="Token",
+            styles=[STAGE_STYLE, "viewer/page/page.css"],
+            sources=POLICY,
+        )
+        ready: futures.Future[int] = futures.Future()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve(host, port, ready)),
+            name="mrgs-viewer-web",
+            daemon=True,
+        )
+        self._thread.start()
+        try:
+            self.port = ready.result()
+        except (OSError, OverflowError) as error:
+            self._worker.close()
+            raise ConfigError(
+                f"cannot listen on {host}:{port} ({error}): choose another port, or end what uses "
+                f"it",
+                options=("port",),
+            ) from error
+        self.url = f"http://{_in_url(host)}:{self.port}/?token={self._gate.token}"
+
+    def warm_up(self, camera: Camera) -> None:
+        """Draw a picture that nobody sees, so that the first browser need not wait for kernels."""
+        self._worker.put("warm up", lambda: _draw_unseen(self._subject, camera))
 
     def refresh(self, note: str) -> None:
-        """Redraw every idle browser, with a new note at the top of its panel."""
+        """Say to every browser that the model has changed, with a new note; those that are looked
+        at ask for a picture."""
         self.note = note
         for browser in self.browsers:
             browser.set_note(note)
-            browser.refresh()
 
     @property
     def browsers(self) -> list[Browser]:
@@ -77,98 +117,143 @@ class Viewer:
         with self._lock:
             return list(self._browsers.values())
 
+    @property
+    def busy(self) -> bool:
+        """Whether something is being drawn, or about to be."""
+        return self._worker.busy
+
     def close(self) -> None:
-        """Stop the server and disconnect all browsers."""
-        for browser in self.browsers:
-            browser.close()
-        with redirect_stdout(io.StringIO()):  # its farewell
-            self._server.stop()
+        """Stop the server, disconnect all browsers, and end both threads."""
+        self._worker.close()
+        self._worker.join(SECONDS_TO_CLOSE)
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(2 * SECONDS_TO_CLOSE)
 
-    def _connected(self, client: viser.ClientHandle) -> None:
-        browser = Browser(client, self._subject, self._start, self.note, self._splats)
+    async def _serve(self, host: str, port: int, ready: futures.Future[int]) -> None:
+        """The network's thread: serve until the viewer is closed."""
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            server = await serve(
+                self._serve_browser,
+                host,
+                port,
+                process_request=self._answer,
+                compression=None,  # pictures are compressed already
+                max_size=LARGEST_MESSAGE,
+                close_timeout=SECONDS_TO_CLOSE,
+                server_header=None,
+                logger=_log,
+            )
+        except (OSError, OverflowError) as error:
+            ready.set_exception(error)
+            return
+        async with server:
+            ready.set_result(next(iter(server.sockets)).getsockname()[1])
+            await self._stop.wait()
+
+    async def _serve_browser(self, connection: ServerConnection) -> None:
+        waiting = 0
+
+        async def send(message: str | bytes) -> None:
+            nonlocal waiting
+            waiting += 1
+            try:
+                if waiting > MOST_WAITING:
+                    connection.transport.abort()
+                with suppress(ConnectionClosed):
+                    await connection.send(message)
+            finally:
+                waiting -= 1
+
+        def send_soon(message: str | bytes) -> futures.Future[None]:
+            sending = send(message)
+            try:
+                return asyncio.run_coroutine_threadsafe(sending, self._loop)
+            except RuntimeError:  # the server has been closed
+                sending.close()
+                return futures.Future()
+
+        browser = Browser(self._subject, self._start, self.note, self._worker, send_soon)
         with self._lock:
-            self._browsers[client.client_id] = browser
-
-    def _disconnected(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            browser = self._browsers.pop(client.client_id, None)
-        if browser is not None:
+            self._browsers[connection] = browser
+        try:
+            with suppress(ConnectionClosed):
+                async for message in connection:
+                    browser.receive(message)
+        finally:
+            with self._lock:
+                del self._browsers[connection]
             browser.close()
 
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """What a request gets; None lets it become a browser's socket."""
+        headers, gate = request.headers, self._gate
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if not gate.is_own_host(hosts) or not gate.is_own_origin(origins, hosts):
+            return _text(HTTPStatus.FORBIDDEN, "This address belongs to another page.")
+        token = gate.token_in(request.path)
+        allowed = gate.knows(token) or gate.has_cookie(headers.get_all("Cookie"), self.port)
+        path = urlsplit(request.path).path
+        if path == "/favicon.ico":
+            return _text(HTTPStatus.NO_CONTENT, "")
+        if path not in ("/", SOCKET_PATH):
+            return _text(HTTPStatus.NOT_FOUND, "There is nothing here.")
+        if not allowed:
+            if path == SOCKET_PATH:
+                return _text(HTTPStatus.FORBIDDEN, "The token is missing.")
+            return _html(HTTPStatus.FORBIDDEN, self._question)
+        if path == SOCKET_PATH:
+            return None
+        if token is None:
+            return _html(HTTPStatus.OK, self._page)
+        # The token leaves the address, so that it is not copied along with it.
+        response = _text(HTTPStatus.SEE_OTHER, "")
+        response.headers["Location"] = "/"
+        response.headers["Set-Cookie"] = gate.cookie(self.port)
+        return response
 
-def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
-    """Start to serve a run, and return at once; arguments and errors as for ``view``."""
-    _require_gaussians(run.model, run.folder.path)
-    note = ""
-    if is_training(run.folder.path):
-        step = f"step {run.facts.step:,} of {run.config.max_steps:,}"
-        note = (
-            f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
-        )
-        warnings.warn(
-            f"{run.folder.path} is still training: showing its checkpoint of {step}",
-            MrgsWarning,
-            stacklevel=2,
-        )
-    source = TrainedSource(run.model)
-    subject = Subject(
-        run.folder.path.resolve().name,
-        source,
-        shown_modalities(run.model, scene),
-        run.temperature,
-        scene,
-        run.folder.path,
-        note,
-        run.camera_response,
+
+def _draw_unseen(subject: Subject, camera: Camera) -> None:
+    longest = subject.source.most_pixels["moving"]
+    size = fitted_size(camera.width, camera.height, longest)
+    Inspection(subject).picture(camera.resized(*size))
+
+
+def _html(status: HTTPStatus, page: Page) -> Response:
+    response = _response(status, "text/html", page.html.encode("utf-8", "replace"))
+    response.headers["Content-Security-Policy"] = f"{page.policy}; frame-ancestors 'none'"
+    return response
+
+
+def _text(status: HTTPStatus, text: str) -> Response:
+    response = _response(status, "text/plain", text.encode())
+    response.headers["Content-Security-Policy"] = "default-src 'none'; frame-ancestors 'none'"
+    return response
+
+
+def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": f"{kind}; charset=utf-8",
+            "Content-Length": str(len(body)),
+            "Cache-Control": "no-store",
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+            "Connection": "close",
+        }
     )
-    splats = None
-    if scene is not None:
-        cameras = scene.train_cameras
-        splats = BrowserSplats(
-            lambda: source.run(lambda model: bake(model, cameras, run.temperature))
-        )
-    return Viewer(subject, start_pose(scene, run.model), host, port, splats)
+    return Response(status.value, status.phrase, headers, body)
 
 
-def is_training(folder: Path) -> bool:
-    """Whether a process holds the run's lock."""
-    lock_file = folder / ".lock"
-    if not lock_file.exists():
-        return False
-    lock = FileLock(lock_file)
+def _in_url(host: str) -> str:
+    """The host as an address names it; of all addresses, this computer's own."""
     try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        return True
-    except OSError:  # a folder that cannot be written is not being trained in
-        return False
-    lock.release()
-    return False
-
-
-def _require_gaussians(model: Model, path: Path) -> None:
-    if len(model.gaussians) == 0:
-        raise RunError(
-            f"{path}: the model has no Gaussians, so there is nothing to see; retrain it"
-        )
-
-
-def _serve(host: str, port: int, title: str) -> viser.ViserServer:
-    require_free(host, port)
-    with redirect_stdout(io.StringIO()):  # its banner
-        server: Any = viser.ViserServer(host=host, port=port, label=title, verbose=False)
-    if port not in (0, server.get_port()):
-        server.stop()
-        raise ConfigError(
-            f"cannot listen on {host}:{port}: choose another port, or end what uses it",
-            options=("port",),
-        )
-    return server
-
-
-def start_pose(scene: Scene | None, model: Model) -> Pose:
-    """The first viewpoint: that of the first training view, or towards the model's middle without a
-    scene."""
-    if scene is not None:
-        return pose_at(scene.train[0], scene.train)
-    return pose_around(model.gaussians.means.detach().cpu().numpy())
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    if address.is_unspecified:
+        return "127.0.0.1" if address.version == 4 else "[::1]"
+    return f"[{host}]" if address.version == 6 else host

@@ -90,9 +90,13 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 
 
 def picture(page: Any) -> np.ndarray:
-    return np.asarray(
-        Image.open(io.BytesIO(page.locator("#view").screenshot())).convert("RGB"), dtype=np.float64
-    )
+    """The picture alone, without what lies over it."""
+    show = "(nodes, visibility) => nodes.forEach((node) => { node.style.visibility = visibility; })"
+    over = page.locator("#scales, .tools, #tip, #marker")
+    over.evaluate_all(show, "hidden")
+    content = page.locator("#view").screenshot()
+    over.evaluate_all(show, "")
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), dtype=np.float64)
 
 
 def psnr(got: np.ndarray, expected: np.ndarray) -> float:
@@ -112,6 +116,7 @@ def read(page: Any, x: int, y: int) -> tuple[float, float]:
 def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path):
     page = open_page(baked, viewport={"width": 800, "height": 420})
     page.select_option("#camera", "view 3")
+    page.click("[data-modality=rgb]")
     page.wait_for_selector(SETTLED)
     colours = picture(page)
     height, width = colours.shape[:2]
@@ -202,6 +207,8 @@ def test_palette_range_and_isotherm_change_the_picture(open_page):
 
 def test_orbit_zoom_and_the_way_back(open_page):
     page = open_page(viewport={"width": 800, "height": 420})
+    page.click("[data-modality=rgb]")
+    page.wait_for_selector(SETTLED)
     start = picture(page)
     box = page.locator("#view").bounding_box()
     middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -216,9 +223,38 @@ def test_orbit_zoom_and_the_way_back(open_page):
     wait_until(lambda: not np.array_equal(picture(page), turned), "the wheel is felt", page)
     page.wait_for_selector(SETTLED)
     assert (picture(page).sum(axis=2) > 30).mean() < 0.8 * (turned.sum(axis=2) > 30).mean()
-    page.click("#back")
+    page.click("#home")
     page.wait_for_selector(SETTLED)
     assert np.abs(picture(page) - start).max() <= 1
+
+
+def test_it_opens_on_temperatures_with_round_ticks_over_the_picture(open_page):
+    page = open_page(viewport={"width": 800, "height": 600})
+    assert page.locator("[data-modality=thermal]").get_attribute("aria-pressed") == "true"
+    ticks = page.locator(".scale span").all_inner_texts()
+    assert ticks == ["0", "20", "40", "60", "80 °C"]
+    page.click("[data-modality=rgb]")
+    assert page.locator(".scale").count() == 0
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (800, 600), (1440, 900)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_the_window(open_page, width, height, scheme, tmp_path):
+    phone = width < 500
+    page = open_page(
+        viewport={"width": width, "height": height},
+        color_scheme=scheme,
+        has_touch=phone,
+        is_mobile=phone,
+    )
+    path = Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / f"page_{width}_{scheme}.png"
+    image = np.asarray(Image.open(io.BytesIO(page.screenshot(path=path))).convert("RGB"))
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    for selector in ("#home", ".scale"):
+        place = page.locator(selector).bounding_box()
+        assert 0 <= place["x"] <= place["x"] + place["width"] <= width
+        assert 0 <= place["y"] <= place["y"] + place["height"] <= height
+    assert (image[10, width - 10].mean() < 80) == (scheme == "dark")
 
 
 def test_a_tap_on_a_phone_reads_a_temperature(open_page):

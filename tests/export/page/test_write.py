@@ -51,10 +51,10 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
     assert facts["model"] == packed.header
     assert [camera["width"] for camera in facts["cameras"]] == [96] * 5
     assert facts["cameras"][2]["position"] == pytest.approx(cameras["view 2"].position.tolist())
-    colour, heat = facts["modalities"]
+    heat, colour = facts["modalities"]
     assert (colour["label"], colour["channels"], colour["metric"]) == ("Colour", 3, False)
     assert (heat["label"], heat["channels"], heat["metric"]) == ("Temperature", 1, True)
-    assert heat["scale"] == {"min": -10.0, "max": 90.0, "unit": "°C"}
+    assert heat["scale"] == {"min": -10.0, "max": 90.0, "unit": "°C", "decimals": 1}
     assert heat["range"] == pytest.approx(visible_range(baked, THERMAL, list(cameras.values())))
     assert facts["readable"] == ["thermal"]
     assert facts["world"]["up"][2] > 0.9
@@ -106,8 +106,8 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
     unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")
     text = Elements(unknown.read_text(encoding="utf-8"))
     assert "hold no °C" in text.texts["li"]
-    heat = json.loads(text.texts["facts"])["modalities"][1]
-    assert heat["scale"] == {"min": 0.0, "max": 1.0, "unit": ""}
+    heat = json.loads(text.texts["facts"])["modalities"][0]
+    assert heat["scale"] == {"min": 0.0, "max": 1.0, "unit": "", "decimals": 3}
 
 
 def test_every_modality_of_the_model_is_offered(with_nir, cameras, tmp_path):
@@ -115,14 +115,14 @@ def test_every_modality_of_the_model_is_offered(with_nir, cameras, tmp_path):
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
     names = [modality["name"] for modality in facts["modalities"]]
-    assert names == ["rgb", "thermal", "nir"]
+    assert names == ["thermal", "rgb", "nir"]
     assert facts["readable"] == ["thermal", "nir"]
     assert facts["modalities"][2] == {
         "name": "nir",
         "label": "Near infrared",
         "channels": 1,
         "metric": False,
-        "scale": {"min": 0.0, "max": 1.0, "unit": ""},
+        "scale": {"min": 0.0, "max": 1.0, "unit": "", "decimals": 3},
         "range": [0.0, 1.0],
     }
     buttons = [a["data-modality"] for tag, a in page.tags if "data-modality" in a]
@@ -139,11 +139,12 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
         range_c=(10.0, 30.0),
         max_splats=150,
         sh_degree=1,
+        start="view 3",
     )
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
     assert (
-        facts["modalities"][1]["range"],
+        facts["modalities"][0]["range"],
         facts["model"]["count"],
         facts["model"]["sh_degree"],
     ) == (
@@ -153,8 +154,9 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
     )
     assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [
         {"selected": None}
-    ]
-    assert "<option selected>iron</option>" in path.read_text(encoding="utf-8")
+    ] * 2
+    for chosen in ("iron", "view 3"):
+        assert f"<option selected>{chosen}</option>" in path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

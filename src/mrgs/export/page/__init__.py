@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mrgs.export.job import ExportJob
 from mrgs.export.page.write import write_page
+from mrgs.scene.overview import best_view
 
 __all__ = ["export", "write_page"]
 
@@ -23,5 +24,6 @@ def export(job: ExportJob) -> list[Path]:
         range_c=job.limits_c,
         notes=job.scene.notes,
         modalities=job.modalities,
+        start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,
     )
     return [path]

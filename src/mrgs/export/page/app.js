@@ -10,21 +10,6 @@ const element = (id) => document.getElementById(id);
 const modalityButtons = () => document.querySelectorAll("button[data-modality]");
 const json = (id) => JSON.parse(element(id).textContent);
 
-class Scale {
-  // The normalised values of a modality as the numbers of the page: in its unit, or as they are without one.
-  constructor({ min, max, unit }) {
-    this.min = min;
-    this.max = max;
-    this.span = max - min;
-    this.unit = unit;
-    this.decimals = this.span > 5 ? 1 : this.span > 0.5 ? 2 : 3;
-  }
-
-  shown(value) { return this.min + value * this.span; }
-  normalised(number) { return (number - this.min) / this.span; }
-  text(number) { return number.toFixed(this.decimals) + (this.unit ? ` ${this.unit}` : ""); }
-}
-
 class Page {
   constructor(facts, model) {
     this.facts = facts;
@@ -51,12 +36,14 @@ class Page {
       onLeave: () => this.hoverAt(null),
       onTap: (x, y) => this.placeSpot(x, y),
       onMove: () => this.moving(),
+      onHome: () => this.jumpTo(this.start),
     });
     new ResizeObserver(() => this.resize()).observe(this.canvas);
     this.resize();
     const metric = facts.modalities.find((each) => each.metric);
     if (metric) this.setScaled(this.modalities[metric.name]);
-    this.viewpoint.jumpTo(facts.cameras[0]);
+    this.start = element("camera").selectedIndex;
+    this.jumpTo(this.start);
   }
 
   startWorker(model) {
@@ -85,6 +72,7 @@ class Page {
     cameras.addEventListener("change", () => this.jumpTo(cameras.selectedIndex));
     element("previous").addEventListener("click", () => this.jumpTo(cameras.selectedIndex - 1));
     element("next").addEventListener("click", () => this.jumpTo(cameras.selectedIndex + 1));
+    element("home").addEventListener("click", () => this.jumpTo(this.start));
     element("back").addEventListener("click", () => this.jumpTo(cameras.selectedIndex));
     this.canvas.addEventListener("webglcontextlost", () => showFailure("The graphics driver stopped: reload the page."));
   }
@@ -99,7 +87,7 @@ class Page {
     this.shown = this.modalities[name];
     for (const button of modalityButtons()) button.setAttribute("aria-pressed", String(button.dataset.modality === name));
     if (this.shown.metric && this.shown !== this.scaled) this.setScaled(this.shown);
-    this.requestFrame();
+    else this.drawScale();
   }
 
   // The modality that the palette's range and the isotherm apply to.
@@ -147,17 +135,14 @@ class Page {
   }
 
   drawScale() {
-    const bar = element("bar");
-    const colours = this.palettes[element("palette").value];
-    const context = bar.getContext("2d");
-    const image = context.createImageData(256, 1);
-    for (let i = 0; i < 256; i++) image.data.set([...colours.subarray(3 * i, 3 * i + 3), 255], 4 * i);
-    context.putImageData(image, 0, 0);
-    const [low, high] = this.range;
-    [0, 0.25, 0.5, 0.75, 1].forEach((share, i) => {
-      element("ticks").children[i].textContent = (low + share * (high - low)).toFixed(this.scaled.scale.decimals);
-    });
+    this.bar?.remove();
+    this.bar = null;
     this.requestFrame();
+    if (!this.shown.metric) return;
+    const [low, high] = this.range;
+    const colours = this.palettes[element("palette").value];
+    this.bar = new ScaleBar(element("scales"));
+    this.bar.show({ low, high, unit: this.scaled.scale.unit, colours }, barHeight(this.canvas.clientHeight));
   }
 
   resize() {
@@ -165,7 +150,9 @@ class Page {
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
     if (width === this.canvas.width && height === this.canvas.height) return;
     [this.canvas.width, this.canvas.height] = [width, height];
-    if (this.viewpoint.frame) this.viewChanged();
+    if (!this.viewpoint.frame) return;
+    this.drawScale();
+    this.viewChanged();
   }
 
   // --- when to draw ---
@@ -314,17 +301,6 @@ class Page {
     marker.style.transform = `translate(${place[0]}px, ${place[1]}px)`;
     element("marker-text").textContent = this.spot.text;
   }
-}
-
-function pointAt(camera, [x, y], depth) {
-  const inCamera = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
-  const r = camera.rotation;
-  return [0, 1, 2].map((i) => camera.position[i] + r[i] * inCamera[0] + r[3 + i] * inCamera[1] + r[6 + i] * inCamera[2]);
-}
-
-function project(camera, point) {
-  const [x, y, z] = [0, 3, 6].map((row, i) => dot(camera.rotation.slice(row, row + 3), point) + camera.translation[i]);
-  return z > 0.01 ? [(camera.fx * x) / z + camera.cx, (camera.fy * y) / z + camera.cy] : null;
 }
 
 function showFailure(message) {

@@ -129,7 +129,7 @@ uniform vec2 isotherm;     // of the band; empty where the first is larger
 in vec2 place;
 out vec4 shown;
 
-const vec3 NOTHING_SEEN = vec3(0.13, 0.14, 0.15);
+const vec3 NOTHING_SEEN = vec3(0.227, 0.259, 0.306);
 const vec3 ISOTHERM = vec3(0.20, 0.95, 0.35);
 
 void main() {

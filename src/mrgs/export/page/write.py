@@ -9,15 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from mrgs.errors import ConfigError
 from mrgs.export.page.packing import PackedModel, pack
 from mrgs.export.page.visibility import most_visible
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
-from mrgs.pictures.palette import PaletteName, display_range, palette_table
-from mrgs.pictures.values import in_unit, range_of, unit_label
+from mrgs.pictures.palette import PaletteName, display_range
+from mrgs.pictures.stage import (
+    PALETTE_CHOICES,
+    STAGE_SCRIPTS,
+    STAGE_STYLE,
+    camera_facts,
+    modality_facts,
+    palette_facts,
+    world_facts,
+)
+from mrgs.pictures.values import in_unit, range_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     THERMAL,
@@ -27,17 +35,14 @@ from mrgs.scene import (
     in_order,
     metric_first,
 )
-from mrgs.scene.camera_paths import focus_point
 
-SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "navigation.js", "app.js")
+SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "app.js")
 ASSETS: dict[str, Any] = {
-    "styles": ["export/page/page.css"],
-    "scripts": [f"export/page/{name}" for name in SCRIPTS],
+    "styles": [STAGE_STYLE],
+    "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}" for name in SCRIPTS)],
     "sources": ["worker-src blob:"],
 }
 """Style sheet, scripts and their policy, see ``write_html``."""
-
-PALETTES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
 
 RANGE_VIEWS = 8
 RANGE_WIDTH_PX = 160
@@ -57,6 +62,7 @@ def write_page(
     sh_degree: int = 3,
     notes: Sequence[str] = (),
     modalities: Sequence[Modality] | None = None,
+    start: str | None = None,
 ) -> Path:
     """Write the model as one HTML page; returns its path.
 
@@ -65,7 +71,7 @@ def write_page(
 
     Args:
         baked: N splats.
-        cameras: of the captured views, by name; the page opens on the first.
+        cameras: of the captured views, by name.
         title: heading of the page.
         path: ends with .html.
         palette: inferno, iron, grey or rainbow; the reader may choose another.
@@ -74,13 +80,15 @@ def write_page(
         max_splats: keep only this many, those that paint most of the photos.
         sh_degree: 0 to 3; a lower degree makes a smaller file with less view dependence.
         notes: sentences for the section on temperatures.
-        modalities: to show; None shows all of the model's.
+        modalities: to show; None shows all of the model's. The page opens on the first of them that
+            has a unit.
+        start: name of the view that the page opens at; None takes the first.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
         RunError: the file cannot be written.
     """
-    shown = in_order(baked.modalities if modalities is None else modalities)
+    shown = metric_first(in_order(baked.modalities if modalities is None else modalities))
     _check(shown, cameras, palette, range_c, max_splats, sh_degree)
     every = list(cameras.values())
     baked = _reduced(baked, every, max_splats)
@@ -95,9 +103,10 @@ def write_page(
         has_thermal=THERMAL in shown,
         date=date.today().isoformat(),
         temperature=baked.temperature,
-        palettes=PALETTES,
+        palettes=PALETTE_CHOICES,
         palette=palette,
         cameras=list(cameras),
+        start=start or next(iter(cameras)),
         notes=notes,
         splats=packed.header["count"],
         left_out=len(baked) - packed.header["count"],
@@ -144,8 +153,10 @@ def _check(
         raise ConfigError("the page needs at least one modality to show")
     if not cameras:
         raise ConfigError("the page needs at least one camera to open on")
-    if palette not in PALETTES:
-        raise ConfigError(f"the page has no palette {palette}; choose one of {', '.join(PALETTES)}")
+    if palette not in PALETTE_CHOICES:
+        raise ConfigError(
+            f"the page has no palette {palette}; choose one of {', '.join(PALETTE_CHOICES)}"
+        )
     if range_c is not None and not -np.inf < range_c[0] < range_c[1] < np.inf:
         raise ConfigError(
             f"the temperature range {range_c[0]:g} to {range_c[1]:g} must rise from a number to a "
@@ -155,27 +166,6 @@ def _check(
         raise ConfigError(f"max_splats is {max_splats}; it must be at least 1")
     if sh_degree not in range(4):
         raise ConfigError(f"sh_degree is {sh_degree}; it must be from 0 to 3")
-
-
-def _camera(camera: Camera) -> dict[str, Any]:
-    return {
-        "rotation": camera.viewmat[:3, :3].flatten().tolist(),
-        "position": camera.position.tolist(),
-        "fx": camera.K[0, 0].item(),
-        "fy": camera.K[1, 1].item(),
-        "cx": camera.K[0, 2].item(),
-        "cy": camera.K[1, 2].item(),
-        "width": camera.width,
-        "height": camera.height,
-    }
-
-
-def _world(cameras: Sequence[Camera]) -> dict[str, list[float]]:
-    """Where the cameras look, and which way is up: against their mean down axis."""
-    up = -torch.stack([camera.viewmat[1, :3] for camera in cameras]).mean(dim=0)
-    if up.norm() < 1e-6:
-        up = -cameras[0].viewmat[1, :3]
-    return {"focus": focus_point(cameras).tolist(), "up": (up / up.norm()).tolist()}
 
 
 def _facts(
@@ -188,9 +178,9 @@ def _facts(
     """What the page's script reads as JSON."""
     return {
         "model": packed.header,
-        "cameras": [_camera(camera) for camera in cameras],
-        "world": _world(cameras),
-        "palettes": {name: _base64(palette_table(name).tobytes()) for name in PALETTES},
+        "cameras": [camera_facts(camera) for camera in cameras],
+        "world": world_facts(cameras),
+        "palettes": palette_facts(PALETTE_CHOICES),
         "modalities": [_modality_facts(each, baked, cameras, range_c) for each in shown],
         "readable": [each.name for each in metric_first(shown) if each.channels == 1],
     }
@@ -201,24 +191,15 @@ def _modality_facts(
     baked: BakedModel,
     cameras: Sequence[Camera],
     range_c: tuple[float, float] | None,
-) -> dict[str, Any]:
-    """What the page's script knows of a modality: its name and label, whether a palette shows it,
-    what the normalised values 0 and 1 stand for, and the ends of the palette."""
-    low, high = range_of(modality, baked.temperature)
-    ends = low, high
+) -> Mapping[str, Any]:
+    """A modality for the page's script, with the ends of its palette."""
     if modality == THERMAL and range_c is not None:
         ends = range_c
     elif modality.is_metric:
         ends = visible_range(baked, modality, cameras)
-    quantity = modality.quantity
-    return {
-        "name": modality.name,
-        "label": quantity[:1].upper() + quantity[1:],
-        "channels": modality.channels,
-        "metric": modality.is_metric,
-        "scale": {"min": low, "max": high, "unit": unit_label(modality, baked.temperature)},
-        "range": list(ends),
-    }
+    else:
+        ends = range_of(modality, baked.temperature)
+    return modality_facts(modality, baked.temperature, ends)
 
 
 def _base64(content: bytes) -> str:

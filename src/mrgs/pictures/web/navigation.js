@@ -94,12 +94,26 @@ function orthonormal([right, , forward]) {
   return [cross(down, ahead), down, ahead];
 }
 
-// Mouse, fingers and keys on the canvas. Hover and tap are told in CSS pixels of the canvas.
+// The point of the world that a camera sees at a pixel, at a depth.
+function pointAt(camera, [x, y], depth) {
+  const inCamera = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
+  const r = camera.rotation;
+  return [0, 1, 2].map((i) => camera.position[i] + r[i] * inCamera[0] + r[3 + i] * inCamera[1] + r[6 + i] * inCamera[2]);
+}
+
+// Where a camera sees a point of the world; null behind it.
+function project(camera, point) {
+  const from = subtract(point, camera.position);
+  const [x, y, z] = [0, 3, 6].map((row) => dot(camera.rotation.slice(row, row + 3), from));
+  return z > 0.01 ? [(camera.fx * x) / z + camera.cx, (camera.fy * y) / z + camera.cy] : null;
+}
+
+// Mouse, fingers and keys on the canvas. Hover and tap are reported in CSS pixels of the canvas.
 class Navigation {
-  constructor(canvas, viewpoint, { onHover, onLeave, onTap, onMove }) {
+  constructor(canvas, viewpoint, { onHover, onLeave, onTap, onMove, onHome }) {
     this.canvas = canvas;
     this.viewpoint = viewpoint;
-    this.handlers = { onHover, onLeave, onTap, onMove };
+    this.handlers = { onHover, onLeave, onTap, onMove, onHome };
     this.pointers = new Map();
     this.travelled = 0;
     canvas.addEventListener("pointerdown", (event) => this.press(event));
@@ -171,6 +185,8 @@ class Navigation {
       ArrowDown: () => this.viewpoint.orbit(0, -KEY_STEP),
       "+": () => this.viewpoint.zoom(0.9),
       "-": () => this.viewpoint.zoom(1 / 0.9),
+      h: () => this.handlers.onHome(),
+      Home: () => this.handlers.onHome(),
     };
     const action = actions[event.key];
     if (!action) return;

@@ -1,0 +1,159 @@
+"""What a browser may send, checked before anything uses it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+import torch
+
+from mrgs.pictures.palette import PaletteName
+from mrgs.scene import Camera
+from mrgs.scene.rotations import rigid_transform
+from mrgs.viewer.source import Effort
+
+LONGEST_SIDE_PX = 4096
+LARGEST_MESSAGE = 65_536
+"""Bytes."""
+
+FARTHEST = 1e9
+"""Scene units, also pixels: numbers beyond have no meaning in a picture."""
+
+Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]
+Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=1e-3, le=FARTHEST)]
+Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Side: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LONGEST_SIDE_PX)]
+Index: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
+Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0.5, le=600)]
+Limits: TypeAlias = tuple[Number, Number]
+
+
+class BrowserMessage(msgspec.Struct, forbid_unknown_fields=True):
+    """Anything that a browser sends; ``type`` tells which."""
+
+
+class Look(BrowserMessage, tag="look"):
+    """Draw a picture.
+
+    Attributes:
+        number: comes back with the picture.
+        rotation: rows of the camera's axes in the world (right, down, forward).
+        position: world coordinates.
+        focal: fx and fy, pixels.
+        centre: principal point, pixels.
+        width: of the picture in the window, pixels of the screen.
+        height: the same.
+        effort: see ``Effort``.
+    """
+
+    number: Index
+    rotation: Annotated[tuple[Number, ...], msgspec.Meta(min_length=9, max_length=9)]
+    position: tuple[Number, Number, Number]
+    focal: tuple[Positive, Positive]
+    centre: tuple[Number, Number]
+    width: Side
+    height: Side
+    effort: Effort
+
+    def camera(self) -> Camera:
+        """The camera to draw from.
+
+        Raises:
+            ValueError: the rotation is none.
+        """
+        rotation = np.array(self.rotation).reshape(3, 3)
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+            raise ValueError("the camera's axes must be of unit length and perpendicular")
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+        viewmat = rigid_transform(rotation, -rotation @ np.array(self.position))
+        return Camera(K, viewmat, self.width, self.height)
+
+
+class Choose(BrowserMessage, tag="choose"):
+    """The choices of the panel; see ``Settings``.
+
+    Attributes:
+        mode: index of the subject's modes.
+        palette: of values with a unit.
+        scaled: name of the modality that the limits and the isotherm apply to.
+        limits: values of the palette's ends; None lets them follow the picture.
+        isotherm: first and last value of the band; None for none.
+        share: of the slider.
+    """
+
+    mode: Index
+    palette: PaletteName
+    scaled: str | None
+    limits: Limits | None
+    isotherm: Limits | None
+    share: Share
+
+
+class Hover(BrowserMessage, tag="hover"):
+    """Tell what the picture shows at a place; x and y from 0 to 1."""
+
+    x: Share
+    y: Share
+
+
+class ReadPoint(BrowserMessage, tag="read"):
+    """Read the point under a place of the picture; x and y from 0 to 1."""
+
+    x: Share
+    y: Share
+
+
+class DrawBox(BrowserMessage, tag="box"):
+    """Add a box between two corners, from 0 to 1."""
+
+    x0: Share
+    y0: Share
+    x1: Share
+    y1: Share
+
+
+class GoToPhoto(BrowserMessage, tag="photo"):
+    """Choose a captured view, by its index in the subject's views."""
+
+    index: Index
+
+
+class Act(BrowserMessage, tag="act"):
+    """Press a button that needs no more words."""
+
+    what: Literal["fit", "keep_spot", "clear_marks", "screenshot", "add_keyframe", "clear_path"]
+
+
+class SavePath(BrowserMessage, tag="save_path"):
+    """Write the keyframes into a file."""
+
+    seconds: Seconds
+
+
+class RenderVideo(BrowserMessage, tag="video"):
+    """Render the path through the keyframes."""
+
+    seconds: Seconds
+
+
+AnyMessage: TypeAlias = (
+    Look | Choose | Hover | ReadPoint | DrawBox | GoToPhoto | Act | SavePath | RenderVideo
+)
+
+_decoder = msgspec.json.Decoder(AnyMessage)
+
+
+def decode(data: str | bytes) -> AnyMessage:
+    """A message from a browser.
+
+    Raises:
+        ValueError: it is none: not JSON, unknown, or a value out of its range.
+    """
+    return _decoder.decode(data)
+
+
+def encode(value: object) -> str:
+    """A message to a browser as JSON."""
+    return msgspec.json.encode(value).decode()

@@ -1,0 +1,89 @@
+"""A run as the viewer's subject, served."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from mrgs.errors import MrgsWarning, RunError
+from mrgs.pictures.stage import camera_facts, world_facts
+from mrgs.render import Model
+from mrgs.runs.open import Run
+from mrgs.scene import Camera, Scene
+from mrgs.scene.overview import best_view
+from mrgs.viewer.cameras import camera_around
+from mrgs.viewer.settings import Start, Subject, shown_modalities
+from mrgs.viewer.source import TrainedSource
+from mrgs.viewer.web import Viewer
+
+
+def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
+    """Start to serve a run, and return at once; arguments and errors as for ``view``."""
+    _require_gaussians(run.model, run.folder.path)
+    note = ""
+    if is_training(run.folder.path):
+        step = f"step {run.facts.step:,} of {run.config.max_steps:,}"
+        note = (
+            f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
+        )
+        warnings.warn(
+            f"{run.folder.path} is still training: showing its checkpoint of {step}",
+            MrgsWarning,
+            stacklevel=2,
+        )
+    subject = Subject(
+        run.folder.path.resolve().name,
+        TrainedSource(run.model),
+        shown_modalities(run.model, scene),
+        run.temperature,
+        scene,
+        run.folder.path,
+        note,
+        run.camera_response,
+    )
+    camera = start_camera(scene, run.model)
+    viewer = Viewer(subject, start_at(camera, scene), host, port)
+    viewer.warm_up(camera)
+    return viewer
+
+
+def is_training(folder: Path) -> bool:
+    """Whether a process holds the run's lock."""
+    lock_file = folder / ".lock"
+    if not lock_file.exists():
+        return False
+    lock = FileLock(lock_file)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        return True
+    except OSError:  # a folder that cannot be written is not being trained in
+        return False
+    lock.release()
+    return False
+
+
+def start_camera(scene: Scene | None, model: Model) -> Camera:
+    """The training view that shows most of the scene; without a scene, one towards the model's
+    middle."""
+    if scene is None:
+        return camera_around(model.gaussians.means.detach().cpu().numpy())
+    points = scene.points.positions
+    near = points[~scene.reach.is_background(points)]
+    return scene.train_cameras[best_view(scene.train_cameras, near if len(near) else points)]
+
+
+def start_at(camera: Camera, scene: Scene | None) -> Start:
+    """Begin at a camera, and turn about what all cameras look at."""
+    return Start(
+        camera_facts(camera), world_facts([camera] if scene is None else scene.train_cameras)
+    )
+
+
+def _require_gaussians(model: Model, path: Path) -> None:
+    if len(model.gaussians) == 0:
+        raise RunError(
+            f"{path}: the model has no Gaussians, so there is nothing to see; retrain it"
+        )

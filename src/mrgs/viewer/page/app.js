@@ -1,0 +1,507 @@
+// The viewer's page. The server draws pictures; where the camera is, and all that lies over the picture, is the page's.
+
+const REST_MS = 160;
+const STILL_MS = 500;
+const MAX_PIXEL_RATIO = 3;
+const LONGEST_SIDE_PX = 4096;
+const FRUSTUM_DEPTH = 0.06; // of the distance between the camera and what it turns about
+const SVG = "http://www.w3.org/2000/svg";
+
+const element = (id) => document.getElementById(id);
+const fromBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+
+function shape(name, attributes, parent, text) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text) made.textContent = text;
+  parent.append(made);
+  return made;
+}
+
+class Connection {
+  constructor(handlers, onPicture, onClose) {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    this.socket = new WebSocket(`${scheme}://${location.host}/socket`);
+    this.socket.binaryType = "arraybuffer";
+    this.socket.onclose = onClose;
+    this.socket.onmessage = ({ data }) => {
+      if (data instanceof ArrayBuffer) return onPicture(...splitPicture(data));
+      const { type, ...facts } = JSON.parse(data);
+      return handlers[type](facts);
+    };
+  }
+
+  send(type, facts = {}) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ type, ...facts }));
+  }
+}
+
+// Length of the facts, the facts, the picture.
+function splitPicture(data) {
+  const length = new DataView(data).getUint32(0, true);
+  const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  return [facts, new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" })];
+}
+
+// Asks for pictures: soon while the camera moves, sharp once it rests, at full resolution if it goes on resting. Only
+// visible pages are called back for a frame, so a hidden one asks for nothing.
+class Pictures {
+  constructor(connection, canvas, cameraFor, onShown) {
+    this.connection = connection;
+    this.canvas = canvas;
+    this.cameraFor = cameraFor;
+    this.onShown = onShown;
+    this.asked = null;
+    this.due = null;
+    this.count = 0;
+    this.shown = null;
+  }
+
+  moving() {
+    this.ask("moving");
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.ask("resting"), REST_MS);
+  }
+
+  ask(effort) {
+    this.canvas.dataset.settled = "false";
+    this.due = effort;
+    if (this.frame) return;
+    this.frame = requestAnimationFrame(() => {
+      this.frame = null;
+      this.askIfFree();
+    });
+  }
+
+  askIfFree() {
+    if (!this.due || (this.asked && this.asked.effort === "moving")) return;
+    const camera = this.cameraFor(...this.size());
+    this.asked = { number: ++this.count, effort: this.due, camera };
+    this.due = null;
+    const { rotation, position, fx, fy, cx, cy, width, height } = camera;
+    this.connection.send("look", {
+      number: this.count, effort: this.asked.effort, rotation, position, focal: [fx, fy], centre: [cx, cy], width, height,
+    });
+  }
+
+  size() {
+    const { clientWidth, clientHeight } = this.canvas;
+    const ratio = Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO, LONGEST_SIDE_PX / Math.max(clientWidth, clientHeight, 1));
+    return [clientWidth, clientHeight].map((side) => Math.max(1, Math.floor(side * ratio)));
+  }
+
+  async received(facts, blob) {
+    const asked = this.asked;
+    if (!asked || facts.number !== asked.number) return; // overtaken by a newer place
+    this.asked = null;
+    this.askIfFree();
+    const bitmap = await createImageBitmap(blob);
+    if (this.shown && facts.number < this.shown.facts.number) return;
+    this.shown = { facts, camera: asked.camera };
+    [this.canvas.width, this.canvas.height] = [bitmap.width, bitmap.height];
+    this.canvas.getContext("2d").drawImage(bitmap, 0, 0);
+    bitmap.close();
+    this.onShown(facts, asked.camera);
+    this.refine(facts);
+  }
+
+  refine({ effort, full }) {
+    if (effort === "moving" || this.due || this.asked) return;
+    if (full) this.canvas.dataset.settled = "true";
+    else {
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.ask("still"), STILL_MS);
+    }
+  }
+}
+
+class Page {
+  constructor() {
+    this.canvas = element("view");
+    this.bars = [];
+    this.hovered = null;
+    const handlers = {
+      hello: (facts) => this.begin(facts),
+      changed: () => this.pictures.ask("resting"),
+      note: ({ text }) => this.noted(text),
+      hover: ({ text }) => this.showTip(text),
+      point: ({ of }) => this.showPoint(of),
+      spots: ({ of }) => listTexts(element("spots"), of),
+      limits: ({ of }) => this.limitsChanged(of),
+      status: ({ text, failed }) => this.say(text, failed),
+      keyframes: ({ text }) => { element("keyframes").textContent = text; },
+    };
+    this.connection = new Connection(handlers, (facts, blob) => this.pictures.received(facts, blob), () => this.ended());
+  }
+
+  begin(facts) {
+    this.facts = facts;
+    this.modalities = Object.fromEntries(
+      facts.modalities.map((each) => [each.name, { ...each, scale: new Scale(each.scale), follow: false }]),
+    );
+    this.palettes = Object.fromEntries(Object.entries(facts.palettes).map(([name, text]) => [name, fromBase64(text)]));
+    element("known").textContent = facts.known;
+    element("note").textContent = facts.note;
+    this.viewpoint = new Viewpoint(facts.start.world, () => this.moved());
+    this.pictures = new Pictures(
+      this.connection, this.canvas,
+      (width, height) => this.viewpoint.cameraFor(width, height),
+      (shown, camera) => this.shown(shown, camera),
+    );
+    this.fillControls();
+    this.connectControls();
+    this.navigation = new Navigation(this.canvas, this.viewpoint, {
+      onHover: (x, y) => this.hoverAt(x, y),
+      onLeave: () => this.hoverAt(null),
+      onTap: (x, y) => this.connection.send("read", this.shareOf(x, y)),
+      onMove: () => {},
+      onHome: () => this.home(),
+    });
+    this.setMode(0);
+    this.home();
+    new ResizeObserver(() => this.pictures.moving()).observe(this.canvas);
+  }
+
+  fillControls() {
+    const { modes, views, choices, readable } = this.facts;
+    const plain = modes.map((mode, index) => ({ ...mode, index })).filter((mode) => !mode.compares);
+    for (const { label, index } of plain) {
+      const button = document.createElement("button");
+      button.textContent = label;
+      button.dataset.mode = index;
+      button.addEventListener("click", () => this.choose(index));
+      element("modes").append(button);
+    }
+    modes.forEach(({ label, compares }, index) => { if (compares) element("compare").add(new Option(label, index)); });
+    for (const name of choices) element("palette").add(new Option(name));
+    for (const { name } of views) element("photo").add(new Option(name));
+    element("photo-section").hidden = views.length === 0;
+    element("draw-box").hidden = !readable;
+  }
+
+  connectControls() {
+    const pressed = (id, then) => element(id).addEventListener("click", then);
+    const changed = (ids, then) => ids.forEach((id) => element(id).addEventListener("change", then));
+    const act = (what) => () => this.connection.send("act", { what });
+    pressed("home", () => this.home());
+    changed(["compare"], () => this.choose(element("compare").value === "" ? 0 : Number(element("compare").value)));
+    element("share").addEventListener("input", () => this.sendChoices());
+    changed(["palette", "isotherm", "isotherm-low", "isotherm-high"], () => this.sendChoices());
+    changed(["low", "high"], () => this.readRange());
+    changed(["follow"], () => this.setFollow(element("follow").checked));
+    pressed("fit", () => { this.setFollow(false); this.connection.send("act", { what: "fit" }); });
+    pressed("whole", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
+    pressed("keep", act("keep_spot"));
+    pressed("clear", act("clear_marks"));
+    pressed("draw-box", () => this.armBox(element("selector").hidden));
+    pressed("screenshot", act("screenshot"));
+    pressed("add-keyframe", act("add_keyframe"));
+    pressed("clear-path", act("clear_path"));
+    const seconds = () => ({ seconds: element("seconds").valueAsNumber || 8 });
+    pressed("video", () => this.connection.send("video", seconds()));
+    pressed("save-path", () => this.connection.send("save_path", seconds()));
+    const photo = element("photo");
+    changed(["photo"], () => this.goToPhoto(photo.selectedIndex));
+    pressed("previous", () => this.goToPhoto(photo.selectedIndex - 1));
+    pressed("next", () => this.goToPhoto(photo.selectedIndex + 1));
+    changed(["show-cameras"], () => this.drawOver());
+    this.connectSelector();
+  }
+
+  // --- the camera ---
+
+  home() {
+    this.viewpoint.jumpTo(this.facts.start.camera);
+  }
+
+  goToPhoto(index) {
+    const { views } = this.facts;
+    const chosen = (index + views.length) % views.length;
+    element("photo").selectedIndex = chosen;
+    this.connection.send("photo", { index: chosen });
+    this.viewpoint.jumpTo(views[chosen]);
+  }
+
+  moved() {
+    this.showTip("");
+    this.pictures.moving();
+  }
+
+  // --- choices ---
+
+  choose(index) {
+    this.setMode(index);
+    this.sendChoices();
+  }
+
+  setMode(index) {
+    const mode = this.facts.modes[index];
+    this.mode = index;
+    for (const button of element("modes").children) button.setAttribute("aria-pressed", String(Number(button.dataset.mode) === index));
+    element("compare").value = mode.compares ? String(index) : "";
+    element("share-row").hidden = !mode.slider;
+    const first = this.facts.modalities.find((each) => each.metric);
+    this.setScaled(mode.scaled ?? this.scaled?.name ?? first?.name);
+  }
+
+  // The modality that the limits and the isotherm apply to.
+  setScaled(name) {
+    element("scale-section").hidden = !name;
+    if (!name || this.scaled?.name === name) return;
+    this.scaled = this.modalities[name];
+    const { unit } = this.scaled.scale;
+    element("scale-title").textContent = `${this.scaled.label} scale${unit ? `, ${unit}` : ""}`;
+    element("isotherm-low").value = "";
+    this.showRange();
+  }
+
+  showRange() {
+    const { scale, range, follow } = this.scaled;
+    const [low, high] = range;
+    const number = (value) => value.toFixed(scale.decimals);
+    [element("low").value, element("high").value] = [number(low), number(high)];
+    element("follow").checked = follow;
+    if (element("isotherm-low").value) return;
+    element("isotherm-low").value = number(low + 0.75 * (high - low));
+    element("isotherm-high").value = number(scale.max);
+  }
+
+  setRange(low, high) {
+    this.scaled.range = [low, high];
+    this.scaled.follow = false;
+    this.showRange();
+    this.sendChoices();
+  }
+
+  readRange() {
+    const [low, high] = [element("low").valueAsNumber, element("high").valueAsNumber];
+    const valid = Number.isFinite(low) && Number.isFinite(high) && low < high;
+    element("high").setCustomValidity(valid ? "" : "The upper end must be above the lower.");
+    element("high").reportValidity();
+    if (valid) this.setRange(low, high);
+  }
+
+  setFollow(follow) {
+    this.scaled.follow = follow;
+    this.showRange();
+    this.sendChoices();
+  }
+
+  limitsChanged(limits) {
+    for (const [name, range] of Object.entries(limits)) this.modalities[name].range = range;
+    if (this.scaled) this.showRange();
+  }
+
+  sendChoices() {
+    const band = ["isotherm-low", "isotherm-high"].map((id) => element(id).valueAsNumber);
+    const marked = element("isotherm").checked && band.every(Number.isFinite);
+    this.connection.send("choose", {
+      mode: this.mode,
+      palette: element("palette").value,
+      scaled: this.scaled?.name ?? null,
+      limits: this.scaled && !this.scaled.follow ? this.scaled.range : null,
+      isotherm: marked ? band : null,
+      share: Number(element("share").value) / 100,
+    });
+  }
+
+  // --- what is shown ---
+
+  shown(facts) {
+    element("status").hidden = true;
+    if (facts.photo !== null && document.activeElement !== element("photo")) element("photo").selectedIndex = facts.photo;
+    if (this.scaled?.follow) this.followPicture(facts.panes);
+    this.showBoxes(facts.boxes);
+    this.drawOver();
+    if (this.hovered) this.askHover();
+  }
+
+  followPicture(panes) {
+    const scale = panes.map((pane) => pane.scale).find((each) => each && this.facts.choices.includes(each.palette));
+    if (!scale) return;
+    this.scaled.range = [scale.low, scale.high];
+    this.showRange();
+  }
+
+  showBoxes(rows) {
+    element("boxes").hidden = rows.length === 0;
+    element("boxes").tBodies[0].replaceChildren(...rows.map(({ name, figures, missing }) => {
+      const row = document.createElement("tr");
+      for (const text of [name, ...(missing ? [missing, "", ""] : figures)]) row.insertCell().textContent = text;
+      return row;
+    }));
+  }
+
+  noted(text) {
+    element("note").textContent = text;
+    this.pictures.ask("resting");
+  }
+
+  say(text, failed) {
+    element("said").textContent = text;
+    element("said").classList.toggle("warning", failed);
+  }
+
+  ended() {
+    element("status").hidden = false;
+    element("status").textContent = "The viewer has ended. Start it again, and open its new address.";
+  }
+
+  // --- over the picture ---
+
+  drawOver() {
+    const { shown } = this.pictures;
+    if (!shown) return;
+    const over = element("marks");
+    over.replaceChildren();
+    const { clientWidth, clientHeight } = this.canvas;
+    this.bars.forEach((bar) => bar.remove());
+    this.bars = [];
+    for (const pane of shown.facts.panes) {
+      const [left, top, width, height] = pane.place.map((share, i) => share * (i % 2 ? clientHeight : clientWidth));
+      const at = (x, y) => [left + x * width, top + y * height];
+      if (pane.free && pane.place[2] === 1 && element("show-cameras").checked) this.drawCameras(over, shown.camera);
+      pane.boxes.forEach((box, index) => drawBox(over, at, box, `B${index + 1}`));
+      for (const [x, y, label] of pane.marks) drawMark(over, ...at(x, y), label, left + width);
+      if (pane.title) shape("text", { x: left + 12, y: top + 24 }, over, pane.title);
+      if (pane.scale && height > 140) this.addBar(pane.scale, left, clientHeight - top - height, height);
+    }
+  }
+
+  addBar(scale, left, bottom, height) {
+    const bar = new ScaleBar(element("scales"));
+    const colours = this.palettes[scale.palette];
+    const unit = scale.unit === "normalised" ? "" : scale.unit;
+    bar.show({ ...scale, unit, colours, signed: scale.palette === "error" }, barHeight(height));
+    bar.root.style.left = `${left + 10}px`;
+    bar.root.style.bottom = `${bottom + 10}px`;
+    this.bars.push(bar);
+  }
+
+  // The captured cameras as small pyramids; a click goes there.
+  drawCameras(over, seenFrom) {
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
+    const scale = width / seenFrom.width;
+    const own = { ...seenFrom, fx: scale * seenFrom.fx, fy: scale * seenFrom.fy, cx: scale * seenFrom.cx, cy: scale * seenFrom.cy };
+    const depth = FRUSTUM_DEPTH * this.viewpoint.distance;
+    this.facts.views.forEach((view, index) => {
+      const corners = [[0, 0], [view.width, 0], [view.width, view.height], [0, view.height]];
+      const places = [view.position, ...corners.map((corner) => pointAt(view, corner, depth))].map((point) => project(own, point));
+      if (places.includes(null) || !places.some(([x, y]) => x > 0 && y > 0 && x < width && y < height)) return;
+      const [apex, a, b, c, d] = places.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`);
+      const outline = `M${a}L${b}L${c}L${d}Z M${apex}L${a} M${apex}L${b} M${apex}L${c} M${apex}L${d}`;
+      const drawn = shape("path", { d: outline, class: "camera" }, over);
+      shape("title", {}, drawn, view.name);
+      drawn.addEventListener("click", () => this.goToPhoto(index));
+    });
+  }
+
+  // --- the cursor ---
+
+  shareOf(x, y) {
+    const share = (part, whole) => Math.min(Math.max(part / whole, 0), 1);
+    return { x: share(x, this.canvas.clientWidth), y: share(y, this.canvas.clientHeight) };
+  }
+
+  hoverAt(x, y) {
+    this.hovered = x === null ? null : [x, y];
+    if (this.hovered) this.askHover();
+    else this.showTip("");
+  }
+
+  // One question at a time; the newest place is asked for after the answer.
+  askHover() {
+    if (this.asking) {
+      this.askAgain = true;
+      return;
+    }
+    this.asking = true;
+    this.connection.send("hover", this.shareOf(...this.hovered));
+  }
+
+  showTip(text) {
+    this.asking = false;
+    if (this.askAgain && this.hovered) {
+      this.askAgain = false;
+      this.askHover();
+    }
+    if (text && !this.point) element("value").textContent = text;
+    const tip = element("tip");
+    tip.hidden = !text || !this.hovered;
+    if (tip.hidden) return;
+    tip.textContent = text;
+    const [x, y] = this.hovered;
+    const flip = x + 24 + tip.offsetWidth > this.canvas.clientWidth;
+    tip.style.transform = `translate(${flip ? x - 14 - tip.offsetWidth : x + 14}px, ${y + 14}px)`;
+  }
+
+  showPoint(point) {
+    this.point = point;
+    element("value").textContent = point ? point.value || "–" : "–";
+    element("deviation").textContent = point ? point.deviation : "Point at the picture; click to mark a place.";
+    element("lines").textContent = point ? point.lines.join("\n") : "";
+    if (point) this.say("", false);
+  }
+
+  // --- boxes ---
+
+  armBox(armed) {
+    element("selector").hidden = !armed;
+    element("selector").firstElementChild.hidden = true;
+    element("draw-box").setAttribute("aria-pressed", String(armed));
+    this.say(armed ? "Drag over the picture to draw the box." : "", false);
+  }
+
+  connectSelector() {
+    const selector = element("selector");
+    const frame = selector.firstElementChild;
+    let start = null;
+    selector.addEventListener("pointerdown", (event) => {
+      start = [event.offsetX, event.offsetY];
+      selector.setPointerCapture(event.pointerId);
+    });
+    selector.addEventListener("pointermove", (event) => {
+      if (!start) return;
+      const [x, y] = [event.offsetX, event.offsetY];
+      frame.hidden = false;
+      frame.style.transform = `translate(${Math.min(x, start[0])}px, ${Math.min(y, start[1])}px)`;
+      [frame.style.width, frame.style.height] = [`${Math.abs(x - start[0])}px`, `${Math.abs(y - start[1])}px`];
+    });
+    selector.addEventListener("pointerup", (event) => {
+      if (!start) return;
+      const [from, to] = [this.shareOf(...start), this.shareOf(event.offsetX, event.offsetY)];
+      start = null;
+      this.armBox(false);
+      this.connection.send("box", { x0: from.x, y0: from.y, x1: to.x, y1: to.y });
+    });
+  }
+}
+
+function listTexts(list, texts) {
+  list.replaceChildren(...texts.map((text) => {
+    const item = document.createElement("li");
+    item.textContent = text;
+    return item;
+  }));
+}
+
+function drawMark(over, x, y, label, right) {
+  const cross = `M${x - 9} ${y}H${x + 9}M${x} ${y - 9}V${y + 9}`;
+  for (const layer of ["under", "over"]) shape("path", { d: cross, class: layer }, over);
+  const left = x > right - 110;
+  shape("text", { x: left ? x - 13 : x + 13, y: y - 10, "text-anchor": left ? "end" : "start" }, over, label);
+}
+
+function drawBox(over, at, { corners, extremes }, name) {
+  const [[left, top], [right, bottom]] = [at(corners[0], corners[1]), at(corners[2], corners[3])];
+  for (const layer of ["under", "over"]) {
+    shape("rect", { x: left, y: top, width: right - left, height: bottom - top, class: layer }, over);
+  }
+  shape("text", { x: left, y: top - 7 }, over, name);
+  extremes.forEach(([u, v], index) => {
+    const [x, y] = at(u, v);
+    shape("circle", { cx: x, cy: y, r: 5, class: index ? "highest" : "lowest" }, over);
+  });
+}
+
+new Page();

@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from mrgs.scene import Camera
+from mrgs.scene.camera_paths import look_at
+from mrgs.scene.overview import best_view
+from mrgs.scene.rotations import rigid_transform
+
+POINTS = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
+K = torch.tensor([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]], dtype=torch.float64)
+
+
+def camera(position: tuple[float, ...], target: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Camera:
+    place = np.array(position, dtype=float)
+    rotation = look_at(place, np.array(target, dtype=float), np.array([0.0, 0.0, 1.0]))
+    return Camera(K, rigid_transform(rotation, -rotation @ place), 80, 60)
+
+
+def test_the_view_that_shows_most_is_best():
+    near, far, away = camera((1.2, 0, 0)), camera((5, 0, 0)), camera((5, 0, 0), (10, 0, 0))
+    assert best_view([near, away, far], POINTS) == 2
+
+
+def test_of_equal_views_the_one_towards_the_middle_is_best():
+    aside, straight = camera((0, 9, 0), (0.4, 0, 0)), camera((9, 0, 0))
+    assert best_view([aside, straight], POINTS) == 1

@@ -1,0 +1,384 @@
+"""The viewer as other pages, other users and broken clients see it."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from tests.helpers.browsers import wait_until
+
+pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
+
+import websockets
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.server import ServerConnection
+
+from mrgs.errors import ConfigError
+from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.web import Viewer
+from tests.viewer.test_messages import look
+
+VISITS = 85
+EVIL = "evil.example"
+
+
+@pytest.fixture(scope="module")
+def viewer(small_run, balls) -> Iterator[Viewer]:
+    viewer = open_viewer(small_run, balls, "127.0.0.1", 0)
+    yield viewer
+    viewer.close()
+
+
+def token(viewer: Viewer) -> str:
+    return urlsplit(viewer.url).query
+
+
+def ask(viewer: Viewer, path: str = "/", **headers: str) -> tuple[http.client.HTTPResponse, str]:
+    """A request as a browser sends it; underscores in the headers' names stand for dashes."""
+    connection = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=20)
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.request("GET", path, headers=named)
+    response = connection.getresponse()
+    text = response.read().decode()
+    connection.close()
+    return response, text
+
+
+def browse(
+    viewer: Viewer, visit: Callable[[ClientConnection], Any], query: str | None = None, **options
+) -> Any:
+    """Run a visit over a socket of the viewer."""
+
+    async def run() -> Any:
+        address = f"ws://127.0.0.1:{viewer.port}/socket?{token(viewer) if query is None else query}"
+        async with connect(address, max_size=None, **options) as connection:
+            return await visit(connection)
+
+    return asyncio.run(run())
+
+
+async def picture(connection: ClientConnection, **changed: Any) -> dict[str, Any]:
+    """Ask for a picture, and return its facts."""
+    await connection.send(look(**changed))
+    while isinstance(data := await asyncio.wait_for(connection.recv(), 60), str):
+        pass
+    assert data[4 + int.from_bytes(data[:4], "little") :].startswith(b"\xff\xd8"), "no JPEG"
+    return json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")])
+
+
+async def answer(connection: ClientConnection, kind: str) -> dict[str, Any]:
+    """The next text of a kind."""
+    while True:
+        data = await asyncio.wait_for(connection.recv(), 60)
+        if isinstance(data, str) and (message := json.loads(data))["type"] == kind:
+            return message
+
+
+def test_a_page_that_points_its_own_name_here_gets_nothing(viewer):
+    """DNS rebinding: the request carries the other page's name, and knows the token."""
+    host = f"{EVIL}:{viewer.port}"
+    for path in (f"/?{token(viewer)}", "/"):
+        response, text = ask(viewer, path, Host=host, Origin=f"http://{host}")
+        assert (response.status, "token" in text) == (403, False)
+    with pytest.raises(websockets.InvalidStatus) as refused:
+        browse(viewer, picture, additional_headers={"Host": host}, origin=f"http://{host}")
+    assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("origin", [f"http://{EVIL}", "null", "http://127.0.0.1:1", "https://x"])
+def test_another_page_in_the_same_browser_gets_nothing(viewer, origin):
+    """Its requests reach this address, with the browser's cookies, and with its own origin."""
+    cookie = ask(viewer, f"/?{token(viewer)}")[0].headers["Set-Cookie"].split(";")[0]
+    assert ask(viewer, "/", Cookie=cookie, Origin=origin)[0].status == 403
+    with pytest.raises(websockets.InvalidStatus):
+        browse(viewer, picture, "", origin=origin, additional_headers={"Cookie": cookie})
+    own = f"http://127.0.0.1:{viewer.port}"
+    cookies = {"Cookie": cookie}
+    assert browse(viewer, picture, "", origin=own, additional_headers=cookies)["number"] == 1
+
+
+def test_nobody_gets_in_without_the_token(viewer):
+    response, text = ask(viewer)
+    assert response.status == 403
+    assert "asks for a token" in text
+    assert viewer._gate.token not in text
+    assert ask(viewer, "/?token=wrong")[0].status == 403
+    for query in ("", "token=wrong"):
+        with pytest.raises(websockets.InvalidStatus):
+            browse(viewer, picture, query)
+
+
+def test_the_token_leaves_the_address_for_a_cookie(viewer):
+    response, _ = ask(viewer, f"/?{token(viewer)}")
+    assert (response.status, response.headers["Location"]) == (303, "/")
+    cookie = response.headers["Set-Cookie"]
+    assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
+    response, text = ask(viewer, "/", Cookie=cookie.split(";")[0])
+    assert response.status == 200
+    assert viewer._gate.token not in text
+
+
+def test_the_policy_lets_nothing_else_in(viewer):
+    cookie = f"mrgs-viewer-{viewer.port}={viewer._gate.token}"
+    for headers in ({"Cookie": cookie}, {}, {"Host": EVIL}):
+        response, _ = ask(viewer, **headers)
+        policy = response.headers["Content-Security-Policy"]
+        assert policy.startswith("default-src 'none'")
+        assert "frame-ancestors 'none'" in policy
+        assert "unsafe" not in policy
+        assert response.headers["X-Content-Type-Options"] == "nosniff"
+        assert response.headers["Cache-Control"] == "no-store"
+        assert "Access-Control-Allow-Origin" not in response.headers
+
+
+def test_on_the_network_the_token_is_asked_for_as_well(small_run):
+    viewer = open_viewer(small_run, None, "0.0.0.0", 0)
+    try:
+        assert ask(viewer, Host=f"192.0.2.7:{viewer.port}")[0].status == 403
+        response, _ = ask(viewer, f"/?{token(viewer)}", Host=f"192.0.2.7:{viewer.port}")
+        assert response.status == 303
+        assert ask(viewer, f"/?{token(viewer)}", Host=EVIL)[0].status == 403
+        assert viewer.url.startswith("http://127.0.0.1:")
+    finally:
+        viewer.close()
+
+
+def test_only_this_computer_is_served_unless_the_user_says_otherwise(viewer):
+    others = {
+        found[4][0] for found in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+    }
+    for address in sorted(each for each in others if not each.startswith("127.")):
+        with pytest.raises(OSError, match=r"refused|timed out"):
+            socket.create_connection((address, viewer.port), 5)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/etc/passwd",
+        "/socket/..", "/page/app.js", "/" + "a" * 7000,
+    ],
+)  # fmt: skip
+def test_no_file_is_served(viewer, path):
+    response, text = ask(viewer, path, Cookie=f"mrgs-viewer-{viewer.port}={viewer._gate.token}")
+    assert response.status in (400, 404)
+    assert "root:" not in text
+
+
+def test_rubbish_ends_itself_alone(viewer, caplog):
+    for number in range(20):
+        with socket.create_connection(("127.0.0.1", viewer.port), 10) as raw:
+            raw.sendall(os.urandom(500) if number % 2 else b"GET / HTTP/1.1\r\nX: " + b"a" * 20_000)
+    silent = [socket.create_connection(("127.0.0.1", viewer.port), 10) for _ in range(20)]
+    assert browse(viewer, picture)["number"] == 1
+    for each in silent:
+        each.close()
+    assert caplog.text == ""
+
+
+def test_messages_that_mean_nothing_are_answered_and_have_no_effect(viewer):
+    async def visit(connection: ClientConnection) -> None:
+        nonsense = ["", "{", "[]", '{"type": "no"}', b"\x00\xff", look(position=[1e300, 0, 0])]
+        nonsense += [look(rotation=[1.0] * 9), '{"type": "choose", "mode": 999}']
+        nonsense += ['{"type": "photo", "index": 99999}', '{"type": "act", "what": "keep_spot"}']
+        for data in nonsense:
+            await connection.send(data)
+            assert (await answer(connection, "status"))["failed"]
+        assert (await picture(connection))["number"] == 1
+
+    browse(viewer, visit)
+
+
+def test_a_message_that_is_too_large_ends_its_connection(viewer):
+    async def visit(connection: ClientConnection) -> None:
+        with suppress(websockets.ConnectionClosed):
+            await connection.send("x" * 2_000_000)
+        await connection.wait_closed()
+
+    browse(viewer, visit)
+    assert browse(viewer, picture)["number"] == 1
+
+
+def test_many_visits_leave_nothing_behind(viewer):
+    """Some leave while they are being set up, some in the middle of a picture, some without a
+    word."""
+    browse(viewer, picture)
+    before = threading.active_count()
+
+    async def visit(number: int) -> None:
+        address = f"ws://127.0.0.1:{viewer.port}/socket?{token(viewer)}"
+        connection = await connect(address, max_size=None)
+        await connection.send(look(position=[3, 0.01 * number, 0]))
+        await asyncio.sleep(0.01 * (number % 3))
+        if number % 2:
+            await connection.close()
+        else:
+            connection.transport.abort()
+
+    async def visits() -> None:
+        for number in range(VISITS):
+            await visit(number)
+
+    asyncio.run(visits())
+    wait_until(lambda: not viewer.browsers, "all have been forgotten")
+    wait_until(lambda: not viewer.busy, "nothing is drawn for them")
+    assert threading.active_count() <= before
+    assert browse(viewer, picture)["number"] == 1
+
+
+def test_a_browser_that_takes_nothing_is_cut_off(viewer, monkeypatch):
+    """It asks and asks, and never reads."""
+
+    async def never(self: ServerConnection, message: object) -> None:
+        await asyncio.sleep(3600)
+
+    monkeypatch.setattr(ServerConnection, "send", never)
+
+    async def visit(connection: ClientConnection) -> None:
+        with suppress(websockets.ConnectionClosed):
+            while True:
+                await connection.send('{"type": "unheard"}')
+                await asyncio.sleep(0)
+
+    browse(viewer, visit)
+    wait_until(lambda: not viewer.browsers, "it is cut off")
+
+
+def test_nothing_is_drawn_unless_somebody_asks(viewer, monkeypatch):
+    async def visit(connection: ClientConnection) -> None:
+        await answer(connection, "hello")
+        viewer.refresh("The model has changed.")
+        assert (await answer(connection, "note"))["text"] == "The model has changed."
+        (browser,) = viewer.browsers
+        assert browser.inspection.drawn is None
+        assert not viewer.busy
+
+    browse(viewer, visit)
+
+
+def test_of_many_places_on_the_way_the_newest_is_drawn(viewer):
+    async def visit(connection: ClientConnection) -> int:
+        for number in range(1, 41):
+            await connection.send(look(number=number, position=[3, 0.01 * number, 0]))
+        received = 0
+        while True:
+            data = await asyncio.wait_for(connection.recv(), 60)
+            if isinstance(data, bytes):
+                received += 1
+                facts = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")])
+                if facts["number"] == 40:
+                    return received
+
+    assert browse(viewer, visit) < 20
+
+
+def test_a_rest_sharpens_up_to_the_screens_resolution(viewer):
+    async def visit(connection: ClientConnection) -> list[bool]:
+        size = {"width": 1600, "height": 1200, "focal": [1000, 1000], "centre": [800, 600]}
+        efforts = ("moving", "resting", "still")
+        return [(await picture(connection, effort=each, **size))["full"] for each in efforts]
+
+    assert browse(viewer, visit) == [False, False, True]
+
+
+def test_what_a_browser_does_is_answered(viewer, balls):
+    """Hover, click, spot, box, palette, photo and screenshot, as the page asks for them."""
+
+    async def visit(connection: ClientConnection) -> None:
+        hello = await answer(connection, "hello")
+        assert hello["views"][0]["name"] == balls.train[0].name
+        assert hello["modes"][0]["label"] == "Temperature"
+        await picture(connection)
+        await connection.send('{"type": "hover", "x": 0.5, "y": 0.5}')
+        text = (await answer(connection, "hover"))["text"]
+        assert text.endswith(" °C")
+        await connection.send('{"type": "read", "x": 0.5, "y": 0.5}')
+        assert (await answer(connection, "point"))["of"]["value"] == text
+        await connection.send('{"type": "act", "what": "keep_spot"}')
+        assert (await answer(connection, "spots"))["of"] == [f"S1  {text}"]
+        await connection.send('{"type": "box", "x0": 0.4, "y0": 0.4, "x1": 0.6, "y1": 0.6}')
+        await answer(connection, "changed")
+        (pane,) = (facts := await picture(connection, number=2))["panes"]
+        assert pane["marks"] == [[pytest.approx(0.5, abs=0.01)] * 2 + [f"S1  {text}"]]
+        assert len(pane["boxes"][0]["extremes"]) == 2
+        assert facts["boxes"][0]["name"] == "B1, °C"
+        assert pane["scale"]["palette"] == "inferno"
+        choice = {
+            "type": "choose", "mode": 0, "palette": "iron", "scaled": "thermal",
+            "limits": [10, 20], "isotherm": None, "share": 0.5,
+        }  # fmt: skip
+        await connection.send(json.dumps(choice))
+        (pane,) = (await picture(connection, number=3))["panes"]
+        assert pane["scale"] == {"palette": "iron", "low": 10, "high": 20, "unit": "°C"}
+        await connection.send('{"type": "act", "what": "screenshot"}')
+        saved = (await answer(connection, "status"))["text"]
+        assert saved.startswith("Saved in the run's folder: renders/screenshots/")
+
+    browse(viewer, visit)
+
+
+def test_a_port_that_is_taken_is_named(small_run):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        threads = threading.active_count()
+        with pytest.raises(ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port}"):
+            open_viewer(small_run, None, "127.0.0.1", port)
+        wait_until(lambda: threading.active_count() <= threads, "no thread is left")
+
+
+def test_a_closed_viewer_leaves_no_thread(small_run, balls):
+    before = threading.active_count()
+    viewer = open_viewer(small_run, balls, "127.0.0.1", 0)
+    browse(viewer, picture)
+    viewer.close()
+    assert threading.active_count() == before
+
+
+@pytest.mark.slow
+def test_view_beside_train(small_scene: Path, tmp_path: Path):
+    """A run that trains in one process is shown by another, and both end well."""
+    run = tmp_path / "run"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(["src", *filter(None, sys.path)])}
+    command = [sys.executable, "-m", "mrgs"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
+    training = subprocess.Popen(
+        [*command, "train", small_scene, "--output", run, "--preset", "fast",
+         "--max-steps", "200000", "--max-gaussians", "60"], **pipes,
+    )  # fmt: skip
+    viewing = None
+    try:
+        wait_until(lambda: any(run.glob("checkpoints/*")), "there is a checkpoint")
+        viewing = subprocess.Popen([*command, "view", run, "--port", "0"], **pipes)
+        assert viewing.stdout is not None
+        url = urlsplit(viewing.stdout.readline().split()[1])
+
+        async def visit() -> str:
+            address = f"ws://{url.netloc}/socket?{url.query}"
+            async with connect(address, max_size=None) as connection:
+                note = (await answer(connection, "hello"))["note"]
+                await picture(connection)
+                return note
+
+        assert "Still training" in asyncio.run(visit())
+        assert training.poll() is None
+        viewing.send_signal(2)
+        assert viewing.wait(30) == 0
+    finally:
+        for process in filter(None, (viewing, training)):
+            process.send_signal(2)
+            process.communicate(timeout=60)
