@@ -257,7 +257,7 @@ class ViewRun:
     scene: Maybe[Path] = None
     """Scene folder, if it has moved since training."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 exposes the viewer to the network."""
+    """Address to listen on; 0.0.0.0 exposes the viewer to the network, to whoever has its token."""
     port: int = 8080
     """TCP port; 0 picks a free port."""
 

@@ -237,6 +237,27 @@ def test_it_opens_on_temperatures_with_round_ticks_over_the_picture(open_page):
     assert page.locator(".scale").count() == 0
 
 
+def test_the_scale_is_locked_and_fits_the_view_when_asked(open_page, baked, cameras):
+    page = open_page(viewport={"width": 800, "height": 600})
+
+    def limits() -> tuple[float, float]:
+        return tuple(float(page.locator(name).input_value()) for name in ("#low", "#high"))
+
+    page.select_option("#camera", "view 3")
+    page.wait_for_selector(SETTLED)
+    assert limits() == (0, 80)
+    page.click("#fit")
+    low, high = limits()
+    box = page.locator("#view").bounding_box()
+    camera = fitted(cameras["view 3"], round(box["width"]), round(box["height"]))
+    blend = baked.render({THERMAL: camera})[THERMAL]
+    seen = baked.temperature.to_celsius(blend.image[..., 0][blend.alpha >= 0.5]).numpy()
+    coldest, hottest = np.percentile(seen, [0.5, 99.5])
+    assert coldest - 6 < low < coldest + 1
+    assert hottest - 1 < high < hottest + 6
+    assert (low, high) != (0, 80)
+
+
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (800, 600), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_the_window(open_page, width, height, scheme, tmp_path):

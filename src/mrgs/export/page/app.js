@@ -5,6 +5,7 @@ const SLOW_FRAME_MS = 60;
 const COARSEST = 0.35;
 const REST_MS = 200;
 const SURFACE_ALPHA = 0.5;
+const FIT_WIDTH_PX = 240;
 
 const element = (id) => document.getElementById(id);
 const modalityButtons = () => document.querySelectorAll("button[data-modality]");
@@ -63,7 +64,7 @@ class Page {
     for (const button of modalityButtons()) button.addEventListener("click", () => this.show(button.dataset.modality));
     element("palette").addEventListener("change", () => this.drawScale());
     for (const id of ["low", "high"]) element(id).addEventListener("change", () => this.readRange());
-    element("auto").addEventListener("click", () => this.setRange(...this.scaled.range));
+    element("fit").addEventListener("click", () => this.fit());
     element("whole").addEventListener("click", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
     for (const id of ["isotherm", "isotherm-low", "isotherm-high"]) {
       element(id).addEventListener("change", () => this.readIsotherm());
@@ -117,6 +118,21 @@ class Page {
     }
     this.readIsotherm();
     this.drawScale();
+  }
+
+  // The range of what is seen now, but for half a percent at each end, widened to round numbers.
+  fit() {
+    const { width, height } = this.canvas;
+    const share = Math.min(1, FIT_WIDTH_PX / width);
+    const camera = this.viewpoint.cameraFor(...[width, height].map((side) => Math.max(1, Math.round(side * share))));
+    const { name, scale } = this.scaled;
+    const seen = this.renderer.seenValues(camera, { modality: name }, SURFACE_ALPHA).sort((a, b) => a - b);
+    this.requestFrame();
+    if (!seen.length) return;
+    const [low, high] = [0.005, 0.995].map((part) => scale.shown(seen[Math.round(part * (seen.length - 1))]));
+    const step = Math.max(high > low ? tickStep(low, high, 20) : 0, 10 ** -scale.decimals);
+    const first = Math.floor(low / step + 1e-6);
+    this.setRange(first * step, Math.max(Math.ceil(high / step - 1e-6), first + 1) * step);
   }
 
   readRange() {

@@ -58,6 +58,18 @@ class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
+  // The normalised values of all pixels that show a surface, of an image that is drawn for this alone.
+  seenValues(camera, look, surfaceAlpha) {
+    const { gl } = this;
+    this.blend(camera, look);
+    const pixels = new (this.floatTarget ? Float32Array : Uint8Array)(4 * camera.width * camera.height);
+    gl.readPixels(0, 0, camera.width, camera.height, gl.RGBA, this.floatTarget ? gl.FLOAT : gl.UNSIGNED_BYTE, pixels);
+    const one = this.floatTarget ? 1 : 255;
+    const values = [];
+    for (let i = 0; i < pixels.length; i += 4) if (pixels[i + 3] >= surfaceAlpha * one) values.push(pixels[i] / one);
+    return values;
+  }
+
   blend(camera, look) {
     const { gl, splats } = this;
     const appearance = this.appearances[look.modality];

@@ -17,11 +17,16 @@ class Scale {
 
 const withMinus = (text) => text.replace("-", "−");
 
-// Round numbers (1, 2, 2.5 or 5 times a power of ten apart) between two limits, at most about `count`.
-function roundTicks(low, high, count) {
+// The smallest of 1, 2, 2.5 or 5 times a power of ten that divides a range into at most about `count` parts.
+function tickStep(low, high, count) {
   const rough = (high - low) / Math.max(count, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
-  const step = power * [1, 2, 2.5, 5, 10].find((factor) => factor * power >= rough * (1 - 1e-9));
+  return power * [1, 2, 2.5, 5, 10].find((factor) => factor * power >= rough * (1 - 1e-9));
+}
+
+// Round numbers between two limits, at most about `count`.
+function roundTicks(low, high, count) {
+  const step = tickStep(low, high, count);
   const ticks = [];
   for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) ticks.push(k * step);
   return ticks;
