@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench install lint clean
+.PHONY: demo test faults bench install lint clean
 
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
@@ -13,6 +13,10 @@ test: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Attacks for hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes about one.
+faults: $(VENV)/.installed
+	$(BIN)/python -W ignore -m tests.faults $(ARGS)
 
 # Some ten minutes on two cores that do nothing else; `make bench ARGS=--quick` takes two.
 bench: $(VENV)/.bench-installed

@@ -39,10 +39,14 @@ from mrgs.evaluation.renders import evaluate_renders, find_renders
 from mrgs.pictures.files import write_png
 from mrgs.render import Rendering
 from mrgs.runs.open import open_run
-from mrgs.scene import Scene, View
+from mrgs.scene import BUILT_IN, Scene, View
 from mrgs.system import gpu
 from mrgs.system.atomic import remove, write_text
 from mrgs.system.gpu import DeviceName
+from mrgs.system.room import warn_if_short
+from mrgs.training import TrainConfig
+from mrgs.training.memory import checkpoint_bytes
+from mrgs.training.run_folder import CHECKPOINTS_KEPT
 
 Say = Callable[[str], None]
 
@@ -159,8 +163,19 @@ def _do(
     say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
     if not due:
         return {}
+    _check_room(due)
     progress = Progress(due, jobs, say)
     return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
+
+
+def _check_room(due: Sequence[PlannedRun]) -> None:
+    """Warn if the disk has too little room for the checkpoints that the runs will keep."""
+    configs = [job.config for job in due if isinstance(job.config, TrainConfig)]
+    sizes = [
+        checkpoint_bytes(config, BUILT_IN, config.densification.max_gaussians) for config in configs
+    ]
+    needed = CHECKPOINTS_KEPT * sum(sizes) + max(sizes, default=0)
+    warn_if_short(due[0].folder, needed, f"these {len(due)} runs")
 
 
 def _run_outcome(job: PlannedRun, failures: Mapping[PlannedRun, str]) -> Outcome:

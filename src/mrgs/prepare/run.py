@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrgs.data.files import scene_error
+from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError
 from mrgs.prepare import stages
 from mrgs.prepare.cache import CACHE_FOLDER, LOCK, locked
@@ -19,6 +20,10 @@ from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
 from mrgs.system.atomic import TEMPORARY, remove_abandoned, write_text
+from mrgs.system.room import warn_if_short
+
+GROWTH = 2
+"""Size of the images and intermediate results over that of the photos, roughly."""
 
 MARKER = "README.txt"
 MARKER_TEXT = """mrgs prepare keeps the results of its stages here. Run the same command again to
@@ -84,6 +89,8 @@ def prepare(
         remove_abandoned(work.scene)
         _write_marker(work.cache.folder)
         work.run("pairs", stages.pairs)
+        if not (work.scene / TRANSFORMS).exists():
+            _check_room(work)
         work.run("images", stages.images)
         with stages.page_on_error(work, steps.write_page):
             work.run("poses", stages.poses, steps.reconstruct)
@@ -92,6 +99,13 @@ def prepare(
         work.run("scene files", stages.scene_files, steps.write_scene)
         work.run("page", stages.page, steps.write_page)
     return Preparation(work.scene, work.scene / PAGE, tuple(work.reports), work.skipped)
+
+
+def _check_room(work: Work) -> None:
+    """Warn if the disk has too little room for the images that are made of the photos."""
+    photos = [photo for pair in work.pairing.pairs for photo in pair.photos.values()]
+    needed = GROWTH * sum(photo.stat().st_size for photo in photos if photo.is_file())
+    warn_if_short(work.scene, needed, f"the images of {len(photos)} photos")
 
 
 def _write_marker(folder: Path) -> None:

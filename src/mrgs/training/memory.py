@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import torch
@@ -11,7 +11,7 @@ import torch
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.config import MAX_DEGREE, TrainConfig
 from mrgs.method.start.start_points import model_modalities
-from mrgs.scene import THERMAL, Scene
+from mrgs.scene import THERMAL, Modality, Scene
 from mrgs.training.views import CACHE_BYTES
 
 Result = TypeVar("Result")
@@ -22,6 +22,15 @@ _GEOMETRY = 3 + 4 + 3
 
 _ADAM_COPIES = 4
 """Parameter, gradient and two moments."""
+
+_STORED_COPIES = 3
+"""Parameter and two moments."""
+
+_STATISTICS = 8
+"""Floats per Gaussian of the density control."""
+
+_WEIGHTS_BYTES = 2**20
+"""Heads, image model and their moments."""
 
 _BASE_BYTES = 450 * 2**20
 """Interpreter, torch, Numba and the compiled kernels."""
@@ -36,15 +45,8 @@ _PIXEL_FLOATS = 40
 def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
     """Memory that training needs with this many Gaussians, roughly."""
     field = config.field
-    temperature_degree = config.temperature_sh_degree_of(Capture.of(scene))
-    parameters = _GEOMETRY
-    for modality in model_modalities(scene.modalities):
-        degree = temperature_degree if modality == THERMAL else MAX_DEGREE
-        parameters += 1 + modality.channels * (degree + 1) ** 2
-    activations = 0
-    if field.residuals:
-        parameters += field.embedding_width
-        activations = 3 * field.hidden_width + 4 * field.neighbours_k
+    parameters = _parameters(config, scene.modalities, Capture.of(scene))
+    activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
     per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
     pixels = max(
         sum(camera.width * camera.height for camera in view.cameras.values())
@@ -61,6 +63,25 @@ def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
         + pixels * _PIXEL_FLOATS * _FLOAT
         + min(photos, CACHE_BYTES)
     )
+
+
+def checkpoint_bytes(config: TrainConfig, modalities: Iterable[Modality], gaussians: int) -> int:
+    """Size of a checkpoint with this many Gaussians, roughly: parameters and moments."""
+    neighbours = 2 * config.field.neighbours_k if config.field.residuals else 0
+    floats = _STORED_COPIES * _parameters(config, modalities) + _STATISTICS + neighbours
+    return gaussians * floats * _FLOAT + _WEIGHTS_BYTES
+
+
+def _parameters(
+    config: TrainConfig, modalities: Iterable[Modality], capture: Capture | None = None
+) -> int:
+    """Parameters of one Gaussian; without the capture, the most that the configuration allows."""
+    temperature_degree = MAX_DEGREE if capture is None else config.temperature_sh_degree_of(capture)
+    parameters = _GEOMETRY
+    for modality in model_modalities(tuple(modalities)):
+        degree = temperature_degree if modality == THERMAL else MAX_DEGREE
+        parameters += 1 + modality.channels * (degree + 1) ** 2
+    return parameters + (config.field.embedding_width if config.field.residuals else 0)
 
 
 def peak_memory_bytes(device: torch.device | None = None) -> int:

@@ -3,6 +3,7 @@ made or loaded."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from mrgs.data import load_scene
+from mrgs.data.oddities import oddities
+from mrgs.errors import MrgsWarning
 from mrgs.scene import Scene
 from mrgs.system.operation import plainly
 from mrgs.training.checkpoint import CheckpointFacts, facts_to_resume
@@ -65,6 +68,9 @@ def start_training(
         initial_state: the state at step 0.
         load_state: the state in a checkpoint.
 
+    Warns:
+        MrgsWarning: the scene can be used, but is odd; see ``mrgs.data.oddities``.
+
     Raises:
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used.
@@ -82,6 +88,8 @@ def start_training(
             config = replace(cast(Any, config), resolution=scene.resolution)
     else:
         loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
+    for text in oddities(loaded):
+        warnings.warn(f"{loaded.name}: {text}", MrgsWarning, stacklevel=4)
     with folder.training(config, resume), plainly(plain):
         if resume:
             newest = folder.newest_checkpoint()

@@ -19,13 +19,14 @@ from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.room import warn_if_short
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
 from mrgs.training.kernel_check import check_kernels
-from mrgs.training.memory import retried_when_full
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.memory import checkpoint_bytes, retried_when_full
+from mrgs.training.run_folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
@@ -64,6 +65,7 @@ def open_training(
         initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
         load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
     ) as run:
+        _check_room(run)
         yield Trainer(run)
 
 
@@ -137,6 +139,14 @@ def train(
         trainer.check_kernels()
         trainer.run(stop_at, on_step)
     return trainer.folder
+
+
+def _check_room(run: TrainingStart[TrainConfig, TrainingState]) -> None:
+    """Warn if the disk has too little room for the checkpoints: those that are kept, and the one
+    that is being written."""
+    most = max(run.config.densification.max_gaussians, len(run.state.model.gaussians))
+    size = checkpoint_bytes(run.config, run.scene.modalities, most)
+    warn_if_short(run.folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
 
 
 def _response_of(state: TrainingState) -> CameraResponse:

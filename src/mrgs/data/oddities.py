@@ -1,0 +1,160 @@
+"""What is odd about a scene that can be read: a training on it works, and teaches little."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32
+from torch import Tensor
+
+from mrgs.scene import THERMAL, Camera, Modality, Scene
+from mrgs.scene.view import evenly_spaced
+
+PHOTOS = 12
+"""How many views' photos are looked at."""
+
+POINTS = 20_000
+PAIRS = 50_000_000
+"""How many of the start points tell which views overlap, and how many pairs of a point and a view
+are looked at."""
+
+_FLAT = 1e-4
+_BLACK = 1 / 255
+_FEWEST_SEEN = 20
+_MOST_ALONE = 0.1
+"""If the views see fewer points, or a larger share of them overlaps no other, then it is the points
+that are too sparse."""
+
+_NAMED = 3
+_VIEWS_AT_ONCE = 256
+_WHOLE = 1e-2
+
+
+def oddities(scene: Scene) -> list[str]:
+    """One sentence for each oddity of the training views, with what to do.
+
+    Poses are all looked at, and the photos of ``PHOTOS`` views.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    cameras = scene.train_cameras
+    found = [*_of_poses(cameras)] or [*_of_overlap(scene, cameras)]
+    views = [scene.train[place] for place in evenly_spaced(len(scene.train), PHOTOS)]
+    for modality in scene.modalities:
+        photos = [view.images[modality].load().values for view in views if modality in view.images]
+        found += _of_photos(modality, photos)
+    return found
+
+
+def _of_poses(cameras: Sequence[Camera]) -> Iterator[str]:
+    if len(cameras) < 2:
+        return
+    viewmats = torch.stack([camera.viewmat for camera in cameras])
+    distinct = len(torch.unique(viewmats.flatten(1), dim=0))
+    if distinct == 1:
+        yield (
+            f"all {len(cameras)} training views have the same pose, so that depth cannot be found: "
+            f"check the poses"
+        )
+    elif distinct < len(cameras):
+        yield (
+            f"{len(cameras) - distinct} of {len(cameras)} training views have exactly the pose of "
+            f"another: check that each photo has its own"
+        )
+
+
+def _of_overlap(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
+    """Views that see nothing that another one sees."""
+    places = evenly_spaced(len(scene.points.positions), min(POINTS, PAIRS // len(cameras)))
+    if len(cameras) < 3 or not places:
+        return
+    sees = _visible(cameras, scene.points.positions[places])
+    seen_by_two = sees.sum(dim=0) >= 2
+    counts = sees.sum(dim=1)
+    alone = ~(sees & seen_by_two).any(dim=1)
+    if counts.median() < _FEWEST_SEEN or alone.float().mean() > _MOST_ALONE:
+        return
+    names = [scene.train[place].name for place in alone.nonzero().flatten().tolist()]
+    if names:
+        listed = ", ".join(names[:_NAMED]) + (" and others" if len(names) > _NAMED else "")
+        yield (
+            f"{len(names)} of {len(cameras)} training views show nothing that another one shows "
+            f"({listed}): check their poses, or leave them out"
+        )
+
+
+def _visible(cameras: Sequence[Camera], points: Float32[Tensor, "n 3"]) -> Bool[Tensor, "v n"]:
+    """Which points lie before a camera and in its image."""
+    rows = []
+    for first in range(0, len(cameras), _VIEWS_AT_ONCE):
+        block = cameras[first : first + _VIEWS_AT_ONCE]
+        viewmats = torch.stack([camera.viewmat for camera in block]).float()
+        K = torch.stack([camera.K for camera in block]).float()
+        sizes = torch.tensor([[camera.width, camera.height] for camera in block])
+        x, y, depth = (viewmats[:, :3, :3] @ points.T + viewmats[:, :3, 3:]).unbind(dim=1)
+        column = K[:, 0, :1] * x / depth + K[:, 0, 2:]
+        row = K[:, 1, 1:2] * y / depth + K[:, 1, 2:]
+        inside = (column >= 0) & (column < sizes[:, :1]) & (row >= 0) & (row < sizes[:, 1:])
+        rows.append(inside & (depth > 0))
+    return torch.cat(rows)
+
+
+def _of_photos(modality: Modality, photos: Sequence[Float32[Tensor, "h w c"]]) -> Iterator[str]:
+    if not photos:
+        return
+    title, count = modality.title, len(photos)
+    flat = [photo for photo in photos if bool((_span(photo) < _FLAT).all())]
+    if flat:
+        black = all(photo.max() <= _BLACK for photo in flat) and modality != THERMAL
+        what = "are black" if black else f"hold one {_value_of(modality)} only"
+        yield (
+            f"{len(flat)} of {count} {title} photos looked at {what}, as behind a lens cap: leave "
+            f"them out, or convert them again"
+        )
+    elif count > 1 and len({_digest(photo) for photo in photos}) == 1:
+        yield (
+            f"all {count} {title} photos looked at are the same, pixel for pixel: check that each "
+            f"view has its own"
+        )
+    bits = _used_bits(photos)
+    if bits is not None:
+        yield (
+            f"the {title} photos use {bits} of their 16 bits, so they look dark and differ little: "
+            f"stretch them to the whole range"
+        )
+
+
+def _value_of(modality: Modality) -> str:
+    if modality == THERMAL:
+        return "temperature"
+    return "colour" if modality.channels == 3 else "value"
+
+
+def _span(photo: Float32[Tensor, "h w c"]) -> Float32[Tensor, " c"]:
+    """The range of each channel."""
+    return photo.amax(dim=(0, 1)) - photo.amin(dim=(0, 1))
+
+
+def _digest(photo: Float32[Tensor, "h w c"]) -> bytes:
+    return hashlib.sha256(photo.numpy().tobytes()).digest()
+
+
+def _used_bits(photos: Sequence[Float32[Tensor, "h w c"]]) -> int | None:
+    """How many of their 16 bits photos use, where that is 14 or fewer; None for all others.
+
+    Photos that were undistorted or reduced do not tell how many bits they had.
+    """
+    values = np.concatenate([photo.numpy().ravel() for photo in photos]).astype(np.float64)
+    levels = values * 65535
+    largest = round(float(levels.max()))
+    has_16_bits = _are_whole(levels) and not _are_whole(values * 255)
+    bits = largest.bit_length()
+    return bits if has_16_bits and 8 < bits <= 14 else None
+
+
+def _are_whole(values: np.ndarray) -> bool:
+    return bool((np.abs(values - np.rint(values)) < _WHOLE).all())

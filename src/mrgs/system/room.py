@@ -1,0 +1,38 @@
+"""Whether the disk has room for what a long run will write."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from pathlib import Path
+
+from mrgs.errors import MrgsWarning
+
+
+def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
+    """Compare the room on a folder's disk with an estimate.
+
+    Too little room is no error: the estimate may be too high, and what is written before the disk
+    is full is kept.
+
+    Args:
+        folder: that will be written into; it need not exist yet.
+        needed_bytes: the estimate.
+        what: needs it; the subject of the sentence.
+
+    Warns:
+        MrgsWarning: there is less.
+    """
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(existing).free
+    if free < needed_bytes:
+        warnings.warn(
+            f"{what} will take about {_size(needed_bytes)}, and the disk of {folder} has "
+            f"{_size(free)} left: make room before it is full, or stop and choose another place",
+            MrgsWarning,
+            stacklevel=3,
+        )
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.1f} MB"

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrgs.data import load_scene
+from mrgs.data.oddities import oddities
+from mrgs.scene import Camera, PosedImage, View
+from tests.helpers.scenes import write_scene
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("odd") / "scene")
+
+
+def painted(folder, tmp_path, modality, change):
+    """The scene with the images of a modality changed."""
+    shutil.copytree(folder, tmp_path / "scene")
+    for place, path in enumerate(sorted((tmp_path / "scene" / modality).glob("*.png"))):
+        change(np.asarray(Image.open(path)), place).save(path)
+    return load_scene(tmp_path / "scene")
+
+
+def with_cameras(scene, change):
+    """The scene with the camera of each training view changed."""
+    views = []
+    for place, view in enumerate(scene.train):
+        images = {
+            modality: PosedImage(change(image.camera, place), image.load)
+            for modality, image in view.images.items()
+        }
+        views.append(View(view.name, images))
+    return replace(scene, train=tuple(views))
+
+
+def moved(camera: Camera, x: float) -> Camera:
+    viewmat = camera.viewmat.clone()
+    viewmat[0, 3] += x
+    return Camera(camera.K, viewmat, camera.width, camera.height)
+
+
+def test_a_usual_scene_is_not_odd(folder):
+    assert oddities(load_scene(folder)) == []
+
+
+@pytest.mark.parametrize(
+    ("modality", "value", "message"),
+    [
+        ("images", 0, "RGB photos looked at are black"),
+        ("images", 99, "RGB photos looked at hold one colour only"),
+        ("thermal", 77, "thermal photos looked at hold one temperature only"),
+    ],
+)
+def test_photos_of_one_value(folder, tmp_path, modality, value, message):
+    scene = painted(
+        folder, tmp_path, modality, lambda pixels, _: Image.fromarray(np.full_like(pixels, value))
+    )
+    (found,) = oddities(scene)
+    assert message in found
+
+
+def test_photos_that_are_the_same(folder, tmp_path):
+    first = []
+
+    def same(pixels, _):
+        first.append(pixels)
+        return Image.fromarray(first[0])
+
+    (found,) = oddities(painted(folder, tmp_path, "images", same))
+    assert "RGB photos looked at are the same, pixel for pixel" in found
+
+
+@pytest.mark.parametrize("bits", [12, 14])
+def test_thermal_photos_that_use_few_of_16_bits(folder, tmp_path, bits):
+    def deep(pixels, place):
+        values = pixels.astype(np.uint16) * 2 ** (bits - 8) + np.uint16(place + 1)
+        return Image.fromarray(np.minimum(values, 2**bits - 1))
+
+    (found,) = oddities(painted(folder, tmp_path, "thermal", deep))
+    assert f"the thermal photos use {bits} of their 16 bits" in found
+
+
+def test_poses_that_are_the_same(folder):
+    scene = load_scene(folder)
+    camera = scene.train[0].camera
+    (found,) = oddities(with_cameras(scene, lambda *_: camera))
+    assert "all 6 training views have the same pose" in found
+    (found,) = oddities(with_cameras(scene, lambda own, place: camera if place < 3 else own))
+    assert "2 of 6 training views have exactly the pose of another" in found
+
+
+def test_a_view_that_no_other_overlaps(folder):
+    scene = load_scene(folder)
+    many = tuple(
+        View(f"view_{copy}_{view.name}", view.images) for copy in range(3) for view in scene.train
+    )
+    points = torch.cat([scene.points.positions] * 4)
+    points = points + 0.01 * torch.randn(points.shape, generator=torch.Generator().manual_seed(0))
+    scene = replace(
+        scene, train=many, points=replace(scene.points, positions=points, colors=points.abs())
+    )
+    apart = with_cameras(
+        scene, lambda camera, place: moved(camera, 1e6 if place == 5 else 1e-4 * place)
+    )
+    (found,) = oddities(apart)
+    assert f"1 of 18 training views show nothing that another one shows ({many[5].name})" in found

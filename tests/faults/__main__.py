@@ -1,0 +1,99 @@
+"""``python -m tests.faults``: every attack in its long form, and a table at the end.
+
+Needs Linux; attacks that mount a disk are left out without the right to do so. The attacks of the
+``test_*.py`` files beside this one that need no process of their own run in pytest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from tests.faults import fuzz, interruptions, kills, places, soak
+from tests.faults.program import SMALL, run, small_scene
+from tests.faults.tally import Tally
+
+ALL_SIGNALS = ("KILL", *interruptions.SIGNALS)
+HERE = Path(__file__).parent
+Attack = Callable[[Path], Tally]
+
+
+def attacks(soak_hours: float) -> Iterator[tuple[str, Attack]]:
+    """Title and attack, in the order of the table."""
+    rng = random.Random(0)
+    moments = [round(rng.uniform(0, 6), 2) for _ in range(30)]
+    yield "kill -9 of trainings", lambda at: kills.trainings(at, 50)
+    yield "kill -9 of writers", kills.writes
+    yield "kill -9 of prepare", lambda at: interruptions.preparations(at, moments, signal.SIGKILL)
+    yield "signals to trainings", lambda at: interruptions.trainings(at, 3 * interruptions.SIGNALS)
+    yield "signals to compare", lambda at: interruptions.comparisons(at, ALL_SIGNALS)
+    yield "signals to prepare", lambda at: interruptions.preparations(at, moments[:10])
+    early = [place / 5 for place in range(1, 21)]
+    yield "Ctrl-C while loading", lambda at: interruptions.imports(at, early)
+    yield "outputs closed or full", interruptions.outputs
+    yield "limited file sizes", lambda at: places.file_size(at, (2048, 8192, 65536))
+    if os.geteuid() == 0:
+        yield "full disks", _full_disks
+    yield "unusual names", lambda at: places.names(at, commands=("eval", "report", "export"))
+    yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
+    yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)
+    for path in sorted(HERE.glob("test_*.py")):
+        if path.name != "test_short.py":
+            yield path.stem.removeprefix("test_").replace("_", " "), lambda at, p=path: _pytest(p)
+    if soak_hours > 0:
+        yield f"soak of {soak_hours:g} h", lambda at: soak.training(at, soak_hours * 3600)
+
+
+def main() -> int:
+    """Run the attacks; returns the exit status, 1 if something did not hold."""
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser.add_argument("--soak-hours", type=float, default=2.0, help="0 leaves the soak out")
+    parser.add_argument("--only", default="", help="part of the titles of the attacks to run")
+    options = parser.parse_args()
+    rows = []
+    for title, attack in attacks(options.soak_hours):
+        if options.only not in title:
+            continue
+        began = time.monotonic()
+        with tempfile.TemporaryDirectory(prefix="mrgs-faults-") as folder:
+            tally = attack(Path(folder))
+        rows.append((title, tally, time.monotonic() - began))
+        print(f"{title}: {tally.tried} tried, {len(tally.failures)} failed", flush=True)
+        for failure in tally.failures:
+            print(f"  {failure}", flush=True)
+    print("\n| attack | tried | held | failed | minutes | |\n|---|---:|---:|---:|---:|---|")
+    for title, tally, seconds in rows:
+        failed = len(tally.failures)
+        counts = f"{tally.tried:,} | {tally.tried - failed:,} | {failed:,} | {seconds / 60:.1f}"
+        print(f"| {title} | {counts} | {tally.figure} |")
+    return int(any(tally.failures for _, tally, _ in rows))
+
+
+def _full_disks(folder: Path) -> Tally:
+    trained = folder / "trained"
+    run("train", small_scene(folder / "scene"), "--output", trained, *SMALL, "--max-steps", 20)
+    return places.full_disks(folder, trained, (0, 20_000, 60_000, 200_000))
+
+
+def _pytest(path: Path) -> Tally:
+    """The tests of a file as cases."""
+    found = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", str(path)],
+        cwd=HERE.parents[1], capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    passed = re.search(r"(\d+) passed", found.stdout)
+    failures = re.findall(r"^(?:FAILED|ERROR) (.*)$", found.stdout, re.MULTILINE)
+    return Tally(int(passed[1]) if passed else len(failures), failures)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
