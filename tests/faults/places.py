@@ -19,15 +19,15 @@ NAMES = (
 )  # fmt: skip
 
 
-def file_size(folder: Path, limits: Sequence[int]) -> Tally:
+def file_size(folder: Path, limits: Sequence[int], command: str = "train") -> Tally:
     """Files that may not grow beyond a limit, in bytes, as on a full disk or beyond a quota."""
     tally, scene = Tally(), small_scene(folder / "scene")
     for limit in limits:
         output = folder / f"limited_{limit}"
-        options = ("--output", output, *SMALL, "--max-steps", 20)
-        found = run("train", scene, *options, shell=f'ulimit -f {limit // 512}; exec "$@"')
-        left = list(output.rglob(".mrgs-*"))
-        tally.judge(f"train, files of {limit} bytes", found.is_refusal and not left, found)
+        options = ("--output", output, *SMALL, "--max-steps", 20) if command == "train" else ()
+        found = run(command, scene, *options, shell=f'ulimit -f {limit // 512}; exec "$@"')
+        left = list(folder.rglob(".mrgs-*"))
+        tally.judge(f"{command}, files of {limit} bytes", found.is_refusal and not left, found)
     return tally
 
 

@@ -40,7 +40,7 @@ def test_what_killed_processes_leave_is_removed(tmp_path):
 
 @on_linux
 def test_a_file_that_cannot_grow_is_one_line(tmp_path):
-    assert holds(places.file_size(tmp_path, [2048]))
+    assert holds(places.file_size(tmp_path, [2048], "check"))
 
 
 @on_linux
