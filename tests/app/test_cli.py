@@ -684,7 +684,7 @@ def test_export_and_report(own_run, capsys):
         out,
         re.MULTILINE,
     )
-    assert "export 2 of 2: ply\n" in out
+    assert re.search(r"^export 2 of 2: ply \| 0:0\d left$", out, re.MULTILINE)
     assert (own_run / "export" / "rgb_thermal.ply").read_bytes().startswith(b"ply\n")
     assert (
         run(
@@ -695,7 +695,8 @@ def test_export_and_report(own_run, capsys):
     page = own_run / "mail" / "page.html"
     assert capsys.readouterr().out.endswith(f"open:  {page} (in a browser)\n")
     assert run("report", own_run) == 0
-    assert "report 3 of 3: scores and page\n" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert re.search(r"^report 3 of 3: scores and page \| 0:\d\d left$", said, re.MULTILINE)
     assert "Limits of the measurement" in (own_run / "report.html").read_text(encoding="utf-8")
 
 

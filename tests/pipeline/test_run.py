@@ -224,7 +224,7 @@ def test_what_photos_do_not_say_is_asked_once(prepared, tmp_path):
     assert len(prepared) == 2
     assert watcher.warnings == ["pairs: The clocks differ."]
     assert watcher.reused_stages == ["prepare"]
-    assert (tmp_path / "photos-mrgs" / "scene" / "transforms.json").is_file()
+    assert (tmp_path / "photos-mrgs" / "photos" / "transforms.json").is_file()
     with pytest.raises(SceneError, match="cannot be placed"):
         run_pipeline(photos, tmp_path / "other", quality="fast", monitor=Watcher())
 

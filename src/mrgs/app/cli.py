@@ -151,15 +151,17 @@ def _flags(error: MrgsError) -> str:
 
 def _prepare(command: Prepare) -> None:
     _without_blas_threads()
+    from mrgs.pipeline.expect import expect_prepare
     from mrgs.prepare import prepare
 
-    progress = PrepareProgress()
+    options = command.photo.options()
+    progress = PrepareProgress(expect_prepare(command.photos, options))
     try:
         with progress:
             made = prepare(
                 command.photos,
                 command.scene,
-                command.photo.options(),
+                options,
                 progress.step,
                 progress.stage,
             )
@@ -402,13 +404,14 @@ def _view(command: ViewRun) -> None:
 
 def _export(command: Export) -> None:
     from mrgs.export import export
+    from mrgs.pipeline.expect import expect_export
     from mrgs.runs.open import load_run
 
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     folder = command.output or command.run / "export"
     scene = run.load_scene()
-    with counter("export") as progress:
+    with counter("export", expect_export(run, scene, command.format)) as progress:
         paths = export(
             run,
             scene,
@@ -423,6 +426,7 @@ def _export(command: Export) -> None:
 
 
 def _report(command: Report) -> None:
+    from mrgs.pipeline.expect import expect_report
     from mrgs.report import write_report
     from mrgs.runs.open import load_run
 
@@ -430,7 +434,7 @@ def _report(command: Report) -> None:
     note_unfinished(run)
     target = command.output or command.run / "report.html"
     scene = run.load_scene()
-    with counter("report") as progress:
+    with counter("report", expect_report(run, scene)) as progress:
         path = write_report(run, scene, target, progress)
     print(f"report: {path}")
 

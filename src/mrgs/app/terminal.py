@@ -128,6 +128,8 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
                 print(text, flush=True)
 
         yield show
+        took = duration(time.perf_counter() - started)
+        bar.update(task, description=f"{verb}: {took}", completed=1, total=1, refresh=True)
 
 
 def print_viewer_address(url: str) -> None:
@@ -308,9 +310,14 @@ class TrainingProgress:
 
 
 class PrepareProgress:
-    """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end."""
+    """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end.
 
-    def __init__(self) -> None:
+    Args:
+        forecast: of the whole, where the time left is not given with each step.
+    """
+
+    def __init__(self, forecast: Forecast | None = None) -> None:
+        self._forecast = forecast
         self._started = self._last_line = time.perf_counter()
         self._step = ""
         self._warnings: list[str] = []
@@ -331,6 +338,10 @@ class PrepareProgress:
         """Show how far a step is, and the time left of all steps if it is known."""
         now = time.perf_counter()
         text = f"{step} {done}/{total}" if total else step
+        if left_s is None and self._forecast is not None:
+            from mrgs.pipeline.expect import left_in_stage
+
+            left_s = left_in_stage(self._forecast, step, done, total)
         if left_s is not None:
             text += f" | {duration(left_s)} left"
         if step != self._step:

@@ -1,6 +1,6 @@
 """What the stages of a pipeline cost: a model of their steps, in processor seconds.
 
-The coefficients were fitted to runs on one core type (decision 027); ``Computer`` translates them
+The coefficients were fitted to runs on one core type (decision 029); ``Computer`` translates them
 into time on the computer at hand.
 """
 
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from mrgs.pipeline.intake import Intake, Size
 from mrgs.pipeline.quality import Quality
 from mrgs.prepare.colmap.pairs import ALIKE, MAX_EXHAUSTIVE, NEIGHBOURS
-from mrgs.scene import RGB, THERMAL
+from mrgs.runs.open import Run
+from mrgs.scene import RGB, THERMAL, Scene
 
 FEATURE_PX = 1600 * 1200
 """Larger images are reduced before features are found in them."""
@@ -87,6 +88,24 @@ class Workload:
             kernels_are_compiled=kernels_are_compiled,
         )
 
+    @classmethod
+    def of_run(cls, run: Run, scene: Scene) -> Workload:
+        """The workload of a trained model."""
+        pixels = sum(camera.width * camera.height for camera in scene.train[0].cameras.values())
+        return cls(
+            photos=False,
+            views=len(scene.train) + len(scene.eval),
+            held_out=len(scene.eval),
+            source_px=pixels,
+            feature_px=0,
+            kpx=pixels / 1e3,
+            start=len(scene.points.positions),
+            gaussians=run.gaussian_count,
+            steps=run.config.max_steps,
+            has_two_cameras=len(scene.modalities) > 1,
+            kernels_are_compiled=True,
+        )
+
     @property
     def mean_gaussians(self) -> float:
         """Over the training: a ramp from the start to the cap, then the cap."""
@@ -135,9 +154,9 @@ def _prepare(work: Workload) -> dict[str, float]:
         "pairs": 0.1 + 0.005 * work.views,
         "images": reading,
         "features": 1.5e-6 * work.feature_px * work.views,
-        "matching": 0.1 * pairs,
-        "mapping": 0.3 * work.views,
-        "thermal camera": 1.2 * work.views if work.has_two_cameras else 0.0,
+        "matching": 0.12 * pairs,
+        "mapping": 0.35 * work.views,
+        "thermal camera": 0.9 * work.views if work.has_two_cameras else 0.0,
         "page": 2.0 + 0.02 * work.views,
     }
 
@@ -164,10 +183,5 @@ def _exports(work: Workload, render: float) -> dict[str, float]:
         "points": surface,
         "las": 0.05 * kgauss,
         "mesh": 3.0 + 3 * surface,
-        "cameras": views_cost(work),
+        "cameras": work.views * (0.005 + 0.2e-3 * work.kpx),
     }
-
-
-def views_cost(work: Workload) -> float:
-    """Undistorting and writing every image."""
-    return work.views * (0.005 + 0.2e-6 * work.source_px)

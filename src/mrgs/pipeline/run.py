@@ -9,6 +9,7 @@ from pathlib import Path
 from mrgs.errors import ConfigError, MrgsError, RunError
 from mrgs.pipeline.computer import Computer, kernels_are_compiled, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
+from mrgs.pipeline.expect import left_in_stage
 from mrgs.pipeline.forecast import Forecast
 from mrgs.pipeline.intake import Intake, take_in
 from mrgs.pipeline.ledger import LEDGER
@@ -221,10 +222,7 @@ def _reporting(planned: PlannedStage, pace: float, monitor: Monitor) -> Report:
     forecast = Forecast({name: pace * seconds for name, seconds in planned.parts.items()})
 
     def report(text: str, done: int, total: int) -> None:
-        title, _, step = text.partition(": ")
-        part = step if title == "poses" else title
-        share = done / total if total and part != "thermal camera" else None
-        monitor.progress(text, done, total, forecast.left(part, share))
+        monitor.progress(text, done, total, left_in_stage(forecast, text, done, total))
 
     return report
 

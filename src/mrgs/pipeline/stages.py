@@ -17,7 +17,7 @@ from mrgs.method.config import to_yaml
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.ledger import Ledger, file_stamp, folder_stamps
 from mrgs.pipeline.monitor import Monitor
-from mrgs.pipeline.quality import METHOD, Quality
+from mrgs.pipeline.quality import METHOD, QUALITIES, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.cache import CACHE_FOLDER, fingerprint
 from mrgs.report import write_report
@@ -83,8 +83,11 @@ class Job:
 
     @property
     def scene(self) -> Path:
-        """The scene's folder."""
-        return self.intake.source if self.intake.kind == "scene" else self.output / "scene"
+        """The scene's folder; that of photos has their name, which is the model's title."""
+        if self.intake.kind == "scene":
+            return self.intake.source
+        name = self.intake.source.resolve().name
+        return self.output / (f"{name}-scene" if name in QUALITIES else name)
 
     @property
     def model(self) -> Path:
@@ -241,6 +244,7 @@ class Job:
     def _score(self, report: Report) -> list[Path]:
         if not self._loaded.eval:
             return []
+        report("scoring", 0, len(self._loaded.eval))
         evaluate_run(self._run, progress=lambda done, total: report("scoring", done, total))
         return [self.model / "eval" / name for name in ("metrics.json", "contact_sheet.png")]
 
