@@ -73,6 +73,9 @@ def test_lists_of_choices_are_complete(capsys):
     ended(0, "train", "--help")
     text = re.sub(r"[\s│]", "", capsys.readouterr().out)
     assert "{" + ",".join(method.name for method in registered_methods()) + "}" in text
+    ended(0, "compare", "--help")
+    text = re.sub(r"[\s│]", "", capsys.readouterr().out)
+    assert ",".join(method.name for method in registered_methods()) in text
     ended(0, "export", "--help")
     assert "{" + ",".join(["all", *FORMATS]) + "}" in capsys.readouterr().out
 

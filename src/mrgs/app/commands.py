@@ -321,15 +321,12 @@ class CompareMethods:
         tyro.conf.arg(metavar="SCENE [SCENE ...]", help_behavior_hint=""),
     ]
     """Scene folders."""
-    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD [METHOD ...]")] = (
-        "3dgs-rgbt",
-        "mrgs-base",
-        "mrgs-fourier",
-        "mrgs-boltz",
-        "mrgs",
-        "mrgs-plus",
-    )
-    """Any of the methods of mrgs train."""
+    methods: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(
+            metavar="METHOD [METHOD ...]", help=f"Methods: any of {', '.join(METHOD_NAMES)}."
+        ),
+    ] = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
     variants: Several[str] = ()
     """Methods with other settings, NAME=FILE: as for mrgs train --config, plus method: METHOD."""
     neighbours: Several[int] = ()
