@@ -2,36 +2,46 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test faults bench install lint clean
+.PHONY: demo test faults bench docs install dist clean
 
+# What the demo needs, and no more.
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
 
-test: $(VENV)/.installed
+test: $(VENV)/.dev-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Attacks for hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes about one.
-faults: $(VENV)/.installed
+faults: $(VENV)/.dev-installed
 	$(BIN)/python -W ignore -m tests.faults $(ARGS)
 
 # Some ten minutes on two cores that do nothing else; `make bench ARGS=--quick` takes two.
-bench: $(VENV)/.bench-installed
+bench: $(VENV)/.dev-installed $(VENV)/.bench-installed
 	$(BIN)/python -m benchmarks $(ARGS)
 
-$(VENV)/.bench-installed: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
-	@touch $@
+# The documentation site, into build/site; warnings are errors.
+docs: $(VENV)/.docs-installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# The sdist and the wheel, into dist.
+dist: $(VENV)/.dev-installed
+	$(BIN)/python -m build --no-isolation
 
 install: $(VENV)/.installed
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.%-installed: $(VENV)/.installed
+	$(PIP) --editable ".[$*]"
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache

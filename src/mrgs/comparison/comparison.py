@@ -88,7 +88,7 @@ def compare(
         output: the folder to write into, and to go on in.
         options: the methods, and what all runs share.
         renders: other programs' renderings by the name that the tables give them: folders that hold
-            one folder per scene, see :mod:`mrgs.evaluation.renders`.
+            one folder per scene, see ``mrgs.evaluation.renders``.
         jobs: how many runs at a time; the machine's cores are divided among them.
         device: where they train and render, if their method can use a GPU.
         lpips_weights: weights for LPIPS; without them it is left out.

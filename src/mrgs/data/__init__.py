@@ -1,5 +1,5 @@
 """The one room that opens files which strangers wrote: scene folders in, a
-:class:`~mrgs.scene.Scene` out."""
+``mrgs.scene.Scene`` out."""
 
 from mrgs.data.load import load_scene
 

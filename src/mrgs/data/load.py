@@ -24,10 +24,10 @@ from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
     """Read a scene folder.
 
-    Supported are ``transforms.json`` (ThermoScenes, nerfstudio; see :mod:`mrgs.data.nerfstudio`)
+    Supported are ``transforms.json`` (ThermoScenes, nerfstudio; see ``mrgs.data.nerfstudio``)
     and, where there is none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see
-    :mod:`mrgs.data.colmap`). All headers are checked here; pixels are decoded, undistorted to a
-    pinhole (:func:`mrgs.data.undistort.pinhole_of`) and reduced only when ``PosedImage.load`` is
+    ``mrgs.data.colmap``). All headers are checked here; pixels are decoded, undistorted to a
+    pinhole (``mrgs.data.undistort.pinhole_of``) and reduced only when ``PosedImage.load`` is
     called. Masks come from the file's ``mask_path`` and ``thermal_mask_path``, or from the folders
     ``masks/`` and ``thermal_masks/``: black pixels are not valid.
 

@@ -1,5 +1,5 @@
 """Writer of a scene's ``transforms.json`` (nerfstudio) and ``temperature_bounds.json``
-(ThermoScenes); :mod:`mrgs.data.nerfstudio` reads them."""
+(ThermoScenes); ``mrgs.data.nerfstudio`` reads them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def write_transforms(
 
     Args:
         path: of the file.
-        frames: see :func:`frame_json`.
+        frames: see ``frame_json``.
         lens: intrinsics that all frames share.
         lenses: intrinsics that all images of a modality share, if they differ from ``lens``.
         points: path of the start points, relative to the file.

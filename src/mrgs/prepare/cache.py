@@ -1,6 +1,6 @@
 """Results of stages and of single photos, kept between calls.
 
-:class:`Cache` alone decides what is recomputed. A result is one safetensors file with the
+``Cache`` alone decides what is recomputed. A result is one safetensors file with the
 fingerprint of everything that it depends on. Reading one runs no code; a file that does not match
 is ignored.
 """

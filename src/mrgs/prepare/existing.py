@@ -44,7 +44,7 @@ def poses_of_photos(
         images: the scene's images by the names of their pairs.
 
     Raises:
-        SceneError: as from :func:`existing_poses`.
+        SceneError: as from ``existing_poses``.
     """
     names = {_first(pair.photos).stem: pair.name for pair in pairs if pair.name in images}
     if len(names) < len(images):  # photos of several folders share a name

@@ -82,7 +82,7 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
 
 
 Calibrate = Callable[..., RigCalibration]
-"""Such as :func:`mrgs.prepare.rig.calibrate.calibrate_rig`."""
+"""Such as ``mrgs.prepare.rig.calibrate.calibrate_rig``."""
 
 
 def calibrate_thermal_camera(

@@ -68,7 +68,7 @@ class Camera:
     def from_fov(cls, width: int, height: int, fov_deg: float) -> Camera:
         """A camera at the origin with square pixels, its axis in the middle of the image.
 
-        It looks along +z; place it with :meth:`look_at`.
+        It looks along +z; place it with ``look_at``.
 
         Args:
             width: image width in pixels.

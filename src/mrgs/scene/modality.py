@@ -102,7 +102,7 @@ RGB = Modality("rgb", 3, title="RGB")
 """Colours in [0, 1]."""
 
 THERMAL = Modality("thermal", 1, unit="°C")
-"""Temperatures, normalised by the scene's :class:`TemperatureRange`."""
+"""Temperatures, normalised by the scene's ``TemperatureRange``."""
 
 BUILT_IN = (RGB, THERMAL)
 """Known to every reader, in the order in which views list them."""

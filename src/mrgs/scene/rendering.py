@@ -67,7 +67,7 @@ class Blend(NamedTuple):
 
 
 class Rendering(Mapping[Modality, Blend]):
-    """What a model shows from one view: a :class:`Blend` for each modality that has a camera.
+    """What a model shows from one view: a ``Blend`` for each modality that has a camera.
 
     Args:
         blends: by modality.

@@ -32,7 +32,7 @@ class RecordFields:
         self.order = order
 
     def read(self, offset: int, form: str) -> tuple[float | int, ...] | None:
-        """The numbers of :mod:`struct`'s ``form`` at ``offset``."""
+        """The numbers of ``struct``'s ``form`` at ``offset``."""
         end = offset + struct.calcsize(f"{self.order}{form}")
         return (
             struct.unpack(f"{self.order}{form}", self.data[offset:end])

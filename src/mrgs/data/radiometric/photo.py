@@ -23,7 +23,7 @@ UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 class Overrides:
     """Values that override those in a file; None keeps the file's.
 
-    The first seven are those of :class:`~mrgs.data.radiometric.measurement.ObjectParameters`, and
+    The first seven are those of ``mrgs.data.radiometric.measurement.ObjectParameters``, and
     need a file with the camera's raw signal. The last two say what the numbers mean in a file that
     does not.
 

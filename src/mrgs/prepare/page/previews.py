@@ -114,7 +114,7 @@ def _shown(
     temperature: TemperatureRange | None,
     width: int,
 ) -> UInt8[np.ndarray, "y x 3"] | Float32[np.ndarray, "y x"]:
-    """Pixels of a :class:`PreviewImage`."""
+    """Pixels of a ``PreviewImage``."""
     if modality.channels == 3:
         return to_rgb8(reduced(values, None, width)[0])
     values, valid = reduced(values, valid, width)
