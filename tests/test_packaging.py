@@ -130,3 +130,10 @@ def test_extras_do_not_repeat_what_the_core_brings(dist: Path) -> None:
     for text in required:
         names["extra ==" in text].add(re.split(r"[^A-Za-z0-9_.-]", text)[0].lower())
     assert names[False] & names[True] == set()
+
+
+def test_one_version_everywhere() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == mrgs.__version__
+    assert re.search(r"^## \[(.*?)\]", changelog, re.MULTILINE)[1] == mrgs.__version__
