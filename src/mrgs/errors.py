@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 
 class MrgsError(Exception):
     """An error that the user can fix; the command line prints it as one line and exits with code 2.
@@ -28,6 +30,24 @@ class WriteError(RunError):
     """A file cannot be written or removed: no room, or no permission."""
 
 
+class DamagedCheckpointError(RunError):
+    """A checkpoint is not what was written, or holds values that are not finite; an older one may
+    be good.
+
+    Attributes:
+        path: the checkpoint.
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(
+            f"{path} is not a whole checkpoint ({reason}): restore it from a copy, or use an older "
+            f"one"
+        )
+        self.path = path
+        self.reason = reason
+
+
 class ConfigError(MrgsError):
     """An option or a configuration value is not allowed."""
 
@@ -38,6 +58,10 @@ class DeviceError(MrgsError):
 
 class TrainingError(MrgsError):
     """Training had to stop; the last good checkpoint is kept."""
+
+
+class NotFiniteError(TrainingError):
+    """The model holds a NaN or an infinity, and was not saved."""
 
 
 class MrgsWarning(UserWarning):

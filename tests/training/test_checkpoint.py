@@ -7,17 +7,18 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from mrgs.errors import RunError
+from mrgs.errors import DamagedCheckpointError, RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.losses.term import SceneScale
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
-from mrgs.training.checkpoint import CheckpointFacts, load_facts, load_model, load_state, save
+from mrgs.training.checkpoint import load_facts, load_model, load_state, save
+from mrgs.training.facts import CheckpointFacts
 from mrgs.training.state import TrainingState
+from tests.helpers.checkpoints import header_of, rewrite, rewrite_without_digests
 from tests.helpers.training import short_config, tensors_of
 
 VIEWPOINT = Viewpoint((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
@@ -63,13 +64,6 @@ def path(tmp_path, state) -> Path:
     return path
 
 
-def change_header(path: Path, **changes) -> None:
-    with safe_open(path, framework="pt") as file:
-        header = json.loads(file.metadata()["mrgs"])
-    header = {name: value for name, value in {**header, **changes}.items() if value != "removed"}
-    save_file(load_file(path), path, {"mrgs": json.dumps(header)})
-
-
 def test_everything_comes_back(state, path, config):
     state.skipped_in_a_row += 2
     save(path, state, FACTS)
@@ -107,12 +101,11 @@ def test_a_truncated_checkpoint_is_named(keep, path, config):
         lambda path: load_model(path, config),
         lambda path: load_state(path, config),
     ):
-        with pytest.raises(RunError) as caught:
+        with pytest.raises(DamagedCheckpointError) as caught:
             load(path)
         assert (
-            str(caught.value)
-            == f"{path} is not a whole checkpoint: delete it, and the one before it is used; "
-            f"without one, retrain"
+            str(caught.value) == f"{path} is not a whole checkpoint (it cannot be parsed): restore "
+            f"it from a copy, or use an older one"
         )
 
 
@@ -137,10 +130,15 @@ def test_a_file_of_something_else_is_named(header, path):
         {"modalities": ["nir"]},
         {"modalities": [{"name": "nir", "channels": "1"}]},
         {"modalities": [{"name": "../nir", "channels": 1}]},
+        {"step": "2"},
+        {"step": -1},
+        {"step": True},
+        {"train_seconds": float("nan")},
+        {"images": [["digest", [1.0], [1.0]]]},
     ],
 )
 def test_a_header_that_lacks_facts_is_named(changes, path):
-    change_header(path, **changes)
+    rewrite(path, **changes)
     with pytest.raises(RunError, match="is not a whole checkpoint"):
         load_facts(path)
 
@@ -150,7 +148,7 @@ def test_a_header_that_lacks_facts_is_named(changes, path):
     [[{"name": "nir", "channels": 1}], [{"name": "thermal", "channels": 3}]],
 )
 def test_modalities_that_the_tensors_have_not_are_named(modalities, path, config):
-    change_header(path, modalities=modalities)
+    rewrite(path, modalities=modalities)
     with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
         load_model(path, config)
 
@@ -158,19 +156,29 @@ def test_modalities_that_the_tensors_have_not_are_named(modalities, path, config
 @pytest.mark.parametrize("missing", ["sh_dc.rgb", "sh_rest.rgb", "opacity_logit.rgb"])
 def test_a_missing_modality_is_named(missing, path, config):
     tensors = load_file(path)
-    with safe_open(path, framework="pt") as file:
-        header = file.metadata()
     del tensors[f"gaussians.{missing}"]
-    save_file(tensors, path, header)
+    rewrite(path, tensors)
     with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
         load_model(path, config)
 
 
 def test_another_format_is_named(path):
-    change_header(path, format=99)
+    header = {**header_of(path), "format": 99}
+    save_file(load_file(path), path, {"mrgs": json.dumps(header)})
     with pytest.raises(RunError) as caught:
         load_facts(path)
-    assert str(caught.value) == f"{path} has checkpoint format 99, this program reads 5: retrain"
+    assert (
+        str(caught.value) == f"{path} has checkpoint format 99, this program reads 5 and 6: use "
+        f"the version of mrgs that wrote it"
+    )
+    assert not isinstance(caught.value, DamagedCheckpointError)
+
+
+def test_the_format_before_digests_is_read(state, path, config):
+    rewrite_without_digests(path, load_file(path))
+    assert load_facts(path) == FACTS
+    expected, found = tensors_of(state), tensors_of(load_state(path, config))
+    assert all(torch.equal(found[name], tensor) for name, tensor in expected.items())
 
 
 def test_another_configuration_is_named(path, config):
@@ -179,21 +187,16 @@ def test_another_configuration_is_named(path, config):
         with pytest.raises(RunError) as caught:
             load(path, other)
         assert str(caught.value) == (
-            f"{path} does not fit the run's config.yaml: restore the configuration it was trained "
-            f"with"
+            f"{path} does not fit the run's config.yaml (color_head.mlp.0.bias is float32 [64] "
+            f"where float32 [128] is expected): restore the configuration it was trained with"
         )
 
 
 def test_missing_tensors_are_named(path, config):
     tensors = load_file(path)
-    with safe_open(path, framework="pt") as file:
-        header = file.metadata()
-    save_file(
-        {name: tensor for name, tensor in tensors.items() if name != "gaussians.quats"},
-        path,
-        header,
-    )
-    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+    del tensors["gaussians.quats"]
+    rewrite(path, tensors)
+    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml \(quats is missing\)"):
         load_model(path, config)
 
 

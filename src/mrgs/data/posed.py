@@ -53,7 +53,9 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
     camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
-    return PosedImage(camera, partial(_load, source, decoder, camera.width, camera.height))
+    load = partial(_load, source, decoder, camera.width, camera.height)
+    files = (source.path,) if source.mask is None else (source.path, source.mask)
+    return PosedImage(camera, load, files)
 
 
 @lru_cache(maxsize=1024)

@@ -302,8 +302,8 @@ def _check_indices(name: str, indices: Int64[Tensor, "..."] | None, count: int) 
     for them."""
     if indices is None or not indices.is_cpu or indices.numel() == 0:
         return
-    if not (indices.min() >= 0 and indices.max() < count):
+    lowest, highest = indices.aminmax()
+    if lowest < 0 or highest >= count:
         raise IndexError(
-            f"{name} must lie in 0 to {count - 1}, but reach from {indices.min()} to "
-            f"{indices.max()}"
+            f"{name} must lie in 0 to {count - 1}, but reach from {lowest} to {highest}"
         )

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -16,6 +17,8 @@ from mrgs.errors import ConfigError
 from mrgs.scene import THERMAL, Gaussians
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
+_STATE = ("step", *_MOMENTS)
+_ADAM = "adam."
 
 
 @dataclass(frozen=True)
@@ -93,10 +96,13 @@ class OptimizerConfig:
 
 
 def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Tensor, ""]:
-    """Whether neither the loss nor a gradient holds a NaN or an infinity; the answer stays on their
-    device."""
-    sums = [gradient.sum() for gradient in gradients]
-    return torch.stack([loss.detach(), *sums]).isfinite().all()
+    """Whether the loss and the norm of each gradient are finite; the answer stays on their device.
+
+    NaN and infinity stay in a norm. It is also infinite where a square is, which Adam would keep
+    for good.
+    """
+    norms = [torch.linalg.vector_norm(gradient) for gradient in gradients]
+    return torch.stack([loss.detach(), *norms]).isfinite().all()
 
 
 def step_if(good: Bool[Tensor, ""] | None, adam: torch.optim.Adam) -> None:
@@ -114,6 +120,53 @@ def set_rates(adam: torch.optim.Adam, factor: float) -> None:
     """Learning rates of all groups as this factor of their ``initial_lr``."""
     for group in adam.param_groups:
         group["lr"] = factor * group["initial_lr"]
+
+
+def moments_of(adam: torch.optim.Adam, parameters: Mapping[Any, Tensor]) -> dict[str, Tensor]:
+    """An optimizer's moments and step counts by name, ``KEY.step``, ``KEY.exp_avg`` and
+    ``KEY.exp_avg_sq``; none of a parameter that has not moved yet.
+
+    Args:
+        adam: the optimizer.
+        parameters: of it, by their keys.
+    """
+    return {
+        f"{key}.{name}": value
+        for key, parameter in parameters.items()
+        for name, value in adam.state.get(parameter, {}).items()
+    }
+
+
+def load_moments(
+    adam: torch.optim.Adam, parameters: Mapping[Any, Tensor], tensors: Mapping[str, Tensor]
+) -> None:
+    """Take the moments that ``moments_of`` gave, on the parameters' devices.
+
+    A fused Adam trusts their sizes, so moments of any other parameter are refused.
+
+    Raises:
+        ValueError: they are not those of the parameters, or the squares or steps are negative.
+    """
+    left = set(tensors)
+    for key, parameter in parameters.items():
+        state = {name: tensors[f"{key}.{name}"] for name in _STATE if f"{key}.{name}" in tensors}
+        left -= {f"{key}.{name}" for name in state}
+        if not state:
+            continue
+        _require_moments(key, parameter, state)
+        adam.state[parameter] = {name: value.to(parameter.device) for name, value in state.items()}
+    if left:
+        raise ValueError(f"moments {min(left)} of an unknown parameter")
+
+
+def _require_moments(key: Any, parameter: Tensor, state: Mapping[str, Tensor]) -> None:
+    for name in _STATE:
+        shape = torch.Size() if name == "step" else parameter.shape
+        value = state.get(name)
+        if value is None or value.shape != shape or value.dtype != torch.float32:
+            raise ValueError(f"the moments {key}.{name} are not those of the parameter")
+        if name != "exp_avg" and not (value >= 0).all():
+            raise ValueError(f"the moments {key}.{name} are negative")
 
 
 class GaussianOptimizer:
@@ -215,26 +268,21 @@ class GaussianOptimizer:
     def state(self) -> dict[str, Tensor]:
         """Parameters and moments by name, for a checkpoint."""
         tensors = {name: tensor.detach() for name, tensor in self.gaussians.tensors().items()}
-        for group in self._adam.param_groups:
-            for key, value in self._adam.state.get(group["params"][0], {}).items():
-                tensors[f"adam.{group['name']}.{key}"] = value
-        return tensors
+        return tensors | moments_of(self._adam, self._parameters())
 
-    def load_moments(self, tensors: dict[str, Tensor]) -> None:
+    def load_moments(self, tensors: Mapping[str, Tensor]) -> None:
         """Take the moments of ``state()``; the parameters are those that the optimizer was made
-        with."""
-        for group in self._adam.param_groups:
-            prefix = f"adam.{group['name']}."
-            state = {
-                key.removeprefix(prefix): value
-                for key, value in tensors.items()
-                if key.startswith(prefix)
-            }
-            if state:
-                parameter = group["params"][0]
-                self._adam.state[parameter] = {
-                    key: value.to(parameter.device) for key, value in state.items()
-                }
+        with.
+
+        Raises:
+            ValueError: the moments are not theirs.
+        """
+        moments = {name: tensor for name, tensor in tensors.items() if name.startswith(_ADAM)}
+        load_moments(self._adam, self._parameters(), moments)
+
+    def _parameters(self) -> dict[str, Tensor]:
+        """Those that move, by the prefix of their moments' names."""
+        return {f"{_ADAM}{group['name']}": group["params"][0] for group in self._adam.param_groups}
 
     def _group(self, name: str) -> dict:
         return next(group for group in self._adam.param_groups if group["name"] == name)

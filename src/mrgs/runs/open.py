@@ -20,6 +20,7 @@ from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training.checkpoint import load_model
 from mrgs.training.kernel_check import check_rendering
+from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.trained_run import TrainedRun
 
@@ -73,7 +74,8 @@ class Run(TrainedRun):
 def open_run(
     path: str | Path, scene: Scene | str | Path | None = None, device: DeviceName = "auto"
 ) -> TrainedRun:
-    """Open the newest checkpoint of a run of any method, to render and to score it.
+    """Open the newest checkpoint of a run of any method, to render and to score it; an older one if
+    it is damaged.
 
     Args:
         path: the run's folder.
@@ -83,8 +85,8 @@ def open_run(
             one that the method can use.
 
     Warns:
-        MrgsWarning: a kernel that rendering uses differs from the plain definition of its
-            operation, which is then used in its place.
+        MrgsWarning: an older checkpoint is used, or a kernel that rendering uses differs from the
+            plain definition of its operation, which is then used in its place.
 
     Raises:
         RunError: the folder is not a run, its method is not registered, or its checkpoint cannot be
@@ -143,9 +145,9 @@ def open_gaussians(
 ) -> Run:
     """Open the newest checkpoint of a run that ``mrgs.train`` trained; see ``open_run``."""
     folder = RunFolder(path)
-    newest = folder.newest_checkpoint()
+    folder.newest_checkpoint()
     config = folder.read_config(from_yaml)
-    model, facts, image_model = load_model(newest, config)
+    model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
     chosen = gpu.choose_device(device)
     check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
     model = bake_temperature_residuals(model)

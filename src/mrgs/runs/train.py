@@ -30,6 +30,7 @@ def train(
     config: TrainConfig | None = None,
     *,
     resume: bool = False,
+    accept_changes: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
@@ -48,8 +49,9 @@ def train(
             folder, which is removed with the returned run.
         config: what to train, see ``make_config``; ``mrgs-plus`` with the preset ``default`` if
             None. A resumed run keeps its own.
-        resume: continue the run from its newest checkpoint, exactly; on another device up to
-            rounding.
+        resume: continue the run from its newest checkpoint that is whole, exactly; on another
+            device up to rounding.
+        accept_changes: resume where photos, poses or intrinsics have changed since the run began.
         device: "auto" takes the GPU where there is one that can be used.
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
@@ -66,16 +68,17 @@ def train(
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
-            in its place.
+            in its place; the newest checkpoint is damaged and an older one is used; or changes of
+            the scene are accepted.
 
     Raises:
         SceneError: the scene cannot be used.
-        RunError: the output folder cannot be used, or the resumed run had another strategy or other
-            terms.
+        RunError: the output folder cannot be used, or the resumed run had another strategy, other
+            terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
         ConfigError: TensorBoard was asked for and is not installed.
-        TrainingError: three steps in a row gave values that are not finite, or the GPU's memory
-            does not suffice; the last good checkpoint is kept.
+        TrainingError: three steps in a row gave values that are not finite, the model holds such a
+            value, or the GPU's memory does not suffice; the last good checkpoint is kept.
     """
     folder = _folder(output)
     trainer.train(
@@ -83,6 +86,7 @@ def train(
         folder.path,
         config or make_config(METHOD),
         resume=resume,
+        accept_changes=accept_changes,
         device=device,
         plain=plain,
         tensorboard=tensorboard,
@@ -103,6 +107,7 @@ def train_steps(
     config: TrainConfig | None = None,
     *,
     resume: bool = False,
+    accept_changes: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
@@ -119,7 +124,8 @@ def train_steps(
         output: the run's folder; None takes a temporary one, which is removed when neither the loop
             nor a snapshot is left.
         config: what to train.
-        resume: continue the run from its newest checkpoint.
+        resume: continue the run from its newest checkpoint that is whole.
+        accept_changes: resume where photos, poses or intrinsics have changed.
         device: "auto" takes the GPU where there is one that can be used.
         plain: run the plain definitions of all operations instead of kernels, much slower.
         tensorboard: also write the log to the run's folder ``tensorboard``.
@@ -138,6 +144,7 @@ def train_steps(
         folder.path,
         config or make_config(METHOD),
         resume=resume,
+        accept_changes=accept_changes,
         device=device,
         plain=plain,
         tensorboard=tensorboard,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -36,10 +37,12 @@ class PosedImage:
         camera: the pinhole camera of the pixels that ``load`` returns.
         load: reads, undistorts and resizes the image; may raise SceneError. Reading twice gives the
             same bits.
+        files: what ``load`` reads; empty where it reads no file.
     """
 
     camera: Camera
     load: Callable[[], Pixels]
+    files: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

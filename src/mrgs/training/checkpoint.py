@@ -1,90 +1,50 @@
-"""Checkpoints: tensors in safetensors, the rest as JSON in its header. Nothing that is read is ever
-executed."""
+"""Checkpoints of a training of Gaussians: everything needed to resume exactly, and to render."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import safetensors.torch
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from mrgs.errors import RunError
+from mrgs.errors import DamagedCheckpointError, RunError
 from mrgs.field import RadianceField, nearest_neighbours
-from mrgs.method.camera_model.image_model import Capture, ImageModel
+from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
-from mrgs.method.start.start_points import model_modalities
+from mrgs.method.optimizer import load_moments, moments_of
 from mrgs.render import Model
-from mrgs.scene import RGB, THERMAL, Gaussians, Modality, Scene, TemperatureRange
-from mrgs.system.atomic import replacing
 from mrgs.system.gpu import HOST
+from mrgs.training.checkpoint_file import read_file, read_header, write_file
+from mrgs.training.checkpoint_layout import (
+    below,
+    gaussians_from,
+    require_like,
+    require_neighbours,
+)
+from mrgs.training.facts import CheckpointFacts
 from mrgs.training.state import TrainingState, layer_parameters, learned_layers
 
-FORMAT = 5
-"""Raised whenever older files can no longer be read."""
+UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
+"""What is raised for tensors that are not those of the configuration."""
 
 
-class CheckpointFacts(NamedTuple):
-    """The facts about a run that its checkpoints hold besides the tensors.
-
-    Attributes:
-        step: steps done.
-        scene: absolute path of the scene's folder; empty for a scene made from arrays.
-        capture: what the image model must know of the scene's photos.
-        temperature: the scene's scale; None without known °C.
-        train_seconds: time spent in training so far.
-        peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU
-            that of its tensors there.
-        skipped_steps: steps skipped so far because of values that were not finite.
-        device: that of the last step: a GPU's name, or "cpu".
-        modalities: of the scene's images.
-    """
-
-    step: int
-    scene: str
-    capture: Capture
-    temperature: TemperatureRange | None
-    train_seconds: float
-    peak_memory_bytes: int
-    skipped_steps: int
-    device: str = "cpu"
-    modalities: tuple[Modality, ...] = (RGB, THERMAL)
-
-    @classmethod
-    def at_start(cls, scene: Scene) -> CheckpointFacts:
-        """Before the first step on a scene."""
-        capture, modalities = Capture.of(scene), scene.modalities
-        return cls(0, scene.path, capture, scene.temperature, 0.0, 0, 0, modalities=modalities)
-
-    def moved_to(self, path: str | Path | None) -> CheckpointFacts:
-        """These facts with the scene's current path, if one is given."""
-        return self if path is None else self._replace(scene=str(Path(path).resolve()))
-
-
-def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
-    """Write everything needed to resume exactly, in one file that is either whole or
-    not there.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+def tensors_of(state: TrainingState) -> dict[str, Tensor]:
+    """All tensors of a training, by name."""
+    layers = dict(enumerate(layer_parameters(state.layer_optimizer)))
     parts: dict[str, Mapping[str, Tensor]] = {
         "gaussians": state.gaussian_optimizer.state(),
         "field": state.model.field.state_dict(),
         "image_model": state.image_model.state_dict(),
-        "layer_optimizer": _layer_moments(state.layer_optimizer),
+        "layer_optimizer": moments_of(state.layer_optimizer, layers),
         "strategy": state.strategy_state,
     }
-    for term, layers in learned_layers(state.terms).items():
-        parts[f"terms.{term}"] = layers.state_dict()
+    for term, module in learned_layers(state.terms).items():
+        parts[f"terms.{term}"] = module.state_dict()
     tensors = {
         f"{part}.{name}": tensor for part, named in parts.items() for name, tensor in named.items()
     }
@@ -92,13 +52,23 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
     tensors["generator"] = state.generator.get_state()
     if state.model.neighbours is not None:
         tensors["neighbours"] = state.model.neighbours
+    return tensors
+
+
+def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
+    """Write everything needed to resume exactly, in one file that is either whole or not there.
+
+    Raises:
+        NotFiniteError: the state holds a NaN or an infinity; nothing is written.
+        RunError: the file cannot be written.
+    """
     made_with = _made_with(state.strategy, state.terms)
-    write(path, tensors, facts, int(state.skipped_in_a_row), made_with)
+    write(path, tensors_of(state), facts, int(state.skipped_in_a_row), made_with)
 
 
 def write(
     path: Path,
-    tensors: dict[str, Tensor],
+    tensors: Mapping[str, Tensor],
     facts: CheckpointFacts,
     skipped_in_a_row: int,
     more: Mapping[str, Any] | None = None,
@@ -113,78 +83,48 @@ def write(
         more: entries of the header that only the method reads, for JSON.
 
     Raises:
+        NotFiniteError: a tensor holds a NaN or an infinity; nothing is written.
         RunError: the file cannot be written.
     """
-    temperature = facts.temperature
-    header = {
-        **facts._asdict(),
-        "format": FORMAT,
-        "capture": facts.capture._asdict(),
-        "modalities": [modality.to_json() for modality in facts.modalities],
-        "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
-        "skipped_in_a_row": skipped_in_a_row,
-        **(more or {}),
-    }
-    contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    with replacing(path) as temporary:
-        safetensors.torch.save_file(contiguous, temporary, {"mrgs": json.dumps(header)})
+    header = {**facts.to_json(), "skipped_in_a_row": skipped_in_a_row, **(more or {})}
+    write_file(path, tensors, header)
+
+
+def read(path: Path) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
+    """Tensors, facts and header of a checkpoint of any method.
+
+    Raises:
+        DamagedCheckpointError: it is not what was written, or not finite.
+        RunError: it cannot be read, or is of another format.
+    """
+    tensors, header = read_file(path)
+    return tensors, _facts(path, header), header
 
 
 def load_facts(path: Path) -> CheckpointFacts:
     """The facts of a checkpoint, without its tensors.
 
     Raises:
-        RunError: not a whole checkpoint of this format.
+        DamagedCheckpointError: not a checkpoint, or another header than was written.
+        RunError: it cannot be read, or is of another format.
     """
-    return _facts(path, _read(path, with_tensors=False)[1])
-
-
-def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
-    """A run belongs to the cameras and the temperatures that it was trained with.
-
-    Raises:
-        RunError: the scene has others.
-    """
-    same_views = facts.capture.views == len(scene.train)
-    if not same_views or not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
-        raise RunError(
-            f"{scene.name} has other cameras than the run's scene: use that scene as it was"
-        )
-    if facts.temperature != scene.temperature:
-        raise RunError(
-            f"{scene.name} has another temperature range than the run was trained with: "
-            f"bring back the one that it had, or retrain"
-        )
-
-
-def facts_to_resume(path: Path, scene: Scene) -> CheckpointFacts:
-    """The facts of a checkpoint that is trained on, with the current path of its scene.
-
-    Raises:
-        RunError: not a whole checkpoint of this format, of another scene, or of fewer modalities.
-    """
-    facts = load_facts(path)
-    require_same_scene(facts, scene)
-    if untrained := set(scene.modalities) - set(model_modalities(facts.modalities)):
-        names = ", ".join(sorted(each.name for each in untrained))
-        raise RunError(f"{scene.name} has images that the run began without ({names}): retrain")
-    return facts._replace(scene=scene.path, capture=Capture.of(scene))
+    return _facts(path, read_header(path))
 
 
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts, ImageModel]:
     """The model of a checkpoint, to render with, and what its scene's cameras do to the images.
 
     Raises:
-        RunError: not a whole checkpoint of this format, or not of this configuration.
+        DamagedCheckpointError: it is not what was written, or not finite.
+        RunError: it cannot be read, is of another format, or not of this configuration.
     """
-    tensors, header = _read(path)
-    facts = _facts(path, header)
+    tensors, facts, _ = read(path)
     try:
         model = _model(tensors, config, facts)
         image_model = ImageModel(config.image_model, facts.capture)
-        image_model.load_state_dict(_below(tensors, "image_model."))
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise _mismatch(path) from error
+        _load_module(image_model, below(tensors, "image_model."))
+    except UNFIT as error:
+        raise unfit(path, error) from error
     if (
         model.neighbours is None and config.field.neighbours_k > 0
     ):  # saved right after a densification
@@ -209,36 +149,73 @@ def load_state(
         terms: of the loss, if the run was given any.
 
     Raises:
-        RunError: not a whole checkpoint of this format, not of this configuration, or of another
+        DamagedCheckpointError: it is not what was written, or not finite.
+        RunError: it cannot be read, is of another format, not of this configuration, or of another
             strategy or other terms.
     """
-    tensors, header = _read(path)
-    facts = _facts(path, header)
+    tensors, facts, header = read(path)
     strategy = config.densification if strategy is None else strategy
     try:
         model = _model(tensors, config, facts).to(device)
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise _mismatch(path) from error
+    except UNFIT as error:
+        raise unfit(path, error) from error
     all_terms = configured_terms(config, terms, model.gaussians.modalities)
     _require_made_with(path, header, _made_with(strategy, all_terms))
     try:
+        for term, module in learned_layers(all_terms).items():
+            _load_module(module, below(tensors, f"terms.{term}."))
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
-        for term, layers in learned_layers(all_terms).items():
-            layers.load_state_dict(_below(tensors, f"terms.{term}."))
         state = TrainingState.around(model, all_terms, strategy, config, facts.capture, generator)
-        state.image_model.load_state_dict(_below(tensors, "image_model."))
-        state.gaussian_optimizer.load_moments(_below(tensors, "gaussians."))
-        _load_layer_moments(state.layer_optimizer, _below(tensors, "layer_optimizer."))
-        state.strategy_state = {
-            name: tensor.to(device) for name, tensor in _below(tensors, "strategy.").items()
-        }
-        state.sampler.load(tensors["sampler.waiting"])
-        state.skipped_in_a_row += int(header["skipped_in_a_row"])
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise _mismatch(path) from error
-    state.step = facts.step
+        _load_training(state, tensors)
+        state.skipped_in_a_row += skipped_in_a_row_of(header)
+        state.step = facts.step
+        require_like(tensors, tensors_of(state))
+    except UNFIT as error:
+        raise unfit(path, error) from error
     return state
+
+
+def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
+    """Steps skipped since the last good one.
+
+    Raises:
+        KeyError, ValueError: the header does not say it.
+    """
+    count = header["skipped_in_a_row"]
+    if type(count) is not int or count < 0:
+        raise ValueError("skipped_in_a_row is a number of at least 0")
+    return count
+
+
+def unfit(path: Path, error: Exception) -> RunError:
+    """The error for a checkpoint whose tensors are not those that its configuration implies."""
+    reason = " ".join(str(error).split())
+    return RunError(
+        f"{path} does not fit the run's config.yaml ({reason:.120}): restore the configuration it "
+        f"was trained with"
+    )
+
+
+def _load_training(state: TrainingState, tensors: Mapping[str, Tensor]) -> None:
+    """Fill a state at step 0 with all that its model does not hold.
+
+    Raises:
+        KeyError, RuntimeError, TypeError, ValueError: the tensors are not those of such a state.
+    """
+    _load_module(state.image_model, below(tensors, "image_model."))
+    state.gaussian_optimizer.load_moments(below(tensors, "gaussians."))
+    layers = dict(enumerate(layer_parameters(state.layer_optimizer)))
+    load_moments(state.layer_optimizer, layers, below(tensors, "layer_optimizer."))
+    remembered = below(tensors, "strategy.")
+    require_like(remembered, state.strategy_state)
+    state.strategy_state = {name: each.to(state.device) for name, each in remembered.items()}
+    state.sampler.load(tensors["sampler.waiting"])
+
+
+def _load_module(module: torch.nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    require_like(tensors, module.state_dict())
+    module.load_state_dict(tensors)
 
 
 def _made_with(strategy: Strategy, terms: Sequence[Term]) -> dict[str, Any]:
@@ -246,7 +223,7 @@ def _made_with(strategy: Strategy, terms: Sequence[Term]) -> dict[str, Any]:
     return {"strategy": type(strategy).__name__, "terms": [term.name for term in terms]}
 
 
-def _require_made_with(path: Path, header: dict[str, Any], made_with: dict[str, Any]) -> None:
+def _require_made_with(path: Path, header: Mapping[str, Any], made_with: dict[str, Any]) -> None:
     """A run resumes with the strategy and the terms that it started with.
 
     Raises:
@@ -260,132 +237,29 @@ def _require_made_with(path: Path, header: dict[str, Any], made_with: dict[str, 
             )
 
 
-def _read(path: Path, with_tensors: bool = True) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and header of a checkpoint file."""
+def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
     try:
-        with safe_open(path, framework="pt") as file:
-            header = dict(json.loads((file.metadata() or {})["mrgs"]))
-            names = file.keys() if with_tensors else ()
-            tensors = {name: file.get_tensor(name) for name in names}
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise _damaged(path) from error
-    if header.get("format") != FORMAT:
-        raise RunError(
-            f"{path} has checkpoint format {header.get('format')}, this program reads {FORMAT}: "
-            f"retrain"
-        )
-    return tensors, header
+        return CheckpointFacts.from_json(header)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise DamagedCheckpointError(path, "its header lacks facts") from error
 
 
-def _facts(path: Path, header: dict[str, Any]) -> CheckpointFacts:
-    try:
-        known = {"device": "cpu", **header}  # older checkpoints do not say it
-        values = {name: known[name] for name in CheckpointFacts._fields}
-        bounds = values["temperature"]
-        if not isinstance(values["scene"], str) or not isinstance(values["device"], str):
-            raise TypeError("the scene is a path, the device a name")
-        values["temperature"] = None if bounds is None else TemperatureRange(*bounds)
-        values["capture"] = Capture.from_json(values["capture"])
-        values["modalities"] = tuple(map(Modality.from_json, values["modalities"]))
-        return CheckpointFacts(**values)
-    except (KeyError, TypeError, ValueError) as error:
-        raise _damaged(path) from error
+def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
+    """The model of a checkpoint.
 
-
-def _model(tensors: dict[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
-    parameters = _below(tensors, "gaussians.")
-    gaussians = Gaussians.from_tensors(
-        {name: tensor for name, tensor in parameters.items() if not name.startswith("adam.")},
-        model_modalities(facts.modalities),
-    )
-    _check_modalities(gaussians, facts)
+    Raises:
+        ValueError: the tensors are not those of a model of this configuration.
+    """
+    named = below(tensors, "gaussians.")
+    parameters = {name: each for name, each in named.items() if not name.startswith("adam.")}
+    gaussians = gaussians_from(parameters, config, facts)
     neighbours = tensors.get("neighbours")
-    _check_rows(gaussians, neighbours)
-    if (
-        gaussians.sh_rest[THERMAL].shape[1]
-        != (config.temperature_sh_degree_of(facts.capture) + 1) ** 2 - 1
-    ):
-        raise ValueError("the temperatures are of another degree")
+    require_neighbours(neighbours, len(gaussians), config.field.neighbours_k)
     field = RadianceField(config.field)
-    field.load_state_dict(_below(tensors, "field."))
+    _load_module(field, below(tensors, "field."))
     return Model(
         gaussians=gaussians,
         field=field,
         neighbours=neighbours,
         sh_degree=config.sh_degree_at(facts.step),
-    )
-
-
-def _check_modalities(gaussians: Gaussians, facts: CheckpointFacts) -> None:
-    """The Gaussians must have the appearance of all modalities, and the opacity of all or of the
-    first.
-
-    Raises:
-        ValueError: one is missing, or has another number of channels.
-    """
-    modalities = model_modalities(facts.modalities)
-    has = [tuple(group) for group in (gaussians.sh_dc, gaussians.sh_rest)]
-    opacities = tuple(gaussians.opacity_logits)
-    if has != [modalities, modalities] or opacities not in (modalities, modalities[:1]):
-        raise ValueError("a modality is missing")
-    for modality in modalities:
-        dc, rest = gaussians.sh_dc[modality], gaussians.sh_rest[modality]
-        if dc.shape[1:] != (1, modality.channels) or rest.shape[2:] != (modality.channels,):
-            raise ValueError(f"{modality} has another number of channels")
-
-
-def _check_rows(gaussians: Gaussians, neighbours: Tensor | None) -> None:
-    """What is rendered must be whole: kernels trust it.
-
-    Raises:
-        ValueError: tensors of different lengths or of other types, or neighbours that do not exist.
-    """
-    count = len(gaussians)
-    if any(
-        len(tensor) != count or tensor.dtype != torch.float32
-        for tensor in gaussians.tensors().values()
-    ):
-        raise ValueError("the Gaussians' tensors do not belong together")
-    if neighbours is not None and neighbours.numel() > 0:
-        lowest, highest = int(neighbours.min()), int(neighbours.max())
-        if len(neighbours) != count or lowest < 0 or highest >= count:
-            raise ValueError("the neighbours are not those of the Gaussians")
-
-
-def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {
-        name.removeprefix(prefix): tensor
-        for name, tensor in tensors.items()
-        if name.startswith(prefix)
-    }
-
-
-def _layer_moments(optimizer: torch.optim.Adam) -> dict[str, Tensor]:
-    """Moments by the index of their parameter."""
-    return {
-        f"{place}.{key}": value
-        for place, parameter in enumerate(layer_parameters(optimizer))
-        for key, value in optimizer.state.get(parameter, {}).items()
-    }
-
-
-def _load_layer_moments(optimizer: torch.optim.Adam, tensors: dict[str, Tensor]) -> None:
-    for place, parameter in enumerate(layer_parameters(optimizer)):
-        state = _below(tensors, f"{place}.")
-        if state:
-            optimizer.state[parameter] = {
-                key: value.to(parameter.device) for key, value in state.items()
-            }
-
-
-def _damaged(path: Path) -> RunError:
-    return RunError(
-        f"{path} is not a whole checkpoint: delete it, and the one before it is used; without "
-        f"one, retrain"
-    )
-
-
-def _mismatch(path: Path) -> RunError:
-    return RunError(
-        f"{path} does not fit the run's config.yaml: restore the configuration it was trained with"
     )

@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import torch
+from torch import Tensor
 
-from mrgs.errors import TrainingError
+from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.scene import TemperatureRange
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST
-from mrgs.training.checkpoint import CheckpointFacts
+from mrgs.training.checkpoint_file import first_not_finite
+from mrgs.training.facts import CheckpointFacts
 from mrgs.training.memory import peak_memory_bytes
 from mrgs.training.run_folder import RunFolder
 
 LOG_EVERY = 10
 LOG_MODEL_EVERY = 100
+CHECK_MODEL_EVERY = 100
 CHECK_EVERY = {"cpu": 1, "cuda": LOG_EVERY}
 """Steps after which the driver checks whether some were skipped; on a GPU the host waits for
 that."""
@@ -104,6 +107,10 @@ class Driver(ABC, Generic[S]):
         return {}
 
     @abstractmethod
+    def _tensors(self) -> Mapping[str, Tensor]:
+        """All tensors of the state, by name."""
+
+    @abstractmethod
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         """Write everything needed to resume exactly."""
 
@@ -132,11 +139,16 @@ class Driver(ABC, Generic[S]):
 
     def _next_step(self) -> S:
         """Take a step, and log it if its turn has come."""
-        statistics = self._take_step()
+        try:
+            statistics = self._take_step()
+        except NotFiniteError as error:
+            raise self._stopped(str(error), NotFiniteError) from error
         self._step_done = statistics.step
         self._unchecked.append(statistics)
         if self._step_done % self._check_every == 0:
             self._note_skipped_steps()
+        if self._step_done % CHECK_MODEL_EVERY == 0:
+            self._require_finite_model()
         if self._step_done % LOG_EVERY == 0 or self._step_done == self._max_steps:
             self._log(statistics)
         return statistics
@@ -155,19 +167,33 @@ class Driver(ABC, Generic[S]):
             {"step": statistics.step, "skipped": "the loss or a gradient was not finite"}
         )
         if self._bad_in_a_row >= MAX_SKIPPED_IN_A_ROW:
-            found = self._folder.checkpoints()
-            kept = (
-                f"the last good checkpoint is {found[-1]}"
-                if found
-                else "there is no checkpoint yet"
-            )
-            again = "Resume" if found else "Retrain"
-            raise TrainingError(
+            raise self._stopped(
                 f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at step "
-                f"{statistics.step}; "
-                f"{kept}. {again} with a smaller learning rate, or check the scene's poses and "
-                f"images"
+                f"{statistics.step}"
             )
+
+    def _require_finite_model(self) -> None:
+        """Gradients that are not finite move nothing; but what has come into the model in another
+        way would stay.
+
+        Raises:
+            NotFiniteError: the state holds a NaN or an infinity.
+        """
+        if (name := first_not_finite(self._tensors())) is not None:
+            raise self._stopped(
+                f"{name} holds values that are not finite after step {self._step_done}",
+                NotFiniteError,
+            )
+
+    def _stopped(self, why: str, kind: type[TrainingError] = TrainingError) -> TrainingError:
+        """The error for values that are not finite, with what is left."""
+        found = self._folder.checkpoints()
+        kept = f"the last good checkpoint is {found[-1]}" if found else "there is no checkpoint yet"
+        again = "Resume" if found else "Retrain"
+        return kind(
+            f"{why}; {kept}. {again} with a smaller learning rate, or check the scene's poses and "
+            f"images"
+        )
 
     def _log(self, statistics: S) -> None:
         entry: dict[str, float | None] = {"step": statistics.step}
@@ -193,9 +219,11 @@ class Driver(ABC, Generic[S]):
         """Write a checkpoint of the last step.
 
         Raises:
+            NotFiniteError: the state holds a NaN or an infinity.
             RunError: it cannot be written.
         """
         self._note_skipped_steps()
+        self._require_finite_model()
         facts = self._facts._replace(
             step=self._step_done,
             train_seconds=self._seconds(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import tempfile
 import weakref
@@ -98,6 +99,17 @@ class RunFolder:
         if not found:
             raise RunError(f"{self.path} has no checkpoint yet: train it first")
         return found[-1]
+
+    def set_aside(self, checkpoint: Path) -> Path:
+        """Rename a damaged checkpoint, so that it no longer counts as the newest; its new path.
+
+        Raises:
+            RunError: the folder cannot be written.
+        """
+        aside = checkpoint.with_name(f"{checkpoint.name}.damaged")
+        with self._writing():
+            checkpoint.replace(aside)
+        return aside
 
     def drop_old_checkpoints(self) -> None:
         """Keep the newest two."""
@@ -196,15 +208,19 @@ class RunFolder:
         return values if isinstance(values, dict) else {}
 
     def append_log(self, entry: dict[str, Any]) -> None:
-        """Add a line to the log.
+        """Add a line to the log; numbers that are not finite become null.
 
         Raises:
             RunError: the log cannot be written.
         """
+        finite = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in entry.items()
+        }
         with self._writing(), self.log_file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry, allow_nan=False) + "\n")
+            file.write(json.dumps(finite, allow_nan=False) + "\n")
         for mirror in self._log_mirrors:
-            mirror(entry)
+            mirror(finite)
 
     @contextmanager
     def log_mirrored(self, mirror: LogMirror) -> Iterator[None]:
@@ -298,5 +314,5 @@ def _step_of(line: str) -> int:
     """The step of a log line; a torn last line counts as behind everything."""
     try:
         return int(json.loads(line)["step"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return 2**62

@@ -15,7 +15,9 @@ from mrgs.data.oddities import oddities
 from mrgs.errors import MrgsWarning
 from mrgs.scene import Scene
 from mrgs.system.operation import plainly
-from mrgs.training.checkpoint import CheckpointFacts, facts_to_resume
+from mrgs.training.checkpoint import load_facts
+from mrgs.training.facts import CheckpointFacts, facts_to_resume
+from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunConfig, RunFolder
 from mrgs.training.tensorboard import tensorboard_log
 
@@ -49,6 +51,7 @@ def start_training(
     config: C,
     *,
     resume: bool,
+    accept_changes: bool,
     plain: bool,
     tensorboard: bool,
     read_config: Callable[[RunFolder], C],
@@ -61,7 +64,8 @@ def start_training(
         scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
-        resume: continue the run from its newest checkpoint.
+        resume: continue the run from its newest checkpoint that is whole.
+        accept_changes: resume where photos, poses or intrinsics have changed.
         plain: run the plain definitions of all operations instead of kernels.
         tensorboard: also write the log to the run's folder ``tensorboard``.
         read_config: the configuration of the run that is continued.
@@ -69,11 +73,12 @@ def start_training(
         load_state: the state in a checkpoint.
 
     Warns:
-        MrgsWarning: the scene can be used, but is odd; see ``mrgs.data.oddities``.
+        MrgsWarning: the scene can be used, but is odd (see ``mrgs.data.oddities``) or has changed,
+            and that is accepted; or the newest checkpoint is damaged, and an older one is used.
 
     Raises:
         SceneError: the scene cannot be used.
-        RunError: the output folder cannot be used.
+        RunError: the output folder cannot be used, or the scene has changed.
         ConfigError: TensorBoard was asked for and is not installed.
     """
     folder = RunFolder(output)
@@ -92,9 +97,10 @@ def start_training(
         warnings.warn(f"{loaded.name}: {text}", MrgsWarning, stacklevel=4)
     with folder.training(config, resume), plainly(plain):
         if resume:
-            newest = folder.newest_checkpoint()
-            facts = facts_to_resume(newest, loaded)
-            state = load_state(newest, config)
+            state, facts = load_newest(
+                folder, lambda path: (load_state(path, config), load_facts(path)), set_aside=True
+            )
+            facts = facts_to_resume(facts, loaded, accept_changes)
             folder.cut_log(facts.step)
         else:
             facts = CheckpointFacts.at_start(loaded)

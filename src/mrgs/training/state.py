@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor, nn
 
+from mrgs.errors import NotFiniteError
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig
@@ -95,11 +96,21 @@ class TrainingState:
 
     def refresh_neighbours(self, config: TrainConfig) -> None:
         """Search the neighbours (Eq. 9) when N has changed, and every so many steps because the
-        Gaussians move; but not so close to the end that the layers could no longer follow."""
+        Gaussians move; but not so close to the end that the layers could no longer follow.
+
+        Raises:
+            NotFiniteError: a position is not finite.
+        """
         k, every = config.field.neighbours_k, config.neighbours_every
         due = self.step % every == 0 and self.step + every <= config.max_steps
-        if k > 0 and (self.model.neighbours is None or due):
-            self.model.neighbours = nearest_neighbours(self.model.gaussians.means, k)
+        if k == 0 or not (self.model.neighbours is None or due):
+            return
+        means = self.model.gaussians.means
+        if not means.isfinite().all():
+            raise NotFiniteError(
+                f"gaussians.means holds values that are not finite at step {self.step}"
+            )
+        self.model.neighbours = nearest_neighbours(means, k)
 
     def gradients_are_finite(self, loss: Tensor) -> Bool[Tensor, ""]:
         """Whether neither the loss nor a gradient holds a NaN or an infinity; on the device."""

@@ -25,7 +25,7 @@ from mrgs.scene.depth_map import (
     carry_over,
     surveying_cameras,
 )
-from mrgs.training.checkpoint import CheckpointFacts, require_same_scene
+from mrgs.training.facts import CheckpointFacts, require_same_scene
 from mrgs.training.run_folder import RunConfig, RunFolder
 
 

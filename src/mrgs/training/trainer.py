@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import torch
+from torch import Tensor
 
 from mrgs.errors import TrainingError
 from mrgs.method.config import TrainConfig, from_yaml
@@ -21,9 +22,9 @@ from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.room import warn_if_short
 from mrgs.training import checkpoint
-from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
+from mrgs.training.facts import CheckpointFacts
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import checkpoint_bytes, retried_when_full
 from mrgs.training.run_folder import CHECKPOINTS_KEPT, RunFolder
@@ -45,6 +46,7 @@ def open_training(
     config: TrainConfig,
     *,
     resume: bool = False,
+    accept_changes: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
@@ -59,6 +61,7 @@ def open_training(
         output,
         config,
         resume=resume,
+        accept_changes=accept_changes,
         plain=plain,
         tensorboard=tensorboard,
         read_config=lambda folder: folder.read_config(from_yaml),
@@ -75,6 +78,7 @@ def train(
     config: TrainConfig,
     *,
     resume: bool = False,
+    accept_changes: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
@@ -91,8 +95,9 @@ def train(
         scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
-        resume: continue the run from its newest checkpoint, exactly; on another device up to
-            rounding.
+        resume: continue the run from its newest checkpoint that is whole, exactly; on another
+            device up to rounding.
+        accept_changes: resume where photos, poses or intrinsics have changed since the run began.
         device: "auto" takes the GPU where there is one that can be used.
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
@@ -109,23 +114,26 @@ def train(
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
-            in its place.
+            in its place; the newest checkpoint is damaged and an older one is used; or changes of
+            the scene are accepted.
 
     Raises:
         SceneError: the scene cannot be used.
-        RunError: the output folder cannot be used, or the resumed run had another strategy or other
-            terms.
+        RunError: the output folder cannot be used, or the resumed run had another strategy, other
+            terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
         ConfigError: TensorBoard was asked for and is not installed.
         TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
-            up to ten steps later), or the GPU's memory does not suffice; the last good checkpoint
-            is kept.
+            up to ten steps later), the model holds such a value (found up to a hundred steps
+            later, and always before it is saved), or the GPU's memory does not suffice; the last
+            good checkpoint is kept.
     """
     with open_training(
         scene,
         output,
         config,
         resume=resume,
+        accept_changes=accept_changes,
         device=device,
         plain=plain,
         tensorboard=tensorboard,
@@ -271,6 +279,9 @@ class Trainer(Driver[StepStatistics]):
     @property
     def _skipped_in_a_row(self) -> int:
         return int(self.state.skipped_in_a_row)
+
+    def _tensors(self) -> Mapping[str, Tensor]:
+        return checkpoint.tensors_of(self.state)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         checkpoint.save(path, self.state, facts)

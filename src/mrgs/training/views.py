@@ -49,10 +49,13 @@ class ViewSampler:
         """Continue with the rest of a round.
 
         Raises:
-            ValueError: it names a view that does not exist.
+            ValueError: it names a view that does not exist, or one twice.
         """
-        if len(waiting) > 0 and not 0 <= int(waiting.min()) <= int(waiting.max()) < self._count:
+        is_list = waiting.dtype == torch.int64 and waiting.dim() == 1
+        if not is_list or not set(waiting.tolist()) <= set(range(self._count)):
             raise ValueError(f"the round is not one of {self._count} views")
+        if len(waiting.unique()) < len(waiting):
+            raise ValueError("the round names a view twice")
         self._waiting = waiting
 
 

@@ -17,6 +17,7 @@ from mrgs.errors import DeviceError
 from mrgs.scene import Camera, Modality, Rendering
 from mrgs.system.gpu import DeviceName
 from mrgs.system.operation import checking
+from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.trained_run import TrainedRun
 
@@ -47,7 +48,8 @@ class ThermoNerfRun(TrainedRun):
 def open_thermonerf(
     path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
 ) -> ThermoNerfRun:
-    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU.
+    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; an older one if it
+    is damaged.
 
     Args:
         path: the run's folder.
@@ -55,8 +57,8 @@ def open_thermonerf(
         device: "auto" or "cpu".
 
     Warns:
-        MrgsWarning: a kernel that rendering uses differs from the plain definition of its
-            operation, which is then used in its place.
+        MrgsWarning: an older checkpoint is used, or a kernel that rendering uses differs from the
+            plain definition of its operation, which is then used in its place.
 
     Raises:
         RunError: the folder is not a run, or its checkpoint cannot be used.
@@ -64,9 +66,9 @@ def open_thermonerf(
     """
     require_cpu(device)
     folder = RunFolder(path)
-    newest = folder.newest_checkpoint()
+    folder.newest_checkpoint()
     config = folder.read_config(from_yaml)
-    model, facts = load_model(newest, config)
+    model, facts = load_newest(folder, lambda file: load_model(file, config))
     with checking(gradients=False):
         model.render(dict.fromkeys(MODALITIES, _small_camera(model.frame)))
     return ThermoNerfRun(folder, config, facts.moved_to(scene), model)

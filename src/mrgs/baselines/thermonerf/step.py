@@ -13,6 +13,7 @@ from mrgs.baselines.thermonerf.frame import SceneFrame, frame_of
 from mrgs.baselines.thermonerf.losses import distortion_loss, interlevel_loss, squared_error
 from mrgs.baselines.thermonerf.model import ThermoNerf, Traced
 from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
+from mrgs.method.optimizer import are_finite
 from mrgs.scene import THERMAL, Scene
 
 ADAM_EPSILON = 1e-15
@@ -100,7 +101,8 @@ def training_step(
     loss = torch.stack([weights.get(name, 1.0) * term for name, term in terms.items()]).sum()
     loss.backward()
 
-    skipped = not (bool(loss.isfinite()) and _gradients_are_finite(state.model))
+    gradients = [each.grad for each in state.model.parameters() if each.grad is not None]
+    skipped = not bool(are_finite(loss, gradients))
     if skipped:
         state.skipped_in_a_row += 1
     else:
@@ -127,16 +129,6 @@ def loss_terms(traced: Traced, batch: Batch) -> dict[str, Tensor]:
     terms["interlevel"] = interlevel_loss(*traced.samples)
     terms["distortion"] = distortion_loss(traced.samples.edges, traced.samples.weights)
     return terms
-
-
-def _gradients_are_finite(model: ThermoNerf) -> bool:
-    """Whether no gradient holds NaN or infinity: both stay in a sum, which is cheaper than to ask
-    each number."""
-    return all(
-        bool(parameter.grad.sum().isfinite())
-        for parameter in model.parameters()
-        if parameter.grad is not None
-    )
 
 
 def _thermal_error(traced: Traced, batch: Batch) -> float | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from mrgs.baselines.thermonerf import checkpoint
 from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml
@@ -22,8 +23,8 @@ from mrgs.errors import RunError
 from mrgs.scene import Scene
 from mrgs.system.gpu import DeviceName
 from mrgs.system.operation import checking
-from mrgs.training.checkpoint import CheckpointFacts
 from mrgs.training.driver import Driver
+from mrgs.training.facts import CheckpointFacts
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.start import TrainingStart, start_training
 
@@ -40,6 +41,7 @@ def train_thermonerf(
     config: ThermoNerfConfig,
     *,
     resume: bool = False,
+    accept_changes: bool = False,
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
@@ -53,7 +55,8 @@ def train_thermonerf(
         scene: the scene or its folder.
         output: the run's folder; must not hold a run unless ``resume``.
         config: what to train; a resumed run keeps its own.
-        resume: continue the run from its newest checkpoint, exactly.
+        resume: continue the run from its newest checkpoint that is whole, exactly.
+        accept_changes: resume where photos, poses or intrinsics have changed since the run began.
         device: "auto" or "cpu".
         plain: run the plain definitions of all operations instead of kernels, much slower.
         tensorboard: also write the log to the run's folder ``tensorboard``.
@@ -63,14 +66,15 @@ def train_thermonerf(
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
-            in its place.
+            in its place; the newest checkpoint is damaged and an older one is used; or changes of
+            the scene are accepted.
 
     Raises:
         SceneError: the scene cannot be used.
-        RunError: the output folder cannot be used.
+        RunError: the output folder cannot be used, or the scene has changed since the run began.
         DeviceError: the GPU was asked for.
-        TrainingError: three steps in a row gave values that are not finite; the last good
-            checkpoint is kept.
+        TrainingError: three steps in a row gave values that are not finite, or the model holds
+            such a value; the last good checkpoint is kept.
     """
     require_cpu(device)
     with start_training(
@@ -78,6 +82,7 @@ def train_thermonerf(
         output,
         config,
         resume=resume,
+        accept_changes=accept_changes,
         plain=plain,
         tensorboard=tensorboard,
         read_config=_config_of,
@@ -120,6 +125,9 @@ class _Trainer(Driver[ThermoNerfStatistics]):
     @property
     def _skipped_in_a_row(self) -> int:
         return self._state.skipped_in_a_row
+
+    def _tensors(self) -> Mapping[str, Tensor]:
+        return checkpoint.tensors_of(self._state)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         checkpoint.save(path, self._state, facts)

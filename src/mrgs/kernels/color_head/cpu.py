@@ -34,6 +34,7 @@ from mrgs.kernels.dense.layers import (
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
 from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.require import require, require_layers
 from mrgs.kernels.rows import listed
 
 
@@ -44,10 +45,21 @@ def color_residuals(
     camera_position: Float[Tensor, "3"],
     rows: Int64[Tensor, " v"] | None = None,
 ) -> Float[Tensor, "v 3"]:
-    """``mrgs.field.appearance.color_residuals`` for float32 on the CPU."""
+    """``mrgs.field.appearance.color_residuals`` for float32 on the CPU.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+        IndexError: rows that do not exist.
+    """
     *hidden, output = (layer for layer in head.mlp if isinstance(layer, nn.Linear))
     weights = [tensor for layer in hidden for tensor in (layer.weight, layer.bias)]
     weights += [head.scale * output.weight, head.scale * output.bias]
+    width = embedding.shape[-1]
+    require("embedding", embedding, (len(means), width))
+    require("means", means, (None, 3))
+    require("camera_position", camera_position, (3,))
+    units = len(hidden[0].weight)
+    require_layers("the colour head", weights, (width + 6 * head.frequencies, units, units, 3))
     keep = torch.is_grad_enabled()
     residuals: Tensor = _ColorResidual.apply(
         embedding, means, camera_position, *weights, head.frequencies,

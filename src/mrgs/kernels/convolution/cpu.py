@@ -10,12 +10,19 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.convolution.correlate import correlate, weights_gradient
+from mrgs.kernels.require import require
 
 
 def convolve(
     plane: Float[Tensor, "h w"], weights: Float[Tensor, "3 3"], bias: Float[Tensor, "1"]
 ) -> Float[Tensor, "h w"]:
-    """``mrgs.method.losses.radiation.convolve`` for float32 or float64; differentiable once."""
+    """``mrgs.method.losses.radiation.convolve`` for float32 or float64; differentiable once.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+    """
+    require("plane", plane, (None, None), (torch.float32, torch.float64))
+    require("weights", weights, (3, 3), (plane.dtype,))
     result: Tensor = _Convolution.apply(plane, weights)
     return result + bias
 

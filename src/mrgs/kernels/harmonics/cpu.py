@@ -13,9 +13,10 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.field.spherical_harmonics import C0
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
 from mrgs.kernels.dense.layers import SHARES
 from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.require import require
 from mrgs.kernels.rows import listed
 
 _ZERO = np.float32(0)
@@ -35,6 +36,7 @@ _C3_ORDER3, _C3_ZONAL = (
     np.float32(math.sqrt(35 / (32 * math.pi))),
     np.float32(math.sqrt(7 / (16 * math.pi))),
 )
+MOST_BANDS = (MAX_DEGREE + 1) ** 2 - 1
 SMALLEST_DISTANCE = np.float32(1e-12)
 
 
@@ -47,9 +49,21 @@ def shade(
     rows: Int64[Tensor, " v"] | None = None,
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
-    """``mrgs.field.spherical_harmonics.shade``; all tensors but ``rows`` are float32."""
-    rows = listed(rows, len(means))
+    """``mrgs.field.spherical_harmonics.shade``; all tensors but ``rows`` are float32.
+
+    Raises:
+        ValueError: tensors of other sizes or types, or harmonics above degree 3.
+        IndexError: rows that do not exist.
+    """
+    count, channels = len(means), dc.shape[-1]
+    require("means", means, (count, 3))
+    require("dc", dc, (count, 1, channels))
+    require("rest", rest, (count, None, channels))
+    require("camera_position", camera_position, (3,))
+    rows = listed(rows, count)
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
+    if bands > MOST_BANDS:
+        raise ValueError(f"there are at most {MOST_BANDS} bands of harmonics, not {bands}")
     shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, bands, rows, np.float32(floor))
     return shaded
 

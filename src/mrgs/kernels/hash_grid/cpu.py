@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from torch.autograd.function import once_differentiable
 
 from mrgs.baselines.thermonerf.hash_grid import CHANNELS, PRIMES
 from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.require import require
 
 _SHARES = 4
 """Parts that the points of a level are cut into for the threads."""
@@ -31,7 +33,19 @@ def encode(
     resolutions: Int64[Tensor, " levels"],
     offsets: Int64[Tensor, " levels+1"],
 ) -> Float[Tensor, "n 4*levels"]:
-    """``mrgs.baselines.thermonerf.hash_grid.encode`` for float32 or float64 on the CPU."""
+    """``mrgs.baselines.thermonerf.hash_grid.encode`` for float32 or float64 on the CPU.
+
+    Raises:
+        ValueError: tensors of other sizes or types, or levels that do not lie in the table.
+    """
+    levels = len(resolutions)
+    require("points", points, (None, 3), (torch.float32, torch.float64))
+    require("table", table, (None, CHANNELS), (points.dtype,))
+    require("resolutions", resolutions, (levels,), (torch.int64,))
+    require("offsets", offsets, (levels + 1,), (torch.int64,))
+    first = offsets.tolist()
+    if first[0] < 0 or first[-1] > len(table) or any(a >= b for a, b in pairwise(first)):
+        raise ValueError(f"offsets must ascend from 0 to {len(table)}, not {first}")
     features: Tensor = _Encode.apply(points, table, resolutions, offsets)
     return features
 

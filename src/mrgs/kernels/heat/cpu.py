@@ -28,7 +28,7 @@ def temperature_residuals(
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
     needed = rows
     if rows is not None:
-        needed = torch.from_numpy(with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
+        needed = with_neighbours(rows, neighbours)
     projected = _projected_features(field, gaussians, listed(needed, len(gaussians)), color_degree)
     opacity = take(gaussians.opacity(THERMAL), rows)
     anchors = listed(rows, len(gaussians))

@@ -13,6 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.dense.layers import SHARES
 from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.require import require, require_indices
 
 
 def exchange(
@@ -32,14 +33,38 @@ def exchange(
         neighbours: u_1 … u_K of all Gaussians.
         rows: the anchors i.
         weights: w_a and w_s.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+        IndexError: neighbours or rows that do not exist.
     """
+    count, k = neighbours.shape
+    require("projected", projected, (count, k + 1))
+    require("opacity", opacity, (len(rows),))
+    require("constants", constants, (3,))
+    require_indices("neighbours", neighbours, (count, k), count)
+    require_indices("rows", rows, (None,), count)
     refined: Tensor = _Exchange.apply(projected, opacity, constants, neighbours, rows, weights)
     return refined
 
 
+def with_neighbours(
+    rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]
+) -> Int64[Tensor, " m"]:
+    """These Gaussians and all their neighbours, each once, in ascending order.
+
+    Raises:
+        ValueError: not int64.
+        IndexError: neighbours or rows that do not exist.
+    """
+    count = len(neighbours)
+    require_indices("rows", rows, (None,), count)
+    require_indices("neighbours", neighbours, (count, None), count)
+    return torch.from_numpy(_with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
+
+
 @reordering_kernel
-def with_neighbours(rows, neighbours):
-    """These Gaussians and all their neighbours, each once, in ascending order."""
+def _with_neighbours(rows, neighbours):
     is_needed = np.zeros(neighbours.shape[0], np.bool_)
     for row in rows:
         is_needed[row] = True

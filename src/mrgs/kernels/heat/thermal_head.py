@@ -35,6 +35,7 @@ from mrgs.kernels.dense.layers import (
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.require import require, require_indices, require_layers
 
 _SH = 48
 _EPSILON = np.float32(1e-8)
@@ -61,7 +62,19 @@ def project_features(
         positions: normalised to about [-1, 1].
         frequencies: L of PE_p.
         rows: distinct Gaussians.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+        IndexError: rows that do not exist.
     """
+    count, width = len(positions), embedding.shape[-1]
+    require("embedding", embedding, (count, width))
+    require("sh_dc", sh_dc, (count, 1, 3))
+    require("sh_rest", sh_rest, (count, _SH // 3 - 1, 3))
+    require("positions", positions, (count, 3))
+    require_indices("rows", rows, (None,), count)
+    require_layers("φ_SH", layers[:2], (_SH, width))
+    require_layers("the thermal head", layers[2:], (width + 6 * frequencies, None, None))
     keep = torch.is_grad_enabled()
     projected: Tensor = _Projection.apply(
         embedding, sh_dc, sh_rest, *layers, positions.detach(), frequencies, rows, keep

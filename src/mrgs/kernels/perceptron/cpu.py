@@ -25,6 +25,7 @@ from mrgs.kernels.dense.layers import (
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.require import require, require_layers
 
 
 def perceptron(
@@ -34,7 +35,14 @@ def perceptron(
     output_weight: Float[Tensor, "o h"],
     output_bias: Float[Tensor, " o"],
 ) -> Float[Tensor, "n o"]:
-    """``mrgs.baselines.thermonerf.perceptron.perceptron`` for float32 on the CPU."""
+    """``mrgs.baselines.thermonerf.perceptron.perceptron`` for float32 on the CPU.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+    """
+    require("inputs", inputs, (None, None))
+    layers = (hidden_weight, hidden_bias, output_weight, output_bias)
+    require_layers("the perceptron", layers, (inputs.shape[1], None, None))
     outputs: Tensor = _Perceptron.apply(
         inputs, hidden_weight, hidden_bias, output_weight, output_bias
     )

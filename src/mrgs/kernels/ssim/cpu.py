@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from mrgs.kernels.require import require
 from mrgs.kernels.ssim import compare_cpu, losses
 from mrgs.kernels.ssim.compare_cpu import STRIP_ROWS, TAPS
 from mrgs.kernels.ssim.losses import Dissimilarity
@@ -22,8 +23,15 @@ def compare(
     scalars: tuple[float, float, float, float],
     wants_errors: bool,
 ) -> Dissimilarity:
-    """``losses.Compare``."""
+    """``losses.Compare``.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+    """
+    require("x", x, (None, None, None), (torch.float32, torch.float64))
+    require("y", y, x.shape, (x.dtype,))
     height, width, channels = x.shape
+    require("weights", weights, (1 if len(weights) == 1 else height, width), (x.dtype,))
     in_memory = (height, width * channels)
     errors = x.new_empty(x.shape if wants_errors else (0, 0))
     gradients = [x.new_empty(in_memory if tensor.requires_grad else (0, 0)) for tensor in (x, y)]

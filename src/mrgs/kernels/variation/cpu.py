@@ -18,6 +18,7 @@ from torch import Tensor
 from mrgs.kernels.address import address, moved
 from mrgs.kernels.jit import kernel, parallel_kernel
 from mrgs.kernels.known_gradient import with_gradients
+from mrgs.kernels.require import require
 from mrgs.kernels.variation.pairs import valid_pairs
 
 STRIP_ROWS = 16
@@ -27,7 +28,14 @@ STRIP_ROWS = 16
 def total_variation(
     image: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
 ) -> Float[Tensor, ""]:
-    """``mrgs.method.losses.smoothness.total_variation`` for float32 or float64 on the CPU."""
+    """``mrgs.method.losses.smoothness.total_variation`` for float32 or float64 on the CPU.
+
+    Raises:
+        ValueError: tensors of other sizes or types.
+    """
+    require("image", image, (None, None, None), (torch.float32, torch.float64))
+    if valid is not None:
+        require("valid", valid, image.shape[:2], (torch.bool,))
     height, width, channels = image.shape
     pixels = image.detach().contiguous()
     pairs = [valid_pairs(image, axis, valid) for axis in (0, 1)]

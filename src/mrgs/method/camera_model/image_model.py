@@ -96,7 +96,10 @@ class Capture(NamedTuple):
             None if point is None else Viewpoint.from_json(point)
             for point in values["thermal_viewpoints"]
         )
-        return cls(viewpoints, float(values["extent"]), bool(values["has_celsius"]))
+        extent = float(values["extent"])
+        if not 0 < extent < math.inf:
+            raise ValueError("the extent is a length")
+        return cls(viewpoints, extent, bool(values["has_celsius"]))
 
 
 class PointSpread(nn.Module):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
@@ -43,7 +44,10 @@ class Viewpoint(NamedTuple):
             TypeError, ValueError: the values are no viewpoint.
         """
         position, forward = values
-        return cls(_triple(position), _triple(forward))
+        viewpoint = cls(_triple(position), _triple(forward))
+        if not all(map(math.isfinite, (*viewpoint.position, *viewpoint.forward))):
+            raise ValueError("a viewpoint must be finite")
+        return viewpoint
 
 
 class Gain(NamedTuple):

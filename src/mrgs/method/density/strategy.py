@@ -82,7 +82,11 @@ class Strategy(ABC):
             raise ConfigError(f"max_gaussians must be at least 1, not {self.max_gaussians}")
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
-        """What the strategy remembers before the first step; nothing by default."""
+        """What the strategy remembers before the first step; nothing by default.
+
+        Later states have the same names and types, and the shapes that this gives for as many
+        Gaussians; a run whose checkpoint has others is not resumed. All numbers are finite.
+        """
         return {}
 
     @abstractmethod

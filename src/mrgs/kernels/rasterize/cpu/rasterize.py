@@ -102,6 +102,7 @@ def rasterize(
 
     Raises:
         ValueError: no layer, or tensors of other types or sizes.
+        MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
     """
     channels = [layer.features.shape[1] for layer in layers]
     if not channels:
@@ -113,6 +114,11 @@ def rasterize(
     )
     offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
     _check(means, quats, scales, opacities, features, backgrounds, offset)
+    if viewmat.shape != (4, 4) or K.shape != (3, 3) or min(width, height) < 1:
+        raise ValueError(
+            f"a camera has a viewmat [4, 4], a K [3, 3] and pixels, not {list(viewmat.shape)}, "
+            f"{list(K.shape)} and {width}×{height}"
+        )
     *images, radii = _FusedPass.apply(
         means, quats, scales, opacities, features, backgrounds, offset,
         _float64(viewmat), _float64(K), width, height,

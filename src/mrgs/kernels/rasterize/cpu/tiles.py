@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
+from mrgs.errors import MrgsError
 from mrgs.kernels.jit import strict_kernel, strict_parallel_kernel
 from mrgs.kernels.rasterize.cpu.simd import load, pointer, prefetch, store
 from mrgs.rasterizer import splat
@@ -26,6 +27,9 @@ thread count."""
 PREFETCH_AHEAD = 4
 """Records come in an order that the processor cannot foresee: each is asked for this many turns
 before it is read."""
+
+_MOST_PAIRS = 2**31 - 1
+"""The lists number pairs with 32 bits."""
 
 _SLACK_PX = 1e-3
 """Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a
@@ -199,12 +203,21 @@ def tile_lists(
     splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int
 ) -> TileLists:
     """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians
-    ``order`` [V] of N."""
+    ``order`` [V] of N.
+
+    Raises:
+        MrgsError: there are more pairs than the lists can number.
+    """
     tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
     pair_counts = np.zeros(gaussians, np.int32)
     _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts)
     tile_starts, pair_starts = _prefix_sums(chunk_counts, pair_counts)
+    if tile_starts[-1] > _MOST_PAIRS:
+        raise MrgsError(
+            f"the Gaussians reach {tile_starts[-1]:,} tiles of the image together, and at most "
+            f"{_MOST_PAIRS:,} can be drawn: render a smaller image, or fewer Gaussians"
+        )
     tile_splats = np.empty(tile_starts[-1], np.int32)
     pair_positions = np.empty(tile_starts[-1], np.int32)
     _fill(splats, order, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)

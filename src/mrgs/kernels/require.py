@@ -1,0 +1,77 @@
+"""Checks at the entry of a kernel: inside, sizes, types and indices are trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+
+def require(
+    name: str,
+    tensor: Tensor,
+    shape: Sequence[int | None],
+    dtypes: Sequence[torch.dtype] = (torch.float32,),
+) -> None:
+    """A tensor must be on the CPU, and of a shape and a type.
+
+    Args:
+        name: of the tensor, for the message.
+        tensor: to check.
+        shape: that it must have; None allows any size.
+        dtypes: the types that it may have.
+
+    Raises:
+        ValueError: it has not.
+    """
+    fits = tensor.dim() == len(shape) and all(
+        size is None or size == found for size, found in zip(shape, tensor.shape, strict=True)
+    )
+    if not fits or tensor.dtype not in dtypes or not tensor.is_cpu:
+        sizes = ", ".join("any" if size is None else str(size) for size in shape)
+        types = " or ".join(_short(dtype) for dtype in dtypes)
+        raise ValueError(
+            f"{name} must be {types} [{sizes}] on the CPU, not {_short(tensor.dtype)} "
+            f"{list(tensor.shape)} on {tensor.device}"
+        )
+
+
+def require_indices(name: str, indices: Tensor, shape: Sequence[int | None], count: int) -> None:
+    """A tensor must hold int64 indices of ``count`` rows.
+
+    Raises:
+        ValueError: it is of another shape or type.
+        IndexError: an index is negative, or not below ``count``.
+    """
+    require(name, indices, shape, (torch.int64,))
+    if indices.numel() == 0:
+        return
+    lowest, highest = indices.aminmax()
+    if lowest < 0 or highest >= count:
+        raise IndexError(
+            f"{name} must lie in 0 to {count - 1}, but reach from {lowest} to {highest}"
+        )
+
+
+def require_layers(name: str, layers: Sequence[Tensor], widths: Sequence[int | None]) -> None:
+    """Weights and biases of linear layers must pass on what the layer before them gives.
+
+    Args:
+        name: of the network, for the message.
+        layers: weight [out, in] and bias [out] of each layer, in float32.
+        widths: of the inputs and of each layer's outputs; None allows any.
+
+    Raises:
+        ValueError: they do not.
+    """
+    inputs = widths[0]
+    for place, outputs in enumerate(widths[1:]):
+        weight, bias = layers[2 * place], layers[2 * place + 1]
+        require(f"{name}'s weight {place}", weight, (outputs, inputs))
+        require(f"{name}'s bias {place}", bias, (len(weight),))
+        inputs = len(weight)
+
+
+def _short(dtype: torch.dtype) -> str:
+    return str(dtype).removeprefix("torch.")

@@ -1,0 +1,193 @@
+"""What a checkpoint says about its run besides the tensors, and whether a scene is the run's."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mrgs.errors import MrgsWarning, RunError
+from mrgs.method.camera_model.image_model import Capture
+from mrgs.method.start.start_points import model_modalities
+from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
+from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
+
+
+class CheckpointFacts(NamedTuple):
+    """The facts about a run that its checkpoints hold besides the tensors.
+
+    Attributes:
+        step: steps done.
+        scene: absolute path of the scene's folder; empty for a scene made from arrays.
+        capture: what the image model must know of the scene's photos.
+        temperature: the scene's scale; None without known °C.
+        train_seconds: time spent in training so far.
+        peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU
+            that of its tensors there.
+        skipped_steps: steps skipped so far because of values that were not finite.
+        device: that of the last step: a GPU's name, or "cpu".
+        modalities: of the scene's images.
+        images: of each training image, by view and modality; empty where older versions of the
+            program wrote the checkpoint.
+    """
+
+    step: int
+    scene: str
+    capture: Capture
+    temperature: TemperatureRange | None
+    train_seconds: float
+    peak_memory_bytes: int
+    skipped_steps: int
+    device: str = "cpu"
+    modalities: tuple[Modality, ...] = (RGB, THERMAL)
+    images: tuple[ImageFingerprint, ...] = ()
+
+    @classmethod
+    def at_start(cls, scene: Scene) -> CheckpointFacts:
+        """Before the first step on a scene.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        return cls(
+            0,
+            scene.path,
+            Capture.of(scene),
+            scene.temperature,
+            0.0,
+            0,
+            0,
+            modalities=scene.modalities,
+            images=fingerprints(scene),
+        )
+
+    def moved_to(self, path: str | Path | None) -> CheckpointFacts:
+        """These facts with the scene's current path, if one is given."""
+        return self if path is None else self._replace(scene=str(Path(path).resolve()))
+
+    def to_json(self) -> dict[str, Any]:
+        """The facts for a header; ``from_json`` reads them."""
+        temperature = self.temperature
+        return {
+            **self._asdict(),
+            "capture": self.capture._asdict(),
+            "modalities": [modality.to_json() for modality in self.modalities],
+            "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
+        }
+
+    @classmethod
+    def from_json(cls, header: Mapping[str, Any]) -> CheckpointFacts:
+        """The facts in a header, which may have other entries too.
+
+        Raises:
+            KeyError, TypeError, ValueError: one is missing, or is not what it should be.
+        """
+        known = {"device": "cpu", "images": [], **header}  # older checkpoints do not say it
+        values = {name: known[name] for name in cls._fields}
+        for name in ("step", "peak_memory_bytes", "skipped_steps"):
+            if type(values[name]) is not int or values[name] < 0:
+                raise ValueError(f"{name} is a number of at least 0")
+        seconds = values["train_seconds"] = float(values["train_seconds"])
+        if not 0 <= seconds < math.inf:
+            raise ValueError("train_seconds is a time")
+        if not isinstance(values["scene"], str) or not isinstance(values["device"], str):
+            raise TypeError("the scene is a path, the device a name")
+        bounds = values["temperature"]
+        values["temperature"] = None if bounds is None else TemperatureRange(*bounds)
+        values["capture"] = Capture.from_json(values["capture"])
+        values["modalities"] = tuple(map(Modality.from_json, values["modalities"]))
+        values["images"] = tuple(map(ImageFingerprint.from_json, values["images"]))
+        return cls(**values)
+
+
+def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
+    """A run belongs to the cameras and the temperatures that it was trained with.
+
+    Raises:
+        RunError: the scene has others.
+    """
+    _require_same_views(facts, scene)
+    if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
+        raise RunError(
+            f"{scene.name} has other cameras than the run's scene: use that scene as it was"
+        )
+    _require_same_temperatures(facts, scene)
+
+
+def facts_to_resume(
+    facts: CheckpointFacts, scene: Scene, accept_changes: bool = False
+) -> CheckpointFacts:
+    """The facts of a checkpoint that is trained on, with those of its scene as it is now.
+
+    Args:
+        facts: of the checkpoint.
+        scene: to train on.
+        accept_changes: go on where photos, poses or intrinsics have changed.
+
+    Warns:
+        MrgsWarning: they have, and that is accepted.
+
+    Raises:
+        RunError: they have, and that is not accepted; or the scene has another number of images,
+            another temperature range or more modalities.
+    """
+    _require_same_views(facts, scene)
+    _require_same_temperatures(facts, scene)
+    if untrained := set(scene.modalities) - set(model_modalities(facts.modalities)):
+        names = ", ".join(sorted(each.name for each in untrained))
+        raise RunError(f"{scene.name} has images that the run began without ({names}): retrain")
+    images = fingerprints(scene)
+    if changed := _changes_since(facts, images, scene):
+        if not accept_changes:
+            raise RunError(
+                f"{scene.name} has changed since the run began ({changed}): bring back what was, "
+                f"or accept the changes",
+                options=("accept_changes",),
+            )
+        warnings.warn(
+            f"{scene.name} has changed since the run began ({changed}); training goes on with it "
+            f"as it is now",
+            MrgsWarning,
+            stacklevel=2,
+        )
+    return facts._replace(scene=scene.path, capture=Capture.of(scene), images=images)
+
+
+def _changes_since(
+    facts: CheckpointFacts, images: tuple[ImageFingerprint, ...], scene: Scene
+) -> str:
+    """What has changed in a scene since its run began, see ``changes``."""
+    if facts.images:
+        return changes(facts.images, images, scene)
+    is_same = math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6)
+    return "" if is_same else "its cameras"
+
+
+def _require_same_views(facts: CheckpointFacts, scene: Scene) -> None:
+    """The state of a training fits as many images as it began with, thermal ones in the same views.
+
+    Raises:
+        RunError: there are others.
+    """
+    count = sum(len(view.images) for view in scene.train)
+    if facts.capture.views != len(scene.train) or (facts.images and len(facts.images) != count):
+        raise RunError(
+            f"{scene.name} has {len(scene.train)} training views of {count} images, not the "
+            f"{facts.capture.views} that the run was trained with: use that scene as it was"
+        )
+    thermal = [THERMAL in view.images for view in scene.train]
+    if thermal != [point is not None for point in facts.capture.thermal_viewpoints]:
+        raise RunError(
+            f"{scene.name} has thermal photos in other views than the run was trained with: use "
+            f"that scene as it was"
+        )
+
+
+def _require_same_temperatures(facts: CheckpointFacts, scene: Scene) -> None:
+    if facts.temperature != scene.temperature:
+        raise RunError(
+            f"{scene.name} has another temperature range than the run was trained with: "
+            f"bring back the one that it had, or retrain"
+        )

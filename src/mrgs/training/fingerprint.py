@@ -1,0 +1,140 @@
+"""What a run was trained on: a digest of each training photo, and the camera of each. A resumed run
+is the same run only where these are the same."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mrgs.errors import SceneError
+from mrgs.scene import Camera, PosedImage, Scene
+
+SAME = 1e-6
+"""Relative difference up to which cameras are the same: other machines round differently."""
+
+ROUNDING = 1e-9
+"""The same for numbers that vanish next to the largest one beside them."""
+
+NAMED = 3
+"""Images that a message names."""
+
+_READERS = 4
+"""Photos whose files are read at the same time."""
+
+
+class ImageFingerprint(NamedTuple):
+    """One training image.
+
+    Attributes:
+        photo: digest of its files (the photo, and its mask if it has one).
+        pose: the upper three rows of the camera's viewmat, row by row.
+        intrinsics: fx, fy, cx, cy, width and height in pixels.
+    """
+
+    photo: str
+    pose: tuple[float, ...]
+    intrinsics: tuple[float, ...]
+
+    @classmethod
+    def from_json(cls, value: Any) -> ImageFingerprint:
+        """A fingerprint from its JSON form.
+
+        Raises:
+            TypeError, ValueError: the value is none.
+        """
+        photo, pose, intrinsics = value
+        if not isinstance(photo, str) or len(pose) != 12 or len(intrinsics) != 6:
+            raise ValueError("not a fingerprint of an image")
+        return cls(photo, tuple(map(float, pose)), tuple(map(float, intrinsics)))
+
+
+def fingerprints(scene: Scene) -> tuple[ImageFingerprint, ...]:
+    """Of all training images, view by view.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    images = [image for _, image in _training_images(scene)]
+    with ThreadPoolExecutor(_READERS) as pool:
+        digests = list(pool.map(_digest_of, images))
+    return tuple(
+        ImageFingerprint(digest, *_numbers_of(image.camera))
+        for digest, image in zip(digests, images, strict=True)
+    )
+
+
+def changes(
+    before: Sequence[ImageFingerprint], now: Sequence[ImageFingerprint], scene: Scene
+) -> str:
+    """What has changed since a run began, for the user; empty if nothing has.
+
+    Args:
+        before: at the start of the run; one for each of ``now``.
+        now: of the scene.
+        scene: names the images.
+    """
+    pairs = list(zip(before, now, strict=True))
+    names = [name for name, _ in _training_images(scene)]
+    found = {
+        "photos": [old.photo != new.photo for old, new in pairs],
+        "poses": [_differ(old.pose, new.pose) for old, new in pairs],
+        "intrinsics": [_differ(old.intrinsics, new.intrinsics) for old, new in pairs],
+    }
+    parts = []
+    for what, differs in found.items():
+        where = [name for name, is_other in zip(names, differs, strict=True) if is_other]
+        if where:
+            more = f" and {len(where) - NAMED} more" if len(where) > NAMED else ""
+            parts.append(f"{what} of {', '.join(where[:NAMED])}{more}")
+    return "; ".join(parts)
+
+
+def _training_images(scene: Scene) -> Iterator[tuple[str, PosedImage]]:
+    """Each training image, with the names of its view and its modality."""
+    for view in scene.train:
+        for modality, image in view.images.items():
+            yield f"{view.name} ({modality})", image
+
+
+def _digest_of(image: PosedImage) -> str:
+    """SHA-256 of the image's files; of its pixels where it comes from no file."""
+    digest = hashlib.sha256()
+    for content in _contents(image):
+        digest.update(hashlib.sha256(content).digest())
+    return digest.hexdigest()
+
+
+def _contents(image: PosedImage) -> Iterator[bytes]:
+    """The bytes of the image's files; of its values and mask where it comes from no file."""
+    for path in image.files:
+        yield _read(path)
+    if not image.files:
+        pixels = image.load()
+        yield pixels.values.numpy().tobytes()
+        yield b"" if pixels.valid is None else pixels.valid.numpy().tobytes()
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise SceneError(
+            f"{path} cannot be read ({error.strerror or error}): check its permissions"
+        ) from error
+
+
+def _numbers_of(camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Pose and intrinsics of a camera, as ``ImageFingerprint`` has them."""
+    K = camera.K
+    intrinsics = (*K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), camera.width, camera.height)
+    return tuple(camera.viewmat[:3].flatten().tolist()), tuple(map(float, intrinsics))
+
+
+def _differ(some: Sequence[float], others: Sequence[float]) -> bool:
+    rounding = ROUNDING * max(map(abs, others))
+    return not np.allclose(some, others, rtol=SAME, atol=rounding)
