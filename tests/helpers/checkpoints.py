@@ -34,8 +34,16 @@ def rewrite(path: Path, tensors: Mapping[str, Tensor] | None = None, **changes: 
     write_file(path, load_file(path) if tensors is None else tensors, header)
 
 
-def rewrite_without_digests(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Write a checkpoint in the last format without digests, with tensors of any values."""
-    header = {**header_of(path), "format": 5}
+def rewrite_without_digests(
+    path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any] | None = None
+) -> None:
+    """Write a checkpoint in the last format without digests, with tensors of any values.
+
+    Args:
+        path: the checkpoint.
+        tensors: by name.
+        header: its own if None.
+    """
+    header = {**(header_of(path) if header is None else header), "format": 5}
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     save_file(contiguous, path, {"mrgs": json.dumps(header)})

@@ -19,7 +19,7 @@ from mrgs.method.optimizer import OptimizerConfig
 
 COUNTS = st.integers(1, 10**9)
 WEIGHTS = st.floats(0, 1e6, allow_subnormal=True)
-RATES = st.floats(1e-12, 1e3)
+RATES = st.floats(1e-12, 10)
 
 CONFIGS = st.builds(
     TrainConfig,
@@ -27,7 +27,7 @@ CONFIGS = st.builds(
     preset=st.sampled_from(PRESETS),
     max_steps=COUNTS,
     resolution=st.none() | st.integers(16, 10**5),
-    seed=st.integers(0, 2**63 - 1),
+    seed=st.integers(0, 2**32 - 1),
     sh_every=COUNTS,
     shares_opacity=st.booleans(),
     field=st.builds(
@@ -36,8 +36,8 @@ CONFIGS = st.builds(
     loss=st.builds(LossConfig, dssim=st.floats(0, 1), smooth=WEIGHTS),
     radiation=st.none()
     | st.builds(RadiationConfig, start=RATES, end=RATES, decay_from=st.integers(0, 14_999)),
-    optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=WEIGHTS),
-    image_model=st.builds(ImageModelConfig, point_spread=st.booleans(), thermal_gain_rate=WEIGHTS),
+    optimizer=st.builds(OptimizerConfig, means=RATES, means_final=RATES, heads=RATES),
+    image_model=st.builds(ImageModelConfig, point_spread=st.booleans(), thermal_gain_rate=RATES),
     densification=st.builds(
         AdaptiveDensityControl, every=COUNTS, max_gaussians=COUNTS, gradient_threshold=WEIGHTS
     ),
@@ -83,6 +83,14 @@ def test_yaml_shows_every_field():
         ("- a\n- b", "config.yaml must hold the fields of a configuration"),
         ("", "config.yaml must hold the fields of a configuration"),
         ("a: [", "config.yaml is not valid YAML"),
+        ("seed: 1\nseed: 2", "config.yaml is not valid YAML: the key 'seed' stands twice"),
+        ("loss: {dssim: 0, dssim: 1}", "config.yaml is not valid YAML: the key 'dssim' stands"),
+        ("seed: -1", "config.yaml: seed must be at least 0, not -1"),
+        ("loss: {smooth: .nan}", "config.yaml: loss: smooth must be a finite number, not nan"),
+        ("loss: {smooth: .inf}", "config.yaml: loss: smooth must be a finite number, not inf"),
+        (f"loss: {{smooth: {10**400}}}", "config.yaml: loss: smooth must be a finite number"),
+        ("seed: 0x" + 5000 * "f", "config.yaml: seed must be at most 4,294,967,295"),
+        ("densification: {start: -5}", "config.yaml: densification: start of the densification"),
         ("a: !!python/object/apply:os.getcwd []", "config.yaml is not valid YAML"),
     ],
 )
@@ -113,7 +121,7 @@ def test_any_text_gives_a_configuration_or_a_config_error(text):
         ({"preset": "slow"}, "unknown preset 'slow'; choose one of fast, default, paper"),
         ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
         ({"resolution": 8}, "resolution must be at least 16 px, not 8"),
-        ({"max_gaussians": 0}, "max_gaussians of the densification must be at least 1"),
+        ({"max_gaussians": 0}, "max_gaussians must be from 1 to 1,000,000,000, not 0"),
     ],
 )
 def test_impossible_choices_are_named(options, message):

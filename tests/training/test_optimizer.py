@@ -229,8 +229,8 @@ def test_every_parameter_has_its_learning_rate():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"quats": -1e-3}, "the learning rate quats must be 0 or more, not -0.001"),
-        ({"heads": float("nan")}, "the learning rate heads must be 0 or more, not nan"),
+        ({"quats": -1e-3}, "the learning rate quats must be at least 0, not -0.001"),
+        ({"heads": float("nan")}, "the learning rate heads must be at least 0, not nan"),
         ({"means_final": 0.0}, "the learning rates means and means_final must be above 0"),
     ],
 )

@@ -114,7 +114,7 @@ def test_the_cap_of_a_strategy_holds_at_the_start(small_scene, tmp_path):
         small_scene, tmp_path, short_config(max_steps=1), strategy=Blind(max_gaussians=9)
     )
     assert open_run(folder.path).gaussian_count == 9
-    with pytest.raises(ConfigError, match="max_gaussians must be at least 1, not 0"):
+    with pytest.raises(ConfigError, match="max_gaussians must be from 1 to 1,000,000,000, not 0"):
         Blind(max_gaussians=0)
 
 

@@ -480,9 +480,9 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path):
     (other / "transforms.json").write_text(json.dumps({**content, "frames": content["frames"][:4]}))
     with pytest.raises(RunError) as caught:
         train(other, folder.path, config, resume=True)
-    assert (
-        str(caught.value)
-        == f"{other.name} has other cameras than the run's scene: use {small_scene} as it was"
+    assert str(caught.value) == (
+        f"{other.name} has 3 training views of 6 images, not the 6 that the run was trained with: "
+        f"use {small_scene} as it was"
     )
 
 

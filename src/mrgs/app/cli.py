@@ -57,7 +57,6 @@ EXIT_BAD_SCENE = 1
 NO_MEMORY = ("can't allocate memory", "not enough memory")
 """What torch says, in a RuntimeError, when the system has no memory left."""
 
-MAX_TRAIN_SEED = 2**32 - 1
 MAX_SYNTH_SEED = 1_000_000
 """Mitsuba takes 32 bits, and every view has a seed of its own."""
 
@@ -214,7 +213,6 @@ def _train(command: Train) -> None:
         changes="" if command.config is None else _read_text(command.config),
         source=str(command.config),
     )
-    _check_seed(config.seed, MAX_TRAIN_SEED)
     device = command.device if method.uses_gpu else "cpu"
     note_gpu(choose_device(device))
     progress = TrainingProgress()
@@ -224,6 +222,7 @@ def _train(command: Train) -> None:
             output,
             config,
             resume=command.resume,
+            accept_changes=command.accept_changes,
             device=device,
             plain=command.plain,
             tensorboard=command.tensorboard,
@@ -244,6 +243,8 @@ def _require_possible(command: Train, method: Method) -> None:
             raise ConfigError(
                 f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
             )
+    if command.accept_changes and not command.resume:
+        raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
     if command.device == "cuda" and not method.uses_gpu:
         raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
 
@@ -464,7 +465,8 @@ def _synth(command: Synth) -> None:
             "'.[synth]'` there"
         ) from None
 
-    _check_seed(command.seed, MAX_SYNTH_SEED)
+    if not 0 <= command.seed <= MAX_SYNTH_SEED:
+        raise ConfigError(f"the seed must be from 0 to {MAX_SYNTH_SEED:,}, not {command.seed}")
     with counter("rendering") as progress:
         synthesize(
             command.output,
@@ -488,11 +490,6 @@ def _read_text(path: Path) -> str:
         raise ConfigError(
             f"{path}: cannot be read as text ({getattr(error, 'strerror', 'not UTF-8')})"
         ) from error
-
-
-def _check_seed(seed: int, largest: int) -> None:
-    if not 0 <= seed <= largest:
-        raise ConfigError(f"the seed must be from 0 to {largest:,}, not {seed}")
 
 
 def _bundled_scene() -> Path:

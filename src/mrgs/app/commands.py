@@ -186,8 +186,11 @@ class Train:
     config: Maybe[Path] = None
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
     resume: bool = False
-    """Resume the run in --output; all options but --device, --plain, --tensorboard and --view come
-    from the saved run."""
+    """Resume the run in --output; all options but --accept-changes, --device, --plain,
+    --tensorboard and --view come from the saved run."""
+    accept_changes: bool = False
+    """With --resume: continue although photos, poses or intrinsics have changed since the run
+    began."""
     device: DeviceName = "auto"
     """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
     plain: bool = False

@@ -21,10 +21,15 @@ from mrgs.field.heat import FourierHeatTransformation
 from mrgs.field.rows import take
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, shade, up_to_degree
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
+from mrgs.system.limits import MOST_WEIGHT, MOST_WIDTH, require_within
 from mrgs.system.operation import operation
 
 MAX_NEIGHBOURS_N = 16
 """255 neighbours of each Gaussian; the paper stops at 48."""
+
+
+MAX_FREQUENCIES = 24
+"""Of an encoding: float32 has no more binary digits."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +70,12 @@ class FieldConfig:
             raise ConfigError(
                 f"embedding_width must be a positive multiple of 6, not {self.embedding_width}"
             )
-        for name in ("direction_frequencies", "position_frequencies"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name} must be 0 or more, not {getattr(self, name)}")
-        for name in ("hidden_width", "thermal_feature_width", "neighbours_n"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be 1 or more, not {getattr(self, name)}")
-
-        if self.neighbours_n > MAX_NEIGHBOURS_N:
-            raise ConfigError(
-                f"neighbours_n must be at most {MAX_NEIGHBOURS_N}, not {self.neighbours_n}"
-            )
+        require_within(self, ("direction_frequencies", "position_frequencies"), 0, MAX_FREQUENCIES)
+        widths = ("embedding_width", "hidden_width", "thermal_feature_width")
+        require_within(self, widths, 1, MOST_WIDTH)
+        require_within(self, ["neighbours_n"], 1, MAX_NEIGHBOURS_N)
+        factors = ("anchor_weight", "surrounding_weight", "color_scale", "temperature_scale")
+        require_within(self, factors, -MOST_WEIGHT, MOST_WEIGHT)
 
     @property
     def neighbours_k(self) -> int:

@@ -15,6 +15,7 @@ from mrgs.method.density import AdaptiveDensityControl, ConfiguredStrategy
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
+from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within
 from mrgs.system.strict_yaml import read_yaml, write_yaml
 
 Preset = Literal["fast", "default", "paper"]
@@ -94,9 +95,10 @@ class TrainConfig:
     densification: ConfiguredStrategy = dataclasses.field(default_factory=AdaptiveDensityControl)
 
     def __post_init__(self) -> None:
-        for name in ("max_steps", "sh_every", "neighbours_every", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
+        schedule = ("max_steps", "sh_every", "neighbours_every", "checkpoint_every")
+        require_within(self, schedule, 1, MOST_STEPS)
+        require_within(self, ["fitted_residuals"], 0, MOST_STEPS)
+        require_within(self, ["seed"], 0, MOST_SEED)
         if self.resolution is not None and self.resolution < 16:
             raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
         if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError
 from mrgs.scene import THERMAL, Gaussians
+from mrgs.system.limits import MOST_RATE, require_within
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _STATE = ("step", *_MOMENTS)
@@ -60,10 +61,8 @@ class OptimizerConfig:
     slowdown_to: float = 0.1
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            rate = getattr(self, field.name)
-            if not 0 <= rate < math.inf:
-                raise ConfigError(f"the learning rate {field.name} must be 0 or more, not {rate}")
+        names = [field.name for field in dataclasses.fields(self)]
+        require_within(self, names, 0, MOST_RATE, "the learning rate {}")
         if self.means == 0 or self.means_final == 0:
             raise ConfigError(
                 "the learning rates means and means_final must be above 0: the one decays to the "

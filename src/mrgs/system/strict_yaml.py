@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import types
 import typing
 from typing import Any, Literal, TypeVar, get_args
@@ -10,6 +11,7 @@ from typing import Any, Literal, TypeVar, get_args
 import yaml
 
 from mrgs.errors import ConfigError
+from mrgs.system.limits import shown
 
 Config = TypeVar("Config")
 
@@ -41,12 +43,28 @@ def parse_yaml(text: str, source: str) -> Any:
     """Parse YAML with plain values only.
 
     Raises:
-        ConfigError: not YAML.
+        ConfigError: not YAML, or a key stands twice in a mapping.
     """
     try:
-        return yaml.safe_load(text)
+        loader = _StrictLoader(text)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """Refuses keys that stand twice in a mapping, of which others take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and (key.tag, key.value) in seen:
+                raise yaml.YAMLError(f"the key {shown(key.value)} stands twice")
+            seen.add((key.tag, str(key.value)))
+        return super().construct_mapping(node, deep)
 
 
 def _over(base: Any, values: Any) -> Any:
@@ -67,7 +85,7 @@ def _build(cls: type[Config], values: Any, source: str) -> Config:
     unknown = sorted(set(map(str, values)) - set(hints))
     if unknown:
         raise ConfigError(
-            f"{source}: there is no field {unknown[0]!r}; known are {', '.join(hints)}"
+            f"{source}: there is no field {shown(unknown[0])}; known are {', '.join(hints)}"
         )
     fields = {
         name: _convert(hints[name], value, f"{source}: {name}") for name, value in values.items()
@@ -98,10 +116,18 @@ def _convert(hint: Any, value: Any, source: str) -> Any:
         return _build(typing.cast(type, hint), value, source)
     if typing.get_origin(hint) is Literal:
         if value not in get_args(hint):
-            raise ConfigError(f"{source} must be one of {', '.join(get_args(hint))}, not {value!r}")
+            raise ConfigError(
+                f"{source} must be one of {', '.join(get_args(hint))}, not {shown(value)}"
+            )
         return value
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return _finite(value, source)
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise ConfigError(f"{source} must be of type {hint.__name__}, not {value!r}")
+        raise ConfigError(f"{source} must be of type {hint.__name__}, not {shown(value)}")
     return value
+
+
+def _finite(value: int | float, source: str) -> float:
+    if not -sys.float_info.max <= value <= sys.float_info.max:
+        raise ConfigError(f"{source} must be a finite number, not {shown(value)}")
+    return float(value)

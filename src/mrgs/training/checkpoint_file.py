@@ -97,7 +97,8 @@ def _read(path: Path, with_tensors: bool) -> tuple[dict[str, Tensor], dict[str, 
             metadata = file.metadata() or {}
             header = _parsed_header(path, metadata)
             names = file.keys() if with_tensors else ()
-            tensors = {name: file.get_tensor(name) for name in names}
+            # In memory of their own: a mapped file that someone cuts off would end the process.
+            tensors = {name: file.get_tensor(name).clone() for name in names}
     except RunError:
         raise
     except OSError as error:

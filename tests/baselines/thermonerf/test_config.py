@@ -34,7 +34,10 @@ def test_the_learning_rate_decays_from_one_end_to_the_other():
             "with 0.01",
         ),
         ("method: mrgs", "x.yaml: method must be one of thermonerf, not 'mrgs'"),
-        ("sampling: {field: 1}", "x.yaml: sampling: a ray needs at least 2 samples, not 1"),
+        (
+            "sampling: {field: 1}",
+            "x.yaml: sampling: the number of field samples must be at least 2, not 1",
+        ),
     ],
 )
 def test_values_that_are_not_allowed_are_named(text, message):

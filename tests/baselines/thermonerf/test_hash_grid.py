@@ -28,7 +28,7 @@ def test_a_level_has_an_entry_per_corner_or_the_most_there_may_be():
             (2, 8, 4, 10),
             "a grid's resolutions must be 1 <= coarsest <= finest <= 1048576, not 8, 4",
         ),
-        ((2, 4, 8, 30), "log2_entries must be from 4 to 24, not 30"),
+        ((2, 4, 8, 30), "log2_entries must be at most 24, not 30"),
     ],
 )
 def test_sizes_that_are_not_allowed_are_named(values, message):

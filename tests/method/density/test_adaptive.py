@@ -217,7 +217,7 @@ def test_the_schedule():
     ("options", "message"),
     [
         ({"every": 0}, "every of the densification must be at least 1, not 0"),
-        ({"max_gaussians": 0}, "max_gaussians of the densification must be at least 1, not 0"),
+        ({"max_gaussians": 0}, "max_gaussians must be from 1 to 1,000,000,000, not 0"),
         ({"prune_opacity": 0.5}, "densification: 0 < prune_opacity < reset_opacity < 1 must hold"),
     ],
 )

@@ -147,8 +147,8 @@ def test_total_loss_refuses_what_it_does_not_know():
     ("options", "message"),
     [
         ({"dssim": 1.5}, "dssim must lie between 0 and 1, not 1.5"),
-        ({"smooth": -1.0}, "smooth must be 0 or more, not -1.0"),
-        ({"opaque": float("nan")}, "opaque must be 0 or more, not nan"),
+        ({"smooth": -1.0}, "smooth must be at least 0, not -1.0"),
+        ({"opaque": float("nan")}, "opaque must be at least 0, not nan"),
     ],
 )
 def test_impossible_weights_are_named(options, message):

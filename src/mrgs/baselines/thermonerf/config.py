@@ -10,9 +10,13 @@ from mrgs.baselines.thermonerf.field import HashGridConfig, NerfFieldConfig
 from mrgs.baselines.thermonerf.losses import NerfLossConfig
 from mrgs.baselines.thermonerf.sampling import SamplingConfig
 from mrgs.errors import ConfigError
+from mrgs.system.limits import MOST_RATE, MOST_SEED, MOST_STEPS, require_within
 from mrgs.system.strict_yaml import read_yaml
 
 METHOD: Literal["thermonerf"] = "thermonerf"
+
+MOST_RAYS = 10**6
+"""Of a batch."""
 
 PRESETS = {"fast": (1_500, 1_024), "default": (4_000, 1_024), "paper": (30_000, 4_096)}
 """Steps, and rays of each: as many steps as the other methods take, and for ``paper`` the usual
@@ -54,9 +58,10 @@ class ThermoNerfConfig:
     loss: NerfLossConfig = dataclasses.field(default_factory=NerfLossConfig)
 
     def __post_init__(self) -> None:
-        for name in ("max_steps", "rays_per_batch", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be at least 1, not {getattr(self, name)}")
+        require_within(self, ("max_steps", "checkpoint_every"), 1, MOST_STEPS)
+        require_within(self, ["rays_per_batch"], 1, MOST_RAYS)
+        require_within(self, ["seed"], 0, MOST_SEED)
+        require_within(self, ["learning_rate"], 0, MOST_RATE)
         if self.resolution is not None and self.resolution < 16:
             raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
         if not 0 < self.learning_rate_final <= self.learning_rate:

@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from mrgs.baselines.thermonerf.frame import contract
 from mrgs.baselines.thermonerf.hash_grid import HashGrid, HashGridConfig
 from mrgs.baselines.thermonerf.perceptron import Perceptron
-from mrgs.errors import ConfigError
 from mrgs.field.spherical_harmonics import evaluate_sh
+from mrgs.system.limits import MOST_WIDTH, require_within
 
 HARMONICS = 16
 """Functions of the viewing direction that the colour head gets: all up to degree 3."""
@@ -40,8 +40,7 @@ class NerfFieldConfig:
     feature_width: int = 15
 
     def __post_init__(self) -> None:
-        if min(self.hidden_width, self.feature_width) < 1:
-            raise ConfigError("hidden_width and feature_width must be at least 1")
+        require_within(self, ("hidden_width", "feature_width"), 1, MOST_WIDTH)
 
 
 def density_of(logits: Float[Tensor, " n"]) -> Float[Tensor, " n"]:

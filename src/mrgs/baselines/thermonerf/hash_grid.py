@@ -10,6 +10,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
+from mrgs.system.limits import require_within
 from mrgs.system.operation import operation
 
 CHANNELS = 4
@@ -17,6 +18,8 @@ CHANNELS = 4
 
 PRIMES = (1, 2_654_435_761, 805_459_861)
 """Of the spatial hash, by axis."""
+
+MOST_LEVELS = 32
 
 INITIAL_RANGE = 1e-4
 """Features start uniformly within ± this, as in the paper's Section 4."""
@@ -40,15 +43,13 @@ class HashGridConfig:
     log2_entries: int = 17
 
     def __post_init__(self) -> None:
-        if self.levels < 1:
-            raise ConfigError(f"levels must be at least 1, not {self.levels}")
+        require_within(self, ["levels"], 1, MOST_LEVELS)
         if not 1 <= self.coarsest <= self.finest <= 2**20:
             raise ConfigError(
                 f"a grid's resolutions must be 1 <= coarsest <= finest <= {2**20}, not "
                 f"{self.coarsest}, {self.finest}"
             )
-        if not 4 <= self.log2_entries <= 24:
-            raise ConfigError(f"log2_entries must be from 4 to 24, not {self.log2_entries}")
+        require_within(self, ["log2_entries"], 4, 24)
 
     @property
     def resolutions(self) -> list[int]:

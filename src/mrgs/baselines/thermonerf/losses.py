@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from mrgs.errors import ConfigError
+from mrgs.system.limits import MOST_WEIGHT, require_within
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,7 @@ class NerfLossConfig:
     distortion: float = 0.002
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0:
-                raise ConfigError(f"{name} must not be negative, but is {value}")
+        require_within(self, ("interlevel", "distortion"), 0, MOST_WEIGHT)
 
 
 def squared_error(

@@ -9,10 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.errors import ConfigError
+from mrgs.system.limits import require_within
 
 PADDING = 0.01
 """Added to every weight, so that no part of a ray is left out for good (mip-NeRF, Section 3.2)."""
+
+
+MOST_SAMPLES = 4_096
+"""Of a ray."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +32,7 @@ class SamplingConfig:
     field: int = 32
 
     def __post_init__(self) -> None:
-        if min(self.proposal, self.field) < 2:
-            raise ConfigError(
-                f"a ray needs at least 2 samples, not {min(self.proposal, self.field)}"
-            )
+        require_within(self, ("proposal", "field"), 2, MOST_SAMPLES, "the number of {} samples")
 
 
 class Spacing:

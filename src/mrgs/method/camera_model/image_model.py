@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mrgs.errors import ConfigError
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
+from mrgs.system.limits import MOST_RATE, require_within
 
 INITIAL_POINT_SPREAD_PX = 0.8
 SMALLEST_POINT_SPREAD_PX = 0.2
@@ -42,11 +42,8 @@ class ImageModelConfig:
     thermal_gain_rate: float = 1e-3
 
     def __post_init__(self) -> None:
-        for name in ("point_spread_rate", "thermal_gain_rate"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(
-                    f"the learning rate {name} must be 0 or more, not {getattr(self, name)}"
-                )
+        names = ("point_spread_rate", "thermal_gain_rate")
+        require_within(self, names, 0, MOST_RATE, "the learning rate {}")
 
 
 class Capture(NamedTuple):

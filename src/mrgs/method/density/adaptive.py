@@ -22,6 +22,7 @@ from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, S
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
+from mrgs.system.limits import MOST_STEPS, MOST_WEIGHT, require_within
 
 SPLIT_INTO = 2
 SPLIT_SHRINK = 1.6
@@ -66,12 +67,12 @@ class AdaptiveDensityControl(Strategy):
     reset_opacity: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("every", "reset_every", "max_gaussians"):
-            if getattr(self, name) < 1:
-                raise ConfigError(
-                    f"{name} of the densification must be at least 1, not {getattr(self, name)}",
-                    options=("max_gaussians",) if name == "max_gaussians" else (),
-                )
+        super().__post_init__()
+        title = "{} of the densification"
+        require_within(self, ("every", "reset_every"), 1, MOST_STEPS, title)
+        require_within(self, ("start", "stop"), 0, MOST_STEPS, title)
+        sizes = ("gradient_threshold", "clone_below", "prune_above")
+        require_within(self, sizes, 0, MOST_WEIGHT, title)
         if not 0 < self.prune_opacity < self.reset_opacity < 1:
             raise ConfigError("densification: 0 < prune_opacity < reset_opacity < 1 must hold")
 

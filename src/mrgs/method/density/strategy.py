@@ -16,6 +16,10 @@ from mrgs.errors import ConfigError
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
+from mrgs.system.limits import shown
+
+MOST_GAUSSIANS = 10**9
+"""Kernels number them with 32 bits."""
 
 StrategyState: TypeAlias = dict[str, Tensor]
 """What a strategy remembers between steps, by name; saved in checkpoints."""
@@ -78,8 +82,12 @@ class Strategy(ABC):
     """Whether ``after_step`` reads ``DensityStep.passes``."""
 
     def __post_init__(self) -> None:
-        if self.max_gaussians < 1:
-            raise ConfigError(f"max_gaussians must be at least 1, not {self.max_gaussians}")
+        if not 1 <= self.max_gaussians <= MOST_GAUSSIANS:
+            raise ConfigError(
+                f"max_gaussians must be from 1 to {MOST_GAUSSIANS:,}, not "
+                f"{shown(self.max_gaussians)}",
+                options=("max_gaussians",),
+            )
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
         """What the strategy remembers before the first step; nothing by default.

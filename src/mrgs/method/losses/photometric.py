@@ -12,6 +12,7 @@ from torch import Tensor
 from mrgs.errors import ConfigError
 from mrgs.method.losses.ssim import ssim_map
 from mrgs.scene import THERMAL, Modality
+from mrgs.system.limits import MOST_WEIGHT, require_within
 from mrgs.system.operation import operation
 
 HALF_COVERED = 0.5
@@ -48,9 +49,8 @@ class LossConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
-        for name in ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"{name} must be 0 or more, not {getattr(self, name)}")
+        weights = ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque")
+        require_within(self, weights, 0, MOST_WEIGHT)
 
 
 @operation

@@ -15,6 +15,7 @@ from mrgs.errors import ConfigError
 from mrgs.method.losses.photometric import masked_mean
 from mrgs.method.losses.ssim import structural_similarity
 from mrgs.scene.temperature import TemperatureRange
+from mrgs.system.limits import MOST_WEIGHT, require_within
 from mrgs.system.operation import operation
 
 STEFAN_BOLTZMANN = 5.670374419e-8
@@ -63,6 +64,7 @@ class RadiationConfig:
             raise ConfigError(
                 f"the weights of L_boltz must be positive, not {self.start} and {self.end}"
             )
+        require_within(self, ("start", "end"), 0, MOST_WEIGHT, "the weight {} of L_boltz")
         if not 0 <= self.decay_from < self.decay_until:
             raise ConfigError(
                 f"L_boltz cannot decay from step {self.decay_from} to step {self.decay_until}"

@@ -1,0 +1,51 @@
+"""Ranges of configuration values."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterable
+from typing import Any
+
+from mrgs.errors import ConfigError
+
+MOST_STEPS = 10**9
+MOST_WIDTH = 4_096
+"""Of a hidden layer."""
+
+MOST_WEIGHT = 10**6
+"""Of a loss, or of anything else that multiplies."""
+
+MOST_RATE = 10
+"""Of learning."""
+
+MOST_SEED = 2**32 - 1
+
+
+def require_within(
+    config: Any, names: Iterable[str], low: float, high: float, title: str = "{}"
+) -> None:
+    """Fields of a configuration must lie in a range; NaN lies in none.
+
+    Args:
+        config: has the fields.
+        names: of the fields.
+        low: smallest value that is allowed.
+        high: largest value that is allowed.
+        title: what the message calls a field; {} stands for its name.
+
+    Raises:
+        ConfigError: a value lies outside.
+    """
+    for name in names:
+        value = getattr(config, name)
+        limit = f"at least {low:,}" if not low <= value else f"at most {high:,}"
+        if not low <= value <= high:
+            raise ConfigError(f"{title.format(name)} must be {limit}, not {shown(value)}")
+
+
+def shown(value: Any) -> str:
+    """A value from a file for a message: shortened, on one line."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # an integer of thousands of digits
+        return "a number of too many digits"

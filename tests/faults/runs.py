@@ -1,0 +1,34 @@
+"""The configurations of the runs that are damaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mrgs.baselines.thermonerf import checkpoint as nerf_checkpoint
+from mrgs.training import checkpoint
+from tests.helpers.thermonerf import small_config
+from tests.helpers.training import short_config
+
+
+def _eventful() -> Any:
+    config = short_config("mrgs-plus", max_steps=10, checkpoint_every=5, neighbours_every=3)
+    schedule = replace(config.densification, start=1, stop=9, every=4, gradient_threshold=1e-6)
+    return replace(config, densification=schedule)
+
+
+GAUSSIANS = _eventful()
+"""Densifies at steps 4 and 8."""
+
+NERF = small_config(10, checkpoint_every=5)
+
+
+def load_gaussians(path: Path) -> Any:
+    """The state in a checkpoint of the run of Gaussians."""
+    return checkpoint.load_state(path, GAUSSIANS)
+
+
+def load_nerf(path: Path) -> Any:
+    """The state in a checkpoint of the run of a radiance field."""
+    return nerf_checkpoint.load_state(path, NERF)

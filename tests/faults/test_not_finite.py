@@ -1,0 +1,147 @@
+"""NaN and infinity put into a training that runs: nothing of it is ever saved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
+
+from mrgs.baselines.thermonerf import train_thermonerf
+from mrgs.baselines.thermonerf import trainer as nerf_trainer
+from mrgs.baselines.thermonerf.checkpoint import tensors_of as nerf_tensors
+from mrgs.errors import NotFiniteError, TrainingError
+from mrgs.training import train, trainer
+from mrgs.training.checkpoint import tensors_of
+from mrgs.training.run_folder import RunFolder
+from tests.faults.runs import GAUSSIANS, NERF
+
+AT = 9
+"""The step before which a value is put in; there are checkpoints at 5 and 10, and the last
+densification at 8."""
+
+
+def put(tensor: Tensor, value: float, everywhere: bool) -> None:
+    with torch.no_grad():
+        if everywhere:
+            tensor.fill_(value)
+        else:
+            tensor.view(-1)[tensor.numel() // 2] = value
+
+
+def inject(
+    monkeypatch: pytest.MonkeyPatch, module, where: Callable[..., dict[str, Tensor]], *what
+) -> None:
+    """Put a value into a tensor of the state at one step."""
+    name, value, everywhere = what
+    original = module.training_step
+
+    def training_step(state, *rest):
+        if state.step == AT - 1:
+            put(where(state, *rest)[name], value, everywhere)
+        return original(state, *rest)
+
+    monkeypatch.setattr(module, "training_step", training_step)
+
+
+def saved(run: Path) -> list[int]:
+    """Steps of the checkpoints, all of whose tensors are finite."""
+    paths = RunFolder(run).checkpoints()
+    for path in paths:
+        assert [
+            name
+            for name, tensor in load_file(path).items()
+            if tensor.is_floating_point() and not tensor.isfinite().all()
+        ] == []
+    return [int(path.stem.removeprefix("step_")) for path in paths]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "gaussians.means",
+        "gaussians.log_scales",
+        "gaussians.sh_dc.thermal",
+        "gaussians.adam.quats.exp_avg",
+        "gaussians.adam.opacity_logit.rgb.exp_avg_sq",
+        "field.color_head.mlp.2.weight",
+        "field.scale",
+        "layer_optimizer.3.exp_avg_sq",
+        "image_model.point_spread.log_sigma",
+        "terms.boltzmann.psi.weight",
+        "strategy.gradient_sum",
+    ],
+)
+def test_gaussians(name, value, small_scene, tmp_path, monkeypatch):
+    where = lambda state, *rest: tensors_of(state)  # noqa: E731
+    inject(monkeypatch, trainer, where, name, value, name.endswith("weight"))
+    run = tmp_path / "run"
+    with pytest.raises(TrainingError) as caught:
+        train(small_scene, run, GAUSSIANS)
+    assert f"the last good checkpoint is {run}/checkpoints/step_000005" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert saved(run) == [5]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_photos(value, small_scene, tmp_path, monkeypatch):
+    def where(state, view, number, photos, *rest):
+        return {modality.name: pixels.values for modality, pixels in photos.items()}
+
+    inject(monkeypatch, trainer, where, "thermal", value, False)
+    train(small_scene, tmp_path / "run", GAUSSIANS)  # the step is skipped, and no other has it
+    assert saved(tmp_path / "run") == [5, 10]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "model.field.grid.table",
+        "model.field.color_head.output.bias",
+        "model.proposal.geometry.hidden.weight",
+        "adam.field.grid.table.exp_avg",
+        "adam.field.geometry.output.weight.exp_avg_sq",
+    ],
+)
+def test_radiance_fields(name, value, small_scene, tmp_path, monkeypatch):
+    where = lambda state, *rest: nerf_tensors(state)  # noqa: E731
+    inject(monkeypatch, nerf_trainer, where, name, value, True)
+    with pytest.raises(TrainingError, match=r"the last good checkpoint is .*step_000005"):
+        train_thermonerf(small_scene, tmp_path / "run", NERF)
+    assert saved(tmp_path / "run") == [5]
+
+
+def test_what_shows_in_no_gradient_is_found_before_it_is_saved(small_scene, tmp_path, monkeypatch):
+    """A moment of infinity stops its parameter, and the loss stays finite."""
+    name = "gaussians.adam.means.exp_avg_sq"
+    inject(monkeypatch, trainer, lambda state, *_: tensors_of(state), name, math.inf, True)
+    with pytest.raises(NotFiniteError) as caught:
+        train(small_scene, tmp_path / "run", GAUSSIANS)
+    kept = tmp_path / "run/checkpoints/step_000005.safetensors"
+    assert str(caught.value) == (
+        f"{name} holds values that are not finite after step 10; the last good checkpoint is "
+        f"{kept}. Resume with a smaller learning rate, or check the scene's poses and images"
+    )
+
+
+def test_gradients_whose_squares_overflow_are_skipped(small_scene, tmp_path, monkeypatch):
+    """Adam would keep an infinite square for good."""
+
+    def training_step(state, *rest):
+        means = state.gaussian_optimizer.gaussians.means
+        hook = means.register_hook(lambda g: g * 0 + (1e30 if state.step == AT else 1))
+        result = original(state, *rest)
+        hook.remove()
+        return result
+
+    original = trainer.training_step
+    monkeypatch.setattr(trainer, "training_step", training_step)
+    folder = train(small_scene, tmp_path / "run", GAUSSIANS)
+    assert '"step": 9, "skipped"' in folder.log_file.read_text()
+    assert saved(folder.path) == [5, 10]
