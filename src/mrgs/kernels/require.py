@@ -7,32 +7,36 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from mrgs.system.gpu import HOST
+
 
 def require(
     name: str,
     tensor: Tensor,
     shape: Sequence[int | None],
     dtypes: Sequence[torch.dtype] = (torch.float32,),
+    device: torch.device = HOST,
 ) -> None:
-    """A tensor must be on the CPU, and of a shape and a type.
+    """A tensor must be of a shape, of a type, and on a device.
 
     Args:
         name: of the tensor, for the message.
         tensor: to check.
         shape: that it must have; None allows any size.
         dtypes: the types that it may have.
+        device: where it must be.
 
     Raises:
-        ValueError: it has not.
+        ValueError: it is not so.
     """
     fits = tensor.dim() == len(shape) and all(
         size is None or size == found for size, found in zip(shape, tensor.shape, strict=True)
     )
-    if not fits or tensor.dtype not in dtypes or not tensor.is_cpu:
+    if not fits or tensor.dtype not in dtypes or tensor.device != device:
         sizes = ", ".join("any" if size is None else str(size) for size in shape)
         types = " or ".join(_short(dtype) for dtype in dtypes)
         raise ValueError(
-            f"{name} must be {types} [{sizes}] on the CPU, not {_short(tensor.dtype)} "
+            f"{name} must be {types} [{sizes}] on {device}, not {_short(tensor.dtype)} "
             f"{list(tensor.shape)} on {tensor.device}"
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import tempfile
 import weakref
@@ -83,10 +84,9 @@ class RunFolder:
 
     def checkpoints(self) -> list[Path]:
         """All checkpoints, oldest first."""
-        return sorted(
-            (self.path / "checkpoints").glob("step_*.safetensors"),
-            key=lambda path: (len(path.name), path),
-        )
+        found = (self.path / "checkpoints").glob("step_*.safetensors")
+        numbered = [path for path in found if re.fullmatch(r"step_[0-9]+", path.stem)]
+        return sorted(numbered, key=lambda path: (len(path.name), path))
 
     def newest_checkpoint(self) -> Path:
         """The checkpoint to continue or to use.

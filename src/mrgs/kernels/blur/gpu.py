@@ -20,6 +20,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.require import require
 from mrgs.method.camera_model.point_spread import REACH
 
 BLOCK = 256
@@ -126,7 +127,13 @@ def blur_backward_kernel(
 
 
 def blur(plane: Tensor, sigma_px: Tensor) -> Tensor:
-    """``mrgs.method.camera_model.point_spread.blur`` for float32; σ stays on the device."""
+    """``mrgs.method.camera_model.point_spread.blur`` for float32; σ stays on the device.
+
+    Raises:
+        ValueError: tensors of other sizes, types or devices.
+    """
+    require("plane", plane, (None, None), device=plane.device)
+    require("sigma_px", sigma_px, (), device=plane.device)
     result: Tensor = _Blur.apply(plane, sigma_px, REACH)
     return result
 

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
 from mrgs.kernels.neighbours import cpu
+from mrgs.kernels.require import require
 
 MAX_K = 16
 """More neighbours would not fit into a thread's registers."""
@@ -162,6 +163,7 @@ def nearest_neighbours(means: Tensor, k: int) -> Tensor:
     """
     if k > MAX_K:
         return cpu.nearest_neighbours(means, k)
+    require("means", means, (None, 3), device=means.device)
     count = len(means)
     itself = torch.arange(count, device=means.device)
     if k == 0 or count < 2:

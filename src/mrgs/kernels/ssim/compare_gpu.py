@@ -23,6 +23,7 @@ import triton.language as tl
 from torch import Tensor
 
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.require import require
 from mrgs.method.losses.ssim import RADIUS_PX, WEIGHTS
 
 BLOCK = 128
@@ -292,7 +293,14 @@ def compare(
         scalars: dssim, l1, c1, c2: the shares of 1 − SSIM and of L1, and SSIM's stabilisers.
         by_y: whether the gradient by y is wanted.
         wants_errors: whether 1 − SSIM of each value is wanted.
+
+    Raises:
+        ValueError: tensors of other sizes, types or devices.
     """
+    require("x", x, (None, None, None), device=x.device)
+    require("y", y, x.shape, device=x.device)
+    rows = 1 if len(weights) == 1 else len(x)
+    require("weights", weights, (rows, x.shape[1]), device=x.device)
     x, y, weights = (tensor.detach().contiguous() for tensor in (x, y, weights))
     height, width, channels = x.shape
     grid = (triton.cdiv(width * channels, BLOCK), triton.cdiv(height, STRIP_ROWS))

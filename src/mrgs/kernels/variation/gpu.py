@@ -16,6 +16,7 @@ from torch import Tensor
 
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
 from mrgs.kernels.known_gradient import with_gradients
+from mrgs.kernels.require import require
 from mrgs.kernels.variation.pairs import valid_pairs
 
 BLOCK = 512
@@ -93,7 +94,14 @@ def variation_kernel(
 
 
 def total_variation(image: Tensor, valid: Tensor | None = None) -> Tensor:
-    """``mrgs.method.losses.smoothness.total_variation`` for float32; the host does not wait."""
+    """``mrgs.method.losses.smoothness.total_variation`` for float32; the host does not wait.
+
+    Raises:
+        ValueError: tensors of other sizes, types or devices.
+    """
+    require("image", image, (None, None, None), device=image.device)
+    if valid is not None:
+        require("valid", valid, image.shape[:2], (torch.bool,), image.device)
     weights: list[Tensor | None] = []
     scales = []
     for axis in (0, 1):

@@ -229,6 +229,11 @@ def rasterize(
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
     _check(inputs, channels)
+    if viewmat.shape != (4, 4) or K.shape != (3, 3) or min(width, height) < 1:
+        raise ValueError(
+            f"a camera has a viewmat [4, 4], a K [3, 3] and pixels, not {list(viewmat.shape)}, "
+            f"{list(K.shape)} and {width}×{height}"
+        )
     # Not blocking: the host would wait for all that is queued. The copy has left a CPU tensor
     # before the call returns.
     viewmat, K = (
