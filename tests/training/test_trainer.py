@@ -482,7 +482,7 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path):
         train(other, folder.path, config, resume=True)
     assert str(caught.value) == (
         f"{other.name} has 3 training views of 6 images, not the 6 that the run was trained with: "
-        f"use {small_scene} as it was"
+        f"use that scene as it was"
     )
 
 
