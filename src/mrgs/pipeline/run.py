@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.errors import ConfigError, MrgsError, RunError
@@ -210,16 +210,16 @@ def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:
         pace = taken / expected if expected > 0 else 1.0
         rest_s = pace * sum(each.seconds for each in plan.stages[planned.number :])
         started, made_from = time.perf_counter(), stage.made_from()
-        with monitor.running(planned, rest_s):
-            files = stage.run(_reporting(planned, pace, monitor))
+        parts = {name: pace * seconds for name, seconds in planned.parts.items()}
+        with monitor.running(replace(planned, parts=parts), rest_s):
+            files = stage.run(_reporting(Forecast(parts), monitor))
         job.ledger.finish(stage.name, made_from, files)
         expected += sum(planned.parts.values())
         taken += time.perf_counter() - started
 
 
-def _reporting(planned: PlannedStage, pace: float, monitor: Monitor) -> Report:
+def _reporting(forecast: Forecast, monitor: Monitor) -> Report:
     """Passes the progress of a stage on, with the time left."""
-    forecast = Forecast({name: pace * seconds for name, seconds in planned.parts.items()})
 
     def report(text: str, done: int, total: int) -> None:
         monitor.progress(text, done, total, left_in_stage(forecast, text, done, total))
