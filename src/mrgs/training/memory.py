@@ -32,7 +32,7 @@ _STATISTICS = 8
 _WEIGHTS_BYTES = 2**20
 """Heads, image model and their moments."""
 
-_BASE_BYTES = 450 * 2**20
+_BASE_BYTES = 520 * 2**20
 """Interpreter, torch, Numba and the compiled kernels."""
 
 _RASTER_FLOATS_PER_GAUSSIAN = 80
