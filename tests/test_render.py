@@ -7,7 +7,7 @@ import torch
 
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.rasterizer import rasterize
+from mrgs.rasterizer import median_depth, rasterize
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
     RGB,
@@ -286,5 +286,24 @@ def test_a_model_without_residuals_has_none_to_know():
 
 def test_where_nothing_is_there_is_no_surface():
     nothing = render(make_model(), both(make_camera(distance=-50.0)))[0]
-    for blend in nothing.values():
-        assert blend.surface_depth(max_step=0.1).isnan().all()
+    for modality in nothing:
+        assert nothing.surface_depth(modality, max_step=0.1).isnan().all()
+    with_median = render(make_model(), both(make_camera(distance=-50.0)), with_median_depth=True)[0]
+    assert with_median.surface_depth(THERMAL).isnan().all()
+
+
+def test_the_surface_is_the_median_depth_where_that_is_asked_for():
+    model, cameras = make_model(), both(make_camera())
+    blended, found = (render(model, cameras, with_median_depth=asked)[0] for asked in (False, True))
+    gaussians = model.gaussians
+    camera = cameras[THERMAL]
+    K, viewmat, _ = camera.tensors(gaussians.means.device)
+    median = median_depth(
+        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(THERMAL),
+        viewmat, K, camera.width, camera.height,
+    )  # fmt: skip
+    covered = found[THERMAL].alpha >= 0.5
+    assert covered.any()
+    assert torch.equal(found.surface_depth(THERMAL)[covered], median[covered])
+    assert not torch.equal(found.surface_depth(THERMAL), blended.surface_depth(THERMAL))
+    assert torch.equal(found[THERMAL].depth, blended[THERMAL].depth)

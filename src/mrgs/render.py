@@ -14,7 +14,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field import RadianceField
-from mrgs.rasterizer import Layer, Raster, contract, rasterize
+from mrgs.rasterizer import Layer, Raster, contract, median_depth, rasterize
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
 
 ALL_ROWS_FROM = 0.9
@@ -116,13 +116,15 @@ def bake_temperature_residuals(model: Model) -> Model:
 def render_view(model: Model, view: View) -> Rendering:
     """Render a view from its own cameras; no gradients are kept."""
     with torch.no_grad():
-        return render(model, view.cameras)[0]
+        return render(model, view.cameras, with_median_depth=True)[0]
 
 
 def render(
     model: Model,
     cameras: Mapping[Modality, Camera],
     sh_degrees: Mapping[Modality, int] | None = None,
+    *,
+    with_median_depth: bool = False,
 ) -> tuple[Rendering, list[ScreenPoints]]:
     """Render each modality from its camera; modalities that one fused pass can serve share it.
 
@@ -133,20 +135,27 @@ def render(
         cameras: of the modalities to render.
         sh_degrees: highest degree of a modality's spherical harmonics that counts; the model's for
             those that are not named.
+        with_median_depth: also find the depth of the surface, which carries no gradient.
 
     Returns:
         the images, and the projected centres of each pass.
     """
     degrees = sh_degrees or {}
     blends: dict[Modality, Blend] = {}
+    depths: dict[Modality, Tensor] = {}
     points = []
     for camera, modalities in shared_passes(cameras):
         rows = rows_in_view(model.gaussians, camera)
         layers = [_layer(model, each, camera, rows, degrees.get(each)) for each in modalities]
         raster, projected = _pass(model, layers, camera)
         blends.update(zip(modalities, raster.blends, strict=True))
+        if with_median_depth:
+            depths |= {
+                each: _median_depth(model, layer, camera)
+                for each, layer in zip(modalities, layers, strict=True)
+            }
         points.append(projected)
-    return Rendering({modality: blends[modality] for modality in cameras}), points
+    return Rendering({modality: blends[modality] for modality in cameras}, depths), points
 
 
 def shared_passes(cameras: Mapping[Modality, Camera]) -> list[tuple[Camera, list[Modality]]]:
@@ -245,3 +254,12 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         offset,
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))
+
+
+def _median_depth(model: Model, layer: Layer, camera: Camera) -> Float[Tensor, "h w"]:
+    gaussians = model.gaussians
+    K, viewmat, _ = camera.tensors(gaussians.means.device)
+    return median_depth(
+        gaussians.means, gaussians.quats, gaussians.scales, layer.opacities,
+        viewmat, K, camera.width, camera.height,
+    )  # fmt: skip

@@ -67,9 +67,21 @@ def test_an_image_alone_has_no_depth():
     blend = Blend.of_image(image)
     assert blend.image is image
     assert blend.depth.shape == blend.alpha.shape == (3, 4)
-    assert not blend.has_depth
-    assert blend_of(1).has_depth
-    assert blend.surface_depth().isnan().all()
+    alone = Rendering({THERMAL: blend, RGB: blend_of(3)})
+    assert not alone.has_depth(THERMAL)
+    assert alone.has_depth(RGB)
+    assert alone.surface_depth(THERMAL).isnan().all()
+
+
+def test_a_median_depth_comes_before_the_blended_one():
+    """It is also that of images without an alpha, which other programs rendered."""
+    median = torch.tensor([[2.0, torch.nan]])
+    for blend in (Blend.of_image(torch.zeros(1, 2, 1)), Blend(*torch.ones(3, 1, 2).split(1))):
+        blend = Blend(blend.image, blend.depth.view(1, 2), blend.alpha.view(1, 2))
+        rendering = Rendering({THERMAL: blend}, {THERMAL: median})
+        assert rendering.has_depth(THERMAL)
+        for same in (rendering, rendering.cpu(), rendering.with_images({THERMAL: blend.image})):
+            torch.testing.assert_close(same.surface_depth(THERMAL), median, equal_nan=True)
 
 
 def test_the_depth_is_that_of_the_first_or_of_another_that_has_one():
@@ -80,27 +92,30 @@ def test_the_depth_is_that_of_the_first_or_of_another_that_has_one():
     assert Rendering({RGB: blend_of(3)}).with_depth(THERMAL) == RGB
 
 
-def surfaces(depths: list[list[float]], alphas: list[list[float]]) -> Blend:
-    """A blend whose surfaces have these depths."""
+def surfaces(depths: list[list[float]], alphas: list[list[float]]) -> Rendering:
+    """A thermal image whose surfaces have these depths."""
     alpha = torch.tensor(alphas)
-    return Blend(torch.zeros(*alpha.shape, 1), torch.tensor(depths) * alpha, alpha)
+    blend = Blend(torch.zeros(*alpha.shape, 1), torch.tensor(depths) * alpha, alpha)
+    return Rendering({THERMAL: blend})
 
 
 def test_a_surfaces_depth_is_that_of_the_blend_without_the_background():
-    blend = surfaces([[2.0, 2.0, 3.0]], [[0.8, 0.5, 0.4]])
+    rendering = surfaces([[2.0, 2.0, 3.0]], [[0.8, 0.5, 0.4]])
     expected = torch.tensor([[2.0, 2.0, torch.nan]])
-    torch.testing.assert_close(blend.surface_depth(), expected, equal_nan=True)
+    torch.testing.assert_close(rendering.surface_depth(THERMAL), expected, equal_nan=True)
     expected[0, 1] = torch.nan
-    torch.testing.assert_close(blend.surface_depth(min_alpha=0.6), expected, equal_nan=True)
+    torch.testing.assert_close(
+        rendering.surface_depth(THERMAL, min_alpha=0.6), expected, equal_nan=True
+    )
 
 
 def test_outlines_have_no_depth_where_they_are_not_wanted():
     """A near and a far surface, both slightly slanted, and a hole, which is no outline of what is
     beside it."""
     row = [2.0, 2.01, 2.02, 4.0, 4.02, 4.04, 9.0, 4.1]
-    blend = surfaces([row] * 3, [[1.0] * 6 + [0.1, 1.0]] * 3)
-    found = blend.surface_depth(max_step=0.05)
+    rendering = surfaces([row] * 3, [[1.0] * 6 + [0.1, 1.0]] * 3)
+    found = rendering.surface_depth(THERMAL, max_step=0.05)
     expected = torch.tensor([row] * 3)
     expected[:, [2, 3, 6]] = torch.nan
     torch.testing.assert_close(found, expected, equal_nan=True)
-    assert blend.surface_depth().isnan().sum() == 3
+    assert rendering.surface_depth(THERMAL).isnan().sum() == 3

@@ -173,7 +173,7 @@ def sheet_row(
         },
         depth=None
         if seen is None
-        else shown_depth(rendering[seen].depth, view.images.get(seen), ball),
+        else shown_depth(rendering.surface_depth(seen), view.images.get(seen), ball),
     )
 
 

@@ -212,7 +212,7 @@ def _score_truth(
     """The rendering against the exact truth, which the thermal camera saw."""
     thermal = rendering[THERMAL].image if THERMAL in rendering else None
     seen = rendering.with_depth(THERMAL)
-    depth = None if seen is None else rendering[seen].depth
+    depth = None if seen is None else rendering.surface_depth(seen)
     return truth.score(view.name, thermal, photos.get(THERMAL), depth, temperature)
 
 

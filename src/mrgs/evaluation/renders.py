@@ -82,10 +82,11 @@ class Renders:
                 path = self.images[modality][view.name]
                 image = _read(path, posed.camera, _conversion(modality, path), temperature)
                 blends[modality] = Blend.of_image(image)
+        depths = {}
         if THERMAL in blends and view.name in self.depths:
-            depth = _read_depth(self.depths[view.name], view.images[THERMAL].camera)
-            blends[THERMAL] = blends[THERMAL]._replace(depth=depth)
-        return Rendering(blends)
+            camera = view.images[THERMAL].camera
+            depths[THERMAL] = _read_depth(self.depths[view.name], camera)
+        return Rendering(blends, depths)
 
 
 def _folders(modality: Modality) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ that are not finite and depths that are not finite and positive (sky) are left o
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,7 +61,9 @@ class Truth:
             name: the view's.
             thermal: rendered normalised temperatures, [H, W, 1]; None without them.
             photo: the thermal photo; None without one.
-            depth: rendered z-depth of the thermal camera, scene units, [H, W]; None without it.
+            depth: rendered z-depth of the surface that the thermal camera sees, scene units,
+                [H, W]; NaN where it sees none, which counts as an infinite error. None without a
+                depth.
             temperature: the scene's scale; None without °C.
 
         Returns:
@@ -104,7 +107,8 @@ class Truth:
         if not known.any():
             return Missing(f"no pixel of truth/depth/{name}.tiff has a depth")
         errors = (depth.detach().cpu()[known] - exact[known]).abs() / exact[known]
-        return float(np.median(errors.numpy()))
+        median = float(np.median(errors.nan_to_num(nan=math.inf).numpy()))
+        return median if math.isfinite(median) else Missing("most pixels show no surface")
 
     def _read(
         self, kind: str, name: str, shape: tuple[int, int]

@@ -57,9 +57,9 @@ def value_columns(
 
 
 def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: Reach) -> DepthMap:
-    """The mean depth of what a pixel of one modality shows, and the values of all."""
+    """The depth of the surface that a pixel of one modality shows, and the values of all."""
     rendering = baked.render(camera)
-    depth = rendering[surface].surface_depth(MIN_ALPHA, MAX_STEP)
+    depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
     images = [
         to_float32(in_unit(modality, blend.image, baked.temperature))
         for modality, blend in rendering.items()

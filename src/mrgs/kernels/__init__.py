@@ -19,6 +19,7 @@ _HEAT = "mrgs.field.field.RadianceField.temperature_residuals"
 _SHADE = "mrgs.field.spherical_harmonics.shade"
 _NEIGHBOURS = "mrgs.field.heat.nearest_neighbours"
 _RASTERIZE = "mrgs.rasterizer.reference.rasterize"
+_MEDIAN_DEPTH = "mrgs.rasterizer.reference.median_depth"
 _BLUR = "mrgs.method.camera_model.point_spread.blur"
 _PHOTOMETRIC = "mrgs.method.losses.photometric.photometric_loss"
 _BOLTZMANN = "mrgs.method.losses.radiation.boltzmann_loss"
@@ -36,6 +37,8 @@ TABLE = (
     Kernel(_NEIGHBOURS, "mrgs.kernels.neighbours.gpu.nearest_neighbours", "gpu"),
     Kernel(_RASTERIZE, "mrgs.kernels.rasterize.cpu.rasterize", "cpu"),
     Kernel(_RASTERIZE, "mrgs.kernels.rasterize.gpu.rasterize", "gpu"),
+    Kernel(_MEDIAN_DEPTH, "mrgs.kernels.rasterize.cpu.median_depth", "cpu"),
+    Kernel(_MEDIAN_DEPTH, "mrgs.kernels.rasterize.gpu.median_depth", "gpu"),
     Kernel(_BLUR, "mrgs.kernels.blur.cpu.blur", "cpu", _ANY_FLOAT),
     Kernel(_BLUR, "mrgs.kernels.blur.gpu.blur", "gpu"),
     Kernel(_PHOTOMETRIC, "mrgs.kernels.ssim.cpu.photometric_loss", "cpu", _ANY_FLOAT),

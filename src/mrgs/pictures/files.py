@@ -60,12 +60,13 @@ def write_rendering(
         kind, text = folder_of_values(modality, temperature)
         paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, text))
         paths.append(write_scaled_png(png, values, full_scale(modality, temperature, palette)))
-    for modality, blend in rendering.items():
-        if blend.has_depth:
+    for modality in rendering:
+        if rendering.has_depth(modality):
+            surface = rendering.surface_depth(modality)
             place, image = folder / f"depth_{modality}", view.images.get(modality)
-            tiff, values = place / f"{name}.tiff", to_array(blend.depth)
+            tiff, values = place / f"{name}.tiff", to_array(surface)
             paths.append(write_float_tiff(tiff, values, "z-depth, scene units"))
-            shown = shown_depth(blend.depth, image, ball)
+            shown = shown_depth(surface, image, ball)
             paths.append(write_depth_png(place / f"{name}.png", shown))
     return paths
 

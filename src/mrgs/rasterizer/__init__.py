@@ -7,7 +7,10 @@ from mrgs.rasterizer.contract import Layer, Raster
 from mrgs.scene import Blend
 from mrgs.system.operation import operation
 
-__all__ = ["Blend", "Layer", "Raster", "rasterize"]
+__all__ = ["Blend", "Layer", "Raster", "median_depth", "rasterize"]
 
 rasterize = operation(reference.rasterize)
 """``contract.Rasterizer``: by a kernel for float32 on the CPU or a GPU, else ``reference``."""
+
+median_depth = operation(measure=reference.depth_quantiles)(reference.median_depth)
+"""``reference.median_depth``: of the surface that a layer shows; by a kernel for float32."""

@@ -233,6 +233,69 @@ def blend(
 
 
 @torch.no_grad()
+def median_depth(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    opacities: Float[Tensor, " n"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+) -> Float[Tensor, "h w"]:
+    """z of the Gaussian at which the transmittance of a layer falls to one half; no gradients.
+
+    The mean Σ w z lies between two surfaces wherever a little of the farther one shines through, or
+    a little fog lies before it; the median is that of one surface.
+
+    Args:
+        means: centres in world coordinates, [N, 3].
+        quats: rotations wxyz, [N, 4].
+        scales: standard deviations, [N, 3].
+        opacities: of the layer, in (0, 1), [N].
+        viewmat: world to camera (OpenCV axes), [4, 4].
+        K: intrinsics in pixels, [3, 3].
+        width: pixels.
+        height: pixels.
+
+    Returns:
+        scene units, [H, W]; NaN where more than half of the light passes all Gaussians.
+    """
+    splats = project(means, quats, scales, viewmat.to(means), K.to(means), width, height)
+    if len(splats.indices) == 0:
+        return means.new_full((height, width), torch.nan)
+    pixels = pixel_centres(width, height, means)
+    chunks = pixels.split(max(1, CHUNK_ELEMENTS // len(splats.indices)))
+    medians = [
+        half_transmitted(
+            falloffs(chunk, splats.means2d, splats.covs2d),
+            splats.depths,
+            opacities[splats.indices],
+        )
+        for chunk in chunks
+    ]
+    return torch.cat(medians).view(height, width)
+
+
+def depth_quantiles(depth: Float[Tensor, "h w"], *arguments: Any) -> Float[Tensor, " q"]:
+    """What a check compares of a median depth: its quartiles. A single pixel jumps from surface to
+    surface where T comes close to one half."""
+    del arguments
+    known = depth[~depth.isnan()].sort().values
+    quarters = [len(known) * k // 4 for k in (1, 2, 3)] if len(known) else []
+    return known[quarters]
+
+
+def half_transmitted(
+    falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], opacities: Float[Tensor, " m"]
+) -> Float[Tensor, " p"]:
+    """Depth of the first Gaussian behind which T is at most one half; NaN where there is none."""
+    crosses = transmittances(alphas(opacities, falloff))[:, 1:] <= 0.5
+    first = crosses.int().argmax(dim=1)
+    return torch.where(crosses.any(dim=1), depths[first], torch.nan)
+
+
+@torch.no_grad()
 def extents_px(
     splats: Splats, opacities: Sequence[Float[Tensor, " m"]], width: int, height: int
 ) -> Float[Tensor, " m"]:

@@ -99,7 +99,7 @@ def photo_value(view: View, spot: Spot) -> float | None:
 def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
     """Names of the spots that the view's thermal camera sees: inside the image and not hidden."""
     camera = view.images[THERMAL].camera
-    surface = render(camera)[THERMAL].surface_depth()
+    surface = render(camera).surface_depth(THERMAL)
     seen = []
     for name, spot in spots.items():
         pixel, depth = camera.project(torch.from_numpy(spot.position))

@@ -149,11 +149,12 @@ def _survey(
     for index in chosen:
         camera = views[index].images[THERMAL].camera
         camera = camera.with_width(min(WIDTH_PX, camera.width))
-        thermal = render(camera)[THERMAL]
-        surface = thermal.surface_depth(SURFACE_ALPHA, DEPTH_JUMP).double()
+        rendering = render(camera)
+        surface = rendering.surface_depth(THERMAL, SURFACE_ALPHA, DEPTH_JUMP).double()
         depth_map = (surface if ball is None else ball.without_background(camera, surface)).numpy()
         rows, columns = np.nonzero(np.isfinite(depth_map))
-        values, depth = thermal.image[..., 0].numpy()[rows, columns], depth_map[rows, columns]
+        values = rendering[THERMAL].image[..., 0].numpy()[rows, columns]
+        depth = depth_map[rows, columns]
         border = 0.1 * min(camera.width, camera.height)
         central = (np.minimum(columns, camera.width - columns) > border) & (
             np.minimum(rows, camera.height - rows) > border

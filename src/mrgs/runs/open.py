@@ -55,7 +55,7 @@ class Run(TrainedRun):
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:  # noqa: D102
         try:
             with torch.no_grad():
-                return render(self._rendered, cameras)[0].cpu()
+                return render(self._rendered, cameras, with_median_depth=True)[0].cpu()
         except torch.cuda.OutOfMemoryError:
             raise DeviceError(
                 f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: "

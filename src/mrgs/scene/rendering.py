@@ -39,42 +39,23 @@ class Blend(NamedTuple):
         unknown = torch.full(image.shape[:2], torch.nan, device=image.device)
         return cls(image, unknown, unknown)
 
-    @property
-    def has_depth(self) -> bool:
-        """Whether the depth is known."""
-        return not bool(self.depth.isnan().all())
-
-    def surface_depth(
-        self, min_alpha: float = 0.5, max_step: float | None = None
-    ) -> Float[Tensor, "h w"]:
-        """z-depth of the surface that a pixel shows, D / A: the blended depth without the share of
-        the background.
-
-        Args:
-            min_alpha: a pixel that is covered less shows no surface.
-            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
-                of more lies on an outline, where the mean depth is that of neither surface. None to
-                keep outlines.
-
-        Returns:
-            Scene units, NaN where there is no surface, [H, W].
-        """
-        covered = self.alpha >= min_alpha
-        surface = torch.where(covered, self.depth / self.alpha.clamp_min(min_alpha), torch.nan)
-        if max_step is None:
-            return surface
-        return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
-
 
 class Rendering(Mapping[Modality, Blend]):
     """What a model shows from one view: a ``Blend`` for each modality that has a camera.
 
     Args:
         blends: by modality.
+        median_depths: z-depths at which half of the light is blocked, scene units, [H, W] each; NaN
+            where less than half is. Empty where they were not asked for, as in training.
     """
 
-    def __init__(self, blends: Mapping[Modality, Blend]) -> None:
+    def __init__(
+        self,
+        blends: Mapping[Modality, Blend],
+        median_depths: Mapping[Modality, Float[Tensor, "h w"]] | None = None,
+    ) -> None:
         self._blends = dict(blends)
+        self._median_depths = dict(median_depths or {})
 
     def __getitem__(self, modality: Modality) -> Blend:
         return self._blends[modality]
@@ -92,19 +73,46 @@ class Rendering(Mapping[Modality, Blend]):
         """The images side by side, for a notebook."""
         return preview_png([blend.image for blend in self.values()])
 
+    def has_depth(self, modality: Modality) -> bool:
+        """Whether the depth of a modality is known."""
+        return modality in self._median_depths or not bool(self[modality].depth.isnan().all())
+
     def with_depth(self, first: Modality) -> Modality | None:
         """The modality whose depth is shown or scored: ``first`` if its depth is known, or else
         another one; None if there is no depth."""
-        known = [modality for modality, blend in self.items() if blend.has_depth]
+        known = [modality for modality in self if self.has_depth(modality)]
         return first if first in known else next(iter(known), None)
+
+    def surface_depth(
+        self, modality: Modality, min_alpha: float = 0.5, max_step: float | None = None
+    ) -> Float[Tensor, "h w"]:
+        """z-depth of the surface that a pixel of a modality shows: the median depth, or where that
+        was not asked for D / A, the blended depth without the share of the background.
+
+        Args:
+            modality: whose image it is.
+            min_alpha: a pixel that is covered less shows no surface.
+            max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
+                of more lies on an outline, where the mean depth is that of neither surface. None to
+                keep outlines.
+
+        Returns:
+            Scene units, NaN where there is no surface, [H, W].
+        """
+        _, depth, alpha = self[modality]
+        surface = self._median_depths.get(modality)
+        if surface is None:
+            surface = depth / alpha.clamp_min(min_alpha)
+        surface = torch.where(alpha < min_alpha, torch.nan, surface)
+        if max_step is None:
+            return surface
+        return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
 
     def cpu(self) -> Rendering:
         """The same images in the host's memory."""
         return Rendering(
-            {
-                modality: Blend(*(tensor.cpu() for tensor in blend))
-                for modality, blend in self.items()
-            }
+            {each: Blend(*(tensor.cpu() for tensor in blend)) for each, blend in self.items()},
+            {each: depth.cpu() for each, depth in self._median_depths.items()},
         )
 
     def with_images(self, images: Mapping[Modality, Float[Tensor, "h w c"]]) -> Rendering:
@@ -113,7 +121,8 @@ class Rendering(Mapping[Modality, Blend]):
             {
                 modality: blend._replace(image=images.get(modality, blend.image))
                 for modality, blend in self.items()
-            }
+            },
+            self._median_depths,
         )
 
 

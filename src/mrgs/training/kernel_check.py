@@ -85,7 +85,7 @@ def check_rendering(model: Model, image_model: ImageModel, *devices: torch.devic
     cameras = dict.fromkeys(sample.gaussians.modalities, camera)
     with checking(gradients=False), torch.no_grad():
         for device in devices:
-            rendering = render(sample.to(device), cameras)[0].cpu()
+            rendering = render(sample.to(device), cameras, with_median_depth=True)[0].cpu()
             image_model.expected(rendering, camera)
 
 

@@ -75,7 +75,7 @@ def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
     background the coldest things may well be transparent in the thermal image.
     """
     depths = [
-        rendering[modality].surface_depth(SOLID_ALPHA) for modality in metric_first(rendering)
+        rendering.surface_depth(modality, SOLID_ALPHA) for modality in metric_first(rendering)
     ]
     return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
 

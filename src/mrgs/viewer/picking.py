@@ -116,7 +116,7 @@ def read_point(
         min(int(v * camera.height), camera.height - 1),
     )
     with torch.no_grad():
-        rendering, _ = render(model, subject.cameras(camera))
+        rendering, _ = render(model, subject.cameras(camera), with_median_depth=True)
         depth = surface_depth(rendering)[row, column].item()
         if not math.isfinite(depth):
             return None

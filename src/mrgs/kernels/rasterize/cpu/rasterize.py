@@ -13,8 +13,9 @@ from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.rasterize.cpu.blend import blend
 from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
+from mrgs.kernels.rasterize.cpu.median import median
 from mrgs.kernels.rasterize.cpu.projection import project, project_backward
-from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
+from mrgs.kernels.rasterize.cpu.tiles import TileLists, depth_order, gather_splats, tile_lists
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import Layer, Raster
 from mrgs.scene import Blend
@@ -36,13 +37,7 @@ class _FusedPass(torch.autograd.Function):
         *tensors, viewmat, K, width, height = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         *gaussians, backgrounds, offset = (tensor.detach().numpy() for tensor in tensors)
-        count = gaussians[0].shape[0]
-        splats = np.empty((count, splat.SPLAT_FLOATS), np.float32)
-        radii = np.empty(count, np.float32)
-        project(*gaussians, viewmat, K, width, height, offset, splats, radii)
-        order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
-        splats = gather_splats(splats, order)
-        lists = tile_lists(splats, order, count, width, height)
+        splats, lists, radii = _listed_splats(gaussians, viewmat, K, width, height, offset)
         shapes = [
             shape
             for c in _SLOT_CHANNELS
@@ -84,6 +79,61 @@ class _FusedPass(torch.autograd.Function):
         ]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
         return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None)
+
+
+def _listed_splats(
+    gaussians: Sequence[np.ndarray],
+    viewmat: np.ndarray,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    offset: np.ndarray,
+) -> tuple[np.ndarray, TileLists, np.ndarray]:
+    """The projected Gaussians in depth order [V, 16], the tiles' lists of them, and the radii [N].
+
+    Args:
+        gaussians: means, quats, scales, opacities [N, 2], features [N, 4].
+        viewmat, K: float64.
+        width, height: pixels.
+        offset: of the projected centres, [N, 2].
+    """
+    count = gaussians[0].shape[0]
+    splats = np.empty((count, splat.SPLAT_FLOATS), np.float32)
+    radii = np.empty(count, np.float32)
+    project(*gaussians, viewmat, K, width, height, offset, splats, radii)
+    order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
+    splats = gather_splats(splats, order)
+    return splats, tile_lists(splats, order, count, width, height), radii
+
+
+def median_depth(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    opacities: Float[Tensor, " n"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+) -> Float[Tensor, "h w"]:
+    """``reference.median_depth`` for float32 tensors on the CPU.
+
+    Raises:
+        ValueError: tensors of other types or sizes.
+    """
+    count = means.shape[0]
+    both = torch.stack([opacities.detach(), opacities.new_zeros(count)], dim=1)
+    features, offset = means.new_zeros(count, 4), means.new_zeros(count, 2)
+    _check(means, quats, scales, both, features, means.new_zeros(4), offset)
+    gaussians = [
+        tensor.detach().contiguous().numpy() for tensor in (means, quats, scales, both, features)
+    ]
+    splats, lists, _ = _listed_splats(
+        gaussians, _float64(viewmat), _float64(K), width, height, offset.numpy()
+    )
+    depth = np.empty((height, width), np.float32)
+    median(splats, lists.tile_splats, lists.tile_starts, depth)
+    return torch.from_numpy(depth)
 
 
 def rasterize(

@@ -3,6 +3,6 @@
 Importing this package imports Triton; ``mrgs.system.gpu.runs_triton`` says whether to.
 """
 
-from mrgs.kernels.rasterize.gpu.rasterize import rasterize
+from mrgs.kernels.rasterize.gpu.rasterize import median_depth, rasterize
 
-__all__ = ["rasterize"]
+__all__ = ["median_depth", "rasterize"]

@@ -16,6 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from mrgs.errors import MrgsError
 from mrgs.kernels.gpu_spec import Arguments
+from mrgs.kernels.rasterize import cpu
 from mrgs.kernels.rasterize.gpu import kernels
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
 from mrgs.rasterizer.contract import Layer, Raster
@@ -198,6 +199,25 @@ def _project_backward(what: _Pass, buffers: Arguments) -> None:
     for name, shape in shapes.items():
         buffers[f"grad_{name}"] = buffers["means"].new_empty(buffers["count"], *shape)
     kernels.PROJECT_BACKWARD[what.layers].launch(_programs(buffers["count"]), buffers)
+
+
+def median_depth(
+    means: Float[Tensor, "n 3"],
+    quats: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    opacities: Float[Tensor, " n"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+) -> Float[Tensor, "h w"]:
+    """``reference.median_depth`` for float32 tensors on a GPU, computed by the host: no training
+    needs it."""
+    found: Tensor = cpu.median_depth(
+        means.detach().cpu(), quats.detach().cpu(), scales.detach().cpu(),
+        opacities.detach().cpu(), viewmat.cpu(), K.cpu(), width, height,
+    )  # fmt: skip
+    return found.to(means.device)
 
 
 def rasterize(

@@ -1,0 +1,110 @@
+"""Median depth of a layer: the walk of ``blend``, until half of the light is blocked."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+
+from mrgs.kernels.jit import strict_inlined_kernel, strict_kernel, strict_parallel_kernel
+from mrgs.kernels.rasterize.cpu.blend import (
+    ALL_VECTORS,
+    HALF,
+    TILE_PIXELS,
+    TRANSMITTANCE,
+    VECTOR_ROWS,
+    contribution,
+    interleaved,
+    log2_gaussian,
+    open_transmittance,
+    vector_range,
+)
+from mrgs.kernels.rasterize.cpu.simd import (
+    LANES,
+    any_lane,
+    broadcast,
+    exp2,
+    lane_columns,
+    lane_rows,
+    load,
+    pointer,
+    prefetch,
+    read,
+    select,
+    stack_floats,
+    store,
+    write,
+)
+from mrgs.kernels.rasterize.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
+from mrgs.rasterizer import splat
+
+NAN = np.float32(np.nan)
+
+_MEDIAN = TILE_PIXELS
+_TILE_FLOATS = 2 * TILE_PIXELS
+"""Behind a tile's plane of T stands that of its median depths, NaN until they are found."""
+
+
+@strict_inlined_kernel()
+def _pass_half(planes, at, splats, record, gaussian):
+    """Let a splat take its share of T in a vector of pixels, and note the median where T falls to
+    one half; whether it is still above that anywhere."""
+    half = broadcast(HALF)
+    ahead = load(planes, at + TRANSMITTANCE)
+    _, _, _, _, behind = contribution(planes, at, splats, record, splat.COLOR, gaussian)
+    crosses = (half < ahead) & (half >= behind)
+    depth = broadcast(read(splats, record + splat.DEPTH))
+    store(planes, at + _MEDIAN, select(crosses, depth, load(planes, at + _MEDIAN)))
+    return any_lane(half < behind)
+
+
+@strict_kernel()
+def _walk_tile(planes, splats, tile_splats, first, last, x0, y0):
+    """Walk the tile's list front to back; leave when every pixel has its median."""
+    centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))
+    centres_y = lane_rows(TILE_WIDTH) + broadcast(np.float32(y0 + 0.5))
+    live_vectors = ALL_VECTORS
+    for position in range(first, last):
+        record = tile_splats[position] * splat.SPLAT_FLOATS
+        prefetch(splats, tile_splats[min(position + PREFETCH_AHEAD, last - 1)] * splat.SPLAT_FLOATS)
+        dx = centres_x - broadcast(read(splats, record + splat.MEAN_X))
+        first_dy = centres_y - broadcast(read(splats, record + splat.MEAN_Y))
+        threshold = broadcast(read(splats, record + splat.THRESHOLD))
+        first_vector, last_vector = vector_range(splats, record, y0)
+        for vector in range(first_vector, last_vector + 1):
+            if not (live_vectors >> vector) & 1:
+                continue
+            dy = first_dy + broadcast(np.float32(vector * VECTOR_ROWS))
+            exponent = log2_gaussian(splats, record, dx, dy)
+            if not any_lane(exponent >= threshold):
+                continue
+            if not _pass_half(planes, vector * LANES, splats, record, exp2(exponent)):
+                live_vectors &= ~(1 << vector)
+        if live_vectors == 0:
+            break
+
+
+@strict_parallel_kernel()
+def median(splats, tile_splats, tile_starts, depth):
+    """Fill the median depth [H, W] of the first layer, whose opacities stand in ``splat.COLOR``.
+
+    Args:
+        splats: records in depth order, [V, 16].
+        tile_splats, tile_starts: the tiles' lists.
+        depth: NaN where more than half of the light passes all splats.
+    """
+    height, width = depth.shape
+    tiles_x = (width + TILE_WIDTH - 1) // TILE_WIDTH
+    tiles = tile_starts.size - 1
+    for index in prange(tiles):
+        tile = interleaved(index, tiles)
+        x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
+        planes = stack_floats(_TILE_FLOATS)
+        for at in range(TILE_PIXELS):
+            write(planes, _MEDIAN + at, NAN)
+        open_transmittance(planes, 0, x0, y0, width, height)
+        _walk_tile(
+            planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0
+        )
+        for row in range(min(TILE_HEIGHT, height - y0)):
+            for column in range(min(TILE_WIDTH, width - x0)):
+                depth[y0 + row, x0 + column] = read(planes, _MEDIAN + row * TILE_WIDTH + column)
