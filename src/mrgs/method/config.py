@@ -23,7 +23,12 @@ PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True)
 PLUS_OPAQUE = 0.1
-"""What ``mrgs-plus`` adds to ``mrgs``."""
+"""What ``mrgs-plus`` has and no published method."""
+
+FITTED_RESIDUALS = 300
+TEMPERATURE_SCALE = 1.0
+"""What keeps the thermal branch alive where temperatures start as the photos have them: t̂ is
+fitted to these, and t_i starts as the rest."""
 
 CPU_RATES = {
     "means": 4.8e-4,
@@ -120,11 +125,12 @@ class TrainConfig:
         """Highest degree of the temperature's spherical harmonics in use at this step, as far as
         there are any.
 
-        Where they come on top of t + t̂, every second step goes without them: what does not depend
-        on the view must be a model by itself, because exports have nothing else. Without residuals
-        (3DGS_RGB-T) it is as published.
+        Where their degree follows from the photos, every second step goes without them: what does
+        not depend on the view must be a model by itself, because exports have nothing else. A
+        degree that is given is used as in 3DGS.
         """
-        return 0 if self.field.residuals and step % 2 == 0 else self.sh_degree_at(step)
+        goes_without = self.temperature_sh_degree is None and step % 2 == 0
+        return 0 if goes_without else self.sh_degree_at(step)
 
 
 def make_config(
@@ -179,10 +185,13 @@ def _without_radiation(config: TrainConfig) -> TrainConfig:
 
 
 def _plus(config: TrainConfig) -> TrainConfig:
-    """With a model of the thermal camera, and L_opaque."""
+    """Two opacities, temperatures of their own, a model of the thermal camera and L_opaque; without
+    embedding, heads, heat transformation and L_boltz, which gain nothing beside them."""
     return replace(
         config,
         temperature_sh_degree=None,
+        field=replace(config.field, residuals=False),
+        radiation=None,
         loss=replace(config.loss, opaque=PLUS_OPAQUE),
         image_model=PLUS_IMAGE_MODEL,
     )
@@ -209,13 +218,16 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     steps, max_gaussians = {"fast": (1_500, 20_000), "default": (4_000, 50_000)}[preset]
     config = _with_steps(config, steps)
     densification = replace(config.densification, max_gaussians=max_gaussians)
-    field = replace(config.field, hidden_width=CPU_HIDDEN_WIDTH)
+    field = replace(
+        config.field, hidden_width=CPU_HIDDEN_WIDTH, temperature_scale=TEMPERATURE_SCALE
+    )
     loss = replace(config.loss, smooth_rgb=0.0, smooth_thermal=0.25, smooth_depth=0.0)
     optimizer = replace(config.optimizer, **CPU_RATES)
     return replace(
         config,
         distant_points=True,
         photo_temperatures=True,
+        fitted_residuals=FITTED_RESIDUALS,
         densification=densification,
         field=field,
         loss=loss,

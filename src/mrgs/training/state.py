@@ -21,7 +21,7 @@ from mrgs.method.start.fitted_residuals import fit_residuals
 from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import model_modalities, start_points
 from mrgs.render import Model
-from mrgs.scene import Scene, in_order
+from mrgs.scene import THERMAL, Scene, in_order
 from mrgs.system.gpu import HOST
 from mrgs.training.views import ViewSampler
 
@@ -172,15 +172,11 @@ def initial_state(
         field = RadianceField(config.field)
         all_terms = configured_terms(config, terms, modalities)
         field.set_frame(scene.points.positions)
-        gaussians = initial_gaussians(
-            start_points(scene, config),
-            field,
-            shares_opacity,
-            config.temperature_sh_degree_of(capture),
-            strategy.max_gaussians,
-            generator,
-        )
-        fit_residuals(field, gaussians, config.fitted_residuals, generator)
+        points = start_points(scene, config).at_most(strategy.max_gaussians, generator)
+        degree = config.temperature_sh_degree_of(capture)
+        gaussians = initial_gaussians(points, field, shares_opacity, degree)
+        steps = config.fitted_residuals
+        fit_residuals(field, gaussians, points.values[THERMAL], steps, generator)
     model = Model(gaussians, field, neighbours=None, sh_degree=0).to(device)
     return TrainingState.around(model, all_terms, strategy, config, capture, generator)
 

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import pytest
 import torch
 
+from mrgs.errors import KernelWarning
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
 from mrgs.method.start.fitted_residuals import fit_residuals
 from mrgs.scene import RGB, THERMAL, Gaussians
+from mrgs.system.operation import Operation
 from tests.helpers.gaussians import random_gaussians
 
 CAMERA = torch.zeros(3)
@@ -21,8 +24,8 @@ def start(**options) -> tuple[RadianceField, Gaussians, torch.Tensor]:
     gaussians.embedding = field.initial_embedding(gaussians.means)
     x = gaussians.means[:, :1]
     temperatures = 0.2 + 0.6 * (x - x.min()) / (x.max() - x.min())
-    temperatures[-10:] = 0.5
-    gaussians.sh_dc[THERMAL] = ((temperatures - 0.5) / C0)[:, None]
+    temperatures[-10:] = torch.nan
+    gaussians.sh_dc[THERMAL] = ((temperatures.nan_to_num(nan=0.5) - 0.5) / C0)[:, None]
     return field, gaussians, temperatures
 
 
@@ -34,7 +37,7 @@ def temperatures_of(field: RadianceField, gaussians: Gaussians) -> torch.Tensor:
 
 def test_temperatures_stay_those_of_the_photos_and_the_residual_carries_them() -> None:
     field, gaussians, temperatures = start()
-    fit_residuals(field, gaussians, 200, torch.Generator().manual_seed(0))
+    fit_residuals(field, gaussians, temperatures, 200, torch.Generator().manual_seed(0))
     found = temperatures_of(field, gaussians)
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
     own = C0 * gaussians.sh_dc[THERMAL][:-10, 0, 0]
@@ -42,8 +45,8 @@ def test_temperatures_stay_those_of_the_photos_and_the_residual_carries_them() -
 
 
 def test_a_gaussian_that_no_photo_shows_takes_what_the_layers_know_of_its_place() -> None:
-    field, gaussians, _ = start(position_frequencies=2)
-    fit_residuals(field, gaussians, 300, torch.Generator().manual_seed(0))
+    field, gaussians, temperatures = start(position_frequencies=2)
+    fit_residuals(field, gaussians, temperatures, 300, torch.Generator().manual_seed(0))
     assert (gaussians.sh_dc[THERMAL][-10:] == 0).all()
     x = gaussians.means[:, :1]
     expected = 0.2 + 0.6 * (x - x.min()) / (x.max() - x.min())
@@ -51,14 +54,29 @@ def test_a_gaussian_that_no_photo_shows_takes_what_the_layers_know_of_its_place(
     assert error.mean() < 0.5 * (expected - 0.5)[-10:].abs().mean()
 
 
-def test_nothing_happens_without_steps_residuals_or_photos() -> None:
-    for options, steps, level in (({}, 0, None), ({"residuals": False}, 50, None), ({}, 50, 0.0)):
-        field, gaussians, _ = start(**options)
-        if level is not None:
-            gaussians.sh_dc[THERMAL] = torch.full_like(gaussians.sh_dc[THERMAL], level)
-        before = gaussians.sh_dc[THERMAL].clone()
-        state = {name: tensor.clone() for name, tensor in field.state_dict().items()}
-        fit_residuals(field, gaussians, steps, torch.Generator())
-        assert torch.equal(gaussians.sh_dc[THERMAL], before)
-        for name, tensor in field.state_dict().items():
-            assert torch.equal(tensor, state[name])
+@pytest.mark.parametrize(
+    ("options", "steps", "known"),
+    [({}, 0, True), ({"residuals": False}, 50, True), ({}, 50, False)],
+)
+def test_nothing_happens_without_steps_residuals_or_photos(options, steps, known) -> None:
+    field, gaussians, temperatures = start(**options)
+    if not known:
+        temperatures = torch.full_like(temperatures, torch.nan)
+    before = gaussians.sh_dc[THERMAL].clone()
+    state = {name: tensor.clone() for name, tensor in field.state_dict().items()}
+    fit_residuals(field, gaussians, temperatures, steps, torch.Generator())
+    assert torch.equal(gaussians.sh_dc[THERMAL], before)
+    for name, tensor in field.state_dict().items():
+        assert torch.equal(tensor, state[name])
+
+
+def test_an_edited_equation_is_fitted_and_not_its_kernel(monkeypatch) -> None:
+    operation = RadianceField.temperature_residuals
+    edited = Operation(lambda *arguments: 2 * operation.plain(*arguments))
+    edited.name = operation.name
+    monkeypatch.setattr(RadianceField, "temperature_residuals", edited)
+    field, gaussians, temperatures = start()
+    with pytest.warns(KernelWarning, match="the kernel differs from the plain definition"):
+        fit_residuals(field, gaussians, temperatures, 200, torch.Generator().manual_seed(0))
+    found = temperatures_of(field, gaussians)
+    torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)

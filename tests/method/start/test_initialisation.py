@@ -32,9 +32,8 @@ def start(
     points: StartPoints, shares_opacity=False, degree=0, cap=1_000, seed=0, **field
 ) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
-    return initial_gaussians(
-        points, RadianceField(FieldConfig(**field)), shares_opacity, degree, cap, generator
-    )
+    points = points.at_most(cap, generator)
+    return initial_gaussians(points, RadianceField(FieldConfig(**field)), shares_opacity, degree)
 
 
 @pytest.mark.parametrize("degree", [0, 3])
@@ -109,3 +108,9 @@ def test_parameters_share_no_memory():
     gaussians.means.zero_()
     assert (gaussians.opacity_logits[THERMAL] != 0).all()
     assert (points.positions != 0).any()
+
+
+def test_a_temperature_that_is_not_known_is_the_middle_of_the_range():
+    points = cloud(3)
+    points.values[THERMAL][1] = torch.nan
+    assert start(points).sh_dc[THERMAL][:, 0, 0].tolist()[1] == 0.0

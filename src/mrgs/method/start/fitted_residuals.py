@@ -8,11 +8,13 @@ the layers are fitted to these temperatures first, and t_i starts as what they c
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
-from mrgs.method.start.start_points import UNSEEN
 from mrgs.scene import THERMAL, Gaussians
+from mrgs.system.operation import checking
 
 ROWS = 2_000
 """Gaussians that a step of the fit looks at."""
@@ -21,37 +23,47 @@ RATE = 5e-3
 
 
 def fit_residuals(
-    field: RadianceField, gaussians: Gaussians, steps: int, generator: torch.Generator
+    field: RadianceField,
+    gaussians: Gaussians,
+    temperatures: Float[Tensor, "n 1"],
+    steps: int,
+    generator: torch.Generator,
 ) -> None:
     """Fit t̂ to the Gaussians' temperatures, and leave in t_i what remains.
 
     Args:
         field: changed in place; without residuals nothing is done.
-        gaussians: their temperature coefficients of degree 0 are changed in place. One that no
-            photo shows (at 0.5) does not count, and gets t_i = 0: its neighbours speak for it.
+        gaussians: their temperature coefficients of degree 0 are changed in place.
+        temperatures: of the Gaussians, normalised, [N, 1]; NaN where no photo tells. Such a
+            Gaussian does not count, and gets t_i = 0: its neighbours speak for it.
         steps: of Adam.
         generator: of the Gaussians that a step looks at.
+
+    Warns:
+        KernelWarning: a kernel of the branch differs from its plain definition.
     """
-    if not field.config.residuals or steps == 0:
+    target = temperatures - 0.5
+    known = target[:, 0].isfinite().nonzero()[:, 0]
+    if not field.config.residuals or steps == 0 or len(known) == 0:
         return
     k = field.config.neighbours_k
     neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
-    target = C0 * gaussians.sh_dc[THERMAL][:, 0]
-    seen = (target[:, 0] != UNSEEN - 0.5).nonzero()[:, 0]
-    if len(seen) == 0:
-        return
+
+    def residuals_of(rows: Int64[Tensor, " v"] | None) -> Float[Tensor, "v 1"]:
+        found: Tensor = field.temperature_residuals(gaussians, neighbours, rows, 0)
+        return found
+
     with torch.no_grad():
-        field.temperature_output.bias.fill_(target[seen].mean() / field.config.temperature_scale)
+        field.temperature_output.bias.fill_(target[known].mean() / field.config.temperature_scale)
+    with checking():
+        residuals_of(known[:ROWS])
     adam = torch.optim.Adam(field.parameters(), lr=RATE)
     for step in range(steps):
         adam.param_groups[0]["lr"] = RATE * (1 - step / steps)
-        chosen = seen[torch.randperm(len(seen), generator=generator)[:ROWS]]
-        residuals = field.temperature_residuals(gaussians, neighbours, chosen, 0)
-        (residuals - target[chosen]).abs().mean().backward()
+        chosen = known[torch.randperm(len(known), generator=generator)[:ROWS]]
+        (residuals_of(chosen) - target[chosen]).abs().mean().backward()
         adam.step()
         adam.zero_grad()
     with torch.no_grad():
-        residuals = field.temperature_residuals(gaussians, neighbours, None, 0)
-        own = torch.zeros_like(target)
-        own[seen] = target[seen] - residuals[seen]
+        own = (target - residuals_of(None)).nan_to_num(nan=0.0)
         gaussians.sh_dc[THERMAL].copy_((own / C0)[:, None])

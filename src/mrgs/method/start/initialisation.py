@@ -12,6 +12,9 @@ from mrgs.method.start.start_points import StartPoints
 from mrgs.scene import THERMAL, Gaussians
 
 INITIAL_SCALE_NEIGHBOURS = 3
+UNSEEN = 0.5
+"""Colour and temperature of a point of which no photo tells them."""
+
 SMALLEST_DISTANCE = 1e-7
 """Coincident points still become Gaussians of some size (scene units)."""
 
@@ -21,8 +24,6 @@ def initial_gaussians(
     field: RadianceField,
     shares_opacity: bool,
     temperature_sh_degree: int,
-    max_gaussians: int,
-    generator: torch.Generator,
 ) -> Gaussians:
     """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest
     points (3DGS).
@@ -31,19 +32,13 @@ def initial_gaussians(
     neighbours.
 
     Args:
-        points: start points; a random subset if there are more than ``max_gaussians``.
+        points: start points.
         field: gives e_m its start; its frame must be set.
         shares_opacity: whether all modalities are blended with o_c.
         temperature_sh_degree: degree of the temperature's spherical harmonics, 0 to 3.
-        max_gaussians: the cap.
-        generator: of the subset.
     """
     count = len(points.positions)
-    if count > max_gaussians:
-        points = points.rows(
-            torch.randperm(count, generator=generator)[:max_gaussians].sort().values
-        )
-        count = max_gaussians
+    values = {each: known.nan_to_num(nan=UNSEEN) for each, known in points.values.items()}
     means = points.positions.clone()
     degrees = dict.fromkeys(points.values, MAX_DEGREE) | {THERMAL: temperature_sh_degree}
     blended = list(points.opacities)[: 1 if shares_opacity else None]
@@ -52,7 +47,7 @@ def initial_gaussians(
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         log_scales=torch.minimum(_spacing(means), points.max_scales).log()[:, None].repeat(1, 3),
         opacity_logits={each: points.opacities[each].logit()[:, None] for each in blended},
-        sh_dc={each: ((values - 0.5) / C0)[:, None] for each, values in points.values.items()},
+        sh_dc={each: ((value - 0.5) / C0)[:, None] for each, value in values.items()},
         sh_rest={
             each: torch.zeros(count, (degrees[each] + 1) ** 2 - 1, each.channels)
             for each in points.values

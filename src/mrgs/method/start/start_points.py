@@ -28,9 +28,6 @@ THERMAL_OPACITY = 0.5
 everywhere as what lies behind it would stay half transparent: nothing in a thermal photo asks it to
 become opaque."""
 
-UNSEEN = 0.5
-"""Colour and temperature of a point that no photo shows."""
-
 DISTANT_OPACITY = 0.9
 """Nothing lies behind a distant point; and were it not opaque, the nearer surfaces would grow to
 fill the sky."""
@@ -46,7 +43,8 @@ class StartPoints(NamedTuple):
 
     Attributes:
         positions: in world coordinates, [N, 3].
-        values: of each modality of C channels, in [0, 1], [N, C]: colours, normalised temperatures.
+        values: of each modality of C channels, in [0, 1], [N, C]: colours, normalised temperatures;
+            NaN where they are not known.
         opacities: of each modality, [N].
         max_scales: no Gaussian starts larger than this, scene units, [N]; infinite where the
             spacing alone decides.
@@ -57,8 +55,11 @@ class StartPoints(NamedTuple):
     opacities: dict[Modality, Float[Tensor, " n"]]
     max_scales: Float[Tensor, " n"]
 
-    def rows(self, chosen: Tensor) -> StartPoints:
-        """Some of the points."""
+    def at_most(self, count: int, generator: torch.Generator) -> StartPoints:
+        """These points, or a random subset of them if there are more than ``count``."""
+        if len(self.positions) <= count:
+            return self
+        chosen = torch.randperm(len(self.positions), generator=generator)[:count].sort().values
         return StartPoints(
             self.positions[chosen],
             {modality: values[chosen] for modality, values in self.values.items()},
@@ -105,7 +106,7 @@ def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartP
     like = cloud.positions[:, 0]
     return StartPoints(
         cloud.positions,
-        _unseen(modalities, len(like)) | {RGB: cloud.colors},
+        _unknown(modalities, len(like)) | {RGB: cloud.colors},
         {modality: torch.full_like(like, OPACITY) for modality in modalities},
         torch.full_like(like, torch.inf),
     )
@@ -122,7 +123,7 @@ def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
     like = distant.positions[:, 0]
     added = StartPoints(
         distant.positions,
-        _unseen(tuple(points.values), count) | {RGB: colors.nan_to_num(nan=UNSEEN)},
+        _unknown(tuple(points.values), count) | {RGB: colors},
         {modality: torch.full_like(like, DISTANT_OPACITY) for modality in points.opacities},
         torch.full_like(like, DISTANT_SIZE * distant.spacing),
     )
@@ -135,13 +136,13 @@ def _with_photo_values(points: StartPoints, scene: Scene, modality: Modality) ->
     unseen, opacities = values.isnan().any(dim=1), points.opacities[modality]
     opaque = opacities.clamp_min(THERMAL_OPACITY)
     return points._replace(
-        values=points.values | {modality: values.nan_to_num(nan=UNSEEN)},
+        values=points.values | {modality: values},
         opacities=points.opacities | {modality: torch.where(unseen, opacities, opaque)},
     )
 
 
-def _unseen(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Tensor]:
-    return {each: torch.full((count, each.channels), UNSEEN) for each in modalities}
+def _unknown(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Tensor]:
+    return {each: torch.full((count, each.channels), torch.nan) for each in modalities}
 
 
 def _photos(scene: Scene, modality: Modality) -> list[PosedImage]:
