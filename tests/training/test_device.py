@@ -278,7 +278,7 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, gpu_device, monkeyp
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
     device = torch.device("meta")
-    config = harmonic(short_config(method, sh_every=1, image_model=EVERY_PART))
+    config = harmonic(short_config(method, sh_every=1, image_model=EVERY_PART, fitted_residuals=0))
     scene = load_scene(small_scene, resolution=8)
     state = initial_state(scene, config, device)
     if config.field.neighbours_k > 0:

@@ -17,11 +17,13 @@ SOURCE = Path(__file__).parents[2] / "src"
 
 TRAIN = """
 import sys, warnings
+from dataclasses import replace
 from mrgs.errors import MrgsWarning
 from mrgs.training import make_config, train
 
 scene, output, mode, *opened = sys.argv[1:]
 config = make_config("mrgs", "fast", max_steps=20, resolution=24)
+config = replace(config, fitted_residuals=20)  # steps on the same points multiply rounding
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always", MrgsWarning)
     for path in opened:

@@ -150,11 +150,11 @@ def test_every_method_trains(method, small_scene, tmp_path):
     assert [entry.skipped for entry in statistics] == [False] * 3
     expected = {"rgb", "thermal"}
     expected |= set() if method == "3dgs-rgbt" else {"smooth"}
-    expected |= {"boltzmann"} if method in ("mrgs", "mrgs-boltz", "mrgs-plus") else set()
+    expected |= {"boltzmann"} if method in ("mrgs", "mrgs-boltz") else set()
     expected |= {"opaque"} if method == "mrgs-plus" else set()
     assert set(statistics[0].terms) == expected
     tensors = load_file(folder.newest_checkpoint())
-    assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier", "mrgs-plus"))
+    assert ("neighbours" in tensors) == (method in ("mrgs", "mrgs-fourier"))
     assert ("gaussians.opacity_logit.thermal" in tensors) == (method != "3dgs-rgbt")
 
 

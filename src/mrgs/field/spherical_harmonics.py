@@ -80,6 +80,8 @@ def evaluate_sh(
     """
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
     constant = C0 * dc[:, 0]
+    if rest.shape[1] == 0:
+        return constant
     if bands == 0:
         return constant + rest[:, :0].sum(
             dim=1

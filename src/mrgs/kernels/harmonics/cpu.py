@@ -85,9 +85,9 @@ class _Shade(torch.autograd.Function):
         saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
         gradients = [np.zeros(array.shape, np.float32) for array in saved[:3]]
         _backward(*saved, ctx.bands, ctx.floor, grads[0].contiguous().numpy(), *gradients)
-        means, *coefficients = (torch.from_numpy(array) for array in gradients)
+        means, dc, rest = (torch.from_numpy(array) for array in gradients)
         camera = -means.sum(dim=0) if ctx.needs_input_grad[3] else None
-        return means, *coefficients, camera, None, None, None
+        return means, dc, rest if rest.shape[1] else None, camera, None, None, None
 
 
 @reordering_parallel_kernel

@@ -7,10 +7,13 @@ the layers are fitted to these temperatures first, and t_i starts as what they c
 
 from __future__ import annotations
 
+import warnings
+
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from mrgs.errors import KernelWarning
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
 from mrgs.scene import THERMAL, Gaussians
@@ -38,9 +41,6 @@ def fit_residuals(
             Gaussian does not count, and gets t_i = 0: its neighbours speak for it.
         steps: of Adam.
         generator: of the Gaussians that a step looks at.
-
-    Warns:
-        KernelWarning: a kernel of the branch differs from its plain definition.
     """
     target = temperatures - 0.5
     known = target[:, 0].isfinite().nonzero()[:, 0]
@@ -55,9 +55,10 @@ def fit_residuals(
 
     with torch.no_grad():
         field.temperature_output.bias.fill_(target[known].mean() / field.config.temperature_scale)
-    with checking():
+    with checking(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", KernelWarning)  # the training's own check names the kernel
         residuals_of(known[:ROWS])
-    adam = torch.optim.Adam(field.parameters(), lr=RATE)
+    adam = torch.optim.Adam(field.parameters(), lr=RATE, fused=True)
     for step in range(steps):
         adam.param_groups[0]["lr"] = RATE * (1 - step / steps)
         chosen = known[torch.randperm(len(known), generator=generator)[:ROWS]]
