@@ -137,7 +137,7 @@ class TrainedRun(ABC):
         maps = []
         for camera in surveying_cameras(cameras):
             rendering = self.render_cameras({THERMAL: camera})
-            depth = rendering[THERMAL].surface_depth(MIN_ALPHA, MAX_STEP)
+            depth = rendering.surface_depth(THERMAL, MIN_ALPHA, MAX_STEP)
             distant = scene.reach.without_background(camera, depth).float()
             celsius = self.temperatures_c(rendering)[..., None]
             maps.append(DepthMap(camera, distant.numpy(), celsius.numpy()))

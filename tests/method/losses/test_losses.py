@@ -192,11 +192,11 @@ def test_heat_is_blocked_where_light_is():
     assert by_depth == [0, 0, 0]
 
 
-def test_heat_does_not_come_from_behind_what_light_shows():
+def test_heat_does_not_come_from_behind_what_light_shows_and_seldom_from_before_it():
     """A wall at 2, seen by heat at 2.5 behind it, at 1.5 before it, far behind it, and where light
     is not blocked."""
     loss, _, by_depth = opaqueness(
         [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.4], [2.5, 1.5, 8.0, 9.0], [2.0, 2.0, 2.0, 0.8]
     )
-    assert loss == pytest.approx((0.2 + 0 + 0.75 + 0) / 4)
-    assert by_depth == pytest.approx([2 / 2.5**2 / 4, 0, 2 / 8.0**2 / 4, 0])
+    assert loss == pytest.approx((0.2 + 0.3 * 0.25 + 0.75 + 0) / 4)
+    assert by_depth == pytest.approx([2 / 2.5**2 / 4, -0.3 / 2 / 4, 2 / 8.0**2 / 4, 0])

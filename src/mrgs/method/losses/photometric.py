@@ -20,6 +20,9 @@ HALF_COVERED = 0.5
 
 SMALLEST_DEPTH = 1e-6
 
+BEFORE = 0.3
+"""Weight of a thermal surface before the colours', which fog may be, or glass."""
+
 
 @dataclass(frozen=True)
 class LossConfig:
@@ -88,11 +91,12 @@ def opaqueness_loss(
 ) -> Float[Tensor, ""]:
     """L_opaque: what blocks light blocks heat radiation too; not in the paper.
 
-    The mean of max(0, α_c − α_t) + max(0, 1 − d_c / d_t), with d = D / α the depth of the surface:
-    the thermal image may neither be more transparent than the colours nor look behind what they
-    show. Without it a surface whose temperature is that of what lies behind it, or of the
-    background, may as well be transparent. Glass, which lets light pass alone, is left free: α_c
-    and d_c carry no gradient.
+    The mean of max(0, α_c − α_t) + max(0, 1 − d_c / d_t) + 0.3 max(0, 1 − d_t / d_c), with d = D /
+    α the depth of the surface: the thermal image may neither be more transparent than the colours
+    nor look behind what they show. Without it a surface whose temperature is that of what lies
+    behind it, or of the background, may as well be transparent. What the thermal image shows before
+    the colours' surface costs less: it may be glass, which lets light pass alone. α_c and d_c carry
+    no gradient.
 
     Args:
         alpha_thermal: accumulated alpha of the thermal blend.
@@ -104,9 +108,9 @@ def opaqueness_loss(
     surface_rgb = depth_rgb.detach() / alpha_rgb.clamp_min(HALF_COVERED)
     surface_thermal = depth_thermal / alpha_thermal.clamp_min(HALF_COVERED)
     behind = (1 - surface_rgb / surface_thermal.clamp_min(SMALLEST_DEPTH)).relu()
-    return (
-        (alpha_rgb - alpha_thermal).relu() + torch.where(alpha_rgb >= HALF_COVERED, behind, 0)
-    ).mean()
+    before = (1 - surface_thermal / surface_rgb.clamp_min(SMALLEST_DEPTH)).relu()
+    apart = torch.where(alpha_rgb >= HALF_COVERED, behind + BEFORE * before, 0)
+    return ((alpha_rgb - alpha_thermal).relu() + apart).mean()
 
 
 def total_loss(
