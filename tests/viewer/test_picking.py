@@ -25,9 +25,8 @@ def test_a_reading_is_the_rendered_value_at_its_place(small_run, camera, subject
     assert reading.values[THERMAL].value == pytest.approx(
         small_run.temperatures_c(rendering)[row, column].item(), abs=1e-3
     )
-    alpha = rendering[THERMAL].alpha[row, column].item()
     assert reading.depth == pytest.approx(
-        rendering[THERMAL].depth[row, column].item() / alpha, rel=1e-5
+        rendering.surface_depth(THERMAL)[row, column].item(), rel=1e-5
     )
     pixel, z = camera.project(torch.from_numpy(reading.position))
     assert (*pixel.tolist(), z.item()) == pytest.approx(
@@ -86,9 +85,7 @@ def test_what_is_cold_and_transparent_to_the_thermal_blend_is_read_all_the_same(
     reading = read_point(replace(small_run.model, gaussians=faint), camera, 0.5, 0.5, subject)
     assert reading.values[THERMAL].value == pytest.approx(subject.temperature.min_c, abs=0.01)
     rendering = small_run.render(camera)
-    assert reading.depth == pytest.approx(
-        (rendering[RGB].depth[60, 80] / rendering[RGB].alpha[60, 80]).item(), rel=1e-5
-    )
+    assert reading.depth == pytest.approx(rendering.surface_depth(RGB)[60, 80].item(), rel=1e-5)
 
 
 def test_without_celsius_values_are_normalised(small_run, camera, subject):
@@ -111,9 +108,8 @@ def test_without_thermal_the_colour_blend_gives_the_depth(small_run, camera, sub
         small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, colour_only
     )
     assert reading.values == {}
-    alpha = rendering[RGB].alpha[row, column].item()
     assert reading.depth == pytest.approx(
-        rendering[RGB].depth[row, column].item() / alpha, rel=1e-5
+        rendering.surface_depth(RGB)[row, column].item(), rel=1e-5
     )
 
 

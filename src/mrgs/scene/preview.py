@@ -11,7 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 
-def preview_png(images: Sequence[Float[Tensor, "h w c"]]) -> bytes:
+def preview_png(images: Sequence[Float[Tensor, "_ _ _"]]) -> bytes:
     """Images side by side as a PNG, as ``to_rgb8`` shows them: a thermal image is "white hot".
 
     Args:
