@@ -192,7 +192,7 @@ def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
         (("--method", "nerf"), "unknown method 'nerf'; choose one of mrgs-plus, mrgs,"),
         (("--preset", "slow"), "unknown preset 'slow'; choose one of fast, default, paper"),
         (("--max-steps", 0), "max_steps must be at least 1, not 0"),
-        (("--max-gaussians", 0), "max_gaussians of the densification must be at least 1"),
+        (("--max-gaussians", 0), "max_gaussians must be from 1 to 1,000,000,000"),
         (("--resolution", 3), "resolution must be at least 16 px, not 3"),
         (("--seed", -1), "seed must be at least 0, not -1"),
         (("--seed", 2**70), "seed must be at most 4,294,967,295"),

@@ -59,7 +59,7 @@ def test_the_neighbours_alone_need_no_method(small_scene, tmp_path):
         ({"methods": ()}, "there is nothing to compare: name at least one method"),
         ({"methods": ("magic",)}, "unknown method 'magic'; choose one of"),
         ({"preset": "slow"}, "unknown preset 'slow'; choose one of"),
-        ({"neighbours": (0,)}, "neighbours_n must be 1 or more"),
+        ({"neighbours": (0,)}, "neighbours_n must be at least 1"),
     ],
 )
 def test_options_that_are_not_allowed(changes, message, small_scene, tmp_path):

@@ -222,7 +222,7 @@ def test_number_of_neighbours(options, k):
         ({"position_frequencies": -1}, "position_frequencies must be at least 0, not -1"),
         ({"neighbours_n": 0}, "neighbours_n must be at least 1, not 0"),
         ({"hidden_width": 10**9}, "hidden_width must be at most 4,096, not 1000000000"),
-        ({"color_scale": float("nan")}, "color_scale must be at least -1,000,000, not nan"),
+        ({"color_scale": float("nan")}, "color_scale must be at least -1,000,000,000,000, not nan"),
     ],
 )
 def test_impossible_configurations_are_named(options, message):

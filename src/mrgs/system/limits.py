@@ -12,7 +12,7 @@ MOST_STEPS = 10**9
 MOST_WIDTH = 4_096
 """Of a hidden layer."""
 
-MOST_WEIGHT = 10**6
+MOST_WEIGHT = 10**12
 """Of a loss, or of anything else that multiplies."""
 
 MOST_RATE = 10
