@@ -317,7 +317,7 @@ BAD_RUNS: dict[str, tuple[Damage, str]] = {
     ),
     "checkpoint truncated": (
         cut_checkpoint,
-        r"step_000003\.safetensors is not a whole checkpoint: delete it",
+        r"own run has no checkpoint that is whole \(it cannot be parsed\): restore one from a copy",
     ),
 }
 
@@ -606,7 +606,8 @@ def check_renders(folder: Path, has_rgb: bool, has_thermal: bool) -> None:
     ) as image:
         depth = np.asarray(image)
     assert (depth.dtype, depth.shape) == (np.float32, (30, 40))
-    assert 0 < depth.max() < 10
+    surface = depth[np.isfinite(depth)]  # three steps may leave all of it half transparent
+    assert ((surface > 0) & (surface < 10)).all()
 
 
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")

@@ -7,13 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from mrgs.baselines.thermonerf import checkpoint as nerf_checkpoint
+from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.training import checkpoint
 from tests.helpers.thermonerf import small_config
 from tests.helpers.training import short_config
 
 
 def _eventful() -> Any:
-    config = short_config("mrgs-plus", max_steps=10, checkpoint_every=5, neighbours_every=3)
+    config = short_config(
+        "mrgs",
+        max_steps=10,
+        checkpoint_every=5,
+        neighbours_every=3,
+        image_model=ImageModelConfig(point_spread=True),
+    )
     schedule = replace(config.densification, start=1, stop=9, every=4, gradient_threshold=1e-6)
     return replace(config, densification=schedule)
 

@@ -44,6 +44,7 @@ CONFIGS = st.builds(
 )
 
 
+@pytest.mark.filterwarnings("ignore:Do not use the `random` module")  # the type checker's samples
 @given(CONFIGS)
 def test_yaml_gives_back_the_same_configuration(config):
     assert from_yaml(to_yaml(config), "config.yaml") == config

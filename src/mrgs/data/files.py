@@ -175,6 +175,8 @@ class ImageFinder:
         if not name or "\0" in name or relative[0] in "/\\":
             contained(self._root, relative, named_in)
             return None
+        if folder not in self._listings:
+            contained(self._root, relative, named_in)
         listing = self._listing(folder, named_in)
         if name not in listing.links:
             name = next(iter(listing.by_stem.get(without_image_suffix(name), ())), "")

@@ -171,7 +171,8 @@ def _require_same_views(facts: CheckpointFacts, scene: Scene) -> None:
     Raises:
         RunError: there are others.
     """
-    count = sum(len(view.images) for view in scene.train)
+    trained = model_modalities(facts.modalities)
+    count = sum(modality in trained for view in scene.train for modality in view.images)
     if facts.capture.views != len(scene.train) or (facts.images and len(facts.images) != count):
         raise RunError(
             f"{scene.name} has {len(scene.train)} training views of {count} images, not the "

@@ -160,7 +160,7 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp
     folder.config_file.write_text(text)
     path = folder.newest_checkpoint()
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(RunError, match="is not a whole checkpoint"):
+    with pytest.raises(RunError, match="no checkpoint that is whole"):
         open_run(folder.path)
 
 
