@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.pipeline.forecast import Forecast
+from mrgs.pipeline.forecast import Forecast, pace_so_far
 
 
 class Clock:
@@ -61,3 +61,9 @@ def test_work_of_no_length_takes_no_time(parts, clock):
 
 def test_of_a_part_that_is_not_known_nothing_is_said(clock):
     assert Forecast({"a": 10.0}, clock).left("b") is None
+
+
+def test_a_short_stage_that_takes_five_times_as_long_says_little_of_a_long_one():
+    assert pace_so_far(5.0, 1.0, 200.0) < 1.25
+    assert pace_so_far(500.0, 100.0, 200.0) > 4.0
+    assert pace_so_far(0.0, 0.0, 0.0) == 1.0

@@ -12,6 +12,18 @@ ALMOST_DONE = 0.95
 """A part whose progress is not known counts as done to at most this share."""
 
 
+def pace_so_far(taken: float, expected: float, whole: float) -> float:
+    """Seconds per expected second, as far as what is done can be trusted to tell.
+
+    Args:
+        taken: seconds that it took.
+        expected: seconds that were expected for it.
+        whole: seconds that were expected for all; of little done, the pace says little.
+    """
+    trust = TRUST * whole
+    return (taken + trust) / (expected + trust) if expected + trust > 0 else 1.0
+
+
 class Forecast:
     """Time left of parts that are done one after another, from their expected lengths and the pace
     so far.
@@ -53,7 +65,4 @@ class Forecast:
 
     def _pace(self, done: float, now: float) -> float:
         """Seconds per expected second, once so much is done."""
-        trust = TRUST * self._whole
-        if done + trust == 0:
-            return 1.0
-        return (now - self._started + trust) / (done + trust)
+        return pace_so_far(now - self._started, done, self._whole)

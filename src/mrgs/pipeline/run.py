@@ -10,7 +10,7 @@ from mrgs.errors import ConfigError, MrgsError, RunError
 from mrgs.pipeline.computer import Computer, kernels_are_compiled, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
 from mrgs.pipeline.expect import left_in_stage
-from mrgs.pipeline.forecast import Forecast
+from mrgs.pipeline.forecast import Forecast, pace_so_far
 from mrgs.pipeline.intake import Intake, take_in
 from mrgs.pipeline.ledger import LEDGER
 from mrgs.pipeline.monitor import Monitor
@@ -203,11 +203,12 @@ def _is_done(job: Job, stage: Stage) -> bool:
 def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:
     """Run what is not done; what one stage changes, the following depend on."""
     expected = taken = 0.0
+    whole = sum(planned.seconds for planned in plan.stages)
     for stage, planned in zip(job.stages, plan.stages, strict=True):
         if _is_done(job, stage):
             monitor.reused(planned)
             continue
-        pace = taken / expected if expected > 0 else 1.0
+        pace = pace_so_far(taken, expected, whole)
         rest_s = pace * sum(each.seconds for each in plan.stages[planned.number :])
         started, made_from = time.perf_counter(), stage.made_from()
         parts = {name: pace * seconds for name, seconds in planned.parts.items()}
