@@ -68,7 +68,7 @@ def render_pane(
 
 
 def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
-    """z-depth of the visible surface, blended and divided by alpha, [H, W]; NaN where no modality
+    """z-depth of the visible surface (``Rendering.surface_depth``), [H, W]; NaN where no modality
     covers a pixel by half.
 
     It is that of the first modality that covers the pixel, those with a unit first: over a black

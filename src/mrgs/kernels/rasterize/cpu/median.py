@@ -59,7 +59,7 @@ def _pass_half(planes, at, splats, record, gaussian):
 
 @strict_kernel()
 def _walk_tile(planes, splats, tile_splats, first, last, x0, y0):
-    """Walk the tile's list front to back; leave when every pixel has its median."""
+    """The walk of ``blend._blend_tile`` again; left when every pixel has its median."""
     centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))
     centres_y = lane_rows(TILE_WIDTH) + broadcast(np.float32(y0 + 0.5))
     live_vectors = ALL_VECTORS
