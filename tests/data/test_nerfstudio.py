@@ -10,7 +10,15 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, SceneError
-from mrgs.scene import RGB, THERMAL, Modality, TemperatureRange, known_modalities
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    EarthPosition,
+    Modality,
+    TemperatureRange,
+    WorldFrame,
+    known_modalities,
+)
 
 
 def test_thermoscenes(writer):
@@ -37,6 +45,18 @@ def test_thermoscenes(writer):
     np.testing.assert_array_equal(thermal.values[..., 0], stored.astype(np.float32) / 255)
     assert thermal.valid is None
     assert view.images[RGB].load().values.shape == (16, 24, 3)
+
+
+def test_the_frame_of_the_world_is_known_where_prepare_has_found_it(writer):
+    content = writer.thermoscenes()
+    writer.transforms(content)
+    assert load_scene(writer.root).world == WorldFrame()
+    origin = {"latitude_deg": 48.1, "longitude_deg": 11.5, "altitude_m": None}
+    facts = {"units": "metres", "axes": "east north up", "origin": origin}
+    writer.transforms({**content, "georeference": facts})
+    world = load_scene(writer.root).world
+    assert world == WorldFrame(True, True, EarthPosition(48.1, 11.5, None))
+    assert (world.length_unit, WorldFrame().length_unit) == ("m", "scene units")
 
 
 def test_older_scenes_have_transforms_thermal_json(writer):
@@ -323,6 +343,9 @@ def put_frame(**values):
         (put(train_filenames="all"), "train_filenames is 'all', not a list"),
         (put(train_filenames=[]), "no view is left for training"),
         (put(applied_scale="2"), "applied_scale is '2', not a number"),
+        (put(georeference="east"), "georeference is 'east'; prepare the scene again"),
+        (put(georeference={"origin": [48, 11]}), "georeference is .*; prepare the scene again"),
+        (put(georeference={"origin": {"latitude_deg": 48}}), "longitude_deg of the origin is None"),
         (put(modalities="nir"), "modalities is 'nir', not a list"),
         (put(modalities=[{}] * 17), "not a list of up to 16"),
         (put(modalities=["nir"]), "a modality is an object"),

@@ -106,7 +106,12 @@ class SceneFolder:
         ]
         lens = pinhole_lens(next(iter(cameras.values())))
         write_transforms(
-            self.path / TRANSFORMS, frames, lens=lens, points=POINTS, modalities=further
+            self.path / TRANSFORMS,
+            frames,
+            lens=lens,
+            points=POINTS,
+            modalities=further,
+            facts={"georeference": {"units": "metres", "axes": "arbitrary"}},
         )
 
 

@@ -119,6 +119,7 @@ def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int
         notes=tuple(source.notes.all),
         path=str(path.resolve()),
         resolution=resolution,
+        world=source.world,
     )
 
 

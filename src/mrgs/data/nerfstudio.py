@@ -38,7 +38,7 @@ from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
 from mrgs.data.sources import FilenameLists, ImageSource, ReadingNotes, SceneSource, ViewSource
-from mrgs.scene import RGB, Modality, PointCloud, known_modalities
+from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)
@@ -202,7 +202,9 @@ class _TransformsReader:
             missing = sum(modality not in view.images for view in views)
             if modality != RGB and 0 < missing < len(views):
                 self.notes.decide(f"{missing} of {len(views)} frames have no {modality} image.")
-        return SceneSource(self.root, self.file, views, self._points(), self.notes, self._lists())
+        return SceneSource(
+            self.root, self.file, views, self._points(), self.notes, self._lists(), self._world()
+        )
 
     def _view(self, frame: object, what: str) -> ViewSource:
         if not isinstance(frame, dict):
@@ -338,6 +340,27 @@ class _TransformsReader:
         if model is None:
             return None
         return point_cloud(*read_points3d(model), self.notes, scale * self._applied_transform())
+
+    def _world(self) -> WorldFrame:
+        """The frame as ``prepare`` writes it; of other programs' files nothing is known."""
+        facts = self.top.get("georeference", {})
+        if not isinstance(facts, dict) or not isinstance(facts.get("origin", {}), dict):
+            raise scene_error(
+                self.file, f"georeference is {shown(facts)}; prepare the scene again, or remove it"
+            )
+        origin = self._origin(facts["origin"]) if "origin" in facts else None
+        metric, north = facts.get("units") == "metres", facts.get("axes") == "east north up"
+        return WorldFrame(metric, north, origin)
+
+    def _origin(self, facts: Mapping[str, Any]) -> EarthPosition:
+        latitude, longitude = (
+            finite_number(facts.get(name), f"{name} of the origin", self.file)
+            for name in ("latitude_deg", "longitude_deg")
+        )
+        altitude = facts.get("altitude_m")
+        if altitude is not None:
+            altitude = finite_number(altitude, "altitude_m of the origin", self.file)
+        return EarthPosition(latitude, longitude, altitude)
 
     def _applied_transform(self) -> NDArray[np.float64]:
         value = self.top.get("applied_transform")

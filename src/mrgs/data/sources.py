@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.scene import Modality, PointCloud
+from mrgs.scene import Modality, PointCloud, WorldFrame
 
 
 class ReadingNotes:
@@ -86,6 +86,7 @@ class SceneSource:
         points: start points from the files; None if there are none.
         lists: the explicit split, if the files give one.
         notes: decisions and repairs.
+        world: what the files say about the frame of the poses.
     """
 
     root: Path
@@ -94,3 +95,4 @@ class SceneSource:
     points: PointCloud | None
     notes: ReadingNotes
     lists: FilenameLists = field(default_factory=FilenameLists)
+    world: WorldFrame = field(default=WorldFrame())

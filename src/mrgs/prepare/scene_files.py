@@ -122,7 +122,7 @@ def _split(
 
 
 def _georeference(georeference: Georeference | None) -> dict[str, Any]:
-    """Facts about the world for other programs; ``load_scene`` does not need them."""
+    """Facts about the world, ``Scene.world`` and for other programs."""
     if georeference is None:
         return {}
     origin = georeference.origin

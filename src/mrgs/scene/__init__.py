@@ -20,6 +20,7 @@ from mrgs.scene.rendering import Blend, CameraResponse, Rendering, ideal_cameras
 from mrgs.scene.scene import Scene
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
+from mrgs.scene.world import EarthPosition, WorldFrame
 
 __all__ = [
     "BUILT_IN",
@@ -29,6 +30,7 @@ __all__ = [
     "Blend",
     "Camera",
     "CameraResponse",
+    "EarthPosition",
     "Gaussians",
     "Modality",
     "Pixels",
@@ -39,6 +41,7 @@ __all__ = [
     "Scene",
     "TemperatureRange",
     "View",
+    "WorldFrame",
     "evenly_spaced",
     "ideal_cameras",
     "in_order",

@@ -20,6 +20,7 @@ from mrgs.scene.point_cloud import PointCloud, random_points
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import View
+from mrgs.scene.world import WorldFrame
 
 STILL_CAMERAS = 1e-3
 """Cameras that stay within this share of the distance to what they see count as standing still."""
@@ -38,6 +39,7 @@ class Scene:
         notes: repairs and decisions of the reader, one sentence each, for the user and the report.
         path: absolute path that it was read from; empty for a scene made from arrays.
         resolution: wider images were reduced to this width when it was read; None if they were not.
+        world: what is known of the frame of its coordinates.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     path: str = field(default="", kw_only=True)
     resolution: int | None = field(default=None, kw_only=True)
+    world: WorldFrame = field(default=WorldFrame(), kw_only=True)
 
     @classmethod
     def from_arrays(
