@@ -346,6 +346,11 @@ def put_frame(**values):
         (put(georeference="east"), "georeference is 'east'; prepare the scene again"),
         (put(georeference={"origin": [48, 11]}), "georeference is .*; prepare the scene again"),
         (put(georeference={"origin": {"latitude_deg": 48}}), "longitude_deg of the origin is None"),
+        (
+            put(georeference={"origin": {"latitude_deg": 91, "longitude_deg": 0}}),
+            "the origin 91°, 0° is no place on Earth",
+        ),
+        (put(georeference={"residual_m": "1"}), "residual_m of georeference is '1', not a number"),
         (put(modalities="nir"), "modalities is 'nir', not a list"),
         (put(modalities=[{}] * 17), "not a list of up to 16"),
         (put(modalities=["nir"]), "a modality is an object"),

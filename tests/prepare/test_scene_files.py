@@ -136,6 +136,7 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
     content = json.loads((tmp_path / "transforms.json").read_text())
     assert content["georeference"]["units"] == "metres"
     assert content["georeference"]["origin"]["longitude_deg"] == 11.5
+    assert scene.world == METRIC.world
     np.testing.assert_allclose(content["thermal_from_rgb_m"], OFFSET)
 
 

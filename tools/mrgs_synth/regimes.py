@@ -34,6 +34,7 @@ from mrgs.data.transforms import (
     POINTS,
     TRANSFORMS,
     frame_json,
+    world_json,
     write_bounds,
     write_transforms,
 )
@@ -298,6 +299,7 @@ def _write(
         points=None if points is None else POINTS,
         split=(firsts[: len(train)], firsts[len(train) :]),
         modalities=sorted({modality for view in views for modality in view.source.images}),
+        facts=world_json(scene.world),
     )
 
 

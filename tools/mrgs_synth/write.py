@@ -19,11 +19,12 @@ from mrgs.data.transforms import (
     TRANSFORMS,
     frame_json,
     pinhole_lens,
+    world_json,
     write_bounds,
     write_transforms,
 )
 from mrgs.errors import ConfigError
-from mrgs.scene import THERMAL, Camera, Modality, TemperatureRange
+from mrgs.scene import THERMAL, Camera, Modality, TemperatureRange, WorldFrame
 
 JPEG_QUALITY = 92
 # Truth is rounded to these steps, far below what matters, so that it compresses: 1/512 °C and
@@ -111,7 +112,7 @@ class SceneFolder:
             lens=lens,
             points=POINTS,
             modalities=further,
-            facts={"georeference": {"units": "metres", "axes": "arbitrary"}},
+            facts=world_json(WorldFrame(metric=True)),
         )
 
 

@@ -350,13 +350,21 @@ class _TransformsReader:
             )
         origin = self._origin(facts["origin"]) if "origin" in facts else None
         metric, north = facts.get("units") == "metres", facts.get("axes") == "east north up"
-        return WorldFrame(metric, north, origin)
+        residual = facts.get("residual_m")
+        if residual is not None:
+            residual = finite_number(residual, "residual_m of georeference", self.file)
+        return WorldFrame(metric, north, origin, residual)
 
     def _origin(self, facts: Mapping[str, Any]) -> EarthPosition:
         latitude, longitude = (
             finite_number(facts.get(name), f"{name} of the origin", self.file)
             for name in ("latitude_deg", "longitude_deg")
         )
+        if abs(latitude) > 90 or abs(longitude) > 180:
+            raise scene_error(
+                self.file,
+                f"the origin {latitude:g}°, {longitude:g}° is no place on Earth; correct it",
+            )
         altitude = facts.get("altitude_m")
         if altitude is not None:
             altitude = finite_number(altitude, "altitude_m of the origin", self.file)

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.scene import Camera, Modality
+from mrgs.scene import Camera, Modality, WorldFrame
 from mrgs.scene.modality import BUILT_IN
 from mrgs.scene.rotations import opengl_camera_to_world
 from mrgs.system.atomic import write_text
@@ -94,6 +94,20 @@ def write_transforms(
             "test_filenames": list(evaluation),
         }
     return _write_json(path, {**content, "frames": list(frames)})
+
+
+def world_json(world: WorldFrame) -> dict[str, Any]:
+    """The entry of ``transforms.json`` about the frame of the poses; its origin only where it is
+    known."""
+    facts: dict[str, Any] = {
+        "units": "metres" if world.metric else "arbitrary",
+        "axes": "east north up" if world.north else "arbitrary",
+    }
+    if world.origin is not None:
+        facts["origin"] = world.origin._asdict()
+    if world.residual_m is not None:
+        facts["residual_m"] = world.residual_m
+    return {"georeference": facts}
 
 
 def write_bounds(path: Path, min_c: float, max_c: float) -> Path:

@@ -23,6 +23,7 @@ from mrgs.data.transforms import (
     TRANSFORMS,
     frame_json,
     pinhole_lens,
+    world_json,
     write_bounds,
     write_transforms,
 )
@@ -75,7 +76,7 @@ def _write_transforms(path: Path, scene: Scene) -> Path:
     frames = [_frame(view, scene.temperature is not None) for view in (*scene.train, *scene.eval)]
     names = [frame["file_path"] for frame in frames]
     count = len(scene.train)
-    facts = {"applied_transform": np.eye(4)[:3].tolist()}
+    facts = {"applied_transform": np.eye(4)[:3].tolist(), **world_json(scene.world)}
     return write_transforms(
         path,
         frames,

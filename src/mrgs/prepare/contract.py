@@ -12,7 +12,7 @@ from torch import Tensor
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
-from mrgs.scene import RGB, Modality, PointCloud
+from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, the number of its parts that are done, and of all (0 and 0 if not
@@ -194,6 +194,17 @@ class Georeference:
     residual_m: float | None
     text: str
     warnings: tuple[str, ...] = ()
+
+    @property
+    def world(self) -> WorldFrame:
+        """The frame of the scene's world."""
+        place = self.origin
+        origin = (
+            None
+            if place is None
+            else EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
+        )
+        return WorldFrame(self.metric, self.north, origin, self.residual_m)
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,12 @@ from mrgs.data.transforms import (
     POINTS,
     TRANSFORMS,
     frame_json,
+    world_json,
     write_bounds,
     write_transforms,
 )
 from mrgs.errors import SceneError
-from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
+from mrgs.prepare.contract import ConvertedView, Reconstruction
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
@@ -67,7 +68,7 @@ def write_scene(work: Work) -> None:
         points=POINTS if len(posed.points.positions) else None,
         split=_split(views, held_out, posed),
         facts={
-            **_georeference(work.georeference),
+            **({} if work.georeference is None else world_json(work.georeference.world)),
             **({EXTRINSICS: rig.extrinsics.tolist()} if rig and work.metric else {}),
         },
     )
@@ -119,24 +120,6 @@ def _split(
     for view in views:
         paths[view.name in held_out].append(view.images[reconstruction.images].file)
     return paths[False], paths[True]
-
-
-def _georeference(georeference: Georeference | None) -> dict[str, Any]:
-    """Facts about the world, ``Scene.world`` and for other programs."""
-    if georeference is None:
-        return {}
-    origin = georeference.origin
-    facts: dict[str, Any] = {
-        "units": "metres" if georeference.metric else "arbitrary",
-        "axes": "east north up" if georeference.north else "arbitrary",
-    }
-    if origin is not None:
-        facts["origin"] = {
-            "latitude_deg": origin.latitude_deg,
-            "longitude_deg": origin.longitude_deg,
-            "altitude_m": origin.altitude_m,
-        }
-    return {"georeference": facts}
 
 
 def _write_bounds(

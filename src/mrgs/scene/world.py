@@ -23,11 +23,18 @@ class WorldFrame:
         metric: whether its unit is the metre.
         north: whether its axes point east, north and up.
         origin: of its coordinates on Earth; None if not known.
+        residual_m: median distance of the cameras from their GPS positions, m; None without GPS.
     """
 
     metric: bool = False
     north: bool = False
     origin: EarthPosition | None = None
+    residual_m: float | None = None
+
+    @property
+    def is_georeferenced(self) -> bool:
+        """Whether every point of the scene has a known place on Earth."""
+        return self.metric and self.north and self.origin is not None
 
     @property
     def length_unit(self) -> str:

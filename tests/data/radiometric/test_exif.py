@@ -41,6 +41,7 @@ def test_facts(form):
         {1: "X", 2: (48, 30, 0), 3: "E", 4: (9, 0, 0)},
         {1: "N", 2: (98, 30, 0), 3: "E", 4: (9, 0, 0)},
         {1: "N", 2: (IFDRational(0, 0), 0, 0), 3: "E", 4: (9, 0, 0)},
+        {1: "N", 2: (0, 0, 0), 3: "E", 4: (0, 0, 0)},
     ],
 )
 def test_positions_that_cannot_be_are_none(gps):

@@ -102,6 +102,8 @@ def _position(gps: Mapping[int, Any]) -> GpsPosition | None:
     longitude = _degrees(gps.get(_LONGITUDE), gps.get(_LONGITUDE_REF), "E", "W", 180)
     if latitude is None or longitude is None:
         return None
+    if latitude == longitude == 0:  # what cameras write that have not found their place
+        return None
     try:
         altitude_m = float(gps[_ALTITUDE])
         below = gps.get(_ALTITUDE_REF) in (1, b"\x01")
