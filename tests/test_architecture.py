@@ -29,6 +29,7 @@ FLOORS = {
     "runs": 8,
     "kernels": 8,
     "evaluation": 9,
+    "marks": 9,
     "export": 10,
     "report": 10,
     "comparison": 10,

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from mrgs.evaluation import evaluate_run as evaluate_run
     from mrgs.evaluation import render_run as render_run
     from mrgs.export.write import export_run as export_run
+    from mrgs.marks.run_marks import RunMarks as RunMarks
+    from mrgs.marks.run_marks import open_marks as open_marks
     from mrgs.method.density import Strategy as Strategy
     from mrgs.method.losses.term import Term as Term
     from mrgs.report import report_run as report_run

@@ -11,7 +11,7 @@ from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,
     NO_SURFACE_COLOR,
-    Mark,
+    PointLabel,
     annotate,
     blend,
     compose,
@@ -152,14 +152,14 @@ def test_the_picture_itself_has_no_marks_and_no_scale(camera):
 
 def test_marks_stand_where_their_points_are_seen(camera):
     changed = (
-        compose_one(camera, marks=[Mark(np.zeros(3), "S1  20.0 °C")]) != compose_one(camera)
+        compose_one(camera, marks=[PointLabel(np.zeros(3), "S1  20.0 °C")]) != compose_one(camera)
     ).any(axis=2)
     assert changed[60, 80]
     assert not changed[100:].any()
 
 
 def test_marks_behind_something_are_hidden(camera):
-    marks = [Mark(np.zeros(3), "S1")]
+    marks = [PointLabel(np.zeros(3), "S1")]
     assert (compose_one(camera, depth=2.0, marks=marks) == compose_one(camera, depth=2.0)).all()
 
 

@@ -20,7 +20,7 @@ from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_pat
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
 from mrgs.viewer.limits import rounded
-from mrgs.viewer.painting import Mark, Scales, annotate, compose, measure_scales
+from mrgs.viewer.painting import PointLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.picking import Box, BoxReading, Reading, read_box, read_point
 from mrgs.viewer.settings import Settings, Subject
 
@@ -112,7 +112,7 @@ class Inspection:
         self.drawn: DrawnPicture | None = None
         self.view_index: int | None = None
         self.point: PointReading | None = None
-        self.spots: tuple[Mark, ...] = ()
+        self.spots: tuple[PointLabel, ...] = ()
         self.boxes: tuple[Box, ...] = ()
         self.keyframes: tuple[Camera, ...] = ()
         self._scales = Scales()
@@ -167,12 +167,12 @@ class Inspection:
             }
             self.settings = replace(self.settings, limits={**self.settings.limits, **fitted})
 
-    def marks(self) -> list[Mark]:
+    def marks(self) -> list[PointLabel]:
         """The spots, and the point that was read last."""
         point = self.point
         if point is None:
             return list(self.spots)
-        return [*self.spots, Mark(point.reading.position, self._value_text(point) or "point")]
+        return [*self.spots, PointLabel(point.reading.position, self._value_text(point) or "point")]
 
     def box_readings(self, drawn: DrawnPicture) -> list[list[BoxReading | None]]:
         """Of each box, what each pane shows of ``measured`` in it; None for a pane without its
@@ -292,7 +292,7 @@ class Inspection:
         if self.point is None:
             raise ConfigError("click on the picture first, then keep the point as a spot")
         label = f"S{len(self.spots) + 1}  {self._value_text(self.point)}".rstrip()
-        spot = Mark(self.point.reading.position, label)
+        spot = PointLabel(self.point.reading.position, label)
         self.spots, self.point = (*self.spots, spot), None
 
     def add_box(self, x0: float, y0: float, x1: float, y1: float) -> None:

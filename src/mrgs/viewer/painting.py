@@ -47,7 +47,7 @@ HIDDEN_BEHIND = 1.05
 
 
 @dataclass(frozen=True, eq=False)
-class Mark:
+class PointLabel:
     """A labelled point.
 
     Attributes:
@@ -261,7 +261,7 @@ def annotate(
     panes: Sequence[Pane],
     images: Sequence[PaneImages],
     scales: Scales,
-    marks: Sequence[Mark] = (),
+    marks: Sequence[PointLabel] = (),
     boxes: Sequence[tuple[Box, Sequence[BoxReading | None]]] = (),
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A picture [H, W, 3] for a file: with its marks, boxes, titles and scale bars drawn in.
@@ -297,7 +297,7 @@ def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
 
 
 def seen_marks(
-    pane: Pane, images: PaneImages, marks: Sequence[Mark]
+    pane: Pane, images: PaneImages, marks: Sequence[PointLabel]
 ) -> list[tuple[float, float, str]]:
     """Where a pane shows marks: x and y from 0 to 1 over the pane, and the label; without those
     that lie outside or behind something."""

@@ -1,0 +1,247 @@
+"""What a mark is: points on a surface, where they were drawn from, and what the user says of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal, TypeAlias, get_args
+
+from mrgs.errors import ConfigError
+from mrgs.system.limits import shown
+
+MarkKind = Literal["spot", "line", "box", "polygon"]
+KINDS: tuple[MarkKind, ...] = get_args(MarkKind)
+AREAS: tuple[MarkKind, ...] = ("box", "polygon")
+"""Kinds that enclose a part of a surface, and may have an emissivity."""
+
+POINTS: Mapping[MarkKind, tuple[int, int]] = {
+    "spot": (1, 1),
+    "line": (2, 200),
+    "box": (4, 4),
+    "polygon": (3, 200),
+}
+"""Smallest and largest number of points of each kind."""
+
+MOST_MARKS = 500
+LONGEST_NAME = 40
+LONGEST_NOTE = 2_000
+FARTHEST = 1e9
+"""Scene units."""
+
+EMISSIVITY = (0.01, 1.0)
+REFLECTED_C = (-200.0, 3500.0)
+
+_TEXTS = {"name": LONGEST_NAME, "note": LONGEST_NOTE, "against": LONGEST_NAME}
+"""Fields that are texts, and their greatest lengths."""
+
+Place: TypeAlias = tuple[float, float, float]
+"""World coordinates, scene units."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place on a surface that is measured.
+
+    Attributes:
+        name: unique among the marks of a run.
+        kind: a spot is a small disc, a line has a profile, boxes and polygons enclose an area.
+        points: on the surface: the middle of the spot, the line's corners in order, or the corners
+            of the outline.
+        eye: where it was drawn from. It is measured as seen from there: what lies behind something
+            does not belong to it.
+        radius: of a spot's disc, scene units; 0 for the other kinds.
+        note: the user's words.
+        emissivity: of the surface in a box or polygon; None keeps that of the photos.
+        reflected_c: reflected apparent temperature there, °C; None keeps that of the photos.
+        against: name of the mark whose mean is subtracted in ΔT; empty for the reference.
+
+    Raises:
+        ConfigError: a value that cannot be.
+    """
+
+    name: str
+    kind: MarkKind
+    points: tuple[Place, ...]
+    eye: Place
+    radius: float = 0.0
+    note: str = ""
+    emissivity: float | None = None
+    reflected_c: float | None = None
+    against: str = ""
+
+    def __post_init__(self) -> None:
+        if problem := self._problem():
+            raise ConfigError(f"mark {shown(self.name)}: {problem}")
+
+    @property
+    def is_area(self) -> bool:
+        """Whether it encloses a part of a surface."""
+        return self.kind in AREAS
+
+    @property
+    def has_settings(self) -> bool:
+        """Whether its surface has an emissivity or a reflected temperature of its own."""
+        return self.emissivity is not None or self.reflected_c is not None
+
+    @classmethod
+    def from_json(cls, value: Any) -> Mark:
+        """A mark from its JSON form.
+
+        Raises:
+            ConfigError: the value is none.
+        """
+        known = {field.name for field in fields(cls)}
+        if not isinstance(value, dict) or not {"name", "kind", "points", "eye"} <= set(value):
+            raise ConfigError(f"{shown(value)} is no mark: it needs name, kind, points and eye")
+        if unknown := sorted(set(value) - known):
+            raise ConfigError(f"a mark has no field {shown(unknown[0])}")
+        if value["kind"] not in KINDS:
+            raise ConfigError(f"a kind is one of {', '.join(KINDS)}, not {shown(value['kind'])}")
+        if not isinstance(value["points"], list | tuple):
+            raise ConfigError(f"points are {shown(value['points'])}, not a list")
+        for name in value.keys() - {"kind", "points", "eye"}:
+            kind, word = (str, "text") if name in _TEXTS else ((int, float), "number")
+            if not isinstance(value[name], kind):
+                raise ConfigError(f"{name} is {shown(value[name])}, not a {word}")
+        places = {"points": tuple(map(_place, value["points"])), "eye": _place(value["eye"])}
+        return cls(**{**value, **places})
+
+    def to_json(self) -> dict[str, Any]:
+        """The mark as plain values; what is not set is left out."""
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if value not in (None, "") and (name != "radius" or self.kind == "spot")
+        }
+
+    def _problem(self) -> str:
+        """Why it cannot be; empty if it can."""
+        for field, longest in _TEXTS.items():
+            text = getattr(self, field)
+            if len(text) > longest or not _is_plain(text):
+                return f"its {field} must be a text of at most {longest:,} printable characters"
+        if not self.name.strip():
+            return "its name must not be empty"
+        fewest, most = POINTS[self.kind]
+        if not fewest <= len(self.points) <= most:
+            wanted = f"{fewest}" if fewest == most else f"{fewest} to {most}"
+            return f"a {self.kind} has {wanted} points, not {len(self.points)}"
+        if self.kind == "spot" and not _is_number(self.radius, 1e-9, FARTHEST):
+            return f"the radius of a spot must be above 0, not {shown(self.radius)}"
+        if self.has_settings and not self.is_area:
+            return "only boxes and polygons have an emissivity and a reflected temperature"
+        return self._setting_problem()
+
+    def _setting_problem(self) -> str:
+        limits = {"emissivity": (*EMISSIVITY, ""), "reflected_c": (*REFLECTED_C, " °C")}
+        for field, (low, high, unit) in limits.items():
+            value = getattr(self, field)
+            if value is not None and not _is_number(value, low, high):
+                return f"its {field} must be from {low:g} to {high:g}{unit}, not {shown(value)}"
+        return ""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """All marks of a run, in the order in which they were made.
+
+    Attributes:
+        marks: their names differ.
+        reference: name of the mark that ΔT refers to; empty for none.
+
+    Raises:
+        ConfigError: two marks of the same name, a reference that is none of them, or too many.
+    """
+
+    marks: tuple[Mark, ...] = ()
+    reference: str = ""
+
+    def __post_init__(self) -> None:
+        names = [mark.name for mark in self.marks]
+        if len(names) > MOST_MARKS:
+            raise ConfigError(f"more than {MOST_MARKS} marks: delete some")
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ConfigError(f"two marks are named {shown(twice[0])}: choose another name")
+        missing = [*([self.reference] if self.reference else []), *self._compared()]
+        for name in missing:
+            self.named(name)
+
+    def _compared(self) -> list[str]:
+        return [mark.against for mark in self.marks if mark.against]
+
+    def __len__(self) -> int:
+        return len(self.marks)
+
+    def named(self, name: str) -> Mark:
+        """The mark of a name.
+
+        Raises:
+            ConfigError: there is none.
+        """
+        for mark in self.marks:
+            if mark.name == name:
+                return mark
+        known = ", ".join(mark.name for mark in self.marks) or "none"
+        raise ConfigError(f"there is no mark {shown(name)}: the marks are {known}")
+
+    def free_name(self, kind: MarkKind) -> str:
+        """The first of S1, S2 ... that is not taken; L, B, P for the other kinds."""
+        taken = {mark.name for mark in self.marks}
+        names = (f"{kind[0].upper()}{number}" for number in range(1, len(taken) + 2))
+        return next(name for name in names if name not in taken)
+
+    def adding(self, mark: Mark) -> Marks:
+        """These and another one."""
+        return replace(self, marks=(*self.marks, mark))
+
+    def without(self, name: str) -> Marks:
+        """All but one; what referred to it refers to nothing.
+
+        Raises:
+            ConfigError: there is no such mark.
+        """
+        self.named(name)
+        kept = tuple(
+            replace(mark, against="") if mark.against == name else mark
+            for mark in self.marks
+            if mark.name != name
+        )
+        return Marks(kept, "" if self.reference == name else self.reference)
+
+    def changing(self, name: str, /, **changes: Any) -> Marks:
+        """These with other fields of one; what refers to it follows a new name.
+
+        Raises:
+            ConfigError: there is no such mark, or a value cannot be.
+        """
+        changed = replace(self.named(name), **changes)
+        marks = [changed if mark.name == name else mark for mark in self.marks]
+        follow = {name: changed.name}
+        return Marks(
+            tuple(replace(each, against=follow.get(each.against, each.against)) for each in marks),
+            follow.get(self.reference, self.reference),
+        )
+
+
+def _place(value: Any) -> Place:
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise ConfigError(f"{shown(value)} is no place: it needs x, y and z")
+    if not all(_is_number(each, -FARTHEST, FARTHEST) for each in value):
+        raise ConfigError(f"{shown(value)} is no place: x, y and z must be finite numbers")
+    x, y, z = map(float, value)
+    return x, y, z
+
+
+def places_of(points: Sequence[Sequence[float]]) -> tuple[Place, ...]:
+    """Rows of an array [N, 3] as places."""
+    return tuple(_place([float(each) for each in point]) for point in points)
+
+
+def _is_number(value: Any, low: float, high: float) -> bool:
+    is_real = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_real and math.isfinite(value) and low <= value <= high
+
+
+def _is_plain(text: str) -> bool:
+    return all(letter.isprintable() or letter == "\n" for letter in text)

@@ -1,0 +1,247 @@
+"""Marks measured on a model's surface: temperatures, profiles, lengths and areas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mrgs.errors import ConfigError
+from mrgs.marks.mark import Mark, Marks
+from mrgs.marks.surface import (
+    SeenSurface,
+    SurfaceRenderer,
+    celsius_or_value,
+    disc_mask,
+    measuring_camera,
+    outline_area,
+    outline_mask,
+    pixels_of,
+    see,
+    seen_depth,
+)
+from mrgs.pictures.values import in_unit
+from mrgs.scene import THERMAL, Camera, TemperatureRange
+from mrgs.scene.depth_map import SURFACE_DEPTH, DepthMap, surveying_cameras, visible
+
+PROFILE_SAMPLES = 200
+SURVEY_WIDTH_PX = 160
+"""Width of the images that tell which photos see a place."""
+
+CHECKED_POINTS = 64
+"""Of a mark, for the same."""
+
+NO_SURFACE = "no surface there: draw it on the model"
+NO_PHOTO = "no photo looks at it, so its temperature is not known"
+NO_THERMAL = "the model has no temperatures"
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The values along a line.
+
+    Attributes:
+        distances: from its first point, along its straight pieces, scene units, [S].
+        values: of the surface that is seen there, in the unit of the reading, NaN where there is
+            none, [S].
+    """
+
+    distances: Float[np.ndarray, " s"]
+    values: Float[np.ndarray, " s"]
+
+
+@dataclass(frozen=True, eq=False)
+class MarkReading:
+    """A mark with what was measured there; temperatures in °C, or normalised where the scene has no
+    known °C. NaN where there is none.
+
+    Attributes:
+        mark: that was measured.
+        mean: over the spot's disc, the samples of the line, or the pixels of the area.
+        low: the smallest value.
+        high: the largest value.
+        low_at: its place, [3].
+        high_at: the place of the largest value, [3].
+        spread: standard deviation over the mark.
+        difference: the mean minus that of the mark it is compared with; NaN without one.
+        length: of a line, along its straight pieces, scene units; else NaN.
+        area: of the flat outline of a box or polygon, scene units squared; else NaN.
+        covered: share of the mark where the model shows a surface.
+        photos: how many thermal photos see it; None if their cameras are not known.
+        profile: of a line; else None.
+        problem: why there is no temperature, one sentence; empty if there is one.
+    """
+
+    mark: Mark
+    mean: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    low_at: tuple[float, ...] = ()
+    high_at: tuple[float, ...] = ()
+    spread: float = np.nan
+    difference: float = np.nan
+    length: float = np.nan
+    area: float = np.nan
+    covered: float = 0.0
+    photos: int | None = None
+    profile: Profile | None = None
+    problem: str = ""
+
+
+class MarkMeter:
+    """Measures marks in one model.
+
+    Args:
+        render: renders the model with the depth of its surfaces.
+        temperature: the scale of the thermal values; None without known °C.
+        cameras: of the thermal photos; empty if they are not known.
+    """
+
+    def __init__(
+        self,
+        render: SurfaceRenderer,
+        temperature: TemperatureRange | None,
+        cameras: Sequence[Camera] = (),
+    ) -> None:
+        self._render = render
+        self._temperature = temperature
+        self._cameras = cameras
+
+    def measure(self, marks: Marks) -> list[MarkReading]:
+        """Every mark, in their order, with the differences between them."""
+        readings = [self.read(mark) for mark in marks.marks]
+        means = {reading.mark.name: reading.mean for reading in readings}
+        return [
+            replace(reading, difference=_difference(reading, means, marks.reference))
+            for reading in readings
+        ]
+
+    def read(self, mark: Mark) -> MarkReading:
+        """One mark by itself."""
+        try:
+            surface = see(self._render, measuring_camera(mark))
+        except ConfigError as error:
+            return MarkReading(mark, problem=str(error))
+        values = self._values(surface)
+        if mark.kind == "line":
+            reading, places = _read_line(mark, surface, values)
+        else:
+            mask = (
+                disc_mask(surface, mark)
+                if mark.kind == "spot"
+                else outline_mask(surface.camera, mark.points)
+            )
+            reading, places = _read_pixels(mark, surface, values, mask)
+        return self._with_photos(reading, places)
+
+    def _values(self, surface: SeenSurface) -> Float[np.ndarray, "h w"] | None:
+        values = celsius_or_value(surface.rendering)
+        return None if values is None else in_unit(THERMAL, values, self._temperature)
+
+    def _with_photos(self, reading: MarkReading, places: Float[np.ndarray, "n 3"]) -> MarkReading:
+        """With the number of photos that see it; without a temperature where none does."""
+        if not self._cameras or not len(places):
+            return reading
+        photos = self._photos_of(places)
+        if photos or reading.problem:
+            return replace(reading, photos=photos)
+        empty = MarkReading(reading.mark)
+        return replace(
+            empty, length=reading.length, area=reading.area, covered=reading.covered, photos=0,
+            problem=NO_PHOTO,
+        )  # fmt: skip
+
+    def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int:
+        """How many thermal cameras see at least half of the places; where there are more than are
+        surveyed, their share of all."""
+        step = -(-len(places) // CHECKED_POINTS)
+        points = places[::step].astype(np.float32)
+        seen = 0
+        for item in self._survey:
+            rows, pixels, depth = visible(item.camera, points)
+            near = np.abs(item.depth[pixels] - depth) < SURFACE_DEPTH * depth
+            seen += int(near.sum() >= 0.5 * len(points)) if len(rows) else 0
+        return -(-seen * len(self._cameras) // len(self._survey))
+
+    @cached_property
+    def _survey(self) -> list[DepthMap]:
+        """Small depth images of the photos' cameras, rendered once."""
+        maps = []
+        for camera in surveying_cameras(self._cameras):
+            small = camera.with_width(min(camera.width, SURVEY_WIDTH_PX))
+            depth = seen_depth(self._render(small)).astype(np.float32)
+            maps.append(DepthMap(small, depth, depth[..., None]))
+        return maps
+
+
+def _read_pixels(
+    mark: Mark,
+    surface: SeenSurface,
+    values: Float[np.ndarray, "h w"] | None,
+    mask: Bool[np.ndarray, "h w"],
+) -> tuple[MarkReading, Float[np.ndarray, "n 3"]]:
+    """A spot or an area, and the places of its pixels."""
+    seen = mask & np.isfinite(surface.depth)
+    if not seen.any():
+        return MarkReading(mark, problem=NO_SURFACE), np.empty((0, 3))
+    area = outline_area(mark.points) if mark.is_area else np.nan
+    covered = float(seen.sum() / max(mask.sum(), 1))
+    places = surface.positions[seen]
+    reading = replace(MarkReading(mark), area=area, covered=covered)
+    return _with_values(reading, None if values is None else values[seen], places), places
+
+
+def _read_line(
+    mark: Mark, surface: SeenSurface, values: Float[np.ndarray, "h w"] | None
+) -> tuple[MarkReading, Float[np.ndarray, "n 3"]]:
+    """A line, and the places of the surface along it."""
+    points, distances = line_samples(mark)
+    pixels = pixels_of(surface.camera, points)
+    seen = pixels.inside & np.isfinite(surface.depth[pixels.rows, pixels.columns])
+    reading = replace(MarkReading(mark), length=float(distances[-1]), covered=float(seen.mean()))
+    if not seen.any():
+        return replace(reading, problem=NO_SURFACE), np.empty((0, 3))
+    places = surface.positions[pixels.rows[seen], pixels.columns[seen]]
+    if values is None:
+        return replace(reading, problem=NO_THERMAL), places
+    along = np.where(seen, values[pixels.rows, pixels.columns], np.nan)
+    reading = replace(reading, profile=Profile(distances, along))
+    return _with_values(reading, along[seen], places), places
+
+
+def line_samples(mark: Mark) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+    """Evenly spaced points on the straight pieces of a line, [S, 3], and their distances from its
+    first point, [S]."""
+    corners = np.array(mark.points)
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(steps)])
+    distances = np.linspace(0.0, ends[-1], PROFILE_SAMPLES)
+    points = np.stack([np.interp(distances, ends, corners[:, i]) for i in range(3)], axis=1)
+    return points, distances
+
+
+def _with_values(
+    reading: MarkReading, values: Float[np.ndarray, " n"] | None, places: Float[np.ndarray, "n 3"]
+) -> MarkReading:
+    """A reading with the statistics of the values at places."""
+    if values is None:
+        return replace(reading, problem=NO_THERMAL)
+    lowest, highest = int(values.argmin()), int(values.argmax())
+    return replace(
+        reading,
+        mean=float(values.mean()),
+        low=float(values[lowest]),
+        high=float(values[highest]),
+        low_at=tuple(places[lowest].tolist()),
+        high_at=tuple(places[highest].tolist()),
+        spread=float(values.std()),
+    )
+
+
+def _difference(reading: MarkReading, means: dict[str, float], reference: str) -> float:
+    """ΔT of a mark to the one that it is compared with; NaN without one."""
+    other = reading.mark.against or reference
+    return reading.mean - means[other] if other and other != reading.mark.name else np.nan

@@ -1,0 +1,203 @@
+"""The marks of a run, from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from mrgs.errors import ConfigError, SceneError
+from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
+from mrgs.marks.measure import MarkMeter, MarkReading
+from mrgs.marks.store import CameraSpread, MarkStore
+from mrgs.marks.surface import SeenSurface, see, steady_depth
+from mrgs.runs.open import Run
+from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
+
+SPOT_PHOTO_PX = 3.0
+"""Diameter of a spot in pixels of the nearest thermal photo, as on a camera's spot meter."""
+
+SPOT_SHARE = 0.01
+"""Diameter of a spot as a share of its distance from the eye, where no photo is known."""
+
+
+class RunMarks:
+    """The marks of a run: added, changed, measured, and saved at once in its ``marks.json``.
+
+    Args:
+        run: with Gaussians.
+
+    Raises:
+        SceneError: the run is old and its scene is not there.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self.store = MarkStore(run.folder.path, CameraSpread.of_run(run))
+        self.scene = _scene_if_there(run)
+        self.meter = MarkMeter(run.render, run.temperature, thermal_cameras(self.scene))
+
+    @property
+    def marks(self) -> Marks:
+        """The marks as they are on the disk.
+
+        Raises:
+            RunError: the file cannot be read, or holds the marks of another model.
+        """
+        return self.store.read()
+
+    @property
+    def world(self) -> WorldFrame:
+        """The frame of the marks' coordinates."""
+        return WorldFrame() if self.scene is None else self.scene.world
+
+    def spot(self, camera: Camera, pixel: Sequence[float], name: str = "", **more: Any) -> Mark:
+        """Add a spot on the surface at a pixel (x, y) of a camera's image; returns it.
+
+        Args:
+            camera: of the image.
+            pixel: x to the right and y down, pixels.
+            name: S1, S2 ... if empty.
+            more: other fields of ``Mark``, such as ``radius`` or ``note``.
+
+        Raises:
+            ConfigError: no surface is seen there, the name is taken, or a value cannot be.
+            RunError: the file cannot be written, or holds the marks of another model.
+        """
+        return self.add("spot", camera, [pixel], name, **more)
+
+    def line(
+        self, camera: Camera, pixels: Sequence[Sequence[float]], name: str = "", **more: Any
+    ) -> Mark:
+        """Add a line through the surface at two or more pixels; see ``spot``."""
+        return self.add("line", camera, pixels, name, **more)
+
+    def box(
+        self,
+        camera: Camera,
+        corner: Sequence[float],
+        opposite: Sequence[float],
+        name: str = "",
+        **more: Any,
+    ) -> Mark:
+        """Add the surface within a rectangle of an image, between two corners; see ``spot``."""
+        (x0, y0), (x1, y1) = corner, opposite
+        return self.add("box", camera, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], name, **more)
+
+    def polygon(
+        self, camera: Camera, pixels: Sequence[Sequence[float]], name: str = "", **more: Any
+    ) -> Mark:
+        """Add the surface within three or more pixels; see ``spot``."""
+        return self.add("polygon", camera, pixels, name, **more)
+
+    def add(
+        self,
+        kind: MarkKind,
+        camera: Camera,
+        pixels: Sequence[Sequence[float]],
+        name: str = "",
+        **more: Any,
+    ) -> Mark:
+        """Add a mark of any kind through pixels of a camera's image; see ``spot``."""
+        surface = see(self.run.render, camera)
+        places = picked_places(surface, pixels)
+        if kind == "spot":
+            more.setdefault("radius", spot_radius(places[0], camera, self.scene))
+
+        def change(marks: Marks) -> Marks:
+            return marks.adding(
+                Mark(name or marks.free_name(kind), kind, places, eye_of(camera), **more)
+            )
+
+        return self.store.edit(change).marks[-1]
+
+    def change(self, name: str, /, **changes: Any) -> Mark:
+        """Change fields of a mark; returns it. See ``Mark`` for the fields.
+
+        Raises:
+            ConfigError: there is no such mark, or a value cannot be.
+            RunError: the file cannot be written.
+        """
+        return self.store.edit(lambda marks: marks.changing(name, **changes)).named(
+            changes.get("name", name)
+        )
+
+    def remove(self, name: str) -> None:
+        """Delete a mark; errors as for ``change``."""
+        self.store.edit(lambda marks: marks.without(name))
+
+    def refer_to(self, name: str) -> None:
+        """Let ΔT of all marks refer to one of them, to none if empty; errors as for ``change``."""
+        self.store.edit(lambda marks: Marks(marks.marks, name))
+
+    def undo(self) -> None:
+        """Take the last change back.
+
+        Raises:
+            ConfigError: there is nothing to undo.
+            RunError: the file cannot be written.
+        """
+        self.store.undo()
+
+    def measure(self) -> list[MarkReading]:
+        """Measure all marks in the model as it is now."""
+        return self.meter.measure(self.marks)
+
+
+def open_marks(run: Run) -> RunMarks:
+    """The marks of a run; see ``RunMarks``."""
+    return RunMarks(run)
+
+
+def picked_places(surface: SeenSurface, pixels: Sequence[Sequence[float]]) -> tuple[Place, ...]:
+    """The places of the surface at pixels (x, y) of an image.
+
+    Raises:
+        ConfigError: a pixel lies outside the image, or shows no surface.
+    """
+    camera, places = surface.camera, []
+    for x, y in pixels:
+        if not (0 <= x < camera.width and 0 <= y < camera.height):
+            raise ConfigError(
+                f"pixel {x:g}, {y:g} lies outside the image of {camera.width} × {camera.height}"
+            )
+        depth = steady_depth(surface, x, y)
+        if not np.isfinite(depth):
+            raise ConfigError(f"no surface at pixel {x:g}, {y:g}: choose a place on the model")
+        pixel = torch.tensor([x, y], dtype=torch.float64)
+        places.append(camera.unproject(pixel, pixel.new_tensor(depth)).tolist())
+    return places_of(places)
+
+
+def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:
+    """Radius of a spot as wide as three pixels of the nearest thermal photo, scene units."""
+    point = torch.tensor(place, dtype=torch.float64)
+    sizes = []
+    for photo in thermal_cameras(scene):
+        pixel, depth = photo.project(point)
+        if photo.contains(pixel):
+            sizes.append(depth.item() / photo.K[0, 0].item())
+    if sizes:
+        return 0.5 * SPOT_PHOTO_PX * min(sizes)
+    return 0.5 * SPOT_SHARE * (point - camera.position).norm().item()
+
+
+def eye_of(camera: Camera) -> Place:
+    """Where a camera stands."""
+    (place,) = places_of([camera.position.tolist()])
+    return place
+
+
+def thermal_cameras(scene: Scene | None) -> list[Camera]:
+    """The cameras of a scene's thermal training photos; none without a scene."""
+    views = () if scene is None else scene.train
+    return [view.images[THERMAL].camera for view in views if THERMAL in view.images]
+
+
+def _scene_if_there(run: Run) -> Scene | None:
+    try:
+        return run.load_scene()
+    except SceneError:
+        return None

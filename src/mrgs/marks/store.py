@@ -1,0 +1,280 @@
+"""``marks.json`` in a run's folder: written whole or not at all, read strictly, and undone step by
+step."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from filelock import FileLock, Timeout
+from jaxtyping import Float
+
+from mrgs.errors import ConfigError, MrgsWarning, RunError
+from mrgs.marks.mark import Mark, Marks
+from mrgs.runs.open import TrainedRun
+from mrgs.scene import Camera, Scene
+from mrgs.system.atomic import write_error, write_text
+from mrgs.system.limits import shown
+
+FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
+VERSION = 1
+STEPS_KEPT = 50
+LARGEST_BYTES = 32 * 2**20
+PATIENCE_S = 10.0
+SAME = 1e-3
+"""Share of the extent by which the cameras of one scene may seem to differ."""
+
+Change = Callable[[Marks], Marks]
+Content = TypeVar("Content")
+
+
+class CameraSpread(NamedTuple):
+    """By which a world is known again: its photos' cameras.
+
+    Attributes:
+        images: number of training images.
+        centre: mean of their positions, scene units.
+        extent: largest distance from it.
+    """
+
+    images: int
+    centre: tuple[float, ...]
+    extent: float
+
+    @classmethod
+    def of(cls, positions: Float[np.ndarray, "n 3"]) -> CameraSpread:
+        """Of positions in world coordinates."""
+        centre = positions.mean(axis=0)
+        extent = np.linalg.norm(positions - centre, axis=1).max()
+        return cls(len(positions), tuple(centre.tolist()), float(extent))
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> CameraSpread:
+        """Of a scene's training images."""
+        cameras = [camera for view in scene.train for camera in view.cameras.values()]
+        return cls.of(_positions(cameras))
+
+    @classmethod
+    def of_run(cls, run: TrainedRun) -> CameraSpread:
+        """Of the images that a run was trained on.
+
+        Raises:
+            SceneError: an old run does not say where they were, and its scene cannot be read.
+        """
+        poses = [np.array(image.pose).reshape(3, 4) for image in run.facts.images]
+        if not poses:
+            return cls.of_scene(run.load_scene())
+        return cls.of(np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses]))
+
+    def is_world_of(self, other: CameraSpread) -> bool:
+        """Whether places in one world are the same places in the other."""
+        tolerance = SAME * max(self.extent, other.extent, 1e-9)
+        return (
+            self.images == other.images
+            and abs(self.extent - other.extent) <= tolerance
+            and np.allclose(self.centre, other.centre, rtol=0, atol=tolerance)
+        )
+
+
+class MarkStore:
+    """The marks of one run on disk; every change is saved at once.
+
+    Args:
+        folder: the run's.
+        spread: of the cameras of the run's scene.
+    """
+
+    def __init__(self, folder: Path, spread: CameraSpread) -> None:
+        self.folder = folder
+        self._spread = spread
+
+    @property
+    def file(self) -> Path:
+        """``marks.json``."""
+        return self.folder / FILE
+
+    @property
+    def stamp(self) -> tuple[int, int] | None:
+        """Changes whenever the file does; None without one."""
+        try:
+            status = self.file.stat()
+        except OSError:
+            return None
+        return status.st_mtime_ns, status.st_size
+
+    def read(self) -> Marks:
+        """The marks; none where there is no file.
+
+        Warns:
+            MrgsWarning: the file is damaged; it is kept under another name, and there are no marks.
+
+        Raises:
+            RunError: the file cannot be read, is of a newer version of the program, or its marks
+                are those of another model.
+        """
+        return self._read(self.file, _marks_of, Marks())
+
+    def edit(self, change: Change) -> Marks:
+        """Change the marks as they are on the disk now, and save them; returns them.
+
+        Raises:
+            ConfigError: the change is not possible; nothing is changed.
+            RunError: as for ``read``, or the file cannot be written.
+        """
+        with self._locked():
+            before = self.read()
+            after = change(before)
+            if after != before:
+                self._write_undo([*self._undo_states(), before][-STEPS_KEPT:])
+                self._write(self.file, _content(after))
+        return after
+
+    def undo(self) -> Marks:
+        """Take the last change back, and save; returns the marks.
+
+        Raises:
+            ConfigError: there is nothing to undo.
+            RunError: as for ``edit``.
+        """
+        with self._locked():
+            now, states = self.read(), self._undo_states()
+            while states and states[-1] == now:  # a change that was cut off before its second file
+                states.pop()
+            if not states:
+                raise ConfigError("there is nothing to undo: the marks have not been changed")
+            before = states.pop()
+            self._write(self.file, _content(before))
+            self._write_undo(states)
+        return before
+
+    def _undo_states(self) -> list[Marks]:
+        return self._read(self.folder / UNDO_FILE, _states_of, [])
+
+    def _write_undo(self, states: Sequence[Marks]) -> None:
+        self._write(self.folder / UNDO_FILE, {"states": [_content(state) for state in states]})
+
+    def _write(self, path: Path, content: dict[str, Any]) -> None:
+        head = {"program": f"mrgs {version('mrgs')}", "version": VERSION}
+        whole = {**head, "cameras": self._spread._asdict(), **content}
+        write_text(path, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def _read(self, path: Path, parse: Callable[[Any], Content], empty: Content) -> Content:
+        """The content of a file; the empty one without a file, or where it is damaged."""
+        try:
+            document = self._document(path)
+            return empty if document is None else parse(document)
+        except ConfigError as error:
+            self._set_aside(path, str(error))
+            return empty
+
+    def _document(self, path: Path) -> Any:
+        """The JSON object in a file of this world; None without one.
+
+        Raises:
+            ConfigError: the file is damaged.
+            RunError: it cannot be read, or is not for this program or this model.
+        """
+        try:
+            if not path.exists():
+                return None
+            if path.stat().st_size > LARGEST_BYTES:
+                raise ConfigError("it is too large")
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise RunError(
+                f"{path} cannot be read ({error.strerror}): check its permissions"
+            ) from error
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"it is not JSON, {error}") from None
+        if not isinstance(document, dict) or not isinstance(document.get("version"), int):
+            raise ConfigError("it has no version")
+        if document["version"] > VERSION:
+            raise RunError(f"{path} was written by a newer version of mrgs: update mrgs")
+        if not _spread_from_json(document.get("cameras")).is_world_of(self._spread):
+            raise RunError(
+                f"{path} holds the marks of another model, whose places mean nothing here: move "
+                f"the file away, or put it back into its own run"
+            )
+        return document
+
+    def _set_aside(self, path: Path, reason: str) -> None:
+        """Keep a damaged file under another name, and say so."""
+        names = (f"{path.name}.damaged{number}" for number in ["", *range(2, 1000)])
+        aside = next(path.with_name(each) for each in names if not path.with_name(each).exists())
+        try:
+            path.rename(aside)
+        except OSError as error:
+            raise write_error(path, error) from error
+        reason = " ".join(reason.split())
+        warnings.warn(
+            f"{path} is damaged ({reason}): it is kept as {aside.name}; fix it and rename it, or "
+            f"undo to bring back the marks before the last change",
+            MrgsWarning,
+            stacklevel=4,
+        )
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """One change at a time, whatever process makes it."""
+        lock = FileLock(self.folder / LOCK_FILE)
+        try:
+            lock.acquire(timeout=PATIENCE_S)
+        except Timeout:
+            raise RunError(
+                f"another process keeps {self.file} locked: end it, then try again"
+            ) from None
+        except OSError as error:
+            raise write_error(self.file, error) from error
+        try:
+            yield
+        finally:
+            lock.release()
+
+
+def _content(marks: Marks) -> dict[str, Any]:
+    return {
+        "reference": marks.reference,
+        "marks": [mark.to_json() for mark in marks.marks],
+    }
+
+
+def _marks_of(document: Any) -> Marks:
+    """The marks in a document, or in a state of the file for undoing.
+
+    Raises:
+        ConfigError: they are not what ``_content`` writes.
+    """
+    if not isinstance(document, dict) or not isinstance(document.get("marks"), list):
+        raise ConfigError("it has no list of marks")
+    reference = document.get("reference", "")
+    if not isinstance(reference, str):
+        raise ConfigError(f"the reference is {shown(reference)}, not a name")
+    return Marks(tuple(map(Mark.from_json, document["marks"])), reference)
+
+
+def _states_of(document: Any) -> list[Marks]:
+    """The states in a file for undoing, the oldest first."""
+    if not isinstance(document.get("states"), list):
+        raise ConfigError("it has no list of states")
+    return [_marks_of(state) for state in document["states"]]
+
+
+def _spread_from_json(value: Any) -> CameraSpread:
+    try:
+        centre = tuple(map(float, value["centre"]))
+        spread = CameraSpread(int(value["images"]), centre, float(value["extent"]))
+    except (TypeError, ValueError, KeyError, OverflowError):
+        raise ConfigError(f"its cameras are {shown(value)}") from None
+    if len(centre) != 3:
+        raise ConfigError(f"its cameras are {shown(value)}")
+    return spread
+
+
+def _positions(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:
+    return np.stack([camera.position.numpy() for camera in cameras])

@@ -1,0 +1,231 @@
+"""The part of a surface that belongs to a mark, as it is seen from where the mark was drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int64
+from PIL import Image, ImageDraw
+
+from mrgs.errors import ConfigError
+from mrgs.marks.mark import Mark, Place
+from mrgs.scene import THERMAL, Camera, Rendering, metric_first
+
+SurfaceRenderer = Callable[[Camera], Rendering]
+"""Renders all modalities of a model from a camera, with the depths of their surfaces."""
+
+AREA_PX = 256
+"""Longest side of an area or a line in the image that it is measured in."""
+
+SPOT_PX = 12
+"""Diameter of a spot in the image that it is measured in."""
+
+MARGIN_PX = 3
+WIDEST_SLOPE = 5.0
+"""Tangent of the largest angle between the middle of a mark and its corners, seen from the eye."""
+
+SOLID_ALPHA = 0.5
+FEWEST_PIXELS = 12
+"""To fit a surface to."""
+
+PICK_SHARE = 0.02
+"""Half width of the pixels that a picked place is steadied with, as a share of the image's."""
+
+SAME_SURFACE = 0.03
+"""Pixels whose depth differs by less than this share are of the surface that was picked."""
+
+ROBUST_STEPS = 8
+TUKEY = 6.0
+"""What lies farther from a surface than so many times the median does not count."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """A surface as one camera sees it.
+
+    Attributes:
+        camera: of the pixels.
+        rendering: from it.
+        depth: z-depth, scene units, NaN where there is no surface, [H, W].
+    """
+
+    camera: Camera
+    rendering: Rendering
+    depth: Float[np.ndarray, "h w"]
+
+    @property
+    def positions(self) -> Float[np.ndarray, "h w 3"]:
+        """World coordinates of the surface at each pixel, NaN where there is none."""
+        points: Float[np.ndarray, "h w 3"] = self.camera.unproject_image(
+            torch.from_numpy(self.depth)
+        ).numpy()
+        return points
+
+
+class PixelPlaces(NamedTuple):
+    """Pixels of an image at which points of the world appear.
+
+    Attributes:
+        rows: [N].
+        columns: [N].
+        inside: whether the point appears in the image, [N]; row and column are 0 where it does not.
+    """
+
+    rows: Int64[np.ndarray, " n"]
+    columns: Int64[np.ndarray, " n"]
+    inside: Bool[np.ndarray, " n"]
+
+
+def see(render: SurfaceRenderer, camera: Camera) -> SeenSurface:
+    """Render the surface that a camera sees."""
+    rendering = render(camera)
+    return SeenSurface(camera, rendering, seen_depth(rendering))
+
+
+def seen_depth(rendering: Rendering) -> Float[np.ndarray, "h w"]:
+    """z-depth of the visible surface in double precision, [H, W]; NaN where no modality covers a
+    pixel by half. The temperatures' own surface comes first."""
+    found = None
+    for modality in metric_first(rendering):
+        depth = rendering.surface_depth(modality, SOLID_ALPHA)
+        found = depth if found is None else torch.where(found.isnan(), depth, found)
+    assert found is not None
+    return found.cpu().double().numpy()
+
+
+def celsius_or_value(rendering: Rendering) -> Float[np.ndarray, "h w"] | None:
+    """The normalised thermal image, [H, W]; None without one."""
+    if THERMAL not in rendering:
+        return None
+    values: Float[np.ndarray, "h w"] = rendering[THERMAL].image[..., 0].cpu().double().numpy()
+    return values
+
+
+def measuring_camera(mark: Mark) -> Camera:
+    """The camera that a mark is measured with: at its eye, towards its middle, and just wide
+    enough.
+
+    Raises:
+        ConfigError: the mark lies around its eye, so that no camera sees all of it.
+    """
+    points, eye = np.array(mark.points), np.array(mark.eye)
+    target = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    camera = _towards(eye, target)
+    in_camera = (points - eye) @ camera.viewmat[:3, :3].numpy().T
+    slopes = np.abs(in_camera[:, :2] / np.maximum(in_camera[:, 2:], 1e-12))
+    if not in_camera[:, 2].min() > 0 or not slopes.max() <= WIDEST_SLOPE:
+        raise ConfigError(f"{mark.name} is too wide to be seen at once: draw it from farther away")
+    reach = slopes.max()
+    if mark.kind == "spot":
+        pixels = SPOT_PX
+        reach = mark.radius / np.linalg.norm(points[0] - eye)
+    else:
+        pixels = AREA_PX
+    size = pixels + 2 * MARGIN_PX
+    focal = 0.5 * pixels / max(float(reach), 1e-9)
+    K = [[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]]
+    return Camera(K, camera.viewmat, size, size)
+
+
+def _towards(eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Camera:
+    """A camera at the eye with its axis through the target."""
+    base = Camera.from_fov(2, 2, 90.0)
+    forward = target - eye
+    if not np.linalg.norm(forward) > 0:
+        raise ConfigError("a mark must not lie where it was drawn from")
+    upright = abs(forward[2]) < 0.99 * np.linalg.norm(forward)
+    return base.look_at(eye, target, [0.0, 0.0, 1.0] if upright else [0.0, 1.0, 0.0])
+
+
+def pixels_of(camera: Camera, points: Float[np.ndarray, "n 3"]) -> PixelPlaces:
+    """The pixels at which points of the world appear."""
+    places, _ = camera.project(torch.from_numpy(np.asarray(points, dtype=np.float64)))
+    inside = camera.contains(places).numpy()
+    columns, rows = np.where(inside[:, None], places.numpy(), 0).astype(np.int64).T
+    return PixelPlaces(rows, columns, inside)
+
+
+def outline_mask(camera: Camera, points: Sequence[Place]) -> Bool[np.ndarray, "h w"]:
+    """The pixels whose centres lie within the outline of a mark, [H, W]."""
+    pixels, _ = camera.project(torch.tensor(points, dtype=torch.float64))
+    image = Image.new("1", (camera.width, camera.height))
+    corners = [(x - 0.5, y - 0.5) for x, y in pixels.tolist()]
+    ImageDraw.Draw(image).polygon(corners, fill=1)
+    return np.asarray(image)
+
+
+def disc_mask(surface: SeenSurface, mark: Mark) -> Bool[np.ndarray, "h w"]:
+    """The pixels within a spot's radius of its middle that show its surface, [H, W]."""
+    camera = surface.camera
+    pixel, depth = camera.project(torch.tensor(mark.points[0], dtype=torch.float64))
+    columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    reach_px = mark.radius * camera.K[0, 0].item() / depth.item()
+    inside = np.hypot(columns - pixel[0].item(), rows - pixel[1].item()) <= reach_px
+    mask: Bool[np.ndarray, "h w"] = inside & (
+        np.abs(surface.depth - depth.item()) < SAME_SURFACE * depth.item()
+    )
+    return mask
+
+
+def outline_area(points: Sequence[Place]) -> float:
+    """Area of the flat outline through corners, scene units squared; of one that is not flat, that
+    of its projection along its mean normal (Newell)."""
+    corners = np.array(points)
+    corners = corners - corners.mean(axis=0)
+    return 0.5 * float(np.linalg.norm(np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)))
+
+
+def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
+    """z-depth of the surface at a place of the image, from the pixels about it: a single pixel has
+    the depth of one splat. NaN where there is no surface.
+
+    Args:
+        surface: that is seen.
+        x: to the right, pixels.
+        y: down, pixels.
+    """
+    row, column = int(y), int(x)
+    here = surface.depth[row, column]
+    reach = max(3, round(PICK_SHARE * max(surface.depth.shape)))
+    rows, columns = (
+        np.arange(max(at - reach, 0), min(at + reach + 1, size))
+        for at, size in zip((row, column), surface.depth.shape, strict=True)
+    )
+    depth = surface.depth[np.ix_(rows, columns)]
+    grid = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
+    near = np.abs(depth - here) < SAME_SURFACE * here  # false for NaN
+    if near.sum() < FEWEST_PIXELS:
+        return float(here)
+    rays = _rays(surface.camera, *grid[near].T)
+    fx, fy, cx, cy = surface.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return _plane_depth(rays, depth[near], np.array([(x - cx) / fx, (y - cy) / fy, 1.0]))
+
+
+def _plane_depth(
+    rays: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, " n"], wanted: Float[np.ndarray, "3"]
+) -> float:
+    """z-depth on a ray of the plane through most of the depths on others.
+
+    The inverse depth of a plane is linear in x and y. What stands out of it does not count (Tukey's
+    weights).
+    """
+    inverse, weights = 1 / depth, np.ones(len(depth))
+    for _ in range(ROBUST_STEPS):
+        root = np.sqrt(weights)
+        plane = np.linalg.lstsq(rays * root[:, None], inverse * root, rcond=None)[0]
+        left = np.abs(inverse - rays @ plane)
+        scale = max(float(np.median(left)), 1e-12 * float(inverse.max()))
+        weights = np.square(np.maximum(1 - np.square(left / (TUKEY * scale)), 0.0))
+    return float(1 / max(float(wanted @ plane), 1e-12))
+
+
+def _rays(
+    camera: Camera, rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """(x / z, y / z, 1) of pixels, in the camera's axes."""
+    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    return np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(rows))], axis=1)

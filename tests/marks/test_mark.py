@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mrgs.errors import ConfigError
+from mrgs.marks import Mark, Marks
+
+EYE = (0.0, -5.0, 0.0)
+SPOT = Mark("S1", "spot", ((0.0, 0.0, 0.0),), EYE, radius=0.01)
+SQUARE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+BOX = Mark("B1", "box", SQUARE, EYE, emissivity=0.6, reflected_c=-10.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": " "}, "its name must not be empty"),
+        ({"name": "x" * 41}, "its name must be a text of at most 40 printable characters"),
+        ({"note": "\x1b[2J"}, "its note must be a text of at most 2,000 printable characters"),
+        ({"points": ()}, "a spot has 1 points, not 0"),
+        ({"kind": "line"}, "a line has 2 to 200 points, not 1"),
+        ({"radius": 0.0}, "the radius of a spot must be above 0, not 0.0"),
+        ({"emissivity": 0.9}, "only boxes and polygons have an emissivity"),
+    ],
+)
+def test_a_mark_that_cannot_be_is_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        replace(SPOT, **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"emissivity": 0.0}, "its emissivity must be from 0.01 to 1, not 0.0"),
+        ({"emissivity": float("nan")}, "its emissivity must be from 0.01 to 1, not nan"),
+        ({"reflected_c": -300.0}, "its reflected_c must be from -200 to 3500 °C, not -300.0"),
+    ],
+)
+def test_settings_of_a_surface_have_limits(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        replace(BOX, **changes)
+
+
+@pytest.mark.parametrize("mark", [SPOT, BOX, replace(BOX, note="two\nlines", against="S1")])
+def test_marks_survive_json(mark):
+    assert Mark.from_json(mark.to_json()) == mark
+    assert "radius" not in BOX.to_json()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (3, "3 is no mark: it needs name, kind, points and eye"),
+        ({**SPOT.to_json(), "colour": "red"}, "a mark has no field 'colour'"),
+        ({**SPOT.to_json(), "points": "here"}, "points are 'here', not a list"),
+        ({**SPOT.to_json(), "points": [[1, 2]]}, r"\[1, 2\] is no place: it needs x, y and z"),
+        ({**SPOT.to_json(), "eye": [0, 0, 1e400]}, "x, y and z must be finite numbers"),
+        ({**SPOT.to_json(), "eye": [0, 0, True]}, "x, y and z must be finite numbers"),
+        ({**SPOT.to_json(), "name": 7}, "name is 7, not a text"),
+        ({**BOX.to_json(), "emissivity": "high"}, "emissivity is 'high', not a number"),
+        ({**SPOT.to_json(), "kind": "circle"}, "a kind is one of spot, line, box, polygon, not"),
+    ],
+)
+def test_json_that_is_no_mark_is_refused(value, message):
+    with pytest.raises(ConfigError, match=message):
+        Mark.from_json(value)
+
+
+def test_names_are_unique_and_given_in_order():
+    marks = Marks((SPOT, BOX))
+    assert (marks.free_name("spot"), marks.free_name("line")) == ("S2", "L1")
+    with pytest.raises(ConfigError, match="two marks are named 'S1': choose another name"):
+        marks.adding(replace(BOX, name="S1"))
+    with pytest.raises(ConfigError, match="there is no mark 'S9': the marks are S1, B1"):
+        Marks(marks.marks, "S9")
+    with pytest.raises(ConfigError, match="there is no mark 'S9': the marks are none"):
+        Marks().named("S9")
+
+
+def test_what_refers_to_a_mark_follows_its_name_and_its_end():
+    marks = Marks((SPOT, replace(BOX, against="S1")), reference="S1")
+    renamed = marks.changing("S1", name="Outer wall")
+    assert (renamed.reference, renamed.marks[1].against) == ("Outer wall", "Outer wall")
+    gone = marks.without("S1")
+    assert (gone.reference, gone.marks) == ("", (replace(BOX, against=""),))
+
+
+def test_there_are_not_endlessly_many():
+    many = tuple(replace(SPOT, name=f"S{number}") for number in range(501))
+    with pytest.raises(ConfigError, match="more than 500 marks: delete some"):
+        Marks(many)

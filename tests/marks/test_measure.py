@@ -1,0 +1,146 @@
+"""Marks on a wall whose temperatures and lengths are known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.errors import ConfigError
+from mrgs.marks import Mark, Marks
+from mrgs.marks.measure import MarkMeter
+from mrgs.marks.run_marks import picked_places
+from mrgs.marks.surface import outline_area, see, steady_depth
+from mrgs.scene import RGB, THERMAL, Blend, Rendering
+from tests.helpers.walls import RANGE, camera_before_wall, render_wall
+
+EYE = (1.0, -5.0, 0.5)
+SPOT = Mark("S1", "spot", ((0.5, 0.0, 0.25),), EYE, radius=0.05)
+LINE = Mark("L1", "line", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0)), EYE)
+SQUARE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+BOX = Mark("B1", "box", SQUARE, EYE)
+
+
+@pytest.fixture
+def meter() -> MarkMeter:
+    return MarkMeter(render_wall, RANGE)
+
+
+def test_a_spot_is_the_mean_of_its_disc(meter):
+    reading = meter.read(SPOT)
+    assert reading.mean == pytest.approx(21.25, abs=0.005)
+    assert reading.low == pytest.approx(21.25 - 0.05 * 5**0.5, abs=0.02)
+    assert reading.high == pytest.approx(21.25 + 0.05 * 5**0.5, abs=0.02)
+    assert np.isnan(reading.length)
+    assert np.isnan(reading.area)
+    assert reading.problem == ""
+
+
+def test_a_line_has_a_profile_along_its_pieces(meter):
+    reading = meter.read(LINE)
+    assert reading.length == pytest.approx(3.0, abs=1e-9)
+    profile = reading.profile
+    assert profile.distances[[0, -1]] == pytest.approx((0.0, 3.0))
+    along = np.minimum(profile.distances, 2.0) - 1
+    exact = 20 + 2 * along + np.maximum(profile.distances - 2, 0.0)
+    assert np.abs(profile.values - exact).max() < 0.05
+    assert reading.mean == pytest.approx(exact.mean(), abs=0.02)
+
+
+def test_an_area_has_extremes_and_a_size(meter):
+    reading = meter.read(BOX)
+    assert reading.area == pytest.approx(1.0, rel=1e-9)
+    assert (reading.mean, reading.low, reading.high) == pytest.approx((21.5, 20.0, 23.0), abs=0.03)
+    assert reading.low_at == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+    assert reading.high_at == pytest.approx((1.0, 0.0, 1.0), abs=0.02)
+    assert reading.spread == pytest.approx((4 / 12 + 1 / 12) ** 0.5, rel=0.02)
+    assert reading.covered == 1.0
+
+
+def test_the_area_of_an_outline_that_is_not_convex():
+    corner = [(0.0, 0, 0), (2.0, 0, 0), (2.0, 0, 1), (1.0, 0, 1), (1.0, 0, 2), (0.0, 0, 2)]
+    assert outline_area(corner) == pytest.approx(3.0)
+
+
+def test_differences_are_to_the_reference_or_to_a_mark_of_their_own(meter):
+    marks = Marks((SPOT, replace(BOX, against="L1"), LINE), reference="S1")
+    spot, box, line = meter.measure(marks)
+    assert np.isnan(spot.difference)
+    assert box.difference == pytest.approx(box.mean - line.mean)
+    assert line.difference == pytest.approx(line.mean - spot.mean)
+
+
+def test_what_lies_beyond_the_surface_is_left_out(meter):
+    half = tuple((x + 2.5, y, z) for x, y, z in SQUARE)
+    reading = meter.read(replace(BOX, points=half))
+    assert reading.covered == pytest.approx(0.53, abs=0.01)  # of its picture; half of it is nearer
+    assert reading.high == pytest.approx(27.0, abs=0.05)
+    gone = meter.read(replace(SPOT, points=((3.5, 0.0, 0.0),)))
+    assert gone.problem == "no surface there: draw it on the model"
+    assert np.isnan(gone.mean)
+
+
+def test_a_spot_that_the_model_no_longer_holds_is_empty(meter):
+    before_the_wall = replace(SPOT, points=((0.5, -1.0, 0.25),))
+    assert meter.read(before_the_wall).problem == "no surface there: draw it on the model"
+
+
+def test_photos_are_counted_and_where_none_looks_there_is_no_temperature():
+    cameras = [camera_before_wall(x) for x in (-1.0, 0.0, 1.0)]
+    away = camera_before_wall().look_at([0.0, -5.0, 0.0], [0.0, -10.0, 0.0])
+    assert MarkMeter(render_wall, RANGE, [*cameras, away]).read(BOX).photos == 3
+    reading = MarkMeter(render_wall, RANGE, [away]).read(BOX)
+    assert reading.photos == 0
+    assert reading.problem == "no photo looks at it, so its temperature is not known"
+    assert np.isnan(reading.mean)
+    assert reading.area == pytest.approx(1.0)
+
+
+def test_without_thermal_images_there_are_lengths_alone():
+    def colours(camera):
+        blend = render_wall(camera)[THERMAL]
+        return Rendering({RGB: blend._replace(image=blend.image.expand(-1, -1, 3))})
+
+    line, box = MarkMeter(colours, None).measure(Marks((LINE, BOX)))
+    assert (line.length, box.area) == pytest.approx((3.0, 1.0))
+    assert {line.problem, box.problem} == {"the model has no temperatures"}
+
+
+def test_a_mark_about_its_own_eye_is_refused(meter):
+    wide = replace(BOX, eye=(0.5, -0.05, 0.5))
+    assert "too wide to be seen at once: draw it from farther away" in meter.read(wide).problem
+
+
+def test_places_are_picked_on_the_surface():
+    surface = see(render_wall, camera_before_wall())
+    (place,) = picked_places(surface, [(100.0, 40.0)])
+    assert place[1] == pytest.approx(0.0, abs=1e-6)
+    pixel, _ = surface.camera.project(torch.tensor(place).double())
+    assert pixel.tolist() == pytest.approx([100.0, 40.0], abs=1e-6)
+    with pytest.raises(ConfigError, match="pixel 200, 40 lies outside the image of 160 × 120"):
+        picked_places(surface, [(200.0, 40.0)])
+    aside = see(render_wall, camera_before_wall().look_at([0, -5, 0], [4.0, 0, 0]))
+    with pytest.raises(ConfigError, match="no surface at pixel 150, 60: choose a place on the"):
+        picked_places(aside, [(150.0, 60.0)])
+
+
+def test_a_picked_depth_is_steadier_than_a_pixel():
+    """A model's depth is that of single splats: steps, and things that stick out."""
+    rng = np.random.default_rng(0)
+
+    def rough(camera):
+        blend = render_wall(camera)[THERMAL]
+        steps = torch.from_numpy(rng.choice([0.99, 1.0, 1.01, 1.02], blend.depth.shape))
+        return Rendering({THERMAL: Blend(blend.image, blend.depth * steps, blend.alpha)})
+
+    camera = camera_before_wall(2.0)
+    exact = see(render_wall, camera).depth
+    surface = see(rough, camera)
+    errors = [
+        steady_depth(surface, x + 0.5, y + 0.5) / exact[y, x] - 1
+        for x in range(40, 120, 20)
+        for y in range(30, 100, 20)
+    ]
+    assert np.abs(np.array(errors) - 0.005).max() < 0.006

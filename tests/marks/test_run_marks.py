@@ -1,0 +1,98 @@
+"""Marks in trained models, against the exact truth of a generated scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs import Run, RunMarks, load_run, make_config, open_marks
+from mrgs.errors import RunError
+from mrgs.evaluation.truth import read_float_tiff
+from mrgs.scene import THERMAL, View
+from tests.helpers.runs import trained_run
+
+TABLETOP = Path(__file__).parents[2] / "examples" / "tabletop"
+CONFIG = make_config("mrgs", "fast", max_steps=200, max_gaussians=3_000, resolution=96)
+ON_THE_TABLE = [(30, 55), (60, 60)]
+"""Pixels of the first held-out view, at 96 × 72."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    output = tmp_path_factory.mktemp("tabletop") / "run"
+    return load_run(trained_run(tmp_path_factory, TABLETOP, CONFIG, output))
+
+
+@pytest.fixture
+def marks(run: Run) -> Iterator[RunMarks]:
+    yield open_marks(run)
+    for path in run.folder.path.glob("*marks*"):
+        path.unlink()
+
+
+@pytest.fixture
+def view(run: Run) -> View:
+    return run.load_scene().eval[0]
+
+
+def exact_places(view: View, pixels: list[tuple[int, int]]) -> np.ndarray:
+    """World coordinates of what the thermal camera sees at pixels, [N, 3]."""
+    depth = read_float_tiff(TABLETOP / "truth" / "depth" / f"{view.name}.tiff")
+    camera = view.images[THERMAL].camera.resized(*depth.shape[::-1])
+    scale = depth.shape[1] / 96
+    at = np.array(pixels) * scale
+    depths = [float(depth[int(y), int(x)]) for x, y in at]
+    return camera.unproject(torch.tensor(at), torch.tensor(depths).double()).numpy()
+
+
+@pytest.mark.slow
+def test_spots_have_the_temperature_of_the_surface(marks, view) -> None:
+    exact = read_float_tiff(TABLETOP / "truth" / "temperature" / f"{view.name}.tiff")
+    scale = exact.shape[1] / 96
+    errors = []
+    for pixel in ON_THE_TABLE:
+        reading = marks.meter.read(marks.spot(view.images[THERMAL].camera, pixel))
+        x, y = (int(each * scale) for each in pixel)
+        errors.append(reading.mean - exact[y - 2 : y + 3, x - 2 : x + 3].mean())
+        assert reading.photos >= 4
+    assert np.abs(errors).max() < 1.0  # what test_temperature_at has for most of its surfaces
+
+
+@pytest.mark.slow
+def test_lengths_are_those_of_the_world(marks, view) -> None:
+    ends = exact_places(view, ON_THE_TABLE[:2])
+    mark = marks.line(view.images[THERMAL].camera, ON_THE_TABLE[:2])
+    reading = marks.meter.read(mark)
+    assert reading.length == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=0.04)
+    assert marks.world.length_unit == "m"
+
+
+def test_marks_are_kept_with_the_run(marks, run, view) -> None:
+    camera = view.images[THERMAL].camera
+    marks.spot(camera, (48, 40), note="the cup")
+    marks.box(camera, (60, 52), (40, 44), emissivity=0.7)
+    marks.polygon(camera, [(30, 50), (40, 50), (35, 58)], name="Table")
+    marks.refer_to("S1")
+    again = open_marks(run)
+    assert again.marks == marks.marks
+    assert [mark.name for mark in again.marks.marks] == ["S1", "B1", "Table"]
+    spot, _, table = again.measure()
+    assert table.difference == pytest.approx(table.mean - spot.mean)
+    assert again.change("Table", name="Plate", note="warm").note == "warm"
+    again.remove("B1")
+    again.undo()
+    assert [mark.name for mark in marks.marks.marks] == ["S1", "B1", "Plate"]
+
+
+def test_a_copy_of_another_runs_marks_is_refused(marks, view, small_scene, tmp_path_factory):
+    marks.spot(view.images[THERMAL].camera, (48, 40))
+    config = make_config("mrgs", "fast", max_steps=4, max_gaussians=60)
+    output = tmp_path_factory.mktemp("other") / "run"
+    other = load_run(trained_run(tmp_path_factory, small_scene, config, output))
+    (other.folder.path / "marks.json").write_bytes(marks.store.file.read_bytes())
+    with pytest.raises(RunError, match="holds the marks of another model"):
+        open_marks(other).measure()
