@@ -198,5 +198,5 @@ def test_heat_does_not_come_from_behind_what_light_shows_and_seldom_from_before_
     loss, _, by_depth = opaqueness(
         [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.4], [2.5, 1.5, 8.0, 9.0], [2.0, 2.0, 2.0, 0.8]
     )
-    assert loss == pytest.approx((0.2 + 0.3 * 0.25 + 0.75 + 0) / 4)
-    assert by_depth == pytest.approx([2 / 2.5**2 / 4, -0.3 / 2 / 4, 2 / 8.0**2 / 4, 0])
+    assert loss == pytest.approx((0.2 + 0.1 * 0.25 + 0.75 + 0) / 4)
+    assert by_depth == pytest.approx([2 / 2.5**2 / 4, -0.1 / 2 / 4, 2 / 8.0**2 / 4, 0])

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from mrgs.method.start.photo_values import PHOTOS, photo_values
+from mrgs.method.start.photo_values import PHOTOS, photo_values, with_neighbours_values
 from mrgs.scene import Camera, Pixels, PosedImage
 
 WIDTH, HEIGHT = 12, 8
@@ -76,7 +76,7 @@ def test_photos_that_show_something_nearer_do_not_count():
     [in_pixel(3, 12), in_pixel(-1, 4), in_pixel(3, 4, -1.0), [0.0, 0.0, 0.0]],
     ids=["right of the frame", "above it", "behind the camera", "at the camera"],
 )
-def test_a_point_that_no_photo_shows_is_in_the_middle_of_the_range(point):
+def test_a_point_that_no_photo_shows_has_no_value(point):
     assert temperatures(torch.tensor([point]), [constant(0.9)]).isnan().all()
 
 
@@ -90,7 +90,7 @@ def test_invalid_pixels_do_not_count():
     )
 
 
-def test_without_photos_all_are_in_the_middle_of_the_range():
+def test_without_photos_none_has_a_value():
     assert temperatures(torch.zeros(3, 3), []).isnan().all()
 
 
@@ -106,3 +106,24 @@ def test_of_many_photos_some_are_read_evenly_spread():
     assert read[0] == 0
     assert read[-1] == 199
     assert found.item() == pytest.approx(0.1, abs=0.005)
+
+
+def test_a_point_without_a_value_takes_its_neighbours():
+    positions = torch.tensor([[0.0, 0, 0], [3.0, 0, 0], [1.0, 0, 0], [0.0, 0, 0]])
+    values = torch.tensor([[0.2, 0.4], [0.7, 0.9], [torch.nan, torch.nan], [torch.nan, torch.nan]])
+    found = with_neighbours_values(positions, values)
+    assert torch.equal(found[:2], values[:2])
+    torch.testing.assert_close(found[2], 0.8 * values[0] + 0.2 * values[1])
+    torch.testing.assert_close(found[3], values[0])
+
+
+def test_only_the_nearest_neighbours_tell():
+    positions = torch.tensor([[float(place), 0, 0] for place in range(1, 12)] + [[0.0, 0, 0]])
+    values = torch.tensor([[0.1]] * 8 + [[0.9]] * 3 + [[torch.nan]])
+    assert with_neighbours_values(positions, values)[-1].item() == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("values", [torch.full((3, 1), torch.nan), torch.full((3, 1), 0.3)])
+def test_all_or_none_have_a_value(values):
+    found = with_neighbours_values(torch.rand(3, 3), values)
+    assert torch.equal(found, values) or found.isnan().all()

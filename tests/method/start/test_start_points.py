@@ -100,6 +100,20 @@ def test_a_modality_without_photos_says_nothing(photographed):
         assert (found.opacities[THERMAL] == found.opacities[RGB]).all()
 
 
+def test_points_that_no_thermal_photo_shows_start_as_their_neighbours():
+    scene = wall_under_sky()
+    beside = torch.tensor([[100.0, 0.0, 0.0]])  # in no photo
+    cloud = PointCloud(
+        torch.cat([scene.points.positions, beside]), torch.cat([scene.points.colors, beside * 0])
+    )
+    found = start_points(
+        replace(scene, points=cloud), replace(make_config("mrgs", "paper"), photo_temperatures=True)
+    )
+    count = len(scene.points.positions)
+    assert found.values[THERMAL][count].item() == pytest.approx(WALL_C)
+    assert found.opacities[THERMAL][count] == found.opacities[THERMAL][0]
+
+
 def test_a_third_modality_starts_like_the_temperatures():
     found = start_points(wall_under_sky([RGB, THERMAL, NEAR_INFRARED]), make_config("mrgs", "fast"))
     assert list(found.values) == [RGB, THERMAL, NEAR_INFRARED]

@@ -20,7 +20,7 @@ HALF_COVERED = 0.5
 
 SMALLEST_DEPTH = 1e-6
 
-BEFORE = 0.3
+BEFORE = 0.1
 """Weight of a thermal surface before the colours', which fog may be, or glass."""
 
 
@@ -91,7 +91,7 @@ def opaqueness_loss(
 ) -> Float[Tensor, ""]:
     """L_opaque: what blocks light blocks heat radiation too; not in the paper.
 
-    The mean of max(0, α_c − α_t) + max(0, 1 − d_c / d_t) + 0.3 max(0, 1 − d_t / d_c), with d = D /
+    The mean of max(0, α_c − α_t) + max(0, 1 − d_c / d_t) + 0.1 max(0, 1 − d_t / d_c), with d = D /
     α the depth of the surface: the thermal image may neither be more transparent than the colours
     nor look behind what they show. Without it a surface whose temperature is that of what lies
     behind it, or of the background, may as well be transparent. What the thermal image shows before

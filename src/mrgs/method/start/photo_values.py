@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mrgs.scene import Camera, PosedImage, evenly_spaced
@@ -21,6 +23,12 @@ another in its cell, or in one of those around it, is much nearer."""
 
 MUCH_NEARER = 1.5
 """A hidden point is more than so many times as far away."""
+
+NEIGHBOURS = 8
+"""A point that no photo shows takes the values of so many others."""
+
+SMALLEST_DISTANCE = 1e-9
+"""That divides; scene units."""
 
 
 class _Shown(NamedTuple):
@@ -57,6 +65,28 @@ def photo_values(
         torch.stack(values).nanmedian(dim=0).values for values in zip(*shown, strict=True)
     )
     return torch.where(unhidden.isnan(), in_frame, unhidden).to(positions)
+
+
+def with_neighbours_values(
+    positions: Float[Tensor, "n 3"], values: Float[Tensor, "n c"]
+) -> Float[Tensor, "n c"]:
+    """Values in which a point that has none takes those of its nearest points that have one,
+    weighted by the inverse square of their distance.
+
+    Args:
+        positions: of the points.
+        values: NaN for a point that has none; where none has any, all stay so.
+    """
+    unknown = values.isnan().any(dim=1)
+    if unknown.all():
+        return values
+    known = values[~unknown].double().numpy()
+    tree = cKDTree(positions[~unknown].double().numpy())
+    nearest = range(1, min(NEIGHBOURS, len(known)) + 1)
+    distance, index = tree.query(positions[unknown].double().numpy(), k=list(nearest), workers=-1)
+    weight = 1 / np.square(distance.clip(SMALLEST_DISTANCE))
+    mean = (weight[:, :, None] * known[index]).sum(1) / weight.sum(1, keepdims=True)
+    return values.masked_scatter(unknown[:, None], torch.from_numpy(mean).to(values))
 
 
 def _shown(positions: Float64[Tensor, "n 3"], photo: PosedImage) -> _Shown:

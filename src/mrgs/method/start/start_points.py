@@ -17,7 +17,7 @@ from torch import Tensor
 
 from mrgs.method.config import TrainConfig
 from mrgs.method.start.distant_points import distant_points
-from mrgs.method.start.photo_values import photo_values
+from mrgs.method.start.photo_values import photo_values, with_neighbours_values
 from mrgs.scene import RGB, THERMAL, Modality, PointCloud, PosedImage, Scene, in_order
 
 OPACITY = 0.1
@@ -131,8 +131,10 @@ def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
 
 
 def _with_photo_values(points: StartPoints, scene: Scene, modality: Modality) -> StartPoints:
-    """Points that photos of a modality show get its value there, and are more opaque to it."""
-    values = photo_values(points.positions, _photos(scene, modality), modality.channels)
+    """Points get a modality's value in the photos that show them, or that of the nearest points
+    which these show, and are more opaque to it."""
+    shown = photo_values(points.positions, _photos(scene, modality), modality.channels)
+    values = with_neighbours_values(points.positions, shown)
     unseen, opacities = values.isnan().any(dim=1), points.opacities[modality]
     opaque = opacities.clamp_min(THERMAL_OPACITY)
     return points._replace(
