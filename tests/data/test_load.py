@@ -6,7 +6,7 @@ import pickle
 import pytest
 import torch
 
-from mrgs.data import load_scene
+from mrgs.data import images, load, load_scene
 from mrgs.data.load import _unique_names
 from mrgs.errors import ConfigError, SceneError
 from mrgs.scene import RGB, THERMAL
@@ -74,3 +74,13 @@ def test_names_are_unique_stems():
     keys = ["images/a", "train/b", "test/b", "train_b", "x/a.b", "images/a"]
     names = _unique_names(keys)
     assert names == ["images_a", "train_b", "test_b", "train_b_2", "a.b", "images_a_2"]
+
+
+def test_the_header_of_a_shared_file_is_read_once(writer, monkeypatch):
+    content = writer.thermoscenes()
+    content["frames"] = content["frames"] * 3
+    writer.transforms(content)
+    probed = []
+    monkeypatch.setattr(load, "probe", lambda path: probed.append(path) or images.probe(path))
+    load_scene(writer.root)
+    assert len(probed) == len(set(probed)) > 0

@@ -185,6 +185,8 @@ class ImageFinder:
     def find_mask(self, folder: str, image: str, named_in: Path | str) -> Path | None:
         """The mask of an image in a folder: of the same stem, or named like COLMAP's,
         ``image.jpg.png``."""
+        if not self._listing(folder, named_in).links:
+            return None
         return self.find(f"{folder}/{image}", named_in) or self.find(
             f"{folder}/{image}.png", named_in
         )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from mrgs.data.colmap import read_colmap
 from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
 from mrgs.data.files import scene_error
+from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
 from mrgs.data.sources import SceneSource, ViewSource
@@ -19,6 +20,7 @@ from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, rea
 from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
+from mrgs.system.collector import collector_paused
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -49,8 +51,9 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
             f"resolution is {resolution}; it is a width in pixels and must be at least 1"
         )
     try:
-        source = _recognise(Path(path))
-        scene = _assemble(source, Path(path), resolution, seed)
+        with collector_paused():
+            source = _recognise(Path(path))
+            scene = _assemble(source, Path(path), resolution, seed)
     except OSError as error:  # a folder that may not be listed, a disk that failed
         raise scene_error(
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
@@ -81,9 +84,10 @@ def _recognise(path: Path) -> SceneSource:
 
 def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
     thermal_kinds = []
+    probed = cache(probe)
     for view in source.views:
         for modality, image in view.images.items():
-            kind = check_files(image).kind
+            kind = check_files(image, probed).kind
             if modality == THERMAL:
                 thermal_kinds.append((image.path, kind))
     splits = assign_splits([view.key for view in source.views], source.lists, source.notes)

@@ -11,8 +11,8 @@ those that Python has registered.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from functools import cache, partial
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -36,8 +36,9 @@ from mrgs.data.images import probe
 from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
-from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
+from mrgs.data.poses import matrix_from_json, viewmat_from_opengl, viewmats_from_opengl
 from mrgs.data.sources import FilenameLists, ImageSource, ReadingNotes, SceneSource, ViewSource
+from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 
 MOST_MODALITIES = 16
@@ -56,6 +57,9 @@ _PERSPECTIVE_MODELS = {
     "PERSPECTIVE",
 }
 _FISHEYE_MODELS = {"OPENCV_FISHEYE"}
+_LENS_KEYS = frozenset(
+    ["camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"]
+)
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
@@ -151,6 +155,8 @@ class _TransformsReader:
         self.images = ImageFinder(root)
         self.notes = ReadingNotes()
         self.modalities = self._modalities()
+        self._lenses: dict[int, Lens] = {}
+        self._viewmats: dict[int, Float64[Tensor, "4 4"]] = {}
 
     def _modalities(self) -> tuple[Modality, ...]:
         """Modalities of the frames: the known ones, and those that the file lists."""
@@ -197,6 +203,7 @@ class _TransformsReader:
                 self.file,
                 f'"frames" is {shown(frames)}, not a list of frames; export the file again',
             )
+        self._read_poses(frames)
         views = [self._view(frame, f"frame {index}") for index, frame in enumerate(frames)]
         for modality in self.modalities:
             missing = sum(modality not in view.images for view in views)
@@ -216,20 +223,13 @@ class _TransformsReader:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
         key = self._key_of(next(iter(paths.values())))
         what = f"{what} ({shown(key)})"
-        pose_of = cache(partial(self._viewmat, frame, what=what))
         images = {
-            modality: self._source(modality, frame, path, what, pose_of)
-            for modality, path in paths.items()
+            modality: self._source(modality, frame, path, what) for modality, path in paths.items()
         }
         return ViewSource(key, images)
 
     def _source(
-        self,
-        modality: Modality,
-        frame: Mapping[str, Any],
-        path: Path,
-        what: str,
-        pose_of: Callable[[str], Float64[Tensor, "4 4"]],
+        self, modality: Modality, frame: Mapping[str, Any], path: Path, what: str
     ) -> ImageSource:
         """An image with its camera: the frame's, unless its modality has one of its own."""
         prefix = "" if modality == RGB else f"{modality}_"
@@ -239,7 +239,7 @@ class _TransformsReader:
             raise scene_error(self.file, f"{camera} is {shown(own)}, not an object; correct it")
         lens = self._lens(frame if own is None else own, path, what, shared=own is None)
         pose = f"{prefix}transform_matrix"
-        viewmat = pose_of(pose if pose in frame else "transform_matrix")
+        viewmat = self._viewmat(frame, pose if pose in frame else "transform_matrix", what)
         mask = self._mask(frame, f"{prefix}mask_path", f"{prefix}masks", path, what)
         return ImageSource(path, lens, viewmat, mask)
 
@@ -293,16 +293,40 @@ class _TransformsReader:
     ) -> Path | None:
         return self._path(frame, name, what) or self.images.find_mask(folder, image.name, self.file)
 
+    def _read_poses(self, frames: Sequence[object]) -> None:
+        """Read the matrices of all frames at once. Those that cannot be used are left to
+        ``_viewmat``, which knows what to call them."""
+        names = [f"{modality}_transform_matrix" for modality in self.modalities if modality != RGB]
+        values, matrices = [], []
+        for frame in frames:
+            for name in ("transform_matrix", *names):
+                if isinstance(frame, dict) and name in frame:
+                    with suppress(SceneError):
+                        matrices.append(matrix_from_json(frame[name], (3, 4), name, self.file))
+                        values.append(frame[name])
+        for value, viewmat in zip(values, viewmats_from_opengl(matrices), strict=True):
+            if viewmat is not None:
+                self._viewmats[id(value)] = viewmat  # ``top`` keeps the value alive
+
     def _viewmat(self, frame: Mapping[str, Any], name: str, what: str) -> Float64[Tensor, "4 4"]:
-        label = f"{name} of {what}"
-        return viewmat_from_opengl(
-            matrix_from_json(frame.get(name), (3, 4), label, self.file), label, self.file
-        )
+        value, label = frame.get(name), f"{name} of {what}"
+        viewmat = self._viewmats.get(id(value))
+        if viewmat is None:
+            matrix = matrix_from_json(value, (3, 4), label, self.file)
+            viewmat = viewmat_from_opengl(matrix, label, self.file)
+        return viewmat
 
     def _lens(self, own: Mapping[str, Any], image: Path, what: str, shared: bool = True) -> Lens:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
-        lens is shared."""
-        return lens_from_json({**self.top, **own} if shared else own, what, self.file, image)
+        lens is shared. What many images share is read once."""
+        if shared and not own.keys().isdisjoint(_LENS_KEYS):
+            return lens_from_json({**self.top, **own}, what, self.file, image)
+        values = self.top if shared else own
+        if values.get("w") is None or values.get("h") is None:  # each image has a size of its own
+            return lens_from_json(values, what, self.file, image)
+        if id(values) not in self._lenses:  # ``top`` keeps it alive
+            self._lenses[id(values)] = lens_from_json(values, what, self.file)
+        return self._lenses[id(values)]
 
     def _lists(self) -> FilenameLists:
         def keys(name: str) -> frozenset[str] | None:

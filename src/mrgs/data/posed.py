@@ -19,17 +19,23 @@ from mrgs.scene import RGB, Camera, Pixels, PosedImage
 
 Decoder = Callable[[Path], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
 
+Prober = Callable[[Path], ImageInfo]
 
-def check_files(source: ImageSource) -> ImageInfo:
+
+def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     """Compare the headers of the image and its mask with the intrinsics; nothing is decoded.
+
+    Args:
+        source: the image.
+        probed: ``probe``, which may remember the files that several images share.
 
     Raises:
         SceneError: a file is missing, unreadable, or of another size than the lens says.
     """
-    info = probe(source.path)
+    info = probed(source.path)
     _check_size((info.width, info.height), source.lens, source.path)
     if source.mask is not None:
-        mask = probe(source.mask)
+        mask = probed(source.mask)
         _check_size((mask.width, mask.height), source.lens, source.mask)
     return info
 

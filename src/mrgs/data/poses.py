@@ -3,9 +3,11 @@ matrices."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
@@ -13,7 +15,7 @@ from torch import Tensor
 from mrgs.data.files import MAX_MAGNITUDE, scene_error, shown
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
 
-_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 ORTHONORMAL_TOLERANCE = 1e-3
 """Largest entry of |RᵀR − I| that counts as rounding; it is then removed."""
@@ -44,11 +46,11 @@ def matrix_from_json(
         raise scene_error(file, f"{what} is {shown(value)}, not a {expected} matrix; correct it")
     assert isinstance(value, list)
     entries = [entry for row in value for entry in row]
-    if not all(isinstance(entry, int | float) and not isinstance(entry, bool) for entry in entries):
+    if not {type(entry) for entry in entries} <= {int, float}:
         raise scene_error(file, f"{what} holds something that is not a number; correct it")
     # A comparison, not a conversion: an integer in a JSON file may be too large for a float. NaN
     # fails it too.
-    if not all(abs(entry) <= MAX_MAGNITUDE for entry in entries):
+    if not all(-MAX_MAGNITUDE <= entry <= MAX_MAGNITUDE for entry in entries):
         raise scene_error(
             file, f"{what} holds NaN, infinity or a huge number; correct it or remove the frame"
         )
@@ -61,15 +63,14 @@ def nearest_rotation(matrix: NDArray[np.float64], what: str, file: Path) -> NDAr
     Raises:
         SceneError: the matrix is not a rotation within ``ORTHONORMAL_TOLERANCE``.
     """
-    deviation = np.abs(matrix.T @ matrix - np.eye(3)).max()
-    if not deviation <= ORTHONORMAL_TOLERANCE or np.linalg.det(matrix) < 0:
+    rotations, is_rotation = _nearest_rotations(matrix[None])
+    if not is_rotation[0]:
         raise scene_error(
             file,
             f"{what} is not a rotation and a translation (scaled, sheared or mirrored axes); "
             f"correct it",
         )
-    left, _, right = np.linalg.svd(matrix)
-    return left @ right
+    return rotations[0]
 
 
 def viewmat_from_opengl(
@@ -81,10 +82,50 @@ def viewmat_from_opengl(
     Raises:
         SceneError: not a rigid motion.
     """
-    if len(camera_to_world) == 4 and np.abs(camera_to_world[3] - _LAST_ROW).max() > 1e-6:
+    if not _ends_in_last_row(camera_to_world):
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
-    rotation = OPENGL_FROM_OPENCV[:3, :3] @ nearest_rotation(camera_to_world[:3, :3], what, file).T
-    return rigid_transform(rotation, -rotation @ camera_to_world[:3, 3])
+    nearest_rotation(camera_to_world[:3, :3], what, file)
+    viewmat = viewmats_from_opengl([camera_to_world])[0]
+    assert viewmat is not None
+    return viewmat
+
+
+def viewmats_from_opengl(
+    cameras_to_world: Sequence[NDArray[np.float64]],
+) -> list[Float64[Tensor, "4 4"] | None]:
+    """``viewmat_from_opengl`` of many matrices at once, which is much faster; None for those that
+    it would refuse."""
+    if not cameras_to_world:
+        return []
+    given = np.stack([matrix[:3] for matrix in cameras_to_world])
+    rotations, is_rotation = _nearest_rotations(given[:, :, :3])
+    from_world = OPENGL_FROM_OPENCV[:3, :3] @ rotations.transpose(0, 2, 1)
+    viewmats = np.tile(np.eye(4), (len(given), 1, 1))
+    viewmats[:, :3, :3] = from_world
+    viewmats[:, :3, 3] = -(from_world @ given[:, :, 3:])[:, :, 0]
+    # Each in memory of its own: one camera that is kept must not keep all the others.
+    return [
+        torch.from_numpy(viewmat.copy()) if rigid and _ends_in_last_row(matrix) else None
+        for viewmat, rigid, matrix in zip(viewmats, is_rotation, cameras_to_world, strict=True)
+    ]
+
+
+def _nearest_rotations(
+    matrices: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The rotations nearest to matrices [N, 3, 3], and which of these are rotations within
+    ``ORTHONORMAL_TOLERANCE``; the others' results mean nothing."""
+    deviation = np.abs(matrices.transpose(0, 2, 1) @ matrices - np.eye(3)).max(axis=(1, 2))
+    is_near = deviation <= ORTHONORMAL_TOLERANCE
+    usable = np.where(is_near[:, None, None], matrices, np.eye(3))
+    left, _, right = np.linalg.svd(usable)
+    return left @ right, is_near & (np.linalg.det(usable) > 0)
+
+
+def _ends_in_last_row(matrix: NDArray[np.float64]) -> bool:
+    return len(matrix) < 4 or all(
+        abs(have - want) <= 1e-6 for have, want in zip(matrix[3].tolist(), _LAST_ROW, strict=True)
+    )
 
 
 def viewmat_from_colmap(
