@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mrgs.data.radiometric import GpsPosition
-from mrgs.prepare.earth import SEMI_MAJOR_AXIS_M, ecef, enu
+from mrgs.prepare.earth import SEMI_MAJOR_AXIS_M, ecef, enu, geodetic
 
 
 def test_ecef_on_the_axes():
@@ -34,3 +34,12 @@ def test_enu_counts_metres_east_north_and_up():
 
 def test_an_unknown_height_is_zero():
     assert ecef(GpsPosition(48, 11)) == pytest.approx(ecef(GpsPosition(48, 11, 0.0)))
+
+
+def test_offsets_lead_back_to_positions():
+    origin = GpsPosition(-33.9, 151.2, 40.0)
+    there = GpsPosition(-33.91, 151.22, 95.0)
+    (offset,) = enu([there], origin)
+    back = geodetic(offset, origin)
+    assert (back.latitude_deg, back.longitude_deg) == pytest.approx((-33.91, 151.22), abs=1e-10)
+    assert back.altitude_m == pytest.approx(95.0, abs=1e-6)

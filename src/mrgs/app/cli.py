@@ -18,6 +18,7 @@ from mrgs.app.commands import (
     Demo,
     Eval,
     Export,
+    Measure,
     Prepare,
     Render,
     Report,
@@ -98,6 +99,7 @@ def _run(argv: list[str] | None) -> int:
         Eval: _eval,
         Render: _render,
         ViewRun: _view,
+        Measure: _measure,
         Export: _export,
         Report: _report,
         Demo: _demo,
@@ -401,6 +403,12 @@ def _view(command: ViewRun) -> None:
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     view(run, scene_if_there(run), command.host, command.port, on_ready=print_viewer_address)
+
+
+def _measure(command: Measure) -> None:
+    from mrgs.app.measuring import measure
+
+    measure(command)
 
 
 def _export(command: Export) -> None:

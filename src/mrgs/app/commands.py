@@ -300,6 +300,52 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Measure:
+    """Measure marks on a run's surfaces: spots, lines, boxes, polygons.
+
+    Without further options, lists the marks in RUN/marks.json with their temperatures, differences
+    and sizes. Places are pixels of a view's thermal image: VIEW:X,Y, then X,Y of the same view.
+    """
+
+    run: RunPath
+    """Run folder."""
+    spot: Several[str] = ()
+    """Add a spot: VIEW:X,Y."""
+    line: Several[str] = ()
+    """Add a line with its profile: VIEW:X,Y X,Y, or more corners."""
+    box: Several[str] = ()
+    """Add a box between two corners: VIEW:X,Y X,Y."""
+    polygon: Several[str] = ()
+    """Add a polygon: VIEW:X,Y X,Y X,Y, or more corners."""
+    mark: Maybe[str] = None
+    """Mark that the next five options change; by default the one that is added."""
+    name: Maybe[str] = None
+    """Name of the mark."""
+    note: Maybe[str] = None
+    """Note of the mark."""
+    against: Maybe[str] = None
+    """Mark that is subtracted in its temperature difference; '' for the reference."""
+    emissivity: Maybe[float] = None
+    """Emissivity of the surface in a box or polygon, over 0 to 1."""
+    reflected: Maybe[float] = None
+    """Reflected apparent temperature there, °C."""
+    reference: Maybe[str] = None
+    """Mark that all temperature differences refer to; '' for none."""
+    delete: Maybe[str] = None
+    """Mark to delete."""
+    undo: bool = False
+    """Take the last change back."""
+    csv: Maybe[Path] = None
+    """Write the table to this file, and the profiles of lines beside it."""
+    geojson: Maybe[Path] = None
+    """Write the marks and their values to this file, for maps."""
+    scene: Maybe[Path] = None
+    """Scene folder, if it has moved since training."""
+    device: DeviceName = "auto"
+    """Device to render on; auto uses a usable GPU, else the CPU."""
+
+
+@dataclass(frozen=True)
 class Demo:
     """Run the bundled scene: mrgs run on an example, in a few minutes."""
 
@@ -426,6 +472,7 @@ COMMANDS: dict[str, type] = {
     "eval": Eval,
     "render": Render,
     "view": ViewRun,
+    "measure": Measure,
     "export": Export,
     "report": Report,
     "compare": CompareMethods,

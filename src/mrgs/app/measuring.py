@@ -1,0 +1,123 @@
+"""``mrgs measure``: marks from the command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from mrgs.app.commands import Measure
+from mrgs.app.terminal import note_unfinished
+from mrgs.errors import ConfigError
+from mrgs.marks import RunMarks, open_marks
+from mrgs.marks.mark import KINDS, MarkKind
+from mrgs.marks.tables import HEADINGS, text_rows, write_csv, write_geojson
+from mrgs.pictures.values import unit_of
+from mrgs.runs.open import load_run
+from mrgs.scene import THERMAL, Camera
+
+_CORNER = r"([0-9.]+),([0-9.]+)"
+
+
+def measure(command: Measure) -> None:
+    """Change the marks of a run as the options say, then list and export them.
+
+    Raises:
+        MrgsError: see ``RunMarks``; an option cannot be understood, or two exclude each other.
+    """
+    added = [kind for kind in KINDS if getattr(command, kind)]
+    _check(command, added)
+    run = load_run(command.run, command.scene, command.device)
+    note_unfinished(run)
+    marks = open_marks(run)
+    if command.undo:
+        marks.undo()
+    if command.delete is not None:
+        marks.remove(command.delete)
+    _change(command, marks, added)
+    if command.reference is not None:
+        marks.refer_to(command.reference)
+    _show(command, marks)
+
+
+def _check(command: Measure, added: Sequence[MarkKind]) -> None:
+    if len(added) > 1:
+        raise ConfigError(f"one mark at a time: give only one of --{' and --'.join(added)}")
+    if added and command.mark is not None:
+        raise ConfigError("--mark changes a mark that is there: leave it out to add one")
+    if _changes(command) and not added and command.mark is None:
+        raise ConfigError("say which mark to change with --mark, or add one")
+
+
+def _changes(command: Measure) -> dict[str, Any]:
+    """The fields of the mark that the options set."""
+    given = {
+        "name": command.name,
+        "note": command.note,
+        "against": command.against,
+        "emissivity": command.emissivity,
+        "reflected_c": command.reflected,
+    }
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _change(command: Measure, marks: RunMarks, added: Sequence[MarkKind]) -> None:
+    changes = _changes(command)
+    for kind in added:
+        camera, pixels = _places(getattr(command, kind), kind, marks)
+        if kind == "box":
+            if len(pixels) != 2:
+                raise ConfigError("--box has two corners: VIEW:X,Y X,Y")
+            marks.box(camera, pixels[0], pixels[1], **changes)
+        else:
+            marks.add(kind, camera, pixels, **changes)
+    if command.mark is not None:
+        marks.change(command.mark, **changes)
+
+
+def _places(
+    texts: Sequence[str], kind: MarkKind, marks: RunMarks
+) -> tuple[Camera, list[tuple[float, float]]]:
+    """The camera and the pixels that VIEW:X,Y X,Y ... names."""
+    view_name, _, first = texts[0].rpartition(":")
+    corners = [re.fullmatch(_CORNER, text) for text in (first, *texts[1:])]
+    if not view_name or not all(corners):
+        raise ConfigError(f"--{kind} {' '.join(texts)}: write VIEW:X,Y, then X,Y for each corner")
+    if marks.scene is None:
+        raise ConfigError("the scene is not there, so its views have no names; give --scene")
+    views = {view.name: view for view in (*marks.scene.train, *marks.scene.eval)}
+    if view_name not in views:
+        raise ConfigError(f"there is no view {view_name!r}; the first is {next(iter(views))}")
+    cameras = views[view_name].cameras
+    camera = cameras.get(THERMAL, views[view_name].camera)
+    return camera, [(float(found[1]), float(found[2])) for found in corners if found]
+
+
+def _show(command: Measure, marks: RunMarks) -> None:
+    readings, temperature = marks.measure(), marks.run.temperature
+    if not readings:
+        print("no marks yet: add one with --spot VIEW:X,Y, or in mrgs view")
+    else:
+        unit = unit_of(THERMAL, temperature)
+        headings = [f"{name}, {unit}" if name == "Mean" else name for name in HEADINGS]
+        for row in _aligned([tuple(headings), *text_rows(readings, temperature, marks.world)]):
+            print(row)
+    if command.csv is not None:
+        for path in write_csv(command.csv, readings, temperature, marks.world):
+            print(f"csv: {path}")
+    if command.geojson is not None:
+        path = write_geojson(command.geojson, readings, temperature, marks.world)
+        print(f"geojson: {path}")
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Rows with columns of equal width: texts to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    left = {0, 1, len(widths) - 1}
+    return [
+        "  ".join(
+            cell.ljust(width) if i in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

@@ -1,0 +1,220 @@
+"""Measured marks as tables: for people, as CSV for spreadsheets, as GeoJSON for maps."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mrgs.marks.mark import Mark, Place
+from mrgs.marks.measure import MarkReading
+from mrgs.pictures.values import decimals_of, unit_label
+from mrgs.prepare.earth import geodetic
+from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
+from mrgs.system.atomic import write_text
+
+HEADINGS = ("Mark", "Kind", "Mean", "Min", "Max", "ΔT", "Size", "Photos", "Note")
+DASH = "–"
+
+
+def size_text(reading: MarkReading, world: WorldFrame) -> str:
+    """Length, area or diameter with its unit, in three digits."""
+    unit = world.length_unit
+    if not math.isnan(reading.length):
+        return f"{_digits(reading.length)} {unit}"
+    if not math.isnan(reading.area):
+        return f"{_digits(reading.area)} {unit}²"
+    if reading.mark.kind == "spot":
+        return f"⌀ {_digits(2 * reading.mark.radius)} {unit}"
+    return DASH
+
+
+def value_text(
+    value: float, temperature: TemperatureRange | None, *, sign: bool = False, unit: bool = False
+) -> str:
+    """A temperature or a difference with a proper minus sign; a dash for NaN.
+
+    Args:
+        value: in °C, or normalised.
+        temperature: the scale of the thermal values; None without known °C.
+        sign: whether positive values have a plus sign.
+        unit: whether it is followed by its unit; that of a difference is the kelvin.
+    """
+    if math.isnan(value):
+        return DASH
+    decimals = decimals_of(THERMAL, temperature)
+    text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
+    label = unit_label(THERMAL, temperature)
+    if unit and label:
+        return f"{text} {'K' if sign else label}"
+    return text
+
+
+def text_rows(
+    readings: Sequence[MarkReading], temperature: TemperatureRange | None, world: WorldFrame
+) -> list[tuple[str, ...]]:
+    """A row of texts for each reading, under ``HEADINGS``."""
+
+    def number(value: float, sign: bool = False) -> str:
+        return value_text(value, temperature, sign=sign)
+
+    return [
+        (
+            reading.mark.name,
+            reading.mark.kind,
+            number(reading.mean),
+            number(reading.low),
+            number(reading.high),
+            number(reading.difference, sign=True),
+            size_text(reading, world),
+            DASH if reading.photos is None else str(reading.photos),
+            "; ".join(filter(None, (reading.problem, " ".join(reading.mark.note.split())))),
+        )
+        for reading in readings
+    ]
+
+
+def facts_of_reading(
+    reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
+) -> dict[str, Any]:
+    """A reading under the names of the columns of the CSV file; None where there is no value."""
+    mark = reading.mark
+    value_unit = "c" if temperature is not None else "normalised"
+    length_unit = "m" if world.metric else "units"
+    x, y, z = np.mean(mark.points, axis=0).tolist()
+    numbers = {
+        f"mean_{value_unit}": reading.mean,
+        f"min_{value_unit}": reading.low,
+        f"max_{value_unit}": reading.high,
+        f"std_{value_unit}": reading.spread,
+        f"difference_{value_unit}": reading.difference,
+        f"length_{length_unit}": reading.length,
+        f"area_{length_unit}2": reading.area,
+        f"diameter_{length_unit}": 2 * mark.radius if mark.kind == "spot" else np.nan,
+        "covered": reading.covered,
+    }
+    return {
+        "name": mark.name,
+        "kind": mark.kind,
+        **{name: _known(value) for name, value in numbers.items()},
+        "photos": reading.photos,
+        "emissivity": mark.emissivity,
+        "reflected_c": mark.reflected_c,
+        "x": x,
+        "y": y,
+        "z": z,
+        "against": mark.against,
+        "note": mark.note,
+        "problem": reading.problem,
+    }
+
+
+def write_csv(
+    path: Path,
+    readings: Sequence[MarkReading],
+    temperature: TemperatureRange | None,
+    world: WorldFrame,
+) -> list[Path]:
+    """Write a row for each mark, and beside it ``NAME_profiles.csv`` with a row for each sample of
+    the lines; returns the paths.
+
+    Raises:
+        RunError: a file cannot be written.
+    """
+    rows = [facts_of_reading(reading, temperature, world) for reading in readings]
+    names = list(facts_of_reading(_NOTHING, temperature, world))
+    paths = [write_text(path, _csv_text(names, rows))]
+    profiles = [
+        {"name": reading.mark.name, "distance": distance, "value": _known(value)}
+        for reading in readings
+        if reading.profile is not None
+        for distance, value in zip(
+            reading.profile.distances.tolist(), reading.profile.values.tolist(), strict=True
+        )
+    ]
+    if profiles:
+        beside = path.with_name(f"{path.stem}_profiles{path.suffix}")
+        paths.append(write_text(beside, _csv_text(["name", "distance", "value"], profiles)))
+    return paths
+
+
+def write_geojson(
+    path: Path,
+    readings: Sequence[MarkReading],
+    temperature: TemperatureRange | None,
+    world: WorldFrame,
+) -> Path:
+    """Write the marks as points, lines and polygons with what was measured; returns the path.
+
+    Where the scene knows its place on Earth, coordinates are longitude, latitude and height (WGS
+    84), as GeoJSON has them. Elsewhere they are the scene's own x, y, z, which the file says.
+
+    Raises:
+        RunError: the file cannot be written.
+    """
+    on_earth = world.is_georeferenced
+    features = [
+        {
+            "type": "Feature",
+            "properties": facts_of_reading(reading, temperature, world),
+            "geometry": _geometry(reading.mark, world if on_earth else None),
+        }
+        for reading in readings
+    ]
+    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if not on_earth:
+        collection["coordinates"] = f"x, y, z of the scene, {world.length_unit}; not on Earth"
+    text = json.dumps(collection, indent=1, ensure_ascii=False, allow_nan=False)
+    return write_text(path, text + "\n")
+
+
+def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
+    places = [_on_earth(point, world) for point in mark.points]
+    if mark.kind == "spot":
+        return {"type": "Point", "coordinates": places[0]}
+    if mark.kind == "line":
+        return {"type": "LineString", "coordinates": places}
+    return {"type": "Polygon", "coordinates": [[*places, places[0]]]}
+
+
+def _on_earth(point: Place, world: WorldFrame | None) -> list[float]:
+    """Longitude, latitude and height of a place; the place itself without a world."""
+    if world is None or world.origin is None:
+        return list(point)
+    place = geodetic(np.array(point), world.origin)
+    return [round(place.longitude_deg, 9), round(place.latitude_deg, 9), place.altitude_m or 0.0]
+
+
+def _csv_text(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    return buffer.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A cell; a text that a spreadsheet would run as a formula is quoted."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    is_formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t"))
+    return f"'{value}" if is_formula else value
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _digits(value: float) -> str:
+    """Three digits, without an exponent."""
+    decimals = 2 if value <= 0 else max(0, 2 - math.floor(math.log10(value)))
+    return f"{value:.{decimals}f}"
+
+
+_NOTHING = MarkReading(Mark("-", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 1.0), radius=1.0))

@@ -1,0 +1,77 @@
+"""``mrgs measure`` from end to end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mrgs.app.cli import main
+from mrgs.runs.open import load_run
+from mrgs.training import make_config
+from tests.helpers.runs import trained_run
+
+VIEW = "frame_train_00001"
+
+
+@pytest.fixture(scope="module")
+def folder(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = make_config(max_steps=60, max_gaussians=300)
+    output = tmp_path_factory.mktemp("measured") / "run"
+    return trained_run(tmp_path_factory, small_scene, config, output)
+
+
+@pytest.fixture
+def run(folder: Path) -> Path:
+    for path in folder.glob("*marks*"):
+        path.unlink()
+    return folder
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return capsys.readouterr().out.splitlines()
+
+
+def test_marks_are_added_listed_exported_and_undone(run, tmp_path, capsys):
+    assert main(["measure", str(run)]) == 0
+    assert lines(capsys) == ["no marks yet: add one with --spot VIEW:X,Y, or in mrgs view"]
+    assert main(["measure", str(run), "--spot", f"{VIEW}:20,15", "--note", "warm"]) == 0
+    add_box = ["--box", f"{VIEW}:17,12", "23,18", "--name", "Middle", "--reference", "S1"]
+    targets = ["--csv", str(tmp_path / "m.csv"), "--geojson", str(tmp_path / "m.geojson")]
+    assert main(["measure", str(run), *add_box, *targets]) == 0
+    heading, spot, box, *files = lines(capsys)[-5:]
+    assert heading.split()[:4] == ["Mark", "Kind", "Mean,", "°C"]
+    assert spot.split()[:2] == ["S1", "spot"]
+    assert spot.endswith("warm")
+    assert box.split()[:2] == ["Middle", "box"]
+    assert [line.partition(":")[0] for line in files] == ["csv", "geojson"]
+    assert all(Path(each).is_file() for each in targets[1::2])
+    assert (
+        main(["measure", str(run), "--mark", "Middle", "--name", "Core", "--emissivity", ".8"]) == 0
+    )
+    assert main(["measure", str(run), "--delete", "S1"]) == 0
+    assert lines(capsys)[-1].split()[0] == "Core"
+    assert main(["measure", str(run), "--undo"]) == 0
+    assert [line.split()[0] for line in lines(capsys)[-2:]] == ["S1", "Core"]
+    assert load_run(run).folder.path == run
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--spot", f"{VIEW}:1,2", "--box", f"{VIEW}:1,2", "3,4"], "one mark at a time: give only"),
+        (["--spot", f"{VIEW}:1,2", "--mark", "S1"], "--mark changes a mark that is there"),
+        (["--note", "damp"], "say which mark to change with --mark, or add one"),
+        (["--box", f"{VIEW}:1,2"], "--box has two corners: VIEW:X,Y X,Y"),
+        (["--line", "5,6", "7,8"], "--line 5,6 7,8: write VIEW:X,Y, then X,Y for each corner"),
+        (["--spot", "nowhere:1,2"], f"there is no view 'nowhere'; the first is {VIEW[:11]}"),
+        (["--spot", f"{VIEW}:99,2"], "pixel 99, 2 lies outside the image of 40 × 30"),
+        (["--mark", "S1", "--note", "damp"], "there is no mark 'S1': the marks are none"),
+        (["--undo"], "there is nothing to undo: the marks have not been changed"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(run, options, message, capsys):
+    assert main(["measure", str(run), *options]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert not (run / "marks.json").exists()

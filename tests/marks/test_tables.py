@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mrgs.data.radiometric import GpsPosition
+from mrgs.marks import Mark, Marks
+from mrgs.marks.measure import MarkMeter, MarkReading
+from mrgs.marks.tables import size_text, text_rows, value_text, write_csv, write_geojson
+from mrgs.prepare.earth import enu
+from mrgs.scene import EarthPosition, TemperatureRange, WorldFrame
+from tests.helpers.walls import RANGE, render_wall
+
+EYE = (1.0, -5.0, 0.5)
+SPOT = Mark("S1", "spot", ((0.5, 0.0, 0.25),), EYE, radius=0.05, note="=HYPERLINK(1)\nleak, maybe")
+LINE = Mark("L1", "line", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), EYE)
+SQUARE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+METRES = WorldFrame(metric=True)
+
+
+@pytest.fixture
+def readings() -> list[MarkReading]:
+    marks = Marks((SPOT, LINE, Mark("B1", "box", SQUARE, EYE)), reference="L1")
+    return MarkMeter(render_wall, RANGE).measure(marks)
+
+
+def test_people_read_rounded_numbers_with_units(readings):
+    rows = text_rows(readings, RANGE, METRES)
+    assert rows[0][:7] == ("S1", "spot", "21.2", "21.1", "21.4", "+1.2", "⌀ 0.100 m")
+    assert rows[0][7:] == ("–", "=HYPERLINK(1) leak, maybe")
+    assert rows[1][5:7] == ("–", "2.00 m")
+    assert rows[2][6] == "1.00 m²"
+    assert size_text(readings[1], WorldFrame()) == "2.00 scene units"
+
+
+def test_values_as_text():
+    celsius = TemperatureRange(-20.0, 40.0)
+    assert value_text(-3.04, celsius, unit=True) == "−3.0 °C"
+    assert value_text(-0.04, celsius, sign=True, unit=True) == "+0.0 K"
+    assert value_text(0.25, None, unit=True) == "0.250"
+    assert value_text(math.nan, celsius, unit=True) == "–"
+
+
+def test_a_spreadsheet_reads_the_numbers_and_runs_nothing(readings, tmp_path: Path):
+    table, profiles = write_csv(tmp_path / "marks.csv", readings, RANGE, METRES)
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == ["S1", "L1", "B1"]
+    assert float(rows[0]["mean_c"]) == pytest.approx(21.25, abs=0.01)
+    assert float(rows[0]["difference_c"]) == pytest.approx(1.25, abs=0.02)
+    assert (rows[1]["length_m"], rows[1]["area_m2"], rows[2]["area_m2"]) == ("2", "", "1")
+    assert rows[0]["note"] == "'=HYPERLINK(1)\nleak, maybe"
+    assert profiles.name == "marks_profiles.csv"
+    with profiles.open(encoding="utf-8", newline="") as file:
+        samples = list(csv.DictReader(file))
+    assert len(samples) == 200
+    assert float(samples[-1]["distance"]) == pytest.approx(2.0)
+    assert float(samples[-1]["value"]) == pytest.approx(22.0, abs=0.05)
+
+
+def test_without_celsius_and_metres_the_columns_say_so(readings, tmp_path: Path):
+    (table,) = write_csv(tmp_path / "marks.csv", readings[:1], None, WorldFrame())
+    heading = table.read_text(encoding="utf-8").splitlines()[0]
+    assert "mean_normalised" in heading
+    assert "length_units" in heading
+
+
+def test_geojson_lies_on_earth_where_the_scene_does(readings, tmp_path: Path):
+    origin = EarthPosition(48.1, 11.5, 520.0)
+    world = WorldFrame(True, True, origin)
+    document = json.loads(
+        write_geojson(tmp_path / "m.geojson", readings, RANGE, world).read_text(encoding="utf-8")
+    )
+    spot, line, box = document["features"]
+    assert "coordinates" not in document
+    longitude, latitude, height = spot["geometry"]["coordinates"]
+    back = enu([GpsPosition(latitude, longitude, height)], GpsPosition(*origin))[0]
+    assert back == pytest.approx(SPOT.points[0], abs=2e-4)
+    assert line["geometry"]["type"] == "LineString"
+    ring = np.array(box["geometry"]["coordinates"][0])
+    assert len(ring) == 5
+    assert (ring[0] == ring[-1]).all()
+    assert box["properties"]["area_m2"] == pytest.approx(1.0)
+    assert spot["properties"]["length_m"] is None
+
+
+def test_geojson_elsewhere_has_the_scenes_own_coordinates(readings, tmp_path: Path):
+    path = write_geojson(tmp_path / "m.geojson", readings, RANGE, METRES)
+    document = json.loads(path.read_text(encoding="utf-8"))
+    assert document["coordinates"] == "x, y, z of the scene, m; not on Earth"
+    assert document["features"][0]["geometry"]["coordinates"] == list(SPOT.points[0])
+
+
+def test_what_has_no_temperature_says_why(tmp_path: Path):
+    gone = replace(SPOT, points=((9.0, 0.0, 0.0),), note="")
+    readings = MarkMeter(render_wall, RANGE).measure(Marks((gone,)))
+    (row,) = text_rows(readings, RANGE, METRES)
+    assert row[2:6] == ("–", "–", "–", "–")
+    assert row[-1] == "no surface there: draw it on the model"
+    (table,) = write_csv(tmp_path / "marks.csv", readings, RANGE, METRES)
+    assert "nan" not in table.read_text(encoding="utf-8")
