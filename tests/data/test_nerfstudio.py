@@ -351,6 +351,7 @@ def put_frame(**values):
             "the origin 91°, 0° is no place on Earth",
         ),
         (put(georeference={"residual_m": "1"}), "residual_m of georeference is '1', not a number"),
+        (put_frame(thermal_record=3), "thermal_record of frame 1 .*: it is not an object; prepare"),
         (put(modalities="nir"), "modalities is 'nir', not a list"),
         (put(modalities=[{}] * 17), "not a list of up to 16"),
         (put(modalities=["nir"]), "a modality is an object"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
-from mrgs.data.radiometric import GpsPosition, Overrides
+from mrgs.data.radiometric import GpsPosition, ObjectParameters, Overrides, PhotoFacts
 from mrgs.data.undistort import pinhole_of
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions
@@ -23,6 +24,7 @@ from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
+from mrgs.scene.radiometry import Planck
 from tests.helpers.converted import converted_view
 
 RGB_LENS = Lens(32, 24, 30.0, 31.0, 15.0, 12.5, (-0.05, 0.01, 0.002, 0.0), (0.001, -0.002))
@@ -156,6 +158,26 @@ def test_one_camera_serves_both_images_whatever_the_size_of_the_thermal_ones(tmp
         **{key: getattr(lens, key) / 2 for key in ("fx", "fy", "cx", "cy")},
     )
     assert_camera(view.images[THERMAL].camera, half, viewmat(1))
+
+
+def test_what_the_camera_noted_stays_with_the_photo(tmp_path):
+    photos = convert(tmp_path, 3)
+    noted = PhotoFacts(
+        "FLIR radiometric JPEG",
+        "FLIR E60",
+        "4711",
+        datetime(2026, 1, 17, 6, 30),
+        parameters=ObjectParameters(0.93, 2.0, 18.0, 18.0, 0.4),
+        planck=Planck(15000.0, 0.0125, 1400.0, 1.0, -6000.0),
+    )
+    views = (replace(photos.views[0], facts=noted), *photos.views[1:])
+    names = [view.name for view in views]
+    write(tmp_path, replace(photos, views=views), reconstruct(names), None, None)
+    scene = load_scene(tmp_path)
+    records = {view.name: view.images[THERMAL].record for view in (*scene.train, *scene.eval)}
+    assert records["shot_0"] == noted.record
+    assert records["shot_1"].parameters is None
+    assert noted.record.serial == "4711"
 
 
 def test_each_view_may_have_a_lens_of_its_own(tmp_path):

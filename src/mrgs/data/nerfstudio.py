@@ -38,8 +38,10 @@ from mrgs.data.ply import read_ply
 from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl, viewmats_from_opengl
 from mrgs.data.sources import FilenameLists, ImageSource, ReadingNotes, SceneSource, ViewSource
+from mrgs.data.transforms import RECORD
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
+from mrgs.scene.radiometry import PhotoRecord
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)
@@ -241,7 +243,21 @@ class _TransformsReader:
         pose = f"{prefix}transform_matrix"
         viewmat = self._viewmat(frame, pose if pose in frame else "transform_matrix", what)
         mask = self._mask(frame, f"{prefix}mask_path", f"{prefix}masks", path, what)
-        return ImageSource(path, lens, viewmat, mask)
+        return ImageSource(path, lens, viewmat, mask, self._record(frame, modality, what))
+
+    def _record(
+        self, frame: Mapping[str, Any], modality: Modality, what: str
+    ) -> PhotoRecord | None:
+        """What the camera noted beside a photo, as ``prepare`` writes it."""
+        name = f"{modality}_{RECORD}"
+        if name not in frame:
+            return None
+        try:
+            return PhotoRecord.from_json(frame[name])
+        except ValueError as error:
+            raise scene_error(
+                self.file, f"{name} of {what}: {error}; prepare the scene again, or remove it"
+            ) from None
 
     def _key_of(self, path: Path) -> str:
         return without_image_suffix(path.relative_to(self.root).as_posix())

@@ -61,7 +61,7 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
         camera = camera.with_width(resolution)
     load = partial(_load, source, decoder, camera.width, camera.height)
     files = (source.path,) if source.mask is None else (source.path, source.mask)
-    return PosedImage(camera, load, files)
+    return PosedImage(camera, load, files, source.record)
 
 
 @lru_cache(maxsize=1024)

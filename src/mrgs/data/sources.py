@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mrgs.data.lens import Lens
 from mrgs.scene import Modality, PointCloud, WorldFrame
+from mrgs.scene.radiometry import PhotoRecord
 
 
 class ReadingNotes:
@@ -45,12 +46,14 @@ class ImageSource:
         lens: intrinsics and distortion in pixels of the file.
         viewmat: world to camera, OpenCV axes, [4, 4].
         mask: an image of the same size, black where pixels are ignored; None if all count.
+        record: what the camera noted beside it; None if the files do not say.
     """
 
     path: Path
     lens: Lens
     viewmat: Float64[Tensor, "4 4"]
     mask: Path | None = None
+    record: PhotoRecord | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,9 @@ from mrgs.system.atomic import write_text
 
 TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
 
+RECORD = "record"
+"""``thermal_record`` of a frame is what the thermal camera noted beside the photo."""
+
 EMPTY: Mapping[Any, Any] = MappingProxyType({})
 
 

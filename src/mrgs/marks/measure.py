@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mrgs.errors import ConfigError
+from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, Marks
+from mrgs.marks.regions import Regions
 from mrgs.marks.surface import (
     SeenSurface,
     SurfaceRenderer,
@@ -98,6 +100,7 @@ class MarkMeter:
         render: renders the model with the depth of its surfaces.
         temperature: the scale of the thermal values; None without known °C.
         cameras: of the thermal photos; empty if they are not known.
+        capture: what the temperatures of the photos were computed with.
     """
 
     def __init__(
@@ -105,24 +108,36 @@ class MarkMeter:
         render: SurfaceRenderer,
         temperature: TemperatureRange | None,
         cameras: Sequence[Camera] = (),
+        capture: CaptureSettings | None = None,
     ) -> None:
+        self.capture = capture or CaptureSettings()
         self._render = render
         self._temperature = temperature
         self._cameras = cameras
 
+    def regions(self, marks: Marks) -> Regions:
+        """The parts of the surface with an emissivity of their own."""
+        return Regions(marks, self._render, self._temperature, self.capture)
+
     def measure(self, marks: Marks) -> list[MarkReading]:
         """Every mark, in their order, with the differences between them."""
-        readings = [self.read(mark) for mark in marks.marks]
+        regions = self.regions(marks)
+        readings = [self.read(mark, regions) for mark in marks.marks]
         means = {reading.mark.name: reading.mean for reading in readings}
         return [
             replace(reading, difference=_difference(reading, means, marks.reference))
             for reading in readings
         ]
 
-    def read(self, mark: Mark) -> MarkReading:
-        """One mark by itself."""
+    def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
+        """One mark by itself, in a model with regions."""
+        if regions is None:
+            regions = self.regions(Marks((mark,)))
+        problem = regions.problems.get(mark.name)
         try:
-            surface = see(self._render, measuring_camera(mark))
+            if problem:
+                raise ConfigError(problem)
+            surface = see(regions.render, measuring_camera(mark))
         except ConfigError as error:
             return MarkReading(mark, problem=str(error))
         values = self._values(surface)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from mrgs.errors import ConfigError, SceneError
+from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.store import CameraSpread, MarkStore
@@ -37,7 +38,12 @@ class RunMarks:
         self.run = run
         self.store = MarkStore(run.folder.path, CameraSpread.of_run(run))
         self.scene = _scene_if_there(run)
-        self.meter = MarkMeter(run.render, run.temperature, thermal_cameras(self.scene))
+        self.meter = MarkMeter(
+            run.render,
+            run.temperature,
+            thermal_cameras(self.scene),
+            CaptureSettings.of(self.scene),
+        )
 
     @property
     def marks(self) -> Marks:

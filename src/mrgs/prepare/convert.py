@@ -18,7 +18,6 @@ from PIL import Image
 
 from mrgs.data.files import scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
-from mrgs.data.radiometric.measurement import PARAMETER_LIMITS
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import SceneError
 from mrgs.prepare.cache import CACHE_FOLDER, Cache, digest
@@ -33,6 +32,7 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb, upright
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene.radiometry import PARAMETER_LIMITS
 from mrgs.system.atomic import remove, replacing
 
 IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
@@ -41,7 +41,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS = "photos"
 """The folder in the cache that holds a result for each pair."""
 
-_VERSION = 3
+_VERSION = 4
 """Raise it when the same photos give other images."""
 
 Stamp = list[tuple[str, int, int]]

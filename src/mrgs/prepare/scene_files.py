@@ -16,6 +16,7 @@ from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
     BOUNDS,
     POINTS,
+    RECORD,
     TRANSFORMS,
     frame_json,
     world_json,
@@ -81,13 +82,14 @@ def _frame(
     viewmat, viewmats = reconstruction.viewmats[view.name], {}
     if rig is not None:
         viewmats[THERMAL] = rig.viewmat(view.name, viewmat)
-    return frame_json(
+    frame = frame_json(
         viewmat,
         None if reconstruction.images == THERMAL else view.images[reconstruction.images].file,
         {THERMAL: view.images[THERMAL].file},
         lens=None if _one_lens(reconstruction) else reconstruction.lenses[view.name],
         viewmats=viewmats,
     )
+    return frame | {f"{THERMAL}_{RECORD}": view.facts.record.to_json()}
 
 
 def _one_lens(reconstruction: Reconstruction) -> bool:

@@ -12,6 +12,7 @@ from PIL import Image
 from mrgs.errors import RunError
 from mrgs.evaluation.figures import REPORTED
 from mrgs.evaluation.report import COLUMNS, heading
+from mrgs.marks.emissivity import records_of
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName
@@ -27,6 +28,7 @@ from mrgs.scene import (
     View,
     in_order,
 )
+from mrgs.scene.radiometry import PhotoRecord
 
 PALETTE: PaletteName = "inferno"
 JPEG_QUALITY = 88
@@ -144,8 +146,43 @@ def capture_rows(scene: Scene) -> list[tuple[str, str]]:
             if temperature is None
             else f"{temperature.min_c:.4g} °C to {temperature.max_c:.4g} °C",
         ),
-        ("Emissivity, reflected temperature, humidity, distance", "not in the scene's files"),
+        *_record_rows(records_of(scene)),
     ]
+
+
+def _record_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
+    """What the thermal camera noted: itself, the time, and the settings of the temperatures."""
+    known = [record.parameters for record in records if record.parameters is not None]
+    cameras = {f"{each.camera} {each.serial}".strip() for each in records} - {""}
+    times = sorted(record.taken for record in records if record.taken is not None)
+    missing = "not in the scene's files"
+    settings = "; ".join(
+        f"{label} {_span([getattr(each, name) for each in known])}{unit}"
+        for name, label, unit in _SETTINGS
+    )
+    return [
+        ("Thermal camera, serial number", ", ".join(sorted(cameras)) or missing),
+        ("Photos taken", f"{times[0]:%Y-%m-%d %H:%M} to {times[-1]:%H:%M}" if times else missing),
+        ("Settings of the temperatures", settings if known else missing),
+    ]
+
+
+_SETTINGS = (
+    ("emissivity", "emissivity", ""),
+    ("reflected_c", "reflected temperature", " °C"),
+    ("distance_m", "distance", " m"),
+    ("atmospheric_c", "air", " °C"),
+    ("humidity", "relative humidity", ""),
+)
+"""Parameters of a photo, their names and units in the report."""
+
+
+def _span(values: Sequence[float]) -> str:
+    """The values' range, or the one value that all have."""
+    if not values:
+        return ""
+    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def training_rows(run: Run) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ from datetime import date
 from pathlib import Path
 from typing import TypeAlias
 
+from mrgs.marks.emissivity import records_of
 from mrgs.pictures.html import PAGE_STYLE, write_html
 from mrgs.report.sections import (
     capture_rows,
@@ -85,6 +86,7 @@ def write_report(run: Run, scene: Scene, path: Path, progress: Progress | None =
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=capture_rows(scene),
+        settings_known=any(record.parameters for record in records_of(scene)),
         notes=scene.notes,
         scores=read_scores(run),
         contact_sheet=read_contact_sheet(run),

@@ -13,6 +13,7 @@ from torch import Tensor
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import Modality
 from mrgs.scene.preview import preview_png
+from mrgs.scene.radiometry import PhotoRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,13 @@ class PosedImage:
         load: reads, undistorts and resizes the image; may raise SceneError. Reading twice gives the
             same bits.
         files: what ``load`` reads; empty where it reads no file.
+        record: what the camera noted beside the photo; None if that is not known.
     """
 
     camera: Camera
     load: Callable[[], Pixels]
     files: tuple[Path, ...] = ()
+    record: PhotoRecord | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

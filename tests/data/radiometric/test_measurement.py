@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.data.radiometric.measurement import Atmosphere, Measurement, ObjectParameters, Planck
+from mrgs.data.radiometric.measurement import Atmosphere, Measurement
+from mrgs.scene.radiometry import ObjectParameters, Planck
 
 PLANCK = Planck(15000.0, 0.0125, 1400.0, 1.0, -6000.0)
 AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)

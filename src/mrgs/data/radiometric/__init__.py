@@ -2,10 +2,10 @@
 them out."""
 
 from mrgs.data.radiometric.exif import ExifFacts, GpsPosition, read_exif
-from mrgs.data.radiometric.measurement import ObjectParameters
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.read import read_thermal_photo
 from mrgs.data.radiometric.visible import VisibleImage
+from mrgs.scene.radiometry import ObjectParameters
 
 __all__ = [
     "ExifFacts",

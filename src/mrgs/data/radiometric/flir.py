@@ -26,13 +26,12 @@ from mrgs.data.radiometric.measurement import (
     MAX_TRANSMISSION,
     Atmosphere,
     Measurement,
-    ObjectParameters,
-    Planck,
     object_temperature,
 )
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.pixels import MAX_PIXELS, opened
 from mrgs.data.radiometric.visible import Alignment, VisibleImage
+from mrgs.scene.radiometry import ObjectParameters, Planck
 
 _IMAGE_OFFSET = 32
 """Raw data and embedded images follow a header of this many bytes."""
@@ -212,6 +211,7 @@ def _facts(
         taken=exif.taken or _time(info),
         gps=exif.gps,
         parameters=measurement.parameters,
+        planck=measurement.planck,
         calibrated_c=_range(info.celsius(0x94), info.celsius(0x90)),
         scale_c=_scale(info, measurement),
         visible=visible,

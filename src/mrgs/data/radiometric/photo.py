@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from mrgs.data.radiometric.exif import GpsPosition
-from mrgs.data.radiometric.measurement import PARAMETER_LIMITS, ObjectParameters
 from mrgs.data.radiometric.visible import VisibleImage
 from mrgs.errors import ConfigError
+from mrgs.scene.radiometry import PARAMETER_LIMITS, ObjectParameters, PhotoRecord, Planck
 
 UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 
@@ -99,6 +99,7 @@ class PhotoFacts:
         gps: position; None if the file does not say.
         parameters: with which the temperatures were computed; None where the file holds finished
             numbers.
+        planck: calibration of the camera; None where the file holds finished numbers.
         calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does
             not say.
         scale_c: ends of the colour scale beside the picture, °C; None if the file does not say.
@@ -115,12 +116,21 @@ class PhotoFacts:
     taken: datetime | None = None
     gps: GpsPosition | None = None
     parameters: ObjectParameters | None = None
+    planck: Planck | None = None
     calibrated_c: tuple[float, float] | None = None
     scale_c: tuple[float, float] | None = None
     unit: str | None = None
     visible: VisibleImage | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    @property
+    def record(self) -> PhotoRecord:
+        """What a scene keeps of these facts."""
+        return PhotoRecord(
+            self.source, self.camera or "", self.serial or "", self.taken, self.parameters,
+            self.planck,
+        )  # fmt: skip
 
     def adding(
         self, *, notes: Iterable[str] = (), warnings: Iterable[str] = (), **changes: Any

@@ -1,0 +1,134 @@
+"""Temperatures of a surface with another emissivity and another reflected temperature than the
+photos were computed with."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.errors import ConfigError
+from mrgs.marks.mark import Mark
+from mrgs.scene import THERMAL, Scene
+from mrgs.scene.radiometry import PhotoRecord, Planck
+
+SECOND_RADIATION_CONSTANT_UM_K = 14_387.77
+TYPICAL_WAVELENGTH_UM = 10.0
+"""In the middle of what uncooled thermal cameras see, 7.5 to 13 µm."""
+
+TYPICAL_LAW = Planck(1.0, 1.0, SECOND_RADIATION_CONSTANT_UM_K / TYPICAL_WAVELENGTH_UM, 1.0, 0.0)
+"""Where a camera's own constants are not known: black bodies at that wavelength."""
+
+
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """How a surface radiates.
+
+    Attributes:
+        emissivity: over 0 to 1.
+        reflected_c: reflected apparent temperature, °C; None if not known, which an emissivity of 1
+            does not need.
+    """
+
+    emissivity: float
+    reflected_c: float | None
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """What the temperatures of a scene's photos were computed with.
+
+    Attributes:
+        surface: emissivity and reflected temperature.
+        law: the camera's calibration.
+        notes: what is not known and was assumed, one sentence each.
+    """
+
+    surface: SurfaceSettings = SurfaceSettings(1.0, None)
+    law: Planck = TYPICAL_LAW
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, scene: Scene | None) -> CaptureSettings:
+        """Of a scene's thermal photos; what differs between them is the median."""
+        records = [] if scene is None else records_of(scene)
+        surface, surface_notes = _surface_of(records)
+        law, law_notes = _law_of(records)
+        return cls(surface, law, (*surface_notes, *law_notes))
+
+    def of_mark(self, mark: Mark) -> SurfaceSettings:
+        """The settings of the surface in a mark: its own, and those of the photos for the rest.
+
+        Raises:
+            ConfigError: the reflected temperature is needed, and neither the mark nor the photos
+                have one.
+        """
+        emissivity = self.surface.emissivity if mark.emissivity is None else mark.emissivity
+        reflected = self.surface.reflected_c if mark.reflected_c is None else mark.reflected_c
+        if emissivity < 1 and reflected is None:
+            raise ConfigError(
+                f"{mark.name}: the photos do not say the reflected temperature; give it too"
+            )
+        return SurfaceSettings(emissivity, reflected)
+
+    def corrected(
+        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
+    ) -> Float64[np.ndarray, "..."]:
+        """The temperatures of a surface with other settings, °C, from those that the photos give.
+
+        What reaches the camera stays the same, W being the camera's signal of a black body:
+        ε' W(T') + (1 − ε') W(T'_refl) = ε W(T) + (1 − ε) W(T_refl). Air and window weigh both sides
+        alike. NaN where the reflection alone would be more than what was measured.
+        """
+        received = self._radiated(celsius, self.surface)
+        of_object = (received - self._reflected(surface)) / surface.emissivity
+        corrected: Float64[np.ndarray, "..."] = self.law.celsius(of_object - self.law.o)
+        return corrected
+
+    def _radiated(
+        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
+    ) -> Float64[np.ndarray, "..."]:
+        own: Float64[np.ndarray, "..."] = self.law.signals(celsius) + self.law.o
+        return surface.emissivity * own + self._reflected(surface)
+
+    def _reflected(self, surface: SurfaceSettings) -> float:
+        if surface.reflected_c is None:
+            return 0.0
+        return (1 - surface.emissivity) * (self.law.signal(surface.reflected_c) + self.law.o)
+
+
+def records_of(scene: Scene) -> list[PhotoRecord]:
+    """What the camera noted beside the thermal photos, as far as the scene says."""
+    views = (*scene.train, *scene.eval)
+    found = (view.images[THERMAL].record for view in views if THERMAL in view.images)
+    return [record for record in found if record is not None]
+
+
+def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]:
+    known = [record.parameters for record in records if record.parameters is not None]
+    if not known:
+        return SurfaceSettings(1.0, None), [
+            "The photos do not say their emissivity: their temperatures are taken as apparent ones "
+            "(emissivity 1)."
+        ]
+    emissivities = [each.emissivity for each in known]
+    reflected = [each.reflected_c for each in known]
+    settings = SurfaceSettings(median(emissivities), median(reflected))
+    if max(emissivities) - min(emissivities) > 1e-4 or max(reflected) - min(reflected) > 0.05:
+        return settings, [
+            "Emissivity or reflected temperature differ between the photos: their median is used."
+        ]
+    return settings, []
+
+
+def _law_of(records: list[PhotoRecord]) -> tuple[Planck, list[str]]:
+    laws = Counter(record.planck for record in records if record.planck is not None)
+    if laws:
+        return laws.most_common(1)[0][0], []
+    return TYPICAL_LAW, [
+        f"The camera's constants are not known: its signal is taken as that of black bodies at "
+        f"{TYPICAL_WAVELENGTH_UM:g} µm."
+    ]

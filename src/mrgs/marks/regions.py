@@ -1,0 +1,143 @@
+"""Parts of a surface with an emissivity of their own, and what that does to a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from mrgs.errors import ConfigError
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
+from mrgs.marks.mark import Mark, Marks
+from mrgs.marks.surface import (
+    SeenSurface,
+    SurfaceRenderer,
+    measuring_camera,
+    outline_mask,
+    pixels_of,
+    see,
+    seen_depth,
+)
+from mrgs.runs.baked import BakedModel
+from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
+from mrgs.scene.depth_map import SURFACE_DEPTH
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceRegion:
+    """The surface within the outline of a mark, as seen from the mark's eye.
+
+    Attributes:
+        settings: of the surface.
+        surface: that is seen from the eye.
+        inside: the pixels within the outline, [H, W].
+    """
+
+    settings: SurfaceSettings
+    surface: SeenSurface
+    inside: Bool[np.ndarray, "h w"]
+
+    def holds(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Which points of the world lie on it, [N]; NaN does not."""
+        camera = self.surface.camera
+        at = pixels_of(camera, points)
+        _, depth = camera.project(torch.from_numpy(np.asarray(points, dtype=np.float64)))
+        seen = self.surface.depth[at.rows, at.columns]
+        with np.errstate(invalid="ignore"):
+            near = np.abs(seen - depth.numpy()) < SURFACE_DEPTH * seen
+        holds: Bool[np.ndarray, " n"] = at.inside & self.inside[at.rows, at.columns] & near
+        return holds
+
+
+class Regions:
+    """All regions of a model with settings of their own.
+
+    Args:
+        marks: those with settings are regions; where two overlap, the later one counts.
+        render: renders the model as the photos have it.
+        temperature: the scale of the thermal values; without known °C there are no regions.
+        capture: what the photos were computed with.
+
+    Attributes:
+        problems: of marks that cannot be regions, one sentence by name.
+    """
+
+    def __init__(
+        self,
+        marks: Marks,
+        render: SurfaceRenderer,
+        temperature: TemperatureRange | None,
+        capture: CaptureSettings,
+    ) -> None:
+        self._marks = tuple(mark for mark in marks.marks if mark.has_settings)
+        self._render = render
+        self._temperature = temperature
+        self._capture = capture
+        found = {mark.name: self._problem(mark) for mark in self._marks}
+        self.problems = {name: problem for name, problem in found.items() if problem}
+
+    def _problem(self, mark: Mark) -> str:
+        if self._temperature is None:
+            return f"{mark.name}: without °C there is no emissivity to correct"
+        try:
+            self._capture.of_mark(mark)
+        except ConfigError as error:
+            return str(error)
+        return ""
+
+    def __bool__(self) -> bool:
+        return len(self.problems) < len(self._marks)
+
+    @cached_property
+    def _regions(self) -> list[SurfaceRegion]:
+        return [self._region(mark) for mark in self._marks if mark.name not in self.problems]
+
+    def _region(self, mark: Mark) -> SurfaceRegion:
+        surface = see(self._render, measuring_camera(mark))
+        inside = outline_mask(surface.camera, mark.points)
+        return SurfaceRegion(self._capture.of_mark(mark), surface, inside)
+
+    def applied_to(self, rendering: Rendering, camera: Camera) -> Rendering:
+        """A rendering with the temperatures of the regions corrected; the same without regions."""
+        if not self or THERMAL not in rendering:
+            return rendering
+        surface = SeenSurface(camera, rendering, seen_depth(rendering))
+        positions = surface.positions.reshape(-1, 3)
+        image = rendering[THERMAL].image
+        values = self._corrected(positions, image.cpu().double().numpy().reshape(-1))
+        return rendering.with_images(
+            {THERMAL: torch.from_numpy(values).to(image).view(image.shape)}
+        )
+
+    def render(self, camera: Camera) -> Rendering:
+        """The model from a camera, with the temperatures of the regions corrected."""
+        return self.applied_to(self._render(camera), camera)
+
+    def of_splats(self, baked: BakedModel) -> BakedModel:
+        """A model of splats whose temperatures are corrected one by one.
+
+        A surface that blends splats of different temperatures comes out less exactly than in
+        ``render``, which corrects what is blended.
+        """
+        if not self:
+            return baked
+        values = self._corrected(baked.means.double().numpy(), baked.temperatures.double().numpy())
+        return replace(baked, temperatures=torch.from_numpy(values).to(baked.temperatures))
+
+    def _corrected(
+        self, points: Float[np.ndarray, "n 3"], values: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """Normalised temperatures of points, corrected where a region holds them. Where there is no
+        such temperature the value stays."""
+        assert self._temperature is not None
+        corrected = values.copy()
+        for region in self._regions:
+            held = region.holds(points)
+            celsius = self._temperature.to_celsius(values[held])
+            found = self._capture.corrected(celsius, region.settings)
+            now = self._temperature.from_celsius(found)
+            corrected[held] = np.where(np.isfinite(now), now, values[held])
+        return corrected

@@ -1,0 +1,177 @@
+"""What a thermal camera notes beside a photo: its calibration, and the settings that the photo's
+temperatures were computed with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, astuple, dataclass, fields
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.scene.temperature import ZERO_CELSIUS_K
+
+COLDEST_C, HOTTEST_C = -200.0, 3500.0
+"""Range of thermal cameras, °C; pixels outside of it are masked."""
+
+
+@dataclass(frozen=True)
+class ObjectParameters:
+    """Parameters of the measurement, as set in the camera.
+
+    Attributes:
+        emissivity: of the object's surface, over 0 to 1.
+        distance_m: from the camera to the object, m.
+        reflected_c: reflected apparent temperature: what the surroundings, mirrored in the surface,
+            look like, °C.
+        atmospheric_c: temperature of the air between the camera and the object, °C.
+        humidity: relative humidity of that air, 0 to 1.
+        window_c: temperature of an infrared window or an external lens at the camera, °C.
+        window_transmission: of that window, over 0 to 1; 1 without a window.
+    """
+
+    emissivity: float
+    distance_m: float
+    reflected_c: float
+    atmospheric_c: float
+    humidity: float
+    window_c: float = 20.0
+    window_transmission: float = 1.0
+
+    def problem(self) -> tuple[str, str] | None:
+        """The first parameter that cannot be true, as its name and a sentence; None if all can."""
+        for name, (low, high, unit) in PARAMETER_LIMITS.items():
+            value = getattr(self, name)
+            if name == "window_c" and self.window_transmission == 1:
+                continue  # without a window, some cameras leave its temperature unset
+            if not low <= value <= high:  # false for NaN too
+                return name, f"{value:g} is not between {low:g} and {high:g}{unit}"
+        return None
+
+
+PARAMETER_LIMITS = {
+    "emissivity": (0.01, 1.0, ""),
+    "distance_m": (0.0, 1e5, " m"),
+    "reflected_c": (COLDEST_C, HOTTEST_C, " °C"),
+    "atmospheric_c": (-100.0, 200.0, " °C"),
+    "humidity": (0.0, 1.0, " (write 50 % as 0.5)"),
+    "window_transmission": (0.01, 1.0, ""),
+    "window_c": (COLDEST_C, HOTTEST_C, " °C"),
+}
+"""Smallest and largest value of each parameter, and its unit as written behind a number."""
+
+
+@dataclass(frozen=True)
+class Planck:
+    """A camera's calibration: S = r1 / (r2 (exp(b / T) − f)) − o, for a black body of T kelvin and
+    a signal S."""
+
+    r1: float
+    r2: float
+    b: float
+    f: float
+    o: float
+
+    def problem(self) -> str | None:
+        """Why these cannot be a camera's constants; None if they can.
+
+        b is the second radiation constant (14,388 µm K) over the effective wavelength: 500 K and
+        20,000 K would be 29 µm and 0.7 µm.
+        """
+        if not all(map(math.isfinite, astuple(self))):
+            return "not a number"
+        if not (self.r1 > 0 and self.r2 > 0):
+            return f"R1 = {self.r1:g}, R2 = {self.r2:g}"
+        if not 500 <= self.b <= 20_000:
+            return f"B = {self.b:g}"
+        if not 0 < self.f <= 10:
+            return f"F = {self.f:g}"
+        return None
+
+    def signal(self, celsius: float) -> float:
+        """The signal of a black body, counts; infinite where the law's denominator vanishes."""
+        return float(self.signals(np.float64(celsius)))
+
+    def signals(self, celsius: Float64[np.ndarray, "..."] | np.float64) -> Any:
+        """The signals of black bodies, counts; as ``signal``."""
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            exponential = np.exp(self.b / (celsius + ZERO_CELSIUS_K))
+            return self.r1 / (self.r2 * (exponential - self.f)) - self.o
+
+    def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+        """The temperature of the black body with this signal, °C; not finite where there is
+        none."""
+        with np.errstate(all="ignore"):
+            kelvin = self.b / np.log(self.r1 / (self.r2 * (signal + self.o)) + self.f)
+            return np.where(signal + self.o > 0, kelvin - ZERO_CELSIUS_K, np.nan)
+
+
+LONGEST_TEXT = 200
+
+
+@dataclass(frozen=True)
+class PhotoRecord:
+    """What a thermal camera noted beside a photo, as far as its file says.
+
+    Attributes:
+        source: the kind of file, in words.
+        camera: maker's name of the model; empty if not known.
+        serial: the camera's serial number; empty if not known.
+        taken: by the camera's own clock, without a time zone; None if not known.
+        parameters: with which the temperatures were computed; None if not known.
+        planck: the camera's calibration; None if not known.
+    """
+
+    source: str = ""
+    camera: str = ""
+    serial: str = ""
+    taken: datetime | None = None
+    parameters: ObjectParameters | None = None
+    planck: Planck | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as plain values; what is not known is left out."""
+        values = asdict(self) | {"taken": None if self.taken is None else self.taken.isoformat()}
+        return {name: value for name, value in values.items() if value}
+
+    @classmethod
+    def from_json(cls, value: Any) -> PhotoRecord:
+        """A record from its JSON form; entries of newer versions are ignored.
+
+        Raises:
+            ValueError: the value is none; one sentence.
+        """
+        if not isinstance(value, Mapping):
+            raise ValueError("it is not an object")
+        texts = {name: value.get(name, "") for name in ("source", "camera", "serial")}
+        for name, text in texts.items():
+            if not isinstance(text, str) or len(text) > LONGEST_TEXT or not text.isprintable():
+                raise ValueError(f"its {name} is not a short text")
+        taken = value.get("taken")
+        if taken is not None and not isinstance(taken, str):
+            raise ValueError("its time is not a text")
+        parameters = _numbers(ObjectParameters, value.get("parameters"), "parameters")
+        planck = _numbers(Planck, value.get("planck"), "Planck constants")
+        for found in (parameters, planck):
+            if found is not None and (problem := found.problem()):
+                raise ValueError(f"it cannot be true ({problem})")
+        when = None if taken is None else datetime.fromisoformat(taken).replace(tzinfo=None)
+        return cls(**texts, taken=when, parameters=parameters, planck=planck)
+
+
+def _numbers(kind: Any, value: Any, what: str) -> Any:
+    """A dataclass of numbers from a JSON object; None for None."""
+    if value is None:
+        return None
+    names = {field.name for field in fields(kind)}
+    if not isinstance(value, Mapping) or not names >= set(value):
+        raise ValueError(f"its {what} are not those that are known")
+    if not all(isinstance(each, int | float) for each in value.values()):
+        raise ValueError(f"its {what} are not numbers")
+    try:
+        return kind(**{name: float(each) for name, each in value.items()})
+    except (TypeError, OverflowError):
+        raise ValueError(f"its {what} are not complete") from None
