@@ -4,10 +4,11 @@ import json
 import shutil
 
 import pytest
+from PIL import Image
 
 from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import neighbour_methods, plan
-from mrgs.errors import ConfigError, SceneError
+from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.training import train
 from tests.helpers.comparison import tiny_options
 from tests.helpers.scenes import write_scene
@@ -117,3 +118,12 @@ def test_a_folder_with_another_run_is_found_before_anything_runs(small_scene, tm
         match=r"seed_0 holds a run with another configuration \(max_steps is 3 there and",
     ):
         plan([small_scene], tmp_path, tiny_options(methods=("3dgs-rgbt",), max_steps=4))
+
+
+def test_a_scene_that_is_odd_is_said_before_anything_runs(small_scene, tmp_path):
+    scene = shutil.copytree(small_scene, tmp_path / "odd")
+    for photo in (scene / "images").iterdir():
+        with Image.open(photo) as image:
+            Image.new(image.mode, image.size).save(photo)
+    with pytest.warns(MrgsWarning, match=r"^odd: .* RGB photos looked at are black"):
+        plan([scene], tmp_path / "out", tiny_options())

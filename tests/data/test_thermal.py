@@ -75,6 +75,8 @@ def test_float_images_that_are_not_celsius(tmp_path):
         bounds_of_images([celsius(tmp_path / "a.tiff", np.nan)])
     with pytest.raises(SceneError, match="not a temperature range in °C"):
         bounds_of_images([celsius(tmp_path / "b.tiff", -1000.0, 5.0)])
+    with pytest.raises(SceneError, match=r"c\.tiff: holds a temperature that is not plausible"):
+        bounds_of_images([celsius(tmp_path / "c.tiff", 20.0, 3e38)])
 
 
 def test_celsius_are_mapped_and_not_clamped(tmp_path):

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.faults import fuzz, interruptions, kills, places, soak
+from tests.faults import fuzz, interruptions, kills, messages, places, soak
 from tests.faults.program import SMALL, run, small_scene
 from tests.faults.tally import Tally
 
@@ -46,6 +46,7 @@ def attacks(soak_hours: float) -> Iterator[tuple[str, Attack]]:
     yield "unusual names", lambda at: places.names(at, commands=("eval", "report", "export"))
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)
+    yield "fuzzed messages to the viewer", lambda at: messages.messages(at, _trained(at), 5000)
     for path in sorted(HERE.glob("test_*.py")):
         if path.name != "test_short.py":
             yield path.stem.removeprefix("test_").replace("_", " "), lambda at, p=path: _pytest(p)
@@ -79,9 +80,13 @@ def main() -> int:
 
 
 def _full_disks(folder: Path) -> Tally:
+    return places.full_disks(folder, _trained(folder), (0, 20_000, 60_000, 200_000))
+
+
+def _trained(folder: Path) -> Path:
     trained = folder / "trained"
     run("train", small_scene(folder / "scene"), "--output", trained, *SMALL, "--max-steps", 20)
-    return places.full_disks(folder, trained, (0, 20_000, 60_000, 200_000))
+    return trained
 
 
 def _pytest(path: Path) -> Tally:

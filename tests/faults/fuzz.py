@@ -33,7 +33,7 @@ def radiometric(folder: Path, examples: int) -> Tally:
         path.write_bytes(data)
         read_thermal_photo(path)
 
-    return _fuzz(examples, _mutated(good), read)
+    return fuzz(examples, _mutated(good), read)
 
 
 def poses(folder: Path, examples: int) -> Tally:
@@ -55,24 +55,11 @@ def poses(folder: Path, examples: int) -> Tally:
         (scene / "transforms.json").write_text(json.dumps(changed), encoding="utf-8")
         existing_poses(scene, images)
 
-    return _fuzz(examples, st.tuples(st.booleans(), keys, in_frames, JSON), read)
+    return fuzz(examples, st.tuples(st.booleans(), keys, in_frames, JSON), read)
 
 
-def _mutated(good: bytes) -> st.SearchStrategy[bytes]:
-    place = st.integers(0, len(good) - 1)
-    edits = st.lists(st.tuples(place, st.binary(min_size=1, max_size=8)), max_size=6)
-
-    def edited(change: tuple[list[tuple[int, bytes]], int]) -> bytes:
-        data = bytearray(good)
-        for start, inserted in change[0]:
-            data[start : start + len(inserted)] = inserted
-        return bytes(data[: change[1]])
-
-    ends = st.just(len(good)) | st.integers(0, len(good))
-    return st.tuples(edits, ends).map(edited)
-
-
-def _fuzz(examples: int, strategy: st.SearchStrategy, read: Callable[..., None]) -> Tally:
+def fuzz(examples: int, strategy: st.SearchStrategy, read: Callable[..., None]) -> Tally:
+    """Read values of a strategy; each must be read, or refused with one line."""
     tally = Tally()
 
     @settings(
@@ -92,3 +79,17 @@ def _fuzz(examples: int, strategy: st.SearchStrategy, read: Callable[..., None])
 
     attack()
     return tally
+
+
+def _mutated(good: bytes) -> st.SearchStrategy[bytes]:
+    place = st.integers(0, len(good) - 1)
+    edits = st.lists(st.tuples(place, st.binary(min_size=1, max_size=8)), max_size=6)
+
+    def edited(change: tuple[list[tuple[int, bytes]], int]) -> bytes:
+        data = bytearray(good)
+        for start, inserted in change[0]:
+            data[start : start + len(inserted)] = inserted
+        return bytes(data[: change[1]])
+
+    ends = st.just(len(good)) | st.integers(0, len(good))
+    return st.tuples(edits, ends).map(edited)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.faults import fuzz, interruptions, kills, places
+from tests.faults import fuzz, interruptions, kills, messages, places
 from tests.faults.tally import Tally
 
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's signals and /proc")
@@ -55,3 +55,7 @@ def test_damaged_thermal_photos(tmp_path):
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
 def test_odd_pose_files(tmp_path):
     assert holds(fuzz.poses(tmp_path, 60))
+
+
+def test_whatever_a_browser_sends_is_answered(gaussians_base, tmp_path):
+    assert holds(messages.messages(tmp_path, gaussians_base, 60))

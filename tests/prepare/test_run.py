@@ -136,6 +136,17 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
         )
 
 
+def test_photos_that_are_odd_are_named(photos, posed, tmp_path):
+    for photo in (photos / "rgb").iterdir():
+        with Image.open(photo) as image:
+            Image.new(image.mode, image.size).save(photo)
+    options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True)
+    for _ in range(2):  # the second call takes its results from the first
+        made = prepare(photos, tmp_path / "scene", options)
+        (warning,) = next(s for s in made.stages if s.title == "scene files").warnings
+        assert warning.startswith("7 of 7 RGB photos looked at are black")
+
+
 def test_the_thermal_camera_comes_into_the_scene(photos, fakes, tmp_path):
     fakes.prepare(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS))
     assert fakes.calls == ["poses", "thermal camera"]

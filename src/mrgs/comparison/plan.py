@@ -10,6 +10,7 @@ from pathlib import Path
 from mrgs.comparison.methods import Options, Variant, configure
 from mrgs.comparison.single import require_same_config
 from mrgs.data import load_scene
+from mrgs.data.oddities import warn_of_oddities
 from mrgs.errors import ConfigError, SceneError
 from mrgs.system.atomic import write_text
 from mrgs.training import make_config
@@ -113,6 +114,7 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
                 f"the file names of "
                 "some, or list them in val_filenames"
             )
+        warn_of_oddities(loaded, stacklevel=4)
         path = scene.resolve()
         if named.setdefault(loaded.name, path) != path:
             raise ConfigError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
+from mrgs.errors import MrgsWarning
 from mrgs.scene import THERMAL, Camera, Modality, Scene
 from mrgs.scene.view import evenly_spaced
 
@@ -48,6 +50,19 @@ def oddities(scene: Scene) -> list[str]:
         photos = [view.images[modality].load().values for view in views if modality in view.images]
         found += _of_photos(modality, photos)
     return found
+
+
+def warn_of_oddities(scene: Scene, stacklevel: int) -> None:
+    """Warn of each oddity; ``stacklevel`` as in ``warnings.warn``, 1 being the caller.
+
+    Warns:
+        MrgsWarning: see ``oddities``.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    for text in oddities(scene):
+        warnings.warn(f"{scene.name}: {text}", MrgsWarning, stacklevel=stacklevel + 1)
 
 
 def _of_poses(cameras: Sequence[Camera]) -> Iterator[str]:

@@ -9,7 +9,14 @@ from pathlib import Path
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from mrgs.data.files import contained, finite_number, is_file, read_json_object, scene_error
+from mrgs.data.files import (
+    MAX_MAGNITUDE,
+    contained,
+    finite_number,
+    is_file,
+    read_json_object,
+    scene_error,
+)
 from mrgs.data.images import Kind, decode, with_channels
 from mrgs.data.sources import ReadingNotes
 from mrgs.scene import TemperatureRange
@@ -53,6 +60,8 @@ def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
         known = values[..., 0] if valid is None else values[..., 0][valid]
         if known.numel() == 0:
             raise scene_error(path, "holds no finite temperature; replace the file")
+        if not known.abs().max() <= MAX_MAGNITUDE:
+            raise scene_error(path, "holds a temperature that is not plausible; replace the file")
         low, high = min(low, known.min().item()), max(high, known.max().item())
     low, high = float(math.floor(low)), float(math.ceil(high))
     return _range(low, max(high, low + 1.0), paths[0].parent)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.data import load_scene
+from mrgs.data.oddities import oddities
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare.cache import CACHE_FOLDER, digest, stamps
@@ -130,11 +131,13 @@ def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> StageSum
 
 @dataclass(frozen=True)
 class WrittenScene:
-    """Numbers of views, and lowest and highest temperature in °C, as training will read them."""
+    """Numbers of views, lowest and highest temperature in °C, and what is odd, as training will
+    find them."""
 
     train: int
     eval: int
     range_c: tuple[float, float] | None
+    odd: tuple[str, ...]
 
 
 def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -> StageSummary:
@@ -145,7 +148,7 @@ def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -
         read = load_scene(work.scene)
         bounds = read.temperature
         range_c = None if bounds is None else (bounds.min_c, bounds.max_c)
-        return WrittenScene(len(read.train), len(read.eval), range_c)
+        return WrittenScene(len(read.train), len(read.eval), range_c, tuple(oddities(read)))
 
     options = work.options
     split_and_bounds = (options.eval_every, options.overrides.bounds_c)
@@ -159,7 +162,8 @@ def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -
     bounds = "no °C"
     if written.range_c is not None:
         bounds = "{:g} °C to {:g} °C".format(*written.range_c)
-    return StageSummary((f"{written.train} training views, {written.eval} held out, {bounds}.",))
+    lines = (f"{written.train} training views, {written.eval} held out, {bounds}.",)
+    return StageSummary(lines, tuple(f"{text[0].upper()}{text[1:]}." for text in written.odd))
 
 
 def page(work: Work, write_page: Callable[..., Path] = write_page) -> StageSummary:

@@ -3,7 +3,6 @@ made or loaded."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -11,8 +10,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from mrgs.data import load_scene
-from mrgs.data.oddities import oddities
-from mrgs.errors import MrgsWarning
+from mrgs.data.oddities import warn_of_oddities
 from mrgs.scene import Scene
 from mrgs.system.operation import plainly
 from mrgs.training.checkpoint import load_facts
@@ -93,8 +91,7 @@ def start_training(
             config = replace(cast(Any, config), resolution=scene.resolution)
     else:
         loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
-    for text in oddities(loaded):
-        warnings.warn(f"{loaded.name}: {text}", MrgsWarning, stacklevel=4)
+    warn_of_oddities(loaded, stacklevel=4)
     with folder.training(config, resume), plainly(plain):
         if resume:
             state, facts = load_newest(

@@ -86,7 +86,7 @@ class Browser:
         """Do what a message asks for; what cannot be understood is answered, and has no effect."""
         try:
             self._obey(decode(data))
-        except (ValueError, MrgsError) as error:
+        except (ValueError, RecursionError, MrgsError) as error:
             self._report(error)
         self._subject.source.charge()
 
