@@ -4,7 +4,7 @@ blends them."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -156,6 +156,13 @@ def render(
             }
         points.append(projected)
     return Rendering({modality: blends[modality] for modality in cameras}, depths), points
+
+
+def renderer(
+    model: Model, sh_degrees: Mapping[Modality, int] | None = None
+) -> Callable[[Mapping[Modality, Camera]], Rendering]:
+    """The images of ``render`` as a function of the cameras alone, differentiable as there."""
+    return lambda cameras: render(model, cameras, sh_degrees)[0]
 
 
 def shared_passes(cameras: Mapping[Modality, Camera]) -> list[tuple[Camera, list[Modality]]]:

@@ -90,3 +90,8 @@ class CountingImage:
     def _read(self) -> Pixels:
         self.reads += 1
         return Pixels(torch.full((4, 5, 1), 0.5), self._valid)
+
+
+def not_rendered(cameras: Mapping[Modality, Camera]) -> Rendering:
+    """``LossContext.render`` where no term asks for it."""
+    raise AssertionError(f"rendered from {len(cameras)} more cameras")

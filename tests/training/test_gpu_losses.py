@@ -27,6 +27,7 @@ from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, Temperatu
 from mrgs.system import gpu
 from mrgs.training.state import learned_layers
 from tests.helpers.gaussians import random_gaussians
+from tests.helpers.views import not_rendered
 
 
 def image(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -188,6 +189,7 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
         dict.fromkeys(modalities, camera),
         random_gaussians(1),
         SceneScale(2.0, TemperatureRange(10.0, 30.0)),
+        not_rendered,
     )
     terms = configured_terms(changed)
     for layers in learned_layers(terms).values():

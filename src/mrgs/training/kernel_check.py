@@ -15,7 +15,7 @@ from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
-from mrgs.render import Model, render, rows_in_view
+from mrgs.render import Model, render, renderer, rows_in_view
 from mrgs.scene import THERMAL, Camera, Gaussians, Pixels, Scene, View
 from mrgs.system.operation import checking
 from mrgs.training.state import TrainingState
@@ -59,7 +59,15 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             }
             observed = state.image_model(rendering, number)
             scale = SceneScale(scene.extent, scene.temperature)
-            context = LossContext(rendering, observed, photos, cameras, model.gaussians, scale)
+            context = LossContext(
+                rendering,
+                observed,
+                photos,
+                cameras,
+                model.gaussians,
+                scale,
+                renderer(model, degrees),
+            )
             term_values(state.terms, context)
 
 

@@ -15,7 +15,7 @@ from mrgs.method.density import DensityStep
 from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
-from mrgs.render import ScreenPoints, render
+from mrgs.render import ScreenPoints, render, renderer
 from mrgs.scene import THERMAL, Modality, Pixels, Rendering, View
 from mrgs.training.state import TrainingState
 
@@ -128,7 +128,15 @@ def training_step(
     degrees = {THERMAL: config.temperature_sh_degree_at(state.step)}
     rendering, passes = render(state.model, view.cameras, degrees)
     observed = state.image_model(rendering, number)
-    context = LossContext(rendering, observed, photos, view.cameras, state.model.gaussians, scale)
+    context = LossContext(
+        rendering,
+        observed,
+        photos,
+        view.cameras,
+        state.model.gaussians,
+        scale,
+        renderer(state.model, degrees),
+    )
     values = term_values(state.terms, context)
     loss = total_loss(values, {term.name: term.weight(state.step) for term in state.terms})
     loss.backward()

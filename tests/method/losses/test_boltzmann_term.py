@@ -17,6 +17,7 @@ from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Boltzmann
 from mrgs.scene import RGB, THERMAL, Blend, Pixels, Rendering, TemperatureRange, View
 from tests.helpers.gaussians import random_gaussians
+from tests.helpers.views import not_rendered
 
 SCENE = Path(__file__).parents[3] / "examples/tabletop"
 
@@ -54,7 +55,9 @@ def context_of(shown: Exact, scale: SceneScale, depth: Tensor, rgb_depth: Tensor
         }
     )
     photos = {each: posed.load() for each, posed in view.images.items()}
-    return LossContext(rendering, rendering, photos, view.cameras, random_gaussians(3), scale)
+    return LossContext(
+        rendering, rendering, photos, view.cameras, random_gaussians(3), scale, not_rendered
+    )
 
 
 def confident(config: RadiationConfig) -> Boltzmann:
@@ -116,7 +119,9 @@ def small_context(**changes) -> tuple[LossContext, Tensor, Tensor]:
     cameras = changes.get("cameras", view.cameras)
     photos = {THERMAL: Pixels(torch.rand(20, 24, 1, generator=generator))}
     scale = SceneScale(3.0, TemperatureRange(10.0, 60.0))
-    context = LossContext(rendering, rendering, photos, cameras, random_gaussians(3), scale)
+    context = LossContext(
+        rendering, rendering, photos, cameras, random_gaussians(3), scale, not_rendered
+    )
     return context, image, depth
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from jaxtyping import Float
@@ -36,6 +36,7 @@ class LossContext(NamedTuple):
             the other.
         gaussians: of the model.
         scale: of the scene.
+        render: the model from other cameras than the view's, with gradients; costs a pass each.
     """
 
     rendering: Rendering
@@ -44,6 +45,7 @@ class LossContext(NamedTuple):
     cameras: Mapping[Modality, Camera]
     gaussians: Gaussians
     scale: SceneScale
+    render: Callable[[Mapping[Modality, Camera]], Rendering]
 
 
 class Term(ABC):

@@ -111,7 +111,7 @@ class Smoothness(Term):
 
 
 class Opaqueness(Term):
-    """L_opaque, not in the paper; for views whose photos share a camera.
+    """L_opaque, not in the paper; for views that have a thermal photo, where o_t is not o_c.
 
     Args:
         weight: λ.
@@ -126,9 +126,10 @@ class Opaqueness(Term):
         return self._weight
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        if not _share_pixels(context.cameras):
+        own_opacity = THERMAL in context.gaussians.opacity_logits
+        if not own_opacity or THERMAL not in context.cameras:
             return None
-        rgb, thermal = context.rendering[RGB], context.rendering[THERMAL]
+        rgb, thermal = _by_thermal_camera(context)
         return opaqueness_loss(thermal.alpha, rgb.alpha, thermal.depth, rgb.depth)
 
 
@@ -182,6 +183,16 @@ def _share_pixels(cameras: Mapping[Modality, Camera]) -> bool:
     """Whether a pixel of the thermal image is the same pixel of the RGB image."""
     both = RGB in cameras and THERMAL in cameras
     return both and cameras[RGB].coincides_with(cameras[THERMAL])
+
+
+def _by_thermal_camera(context: LossContext) -> tuple[Blend, Blend]:
+    """The RGB and the thermal blend, pixel by pixel; where the RGB photo's camera is another one,
+    or there is none, RGB is rendered again without gradient."""
+    cameras, rendering = context.cameras, context.rendering
+    if _share_pixels(cameras):
+        return rendering[RGB], rendering[THERMAL]
+    with torch.no_grad():
+        return context.render({RGB: cameras[THERMAL]})[RGB], rendering[THERMAL]
 
 
 def _surface_depth(blend: Blend) -> Float[Tensor, "h w"]:
