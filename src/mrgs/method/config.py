@@ -42,6 +42,15 @@ CPU_RATES = {
 """Learning rates of the presets for CPUs, whose schedules are too short for those of 3DGS:
 docs/decisions."""
 
+CPU_SMOOTHNESS = {
+    "smooth_rgb": 0.0,
+    "smooth_thermal": 0.25,
+    "smooth_depth": 0.0,
+    "smooth_noise": 8e-3,
+}
+"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise of their
+photos asks for: docs/decisions."""
+
 CPU_HIDDEN_WIDTH = 64
 """Width of the heads' hidden layers in the presets for CPUs: half of that in ``paper``, and as
 good."""
@@ -221,7 +230,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     field = replace(
         config.field, hidden_width=CPU_HIDDEN_WIDTH, temperature_scale=TEMPERATURE_SCALE
     )
-    loss = replace(config.loss, smooth_rgb=0.0, smooth_thermal=0.25, smooth_depth=0.0)
+    loss = replace(config.loss, **CPU_SMOOTHNESS)
     optimizer = replace(config.optimizer, **CPU_RATES)
     return replace(
         config,

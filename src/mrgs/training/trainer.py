@@ -184,7 +184,7 @@ class Trainer(Driver[StepStatistics]):
             run.state,
         )
         device = run.state.device
-        self._scale = SceneScale(run.scene.extent, run.scene.temperature)
+        self._scale = SceneScale.of(run.scene)
         self._photos: PhotoSource = PhotoCache() if device == HOST else DevicePhotos(device)
         super().__init__(
             run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device

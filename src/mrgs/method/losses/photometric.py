@@ -34,6 +34,9 @@ class LossConfig:
         smooth_rgb: weight of the colours' part of Eq. 18; 1 in the paper.
         smooth_thermal: weight of the temperatures' part; 1 in the paper.
         smooth_depth: weight of the depths' part; 1 in the paper.
+        smooth_noise: standard deviation of the thermal photos' noise, normalised temperature, above
+            which the temperatures' part grows in proportion to it; 1 in the paper, where it never
+            does.
         opaque: weight of L_opaque; 0 in the paper.
     """
 
@@ -42,18 +45,22 @@ class LossConfig:
     smooth_rgb: float = 1.0
     smooth_thermal: float = 1.0
     smooth_depth: float = 1.0
+    smooth_noise: float = 1.0
     opaque: float = 0.0
 
-    def smooth_image(self, modality: Modality) -> float:
-        """Weight of a modality's image in Eq. 18: temperatures have their own, all others that of
-        the colours."""
-        return self.smooth_thermal if modality == THERMAL else self.smooth_rgb
+    def smooth_image(self, modality: Modality, thermal_noise: float) -> float:
+        """Weight of a modality's image in Eq. 18: temperatures have their own, which depends on how
+        noisy the photos are, all others that of the colours."""
+        if modality != THERMAL:
+            return self.smooth_rgb
+        return self.smooth_thermal * max(1.0, thermal_noise / self.smooth_noise)
 
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
         weights = ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque")
         require_within(self, weights, 0, MOST_WEIGHT)
+        require_within(self, ["smooth_noise"], 1e-6, 1)
 
 
 @operation

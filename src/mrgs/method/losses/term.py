@@ -9,19 +9,37 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mrgs.scene import Camera, Gaussians, Modality, Pixels, Rendering, TemperatureRange
+from mrgs.method.camera_model.photo_noise import photo_noise
+from mrgs.scene import (
+    THERMAL,
+    Camera,
+    Gaussians,
+    Modality,
+    Pixels,
+    Rendering,
+    Scene,
+    TemperatureRange,
+)
 
 
 class SceneScale(NamedTuple):
-    """What lengths and temperatures are measured by.
+    """What lengths and temperatures are measured by, and how well the latter are known.
 
     Attributes:
         extent: the scene's extent in scene units.
         temperature: scale of the thermal values; None if the scene has no known °C.
+        thermal_noise: standard deviation of the thermal photos' noise, normalised temperature.
     """
 
     extent: float
     temperature: TemperatureRange | None
+    thermal_noise: float = 0.0
+
+    @classmethod
+    def of(cls, scene: Scene) -> SceneScale:
+        """The scale of a scene and its training photos."""
+        photos = [view.images[THERMAL] for view in scene.train if THERMAL in view.images]
+        return cls(scene.extent, scene.temperature, photo_noise(photos))
 
 
 class LossContext(NamedTuple):

@@ -105,7 +105,7 @@ class Smoothness(Term):
             blend.depth,
             context.photos[modality].valid,
             context.scale.extent,
-            self._config.smooth_image(modality),
+            self._config.smooth_image(modality, context.scale.thermal_noise),
             self._config,
         )
 

@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from mrgs.method.camera_model.photo_noise import PHOTOS, photo_noise
+from mrgs.method.config import make_config
+from mrgs.method.losses.photometric import LossConfig
+from mrgs.scene import RGB, THERMAL, PosedImage
+from tests.helpers.views import posed_image
+
+
+def edges_and_slopes() -> Tensor:
+    rows, columns = torch.meshgrid(torch.arange(60.0), torch.arange(80.0), indexing="ij")
+    slope = 0.2 + 0.003 * rows - 0.001 * columns
+    return torch.where((rows > 30) & (columns > 20) & (columns < 55), slope + 0.4, slope)[..., None]
+
+
+def noisy(sigma: float, seed: int = 0) -> Tensor:
+    values = edges_and_slopes()
+    generator = torch.Generator().manual_seed(seed)
+    return values + sigma * torch.randn(values.shape, generator=generator)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.002, 0.03])
+def test_the_noise_is_told_from_the_scene(sigma):
+    photos = [posed_image(noisy(sigma, seed)) for seed in range(3)]
+    assert photo_noise(photos) == pytest.approx(sigma, rel=0.05, abs=1e-6)
+
+
+def test_invalid_pixels_do_not_count():
+    values, valid = noisy(0.002), torch.ones(60, 80, dtype=torch.bool)
+    values[:40], valid[:40] = noisy(0.3)[:40], False
+    assert photo_noise([posed_image(values, valid)]) == pytest.approx(0.002, rel=0.1)
+    assert photo_noise([posed_image(values, torch.zeros_like(valid))]) == 0
+
+
+def test_without_photos_there_is_no_noise():
+    assert photo_noise([]) == 0
+
+
+def test_some_photos_tell_for_all():
+    read = []
+
+    def noted(index: int) -> PosedImage:
+        image = posed_image(noisy(0.01))
+        return PosedImage(image.camera, lambda: read.append(index) or image.load())
+
+    photo_noise([noted(index) for index in range(100)])
+    assert len(read) == PHOTOS
+    assert (read[0], read[-1]) == (0, 99)
+
+
+def test_noisy_temperatures_are_smoothed_more():
+    loss = make_config("mrgs-plus", "fast").loss
+    assert loss.smooth_image(THERMAL, 0.001) == loss.smooth_thermal
+    assert loss.smooth_image(THERMAL, 4 * loss.smooth_noise) == pytest.approx(
+        4 * loss.smooth_thermal
+    )
+    assert loss.smooth_image(RGB, 0.03) == loss.smooth_rgb
+
+
+def test_as_published_the_noise_does_not_matter():
+    assert LossConfig().smooth_image(THERMAL, 0.3) == 1
+    assert math.isclose(make_config("mrgs", "paper").loss.smooth_image(THERMAL, 0.1), 1)
