@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+from mrgs.marks.store import CameraSpread
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Scene
+from mrgs.viewer.opening import board_of
 from mrgs.viewer.settings import Mode, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
 
@@ -25,4 +28,5 @@ MODES = {
 def subject_of(run: Run, scene: Scene | None, folder: Path) -> Subject:
     """A run as the viewer's subject; what it writes goes into the folder."""
     source, modalities = TrainedSource(run.model), shown_modalities(run.model, scene)
-    return Subject("balls", source, modalities, run.temperature, scene, folder)
+    subject = Subject("balls", source, modalities, run.temperature, scene, folder)
+    return replace(subject, board=board_of(subject, CameraSpread.of_run(run)))

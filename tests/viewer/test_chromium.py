@@ -128,10 +128,6 @@ def test_marks_and_scale_lie_over_the_picture_and_not_in_it(open_page):
     numbers = [float(tick.split()[0].replace("−", "-")) for tick in ticks]
     assert len({round(step, 6) for step in np.diff(numbers)}) == 1
     assert min(numbers) - 20 < told < max(numbers) + 20
-    page.click("#keep")
-    page.wait_for_selector("#spots li")
-    page.click("#clear")
-    wait_until(lambda: page.locator("#marks text").count() == 0, "the marks are gone", page)
 
 
 def test_the_scale_stays_while_the_view_moves(open_page):
@@ -171,23 +167,47 @@ def test_home_leads_back(open_page, viewer):
     np.testing.assert_array_equal(picture(page), start)
 
 
-def test_a_box_is_drawn_with_the_mouse(open_page, viewer):
+def test_marks_are_drawn_with_the_mouse_listed_changed_and_undone(open_page, viewer, tmp_path):
     page = open_page()
-    page.click("#draw-box")
+    rows = page.locator("#mark-list details")
     box = page.locator("#view").bounding_box()
-    left, top = box["x"] + 0.35 * box["width"], box["y"] + 0.35 * box["height"]
-    page.mouse.move(left, top)
-    page.mouse.down()
-    page.mouse.move(left + 120, top + 120, steps=3)
-    page.mouse.up()
-    page.wait_for_selector("#boxes td")
-    name, *figures = page.locator("#boxes td").all_inner_texts()
-    low, mean, high = (float(figure.replace("−", "-")) for figure in figures)
-    assert name == "B1, °C"
-    assert low < mean < high
-    (drawn,) = viewer.browsers[0].inspection.boxes
-    assert (drawn.u0, drawn.v0) == pytest.approx((0.35, 0.35), abs=0.01)
-    assert page.locator("#marks circle").count() == 2
+
+    def at(x, y):
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+    page.click("[data-kind=spot]")
+    page.mouse.click(*at(0.5, 0.5))
+    wait_until(lambda: rows.count() == 1, "the spot is listed", page)
+    for count, kind in ((2, "line"), (3, "box")):
+        page.click(f"[data-kind={kind}]")
+        page.mouse.move(*at(0.45, 0.45))
+        page.mouse.down()
+        page.mouse.move(*at(0.55, 0.55), steps=3)
+        page.mouse.up()
+        wait_until(lambda count=count: rows.count() == count, f"the {kind} is listed", page)
+    page.click("[data-kind=polygon]")
+    for corner in ((0.45, 0.5), (0.5, 0.45), (0.55, 0.5)):
+        page.mouse.click(*at(*corner))
+    page.keyboard.press("Enter")
+    wait_until(lambda: rows.count() == 4, "the polygon is listed", page)
+    page.wait_for_selector(SETTLED)
+    assert page.locator("#marks path.over").count() == 4
+    rows.nth(1).locator("summary").click()
+    assert rows.nth(1).locator("svg path").count() == 1
+    rows.nth(2).locator("summary").click()
+    rows.nth(2).get_by_label("Note").fill("a ball")
+    page.keyboard.press("Tab")
+    board = viewer.browsers[0].inspection.subject.board
+    wait_until(lambda: board.marks.named("B1").note == "a ball", "the note is saved", page)
+    screenshot(page, "viewer_marks.png", tmp_path)
+    page.click("#undo")
+    wait_until(lambda: board.marks.named("B1").note == "", "the note is taken back", page)
+    rows.first.locator("summary").click()
+    rows.first.get_by_role("button", name="Delete").click()
+    wait_until(lambda: rows.count() == 3, "the spot is gone", page)
+    page.click("[data-kind=spot]")
+    page.keyboard.press("Escape")
+    assert page.locator("#selector").is_hidden()
 
 
 def test_a_photo_can_be_gone_to(open_page, viewer, balls, tmp_path):

@@ -15,6 +15,7 @@ from mrgs.scene import RGB, THERMAL, Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
 from mrgs.viewer.inspection import Inspection
+from mrgs.viewer.opening import board_of
 from mrgs.viewer.painting import SCALE_FROM_PX
 from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.scenes import write_scene
@@ -129,47 +130,65 @@ def test_the_scale_fits_the_view_when_asked(inspection, camera):
     assert (low, high) != before
 
 
-def test_spots_are_numbered_and_removed(inspection, camera):
-    with pytest.raises(ConfigError, match="click on the picture first"):
-        inspection.keep_spot()
+def test_marks_are_drawn_measured_and_saved(inspection, camera, subject):
     inspection.picture(camera)
-    for x in (0.5, 0.45):
-        inspection.click(x, 0.5)
-        inspection.keep_spot()
-    assert re.fullmatch(r"S1  \d+\.\d °C", inspection.spots[0].label)
-    assert inspection.spots[1].label.startswith("S2 ")
-    inspection.clear()
-    assert (inspection.spots, inspection.point, inspection.boxes) == ((), None, ())
+    inspection.add_mark("spot", [(0.5, 0.5)])
+    inspection.add_mark("line", [(0.45, 0.5), (0.55, 0.5)])
+    inspection.add_mark("box", [(0.55, 0.55), (0.45, 0.45)])
+    inspection.add_mark("polygon", [(0.5, 0.45), (0.55, 0.55), (0.45, 0.55)])
+    (label,) = inspection.marks()
+    assert re.fullmatch(r"S1  \d+\.\d °C", label.label)
+    line, box, polygon = inspection.outlines()
+    assert [len(each.corners) for each in (line, box, polygon)] == [2, 4, 3]
+    assert [each.closed for each in (line, box, polygon)] == [False, True, True]
+    reading = subject.board.readings[2]
+    rendering = inspection.drawn.images[0]
+    inside = rendering.images[THERMAL][54:66, 72:88][rendering.solid[54:66, 72:88]]
+    assert reading.mean == pytest.approx(inside.mean(), abs=1.0)
+    again = Inspection(subject_of_same_folder(subject))
+    again.subject.board.refresh()
+    assert [mark.label for mark in again.marks()] == [label.label]
+    subject.board.undo()
+    assert len(inspection.outlines()) == 2
 
 
-def test_boxes_read_what_is_in_them(inspection, camera, small_run):
-    inspection.picture(camera)
-    inspection.add_box(0.6, 0.65, 0.4, 0.35)
-    drawn = inspection.picture(camera)
-    ((reading,),) = inspection.box_readings(drawn)
-    rendering = small_run.render(camera)
-    solid = torch.maximum(rendering[THERMAL].alpha, rendering[RGB].alpha) >= 0.5
-    inside = small_run.temperatures_c(rendering)[42:78, 64:96][solid[42:78, 64:96]]
-    assert reading.highest.value == pytest.approx(inside.max().item(), abs=1e-3)
-    assert reading.mean == pytest.approx(inside.mean().item(), abs=1e-3)
-    (row,) = texts.boxes([reading], inspection.measured, inspection.subject)
-    assert (row["name"], row["figures"][1]) == ("B1, °C", f"{reading.mean:.1f}")
+def subject_of_same_folder(subject):
+    """Another viewer of the same run."""
+    spread = subject.board._store._spread
+    return replace(subject, board=board_of(subject, spread))
 
 
-def test_a_box_side_by_side_belongs_to_its_pane(inspection, camera):
+def test_a_mark_must_lie_within_one_picture(inspection, camera):
+    with pytest.raises(ConfigError, match="draw the mark within one picture"):
+        inspection.add_mark("spot", [(0.5, 0.5)])  # no picture yet
     inspection.settings = Settings(MODES["side_by_side"])
     inspection.picture(camera)
-    inspection.add_box(0.6, 0.25, 0.8, 0.75)
-    (box,) = inspection.boxes
-    assert (box.u0, box.v0, box.u1, box.v1) == pytest.approx((0.2, 0.25, 0.6, 0.75))
+    with pytest.raises(ConfigError, match="draw the mark within one picture"):
+        inspection.add_mark("line", [(0.25, 0.5), (0.75, 0.5)])
+    with pytest.raises(ConfigError, match="no surface at pixel"):
+        inspection.add_mark("spot", [(0.01, 0.01)])
 
 
-def test_a_line_is_no_box(inspection, camera):
-    with pytest.raises(ConfigError, match="drag a larger box"):
-        inspection.add_box(0.1, 0.1, 0.5, 0.5)  # no picture yet
+def test_without_a_board_there_are_no_marks(subject, camera):
+    inspection = Inspection(replace(subject, board=None))
     inspection.picture(camera)
-    with pytest.raises(ConfigError, match="drag a larger box"):
-        inspection.add_box(0.1, 0.1, 0.1, 0.5)
+    assert inspection.marks() == inspection.outlines() == []
+    with pytest.raises(ConfigError, match="marks need the scene: open the run with it"):
+        inspection.add_mark("spot", [(0.5, 0.5)])
+
+
+def test_a_surface_with_its_own_emissivity_is_shown_with_it(inspection, camera, subject):
+    before = inspection.picture(camera).images[0].images[THERMAL][60, 80]
+    inspection.add_mark("box", [(0.45, 0.45), (0.55, 0.55)])
+    subject.board.edit(lambda marks: marks.changing("B1", emissivity=0.7, reflected_c=0.0))
+    after = inspection.picture(camera)
+    assert after.images[0].images[THERMAL][60, 80] > before + 1
+    value = after.images[0].images[THERMAL][60, 80]
+    assert inspection.click(0.5, 0.5).value == pytest.approx(value, abs=0.01)
+    assert any("taken as apparent ones" in note for note in subject.board.notes)
+    inspection.settings = Settings(MODES["photos"])
+    photo, model = inspection.picture(camera).images[-2:]
+    assert np.nanmax(model.images[THERMAL]) < np.nanmax(photo.images[THERMAL]) + 3
 
 
 def test_screenshots_are_numbered(inspection, camera, subject):

@@ -11,15 +11,16 @@ from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,
     NO_SURFACE_COLOR,
+    Outline,
     PointLabel,
     annotate,
     blend,
     compose,
     measure_scales,
     paint,
+    seen_outlines,
     split,
 )
-from mrgs.viewer.picking import Box, read_box
 from mrgs.viewer.settings import Settings
 
 SIZE = (160, 120)
@@ -163,12 +164,27 @@ def test_marks_behind_something_are_hidden(camera):
     assert (compose_one(camera, depth=2.0, marks=marks) == compose_one(camera, depth=2.0)).all()
 
 
-def test_boxes_are_drawn_with_their_extremes(camera):
-    box = Box(0.5, 0.25, 0.75, 0.75)
-    reading = read_box(heat().images[THERMAL], heat().solid, box)
-    image = compose_one(camera, boxes=[(box, [reading])])
-    assert (image[60, 80] == 255).all()
-    assert (compose_one(camera)[60, 80] != 255).all()
+SQUARE = np.array([[0.0, -0.5, -0.5], [0, 0.5, -0.5], [0, 0.5, 0.5], [0, -0.5, 0.5]])
+
+
+def test_outlines_are_drawn_with_their_extremes(camera):
+    outline = Outline(SQUARE, True, "B1", low_at=(0.0, 0.0, 0.0), high_at=(0.0, 0.2, 0.0))
+    pane = thermal_pane(camera)
+    (seen,) = seen_outlines(pane, heat(), [outline])
+    assert seen.low == pytest.approx((0.5, 0.5))
+    assert seen.corners[0] == pytest.approx((seen.corners[3][0], 1 - seen.corners[3][1]))
+    image = compose_one(camera, outlines=[outline])
+    assert (image[60, 80] == (70, 150, 255)).all()
+    assert (compose_one(camera)[60, 80] != (70, 150, 255)).any()
+    y, x = (round(seen.corners[0][i] * size) for i, size in ((1, 120), (0, 160)))
+    assert (image[y, x] == 255).all()
+
+
+def test_outlines_behind_something_or_behind_the_camera_are_hidden(camera):
+    pane, outline = thermal_pane(camera), Outline(SQUARE, True, "B1")
+    assert seen_outlines(pane, heat(depth=2.0), [outline]) == []
+    around = Outline(np.array([[0.0, 0, 0], [6.0, 0, 0]]), False, "L1")
+    assert seen_outlines(pane, heat(), [around]) == []
 
 
 def test_a_coarse_rendering_is_stretched_to_its_pane(camera):

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.fields import SOLID_ALPHA
-from mrgs.viewer.picking import Box, read_box, read_point
+from mrgs.viewer.picking import read_point
 from tests.helpers.subjects import subject_of
 
 
@@ -145,24 +144,3 @@ def test_a_model_in_training_is_read_too(small_run, camera, subject):
     assert live.values[THERMAL].deviation == pytest.approx(
         known.values[THERMAL].deviation, abs=1e-3
     )
-
-
-def test_a_box_has_minimum_mean_and_maximum():
-    values = np.arange(48, dtype=np.float32).reshape(6, 8)
-    reading = read_box(values, np.ones((6, 8), bool), Box(0.25, 0.5, 0.5, 1.0))
-    assert (reading.lowest.value, reading.highest.value, reading.pixels) == (26, 43, 6)
-    assert reading.mean == np.mean([26, 27, 34, 35, 42, 43])
-    assert (reading.highest.u, reading.highest.v) == (3.5 / 8, 5.5 / 6)
-
-
-def test_a_box_leaves_out_what_is_empty_or_unknown():
-    values = np.array([[1, 2, np.nan, 90]], dtype=np.float32)
-    solid = np.array([[True, True, True, False]])
-    reading = read_box(values, solid, Box(0, 0, 1, 1))
-    assert (reading.lowest.value, reading.mean, reading.highest.value, reading.pixels) == (
-        1,
-        1.5,
-        2,
-        2,
-    )
-    assert read_box(values, np.zeros((1, 4), bool), Box(0, 0, 1, 1)) is None

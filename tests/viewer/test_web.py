@@ -193,7 +193,7 @@ def test_messages_that_mean_nothing_are_answered_and_have_no_effect(viewer):
     async def visit(connection: ClientConnection) -> None:
         nonsense = ["", "{", "[]", '{"type": "no"}', b"\x00\xff", look(position=[1e300, 0, 0])]
         nonsense += [look(rotation=[1.0] * 9), '{"type": "choose", "mode": 999}']
-        nonsense += ['{"type": "photo", "index": 99999}', '{"type": "act", "what": "keep_spot"}']
+        nonsense += ['{"type": "photo", "index": 99999}', '{"type": "delete_mark", "mark": "S9"}']
         for data in nonsense:
             await connection.send(data)
             assert (await answer(connection, "status"))["failed"]
@@ -307,14 +307,29 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         assert text.endswith(" °C")
         await connection.send('{"type": "read", "x": 0.5, "y": 0.5}')
         assert (await answer(connection, "point"))["of"]["value"] == text
-        await connection.send('{"type": "act", "what": "keep_spot"}')
-        assert (await answer(connection, "spots"))["of"] == [f"S1  {text}"]
-        await connection.send('{"type": "box", "x0": 0.4, "y0": 0.4, "x1": 0.6, "y1": 0.6}')
-        await answer(connection, "changed")
-        (pane,) = (facts := await picture(connection, number=2))["panes"]
-        assert pane["marks"] == [[pytest.approx(0.5, abs=0.01)] * 2 + [f"S1  {text}"]]
-        assert len(pane["boxes"][0]["extremes"]) == 2
-        assert facts["boxes"][0]["name"] == "B1, °C"
+        await connection.send('{"type": "add_mark", "kind": "spot", "points": [[0.5, 0.5]]}')
+        while not (marks := (await answer(connection, "marks"))["of"]):
+            pass  # those that the file held
+        assert (marks[0]["name"], marks[0]["kind"]) == ("S1", "spot")
+        corners = [[0.45, 0.45], [0.55, 0.55]]
+        await connection.send(json.dumps({"type": "add_mark", "kind": "box", "points": corners}))
+        assert len((await answer(connection, "marks"))["of"]) == 2
+        (pane,) = (await picture(connection, number=2))["panes"]
+        ((x, y, label),) = pane["marks"]
+        assert (x, y) == pytest.approx((0.5, 0.5), abs=0.02)
+        assert label.startswith("S1  ")
+        (outline,) = pane["outlines"]
+        assert len(outline["corners"]) == 4
+        change = {"type": "change_mark", "mark": "B1", "name": "Ball", "note": "warm"}
+        await connection.send(json.dumps({**change, "emissivity": 0.9, "reflected_c": 15}))
+        changed = (await answer(connection, "marks"))["of"][1]
+        assert (changed["name"], changed["note"], changed["emissivity"]) == ("Ball", "warm", 0.9)
+        await connection.send('{"type": "refer_to", "mark": "S1"}')
+        assert (await answer(connection, "marks"))["of"][1]["difference"].startswith("ΔT ")
+        await connection.send('{"type": "delete_mark", "mark": "Ball"}')
+        assert len((await answer(connection, "marks"))["of"]) == 1
+        await connection.send('{"type": "act", "what": "undo"}')
+        assert len((await answer(connection, "marks"))["of"]) == 2
         assert pane["scale"]["palette"] == "inferno"
         choice = {
             "type": "choose", "mode": 0, "palette": "iron", "scaled": "thermal",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -23,7 +22,10 @@ from mrgs.marks.surface import (
 )
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
-from mrgs.scene.depth_map import SURFACE_DEPTH
+
+REGION_DEPTH = 0.08
+"""A point belongs to a region if its distance from the eye differs from that of the surface by less
+than this share: more than the depths of a model differ from view to view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,7 @@ class SurfaceRegion:
         _, depth = camera.project(torch.from_numpy(np.asarray(points, dtype=np.float64)))
         seen = self.surface.depth[at.rows, at.columns]
         with np.errstate(invalid="ignore"):
-            near = np.abs(seen - depth.numpy()) < SURFACE_DEPTH * seen
+            near = np.abs(seen - depth.numpy()) < REGION_DEPTH * seen
         holds: Bool[np.ndarray, " n"] = at.inside & self.inside[at.rows, at.columns] & near
         return holds
 
@@ -78,6 +80,9 @@ class Regions:
         self._capture = capture
         found = {mark.name: self._problem(mark) for mark in self._marks}
         self.problems = {name: problem for name, problem in found.items() if problem}
+        self._regions = [
+            self._region(mark) for mark in self._marks if mark.name not in self.problems
+        ]
 
     def _problem(self, mark: Mark) -> str:
         if self._temperature is None:
@@ -89,11 +94,7 @@ class Regions:
         return ""
 
     def __bool__(self) -> bool:
-        return len(self.problems) < len(self._marks)
-
-    @cached_property
-    def _regions(self) -> list[SurfaceRegion]:
-        return [self._region(mark) for mark in self._marks if mark.name not in self.problems]
+        return bool(self._regions)
 
     def _region(self, mark: Mark) -> SurfaceRegion:
         surface = see(self._render, measuring_camera(mark))

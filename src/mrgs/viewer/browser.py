@@ -8,36 +8,42 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
-from mrgs.errors import ConfigError, MrgsError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning
+from mrgs.marks.mark import Marks
 from mrgs.pictures.stage import PALETTE_CHOICES, camera_facts, modality_facts, palette_facts
 from mrgs.pictures.values import range_of
 from mrgs.scene import Modality
 from mrgs.viewer import texts
+from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size
 from mrgs.viewer.inspection import DrawnPicture, Inspection, VideoProgress
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.messages import (
     Act,
+    AddMark,
     AnyMessage,
+    ChangeMark,
     Choose,
-    DrawBox,
+    DeleteMark,
     GoToPhoto,
     Hover,
     Look,
     ReadPoint,
+    ReferTo,
     RenderVideo,
     SavePath,
     decode,
     encode,
 )
-from mrgs.viewer.painting import pane_scale, seen_marks
+from mrgs.viewer.painting import pane_scale, seen_marks, seen_outlines
 from mrgs.viewer.settings import Settings, Start, Subject
 from mrgs.viewer.worker import Worker
 
@@ -49,6 +55,8 @@ FEWEST_PIXELS = 240
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
 SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
+
+_CHANGED_FIELDS = ("name", "note", "emissivity", "reflected_c")
 
 _log = logging.getLogger(__name__)
 
@@ -81,6 +89,9 @@ class Browser:
         self._sending = False
         self._moving_side_px = float(subject.source.most_pixels["moving"])
         self._tell("hello", **self._hello(start), note=note)
+        if subject.board is not None:
+            subject.board.listen(self._marks_changed)
+            self._do("marks", self._show_marks)
 
     def receive(self, data: str | bytes) -> None:
         """Do what a message asks for; what cannot be understood is answered, and has no effect."""
@@ -97,6 +108,8 @@ class Browser:
     def close(self) -> None:
         """Forget what the browser still waits for."""
         self._worker.drop(lambda key: isinstance(key, tuple) and key[0] == id(self))
+        if self._subject.board is not None:
+            self._subject.board.leave(self._marks_changed)
 
     def _obey(self, message: AnyMessage) -> None:
         match message:
@@ -109,9 +122,8 @@ class Browser:
                 self._tell("hover", text=self.inspection.hover(message.x, message.y))
             case Choose():
                 self._choose(message)
-            case DrawBox():
-                self.inspection.add_box(message.x0, message.y0, message.x1, message.y1)
-                self._redraw()
+            case AddMark() | ChangeMark() | DeleteMark() | ReferTo():
+                self._do(("mark", id(message)), lambda: self._edit_marks(message))
             case ReadPoint():
                 self._do("read", lambda: self._read(message.x, message.y))
             case GoToPhoto():
@@ -127,12 +139,8 @@ class Browser:
         match message.what:
             case "fit":
                 self._do("fit", self._fit)
-            case "keep_spot":
-                self.inspection.keep_spot()
-                self._marks_changed()
-            case "clear_marks":
-                self.inspection.clear()
-                self._marks_changed()
+            case "undo":
+                self._do(("undo", id(message)), self._board.undo)
             case "screenshot":
                 self._do("screenshot", lambda: self._saved(self.inspection.screenshot()))
             case "add_keyframe":
@@ -142,7 +150,27 @@ class Browser:
                 self.inspection.keyframes = ()
                 self._path_changed()
 
-    def _do(self, name: str, job: Callable[[], None]) -> None:
+    @property
+    def _board(self) -> MarkBoard:
+        if self._subject.board is None:
+            raise ConfigError("marks need the scene: open the run with it")
+        return self._subject.board
+
+    def _edit_marks(self, message: AddMark | ChangeMark | DeleteMark | ReferTo) -> None:
+        """Add or change a mark, save it, and measure; then every browser is told."""
+        match message:
+            case AddMark():
+                self.inspection.add_mark(message.kind, message.points)
+                self._tell_point()
+            case ChangeMark():
+                fields = {name: getattr(message, name) for name in _CHANGED_FIELDS}
+                self._board.edit(lambda marks: marks.changing(message.mark, **fields))
+            case DeleteMark():
+                self._board.edit(lambda marks: marks.without(message.mark))
+            case ReferTo():
+                self._board.edit(lambda marks: Marks(marks.marks, message.mark))
+
+    def _do(self, name: Hashable, job: Callable[[], None]) -> None:
         """Have a job done by the worker; what it raises is told to the user."""
 
         def contained() -> None:
@@ -209,7 +237,6 @@ class Browser:
     def _picture(self, drawn: DrawnPicture, look: Look) -> bytes:
         """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG."""
         inspection = self.inspection
-        readings = inspection.box_readings(drawn)
         buffer = io.BytesIO()
         options = MOVING_JPEG if look.effort == "moving" else SHARP_JPEG
         Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)
@@ -217,13 +244,8 @@ class Browser:
             "number": look.number,
             "effort": look.effort,
             "full": max(drawn.size) >= min(max(look.width, look.height), self._most_pixels),
-            "panes": [self._pane(drawn, index, readings) for index in range(len(drawn.panes))],
+            "panes": [self._pane(drawn, index) for index in range(len(drawn.panes))],
             "photo": inspection.view_index,
-            "boxes": texts.boxes(
-                [next(filter(None, each), None) for each in readings],
-                inspection.measured,
-                self._subject,
-            ),
         }
         header = encode(facts).encode()
         return struct.pack("<I", len(header)) + header + buffer.getvalue()
@@ -232,9 +254,9 @@ class Browser:
     def _most_pixels(self) -> int:
         return self._subject.source.most_pixels["still"]
 
-    def _pane(self, drawn: DrawnPicture, index: int, readings: list[list[Any]]) -> dict[str, Any]:
-        """A pane for the page, which draws title, scale, marks and boxes over the picture; all
-        places from 0 to 1."""
+    def _pane(self, drawn: DrawnPicture, index: int) -> dict[str, Any]:
+        """A pane for the page, which draws title, scale and marks over the picture; all places
+        from 0 to 1."""
         pane, shown = drawn.panes[index], drawn.images[index]
         scale = pane_scale(pane, drawn.scales)
         return {
@@ -243,9 +265,9 @@ class Browser:
             "title": pane.title,
             "scale": None if scale is None else scale._asdict(),
             "marks": seen_marks(pane, shown, self.inspection.marks()),
-            "boxes": [
-                {"corners": [box.u0, box.v0, box.u1, box.v1], "extremes": _extremes(each[index])}
-                for box, each in zip(self.inspection.boxes, readings, strict=True)
+            "outlines": [
+                outline._asdict()
+                for outline in seen_outlines(pane, shown, self.inspection.outlines())
             ],
         }
 
@@ -278,9 +300,21 @@ class Browser:
         point = self.inspection.point
         self._tell("point", of=None if point is None else texts.point(point, self._subject))
 
+    def _show_marks(self) -> None:
+        """Measure what the file holds, for a browser that has just come."""
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", MrgsWarning)
+                self._board.refresh()
+        finally:
+            self._marks_changed()
+        for warning in caught:
+            self._say(str(warning.message), failed=True)
+
     def _marks_changed(self) -> None:
-        self._tell("spots", of=[spot.label for spot in self.inspection.spots])
-        self._tell_point()
+        board = self._board
+        shown = [texts.mark(each, board.marks.reference, self._subject) for each in board.readings]
+        self._tell("marks", of=shown, notes=board.notes)
         self._redraw()
 
     def _path_changed(self) -> None:
@@ -329,6 +363,7 @@ class Browser:
             "choices": PALETTE_CHOICES,
             "modalities": [self._modality(each) for each in subject.modalities],
             "readable": bool(subject.readable),
+            "marks": subject.board is not None,
         }
 
     def _modality(self, modality: Modality) -> Any:
@@ -362,13 +397,6 @@ def _place(pane: Pane, size: tuple[int, int]) -> list[float]:
         pane.camera.width / width,
         pane.camera.height / height,
     ]  # fmt: skip
-
-
-def _extremes(reading: Any) -> list[list[float]]:
-    """Places of the smallest and of the largest value in a box; none without a reading."""
-    if reading is None:
-        return []
-    return [[each.u, each.v] for each in (reading.lowest, reading.highest)]
 
 
 def _rising(limits: tuple[float, float]) -> tuple[float, float]:

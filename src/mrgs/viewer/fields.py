@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values, to_array, to_rgb8
 from mrgs.render import Model, render
 from mrgs.scene import Camera, Modality, PosedImage, Rendering, TemperatureRange, metric_first
@@ -44,7 +45,11 @@ class PaneImages:
 
 
 def render_pane(
-    model: Model, camera: Camera, subject: Subject, as_photo_of: Camera | None = None
+    model: Model,
+    camera: Camera,
+    subject: Subject,
+    as_photo_of: Camera | None = None,
+    regions: Regions | None = None,
 ) -> PaneImages:
     """Render the modalities that the viewer shows.
 
@@ -54,12 +59,15 @@ def render_pane(
         subject: provides the shown modalities and the temperature range.
         as_photo_of: the first camera of a captured view, to show what its cameras would have
             recorded; None to show the model itself.
+        regions: surfaces with an emissivity of their own; None shows what the photos have.
     """
     with torch.no_grad():
         rendering, _ = render(model, subject.cameras(camera))
     depth = to_array(surface_depth(rendering))
     if as_photo_of is not None:
         rendering = subject.camera_response(rendering, as_photo_of)
+    if regions is not None:
+        rendering = regions.applied_to(rendering, camera)
     images = {
         modality: shown_image(modality, blend.image, subject.temperature)
         for modality, blend in rendering.items()

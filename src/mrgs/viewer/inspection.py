@@ -1,5 +1,5 @@
-"""State and actions of one viewer session, without a browser: pictures, readings, spots, boxes,
-camera paths."""
+"""State and actions of one viewer session, without a browser: pictures, readings, marks, camera
+paths."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ import numpy as np
 from jaxtyping import UInt8
 
 from mrgs.errors import ConfigError
+from mrgs.marks.mark import MarkKind
+from mrgs.marks.measure import MarkReading
+from mrgs.marks.regions import Regions
+from mrgs.marks.run_marks import eye_of, picked_places, spot_radius
+from mrgs.marks.surface import see
+from mrgs.marks.tables import value_text
 from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
@@ -20,8 +26,15 @@ from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_pat
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
 from mrgs.viewer.limits import rounded
-from mrgs.viewer.painting import PointLabel, Scales, annotate, compose, measure_scales
-from mrgs.viewer.picking import Box, BoxReading, Reading, read_box, read_point
+from mrgs.viewer.painting import (
+    Outline,
+    PointLabel,
+    Scales,
+    annotate,
+    compose,
+    measure_scales,
+)
+from mrgs.viewer.picking import Reading, read_point, render_surface
 from mrgs.viewer.settings import Settings, Subject
 
 VIDEO_SIDE_PX = 960
@@ -97,8 +110,6 @@ class Inspection:
         drawn: the latest picture; None before the first.
         view_index: of the captured view nearest to it, in ``subject.views``.
         point: the latest reading.
-        spots: points that were kept as labelled marks.
-        boxes: rectangles that were drawn.
         keyframes: of the camera path.
     """
 
@@ -112,8 +123,6 @@ class Inspection:
         self.drawn: DrawnPicture | None = None
         self.view_index: int | None = None
         self.point: PointReading | None = None
-        self.spots: tuple[PointLabel, ...] = ()
-        self.boxes: tuple[Box, ...] = ()
         self.keyframes: tuple[Camera, ...] = ()
         self._scales = Scales()
         self._photos: dict[int, PaneImages] = {}
@@ -124,11 +133,6 @@ class Inspection:
     def view(self) -> View | None:
         """The captured view that the modes with photos show."""
         return None if self.view_index is None else self.subject.views[self.view_index]
-
-    @property
-    def measured(self) -> Modality | None:
-        """The modality that boxes read: that of the mode, else the subject's first readable one."""
-        return _first_readable((*reversed(self.settings.mode.modalities), *self.subject.readable))
 
     def picture(self, camera: Camera, moving: bool = False) -> DrawnPicture:
         """Draw what the camera sees; the modes with photos show the captured camera nearest to it.
@@ -169,15 +173,70 @@ class Inspection:
 
     def marks(self) -> list[PointLabel]:
         """The spots, and the point that was read last."""
+        labels = [
+            PointLabel(np.array(reading.mark.points[0]), self._label(reading))
+            for reading in self._readings
+            if reading.mark.kind == "spot"
+        ]
         point = self.point
-        if point is None:
-            return list(self.spots)
-        return [*self.spots, PointLabel(point.reading.position, self._value_text(point) or "point")]
+        if point is not None:
+            labels.append(PointLabel(point.reading.position, self._value_text(point) or "point"))
+        return labels
 
-    def box_readings(self, drawn: DrawnPicture) -> list[list[BoxReading | None]]:
-        """Of each box, what each pane shows of ``measured`` in it; None for a pane without its
-        values."""
-        return [[self._box_reading(each, box) for each in drawn.images] for box in self.boxes]
+    def outlines(self) -> list[Outline]:
+        """The lines and the areas."""
+        return [
+            Outline(
+                np.array(reading.mark.points),
+                reading.mark.is_area,
+                self._label(reading),
+                reading.low_at,
+                reading.high_at,
+            )
+            for reading in self._readings
+            if reading.mark.kind != "spot"
+        ]
+
+    @property
+    def _readings(self) -> Sequence[MarkReading]:
+        board = self.subject.board
+        return () if board is None else board.readings
+
+    def _label(self, reading: MarkReading) -> str:
+        temperature = self.subject.temperature
+        value = "" if reading.problem else value_text(reading.mean, temperature, unit=True)
+        return f"{reading.mark.name}  {value}".rstrip()
+
+    def add_mark(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> None:
+        """Add a mark through places of the latest picture, from 0 to 1, and save it.
+
+        Args:
+            kind: of the mark.
+            points: two opposite corners of a box; the corners of the others.
+
+        Raises:
+            ConfigError: a place lies outside the picture, or shows no surface.
+            RunError: the mark cannot be saved.
+        """
+        board, subject = self.subject.board, self.subject
+        if board is None:
+            raise ConfigError("marks need the scene: open the run with it")
+        places = [place for x, y in points if (place := self._place(x, y)) is not None]
+        pane = places[0].pane if places else None
+        if pane is None or len(places) < len(points) or any(p.pane is not pane for p in places):
+            raise ConfigError("draw the mark within one picture")
+        camera = pane.photo.camera if pane.photo is not None else pane.camera
+        pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
+        if kind == "box":
+            (x0, y0), (x1, y1) = pixels
+            pixels = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+        surface = subject.source.run(
+            lambda model: see(lambda each: render_surface(model, each, subject), camera)
+        )
+        picked = picked_places(surface, pixels)
+        radius = spot_radius(picked[0], camera, subject.scene) if kind == "spot" else 0.0
+        board.add(kind, picked, eye_of(camera), radius)
+        self.point = None
 
     def _render(
         self, settings: Settings, camera: Camera
@@ -200,8 +259,9 @@ class Inspection:
             assert pane.photo is not None
             assert self.view is not None
             camera, compared_with = pane.photo.camera, self.view.camera
+        regions = self._regions(pane)
         images = subject.source.run(
-            lambda model: render_pane(model, camera, subject, compared_with)
+            lambda model: render_pane(model, camera, subject, compared_with, regions)
         )
         if compared_with is None:
             return images
@@ -220,11 +280,10 @@ class Inspection:
                     del self._photos[next(iter(self._photos))]
             return self._photos[key]
 
-    def _box_reading(self, images: PaneImages, box: Box) -> BoxReading | None:
-        """What a pane shows in a box of ``measured``; None for a pane without its values."""
-        if self.measured is None or self.measured not in images.images:
-            return None
-        return read_box(images.images[self.measured], images.solid, box)
+    def _regions(self, pane: Pane) -> Regions | None:
+        """Surfaces with an emissivity of their own; None beside photos, which have none."""
+        board = self.subject.board
+        return None if board is None or pane.photo is not None else board.regions
 
     def _value_text(self, point: PointReading) -> str:
         """The value that is named first; empty for a model without readable values."""
@@ -242,7 +301,7 @@ class Inspection:
         pane, subject = place.pane, self.subject
         camera = pane.photo.camera if pane.photo is not None else pane.camera
         reading = subject.source.run(
-            lambda model: read_point(model, camera, place.u, place.v, subject)
+            lambda model: read_point(model, camera, place.u, place.v, subject, self._regions(pane))
         )
         if reading is not None:
             modality = _first_readable((*reversed(pane.modalities), *subject.readable))
@@ -283,39 +342,6 @@ class Inspection:
         value = float(values[int(v * values.shape[0]), int(u * values.shape[1])])
         return value if np.isfinite(value) else None
 
-    def keep_spot(self) -> None:
-        """Keep the point that was read last as a numbered spot.
-
-        Raises:
-            ConfigError: no point has been read.
-        """
-        if self.point is None:
-            raise ConfigError("click on the picture first, then keep the point as a spot")
-        label = f"S{len(self.spots) + 1}  {self._value_text(self.point)}".rstrip()
-        spot = PointLabel(self.point.reading.position, label)
-        self.spots, self.point = (*self.spots, spot), None
-
-    def add_box(self, x0: float, y0: float, x1: float, y1: float) -> None:
-        """Add a box over a rectangle of the latest picture, corners 0 to 1; it stays at its place
-        of the pane.
-
-        Raises:
-            ConfigError: the rectangle does not begin in the picture, or is a mere line.
-        """
-        drawn = self.drawn
-        (x0, x1), (y0, y1) = sorted((x0, x1)), sorted((y0, y1))
-        place = self._place(0.5 * (x0 + x1), 0.5 * (y0 + y1))
-        if drawn is None or place is None or x1 - x0 < 0.005 or y1 - y0 < 0.005:
-            raise ConfigError("drag a larger box within the picture")
-        pane = place.pane
-        u0, u1 = ((x * drawn.size[0] - pane.left) / pane.camera.width for x in (x0, x1))
-        v0, v1 = ((y * drawn.size[1] - pane.top) / pane.camera.height for y in (y0, y1))
-        self.boxes = (*self.boxes, Box(max(u0, 0.0), max(v0, 0.0), min(u1, 1.0), min(v1, 1.0)))
-
-    def clear(self) -> None:
-        """Remove the point, the spots and the boxes."""
-        self.point, self.spots, self.boxes = None, (), ()
-
     def add_keyframe(self) -> None:
         """Add the current camera to the path.
 
@@ -338,8 +364,9 @@ class Inspection:
             raise ConfigError("wait for the first picture, then take a screenshot")
         folder = self.subject.folder / "renders" / "screenshots"
         drawn = self.picture(self.drawn.camera)
-        boxes = list(zip(self.boxes, self.box_readings(drawn), strict=True))
-        image = annotate(drawn.pixels, drawn.panes, drawn.images, drawn.scales, self.marks(), boxes)
+        image = annotate(
+            drawn.pixels, drawn.panes, drawn.images, drawn.scales, self.marks(), self.outlines()
+        )
         return write_png(_next_free(folder, ".png"), image)
 
     def save_path(self, seconds: float) -> Path:
@@ -355,7 +382,7 @@ class Inspection:
     def render_video(self, seconds: float, mp4: bool | None = None) -> Iterator[VideoProgress]:
         """Render the path with the current settings into ``renders/videos``, frame by frame.
 
-        The colour scale is the current one throughout. Spots are drawn, boxes are not.
+        The colour scale is the current one throughout, and so are the marks.
 
         Args:
             seconds: length of the video.
@@ -386,13 +413,15 @@ class Inspection:
         yield VideoProgress(len(path), len(path), written)
 
     def _video_frames(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        settings, scales, marks = self.settings, self._scales, self.spots
+        self.point = None
+        settings, scales = self.settings, self._scales
+        marks, outlines = self.marks(), self.outlines()
         for camera in cameras:
             panes, images = self._render(settings, camera)
             scales = _known(scales, self._measure(panes, images, settings), settings)
             size = camera.width, camera.height
             pixels = compose(size, panes, images, scales, settings)
-            yield annotate(pixels, panes, images, scales, marks)
+            yield annotate(pixels, panes, images, scales, marks, outlines)
 
 
 def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import torch
 
+from mrgs.marks.mark import LONGEST_NAME, LONGEST_NOTE, MarkKind
 from mrgs.pictures.palette import PaletteName
 from mrgs.scene import Camera
 from mrgs.scene.rotations import rigid_transform
@@ -105,13 +106,45 @@ class ReadPoint(BrowserMessage, tag="read"):
     y: Share
 
 
-class DrawBox(BrowserMessage, tag="box"):
-    """Add a box between two corners, from 0 to 1."""
+Corners: TypeAlias = Annotated[
+    tuple[tuple[Share, Share], ...], msgspec.Meta(min_length=1, max_length=200)
+]
+Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
+Note: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_NOTE)]
 
-    x0: Share
-    y0: Share
-    x1: Share
-    y1: Share
+
+class AddMark(BrowserMessage, tag="add_mark"):
+    """Add a mark through places of the picture, x and y from 0 to 1; a box has two corners."""
+
+    kind: MarkKind
+    points: Corners
+
+
+class ChangeMark(BrowserMessage, tag="change_mark"):
+    """Give a mark other fields; see ``Mark``.
+
+    Attributes:
+        mark: its name until now.
+        name: its name from now on.
+    """
+
+    mark: Name
+    name: Name
+    note: Note
+    emissivity: Number | None
+    reflected_c: Number | None
+
+
+class DeleteMark(BrowserMessage, tag="delete_mark"):
+    """Delete a mark."""
+
+    mark: Name
+
+
+class ReferTo(BrowserMessage, tag="refer_to"):
+    """Let all differences refer to a mark; to none if its name is empty."""
+
+    mark: Name
 
 
 class GoToPhoto(BrowserMessage, tag="photo"):
@@ -123,7 +156,7 @@ class GoToPhoto(BrowserMessage, tag="photo"):
 class Act(BrowserMessage, tag="act"):
     """Press a button that needs no more words."""
 
-    what: Literal["fit", "keep_spot", "clear_marks", "screenshot", "add_keyframe", "clear_path"]
+    what: Literal["fit", "undo", "screenshot", "add_keyframe", "clear_path"]
 
 
 class SavePath(BrowserMessage, tag="save_path"):
@@ -139,7 +172,18 @@ class RenderVideo(BrowserMessage, tag="video"):
 
 
 AnyMessage: TypeAlias = (
-    Look | Choose | Hover | ReadPoint | DrawBox | GoToPhoto | Act | SavePath | RenderVideo
+    Look
+    | Choose
+    | Hover
+    | ReadPoint
+    | AddMark
+    | ChangeMark
+    | DeleteMark
+    | ReferTo
+    | GoToPhoto
+    | Act
+    | SavePath
+    | RenderVideo
 )
 
 _decoder = msgspec.json.Decoder(AnyMessage)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
 from mrgs.errors import MrgsWarning, RunError
+from mrgs.marks.emissivity import CaptureSettings
+from mrgs.marks.measure import MarkMeter
+from mrgs.marks.run_marks import thermal_cameras
+from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
-from mrgs.scene import Camera, Scene
+from mrgs.scene import Camera, Rendering, Scene
 from mrgs.scene.overview import best_view
+from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import camera_around
+from mrgs.viewer.picking import render_surface
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
 from mrgs.viewer.web import Viewer
@@ -43,10 +50,26 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         note,
         run.camera_response,
     )
+    subject = replace(subject, board=board_of(subject, CameraSpread.of_run(run)))
     camera = start_camera(scene, run.model)
     viewer = Viewer(subject, start_at(camera, scene), host, port)
     viewer.warm_up(camera)
     return viewer
+
+
+def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
+    """The marks in a run's folder, measured in the model that is shown."""
+
+    def draw(camera: Camera) -> Rendering:
+        return subject.source.run(lambda model: render_surface(model, camera, subject))
+
+    meter = MarkMeter(
+        draw,
+        subject.temperature,
+        thermal_cameras(subject.scene),
+        CaptureSettings.of(subject.scene),
+    )
+    return MarkBoard(MarkStore(subject.folder, spread), meter)
 
 
 def is_training(folder: Path) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,7 +26,6 @@ from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, Reach, TemperatureRange
 from mrgs.viewer.fields import PaneImages
 from mrgs.viewer.layout import Pane
-from mrgs.viewer.picking import Box, BoxReading
 from mrgs.viewer.settings import Settings
 
 ISOTHERM_COLOR = (0, 230, 118)
@@ -57,6 +57,43 @@ class PointLabel:
 
     position: Float[np.ndarray, "3"]
     label: str
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A line or an area on a surface.
+
+    Attributes:
+        corners: world coordinates, [N, 3].
+        closed: whether the last corner is joined to the first.
+        label: drawn beside it.
+        low_at: world coordinates of the smallest value, [3]; empty if there is none.
+        high_at: of the largest value.
+    """
+
+    corners: Float[np.ndarray, "n 3"]
+    closed: bool
+    label: str
+    low_at: tuple[float, ...] = ()
+    high_at: tuple[float, ...] = ()
+
+
+class SeenOutline(NamedTuple):
+    """An outline in a pane; all places are x and y from 0 to 1 over it.
+
+    Attributes:
+        corners: of the outline.
+        closed: see ``Outline``.
+        label: see ``Outline``.
+        low: place of the smallest value; None where that is hidden.
+        high: place of the largest value; None where that is hidden.
+    """
+
+    corners: list[tuple[float, float]]
+    closed: bool
+    label: str
+    low: tuple[float, float] | None
+    high: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -262,9 +299,9 @@ def annotate(
     images: Sequence[PaneImages],
     scales: Scales,
     marks: Sequence[PointLabel] = (),
-    boxes: Sequence[tuple[Box, Sequence[BoxReading | None]]] = (),
+    outlines: Sequence[Outline] = (),
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture [H, W, 3] for a file: with its marks, boxes, titles and scale bars drawn in.
+    """A picture [H, W, 3] for a file: with its marks, titles and scale bars drawn in.
 
     Args:
         picture: as ``compose`` makes it.
@@ -272,16 +309,16 @@ def annotate(
         images: of each pane.
         scales: what the colours mean.
         marks: points to label where they are seen.
-        boxes: rectangles to draw into every pane, each with what was read in each pane.
+        outlines: lines and areas to draw where they are seen.
     """
     whole = Image.fromarray(picture)
-    for number, (pane, shown) in enumerate(zip(panes, images, strict=True)):
+    for pane, shown in zip(panes, images, strict=True):
         place = (pane.left, pane.top, pane.left + pane.camera.width, pane.top + pane.camera.height)
         part = whole.crop(place)
+        for outline in seen_outlines(pane, shown, outlines):
+            _draw_outline(part, outline)
         for mark in seen_marks(pane, shown, marks):
             _draw_mark(part, mark)
-        for name, (box, readings) in enumerate(boxes, start=1):
-            _draw_box(part, box, f"B{name}", readings[number])
         if pane.title:
             _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
         scale = pane_scale(pane, scales)
@@ -313,6 +350,37 @@ def seen_marks(
     return places
 
 
+def seen_outlines(pane: Pane, images: PaneImages, outlines: Sequence[Outline]) -> list[SeenOutline]:
+    """Where a pane shows outlines; without those of which no corner is seen, or that reach behind
+    the camera."""
+    found = []
+    for outline in outlines:
+        pixels, _ = pane.camera.project(torch.from_numpy(outline.corners))
+        if not bool(pixels.isfinite().all()):
+            continue
+        if not any(_seen_place(pane, images, corner) for corner in outline.corners):
+            continue
+        size = pixels.new_tensor([pane.camera.width, pane.camera.height])
+        corners = [(x, y) for x, y in (pixels / size).tolist()]
+        low, high = (_seen_place(pane, images, at) for at in (outline.low_at, outline.high_at))
+        found.append(SeenOutline(corners, outline.closed, outline.label, low, high))
+    return found
+
+
+def _seen_place(
+    pane: Pane, images: PaneImages, point: Sequence[float] | Float[np.ndarray, "3"]
+) -> tuple[float, float] | None:
+    """Where a pane shows a point of the world, x and y from 0 to 1; None where it is hidden."""
+    if not len(point):
+        return None
+    pixel, depth = pane.camera.project(torch.tensor([float(each) for each in point]).double())
+    size = pane.camera.width, pane.camera.height
+    if not pane.camera.contains(pixel):
+        return None
+    x, y = pixel.tolist()
+    return None if _is_hidden((x, y, depth.item()), images, size) else (x / size[0], y / size[1])
+
+
 def _draw_mark(image: Image.Image, mark: tuple[float, float, str]) -> None:
     x, y, label = round(mark[0] * image.width), round(mark[1] * image.height), mark[2]
     draw = ImageDraw.Draw(image)
@@ -333,22 +401,18 @@ def _is_hidden(
     return bool(place[2] > HIDDEN_BEHIND * seen)
 
 
-def _draw_box(image: Image.Image, box: Box, name: str, reading: BoxReading | None) -> None:
+def _draw_outline(image: Image.Image, outline: SeenOutline) -> None:
     draw = ImageDraw.Draw(image)
-    corners = (
-        box.u0 * image.width,
-        box.v0 * image.height,
-        box.u1 * image.width - 1,
-        box.v1 * image.height - 1,
-    )
+    corners = [(x * image.width, y * image.height) for x, y in outline.corners]
+    path = [*corners, corners[0]] if outline.closed else corners
     for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):
-        draw.rectangle(corners, outline=color, width=width)
-    _draw_card(image, (corners[0], corners[1] - TEXT_PX - 9), name)
-    if reading is None:
-        return
-    for extreme, color in ((reading.lowest, (70, 150, 255)), (reading.highest, (255, 70, 60))):
-        x, y = extreme.u * image.width, extreme.v * image.height
-        draw.ellipse((x - 5, y - 5, x + 5, y + 5), fill=color, outline=(255, 255, 255), width=2)
+        draw.line(path, fill=color, width=width, joint="curve")
+    top = min(corners, key=lambda corner: corner[1])
+    _draw_card(image, (top[0] + 6, top[1] - TEXT_PX - 12), outline.label)
+    for place, color in ((outline.low, (70, 150, 255)), (outline.high, (255, 70, 60))):
+        if place is not None:
+            x, y = place[0] * image.width, place[1] * image.height
+            draw.ellipse((x - 4, y - 4, x + 4, y + 4), fill=color, outline=(255, 255, 255), width=1)
 
 
 def _draw_card(image: Image.Image, corner: tuple[float, float], text: str) -> None:

@@ -1,4 +1,4 @@
-"""Read the model: one point of the picture, or all that is seen in a box."""
+"""Read the model at one point of the picture."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from mrgs.marks.regions import Regions
 from mrgs.pictures.files import to_array
 from mrgs.pictures.values import in_unit, range_of
 from mrgs.rasterizer import Layer, rasterize
@@ -51,50 +52,13 @@ class Reading:
     values: Mapping[Modality, ValueReading]
 
 
-@dataclass(frozen=True)
-class Extreme:
-    """The pixel of a minimum or maximum.
-
-    Attributes:
-        u: to the right, 0 to 1 over the image.
-        v: down, 0 to 1 over the image.
-        value: there, in the unit of the image.
-    """
-
-    u: float
-    v: float
-    value: float
-
-
-@dataclass(frozen=True)
-class BoxReading:
-    """Minimum, mean and maximum of a box.
-
-    Attributes:
-        lowest: pixel with the smallest value.
-        mean: of the counted pixels.
-        highest: pixel with the largest value.
-        pixels: how many were counted.
-    """
-
-    lowest: Extreme
-    mean: float
-    highest: Extreme
-    pixels: int
-
-
-@dataclass(frozen=True)
-class Box:
-    """A rectangle of an image; u to the right and v down, 0 to 1 over the image."""
-
-    u0: float
-    v0: float
-    u1: float
-    v1: float
-
-
 def read_point(
-    model: Model, camera: Camera, u: float, v: float, subject: Subject
+    model: Model,
+    camera: Camera,
+    u: float,
+    v: float,
+    subject: Subject,
+    regions: Regions | None = None,
 ) -> Reading | None:
     """Read the pixel under a point of the image; None where the model is empty.
 
@@ -110,16 +74,19 @@ def read_point(
         u: to the right, 0 to 1 over the image.
         v: down, 0 to 1 over the image.
         subject: provides the shown modalities and the temperature range.
+        regions: surfaces with an emissivity of their own; None reads what the photos have.
     """
     column, row = (
         min(int(u * camera.width), camera.width - 1),
         min(int(v * camera.height), camera.height - 1),
     )
     with torch.no_grad():
-        rendering, _ = render(model, subject.cameras(camera), with_median_depth=True)
+        rendering = render_surface(model, camera, subject)
         depth = surface_depth(rendering)[row, column].item()
         if not math.isfinite(depth):
             return None
+        if regions is not None:
+            rendering = regions.applied_to(rendering, camera)
         depth_deviation = _depth_deviation(model, camera, rendering, depth, column, row)
         values = {
             modality: _read_value(model, camera, rendering, modality, subject, column, row)
@@ -128,6 +95,12 @@ def read_point(
     pixel = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64)
     position = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
     return Reading(position, depth, depth_deviation, values)
+
+
+def render_surface(model: Model, camera: Camera, subject: Subject) -> Rendering:
+    """The modalities that are shown, with the depths of their surfaces."""
+    with torch.no_grad():
+        return render(model, subject.cameras(camera), with_median_depth=True)[0]
 
 
 def _read_value(
@@ -181,36 +154,3 @@ def _blend(
         camera.K.to(values), camera.width, camera.height,
     )  # fmt: skip
     return to_array(raster.blends[0].image[..., 0].clamp_min(0))
-
-
-def read_box(
-    values: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"], box: Box
-) -> BoxReading | None:
-    """Minimum, mean and maximum of an image [H, W] over the pixels of a box that are solid and not
-    NaN; None if there are none."""
-    height, width = values.shape
-    left, right = sorted(
-        (int(np.clip(box.u0, 0, 1) * width), int(np.ceil(np.clip(box.u1, 0, 1) * width)))
-    )
-    top, bottom = sorted(
-        (int(np.clip(box.v0, 0, 1) * height), int(np.ceil(np.clip(box.v1, 0, 1) * height)))
-    )
-    inside = values[top:bottom, left:right]
-    counted = solid[top:bottom, left:right] & np.isfinite(inside)
-    if not counted.any():
-        return None
-
-    def extreme(index: np.intp) -> Extreme:
-        row, column = np.unravel_index(index, inside.shape)
-        return Extreme(
-            (left + float(column) + 0.5) / width,
-            (top + float(row) + 0.5) / height,
-            float(inside[row, column]),
-        )
-
-    return BoxReading(
-        extreme(np.where(counted, inside, np.inf).argmin()),
-        float(inside[counted].mean(dtype=np.float64)),
-        extreme(np.where(counted, inside, -np.inf).argmax()),
-        int(counted.sum()),
-    )

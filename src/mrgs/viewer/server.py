@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -115,7 +116,8 @@ class LiveView:
         ``train(on_model=...)``."""
         self._model = model
         try:
-            from mrgs.viewer.opening import start_at, start_camera
+            from mrgs.marks.store import CameraSpread
+            from mrgs.viewer.opening import board_of, start_at, start_camera
             from mrgs.viewer.web import Viewer
 
             scene = self._scene
@@ -131,6 +133,9 @@ class LiveView:
                 "Training begins.",
                 response,
             )
+            if scene is not None:
+                spread = CameraSpread.of_scene(scene)
+                subject = replace(subject, board=board_of(subject, spread))
             self._viewer = self._served = Viewer(
                 subject, start_at(start_camera(scene, model), scene), self._host, self._port
             )

@@ -23,6 +23,7 @@ from mrgs.scene import (
     in_order,
     metric_first,
 )
+from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.limits import starting_limits
 from mrgs.viewer.source import Source
 
@@ -122,6 +123,7 @@ class Subject:
         note: a sentence for the user at the top of the panel; may be empty.
         camera_response: what the captured cameras do to the images; applied where the model is
             compared with photos.
+        board: the marks of the run; None where they cannot be kept.
     """
 
     name: str
@@ -132,6 +134,7 @@ class Subject:
     folder: Path
     note: str = ""
     camera_response: CameraResponse = ideal_cameras
+    board: MarkBoard | None = None
 
     @property
     def scaled(self) -> Modality | None:

@@ -5,18 +5,9 @@ const STILL_MS = 500;
 const MAX_PIXEL_RATIO = 3;
 const LONGEST_SIDE_PX = 4096;
 const FRUSTUM_DEPTH = 0.06; // of the distance between the camera and what it turns about
-const SVG = "http://www.w3.org/2000/svg";
 
 const element = (id) => document.getElementById(id);
 const fromBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-
-function shape(name, attributes, parent, text) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  if (text) made.textContent = text;
-  parent.append(made);
-  return made;
-}
 
 class Connection {
   constructor(handlers, onPicture, onClose) {
@@ -126,7 +117,7 @@ class Page {
       note: ({ text }) => this.noted(text),
       hover: ({ text }) => this.showTip(text),
       point: ({ of }) => this.showPoint(of),
-      spots: ({ of }) => listTexts(element("spots"), of),
+      marks: ({ of, notes }) => this.marksChanged(of, notes),
       limits: ({ of }) => this.limitsChanged(of),
       status: ({ text, failed }) => this.say(text, failed),
       keyframes: ({ text }) => { element("keyframes").textContent = text; },
@@ -163,7 +154,7 @@ class Page {
   }
 
   fillControls() {
-    const { modes, views, choices, readable } = this.facts;
+    const { modes, views, choices, marks } = this.facts;
     const plain = modes.map((mode, index) => ({ ...mode, index })).filter((mode) => !mode.compares);
     for (const { label, index } of plain) {
       const button = document.createElement("button");
@@ -176,7 +167,7 @@ class Page {
     for (const name of choices) element("palette").add(new Option(name));
     for (const { name } of views) element("photo").add(new Option(name));
     element("photo-section").hidden = views.length === 0;
-    element("draw-box").hidden = !readable;
+    element("measure-section").hidden = !marks;
   }
 
   connectControls() {
@@ -191,9 +182,12 @@ class Page {
     changed(["follow"], () => this.setFollow(element("follow").checked));
     pressed("fit", () => { this.setFollow(false); this.connection.send("act", { what: "fit" }); });
     pressed("whole", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
-    pressed("keep", act("keep_spot"));
-    pressed("clear", act("clear_marks"));
-    pressed("draw-box", () => this.armBox(element("selector").hidden));
+    pressed("undo", act("undo"));
+    pressed("no-reference", () => this.connection.send("refer_to", { mark: "" }));
+    this.drawing = new MarkDrawing((kind, corners) => {
+      const points = corners.map((corner) => Object.values(this.shareOf(...corner)));
+      this.connection.send("add_mark", { kind, points });
+    }, (text) => this.say(text, false));
     pressed("screenshot", act("screenshot"));
     pressed("add-keyframe", act("add_keyframe"));
     pressed("clear-path", act("clear_path"));
@@ -205,7 +199,6 @@ class Page {
     pressed("previous", () => this.goToPhoto(photo.selectedIndex - 1));
     pressed("next", () => this.goToPhoto(photo.selectedIndex + 1));
     changed(["show-cameras"], () => this.drawOver());
-    this.connectSelector();
   }
 
   // --- the camera ---
@@ -311,7 +304,6 @@ class Page {
     element("status").hidden = true;
     if (facts.photo !== null && document.activeElement !== element("photo")) element("photo").selectedIndex = facts.photo;
     if (this.scaled?.follow) this.followPicture(facts.panes);
-    this.showBoxes(facts.boxes);
     this.drawOver();
     if (this.hovered) this.askHover();
   }
@@ -323,13 +315,12 @@ class Page {
     this.showRange();
   }
 
-  showBoxes(rows) {
-    element("boxes").hidden = rows.length === 0;
-    element("boxes").tBodies[0].replaceChildren(...rows.map(({ name, figures, missing }) => {
-      const row = document.createElement("tr");
-      for (const text of [name, ...(missing ? [missing, "", ""] : figures)]) row.insertCell().textContent = text;
-      return row;
-    }));
+  marksChanged(marks, notes) {
+    const send = (type, facts) => this.connection.send(type, facts);
+    const open = new Set([...element("mark-list").querySelectorAll("details[open]")].map((each) => each.dataset.name));
+    element("mark-list").replaceChildren(...marks.map((mark) => markRow(mark, open.has(mark.name), send)));
+    element("mark-notes").textContent = notes.join(" ");
+    element("no-reference").hidden = !marks.some((mark) => mark.reference);
   }
 
   noted(text) {
@@ -361,7 +352,7 @@ class Page {
       const [left, top, width, height] = pane.place.map((share, i) => share * (i % 2 ? clientHeight : clientWidth));
       const at = (x, y) => [left + x * width, top + y * height];
       if (pane.free && pane.place[2] === 1 && element("show-cameras").checked) this.drawCameras(over, shown.camera);
-      pane.boxes.forEach((box, index) => drawBox(over, at, box, `B${index + 1}`));
+      for (const outline of pane.outlines) drawOutline(over, at, outline, left + width);
       for (const [x, y, label] of pane.marks) drawMark(over, ...at(x, y), label, left + width);
       if (pane.title) shape("text", { x: left + 12, y: top + 24 }, over, pane.title);
       if (pane.scale && height > 140) this.addBar(pane.scale, left, clientHeight - top - height, height);
@@ -442,66 +433,6 @@ class Page {
     element("lines").textContent = point ? point.lines.join("\n") : "";
     if (point) this.say("", false);
   }
-
-  // --- boxes ---
-
-  armBox(armed) {
-    element("selector").hidden = !armed;
-    element("selector").firstElementChild.hidden = true;
-    element("draw-box").setAttribute("aria-pressed", String(armed));
-    this.say(armed ? "Drag over the picture to draw the box." : "", false);
-  }
-
-  connectSelector() {
-    const selector = element("selector");
-    const frame = selector.firstElementChild;
-    let start = null;
-    selector.addEventListener("pointerdown", (event) => {
-      start = [event.offsetX, event.offsetY];
-      selector.setPointerCapture(event.pointerId);
-    });
-    selector.addEventListener("pointermove", (event) => {
-      if (!start) return;
-      const [x, y] = [event.offsetX, event.offsetY];
-      frame.hidden = false;
-      frame.style.transform = `translate(${Math.min(x, start[0])}px, ${Math.min(y, start[1])}px)`;
-      [frame.style.width, frame.style.height] = [`${Math.abs(x - start[0])}px`, `${Math.abs(y - start[1])}px`];
-    });
-    selector.addEventListener("pointerup", (event) => {
-      if (!start) return;
-      const [from, to] = [this.shareOf(...start), this.shareOf(event.offsetX, event.offsetY)];
-      start = null;
-      this.armBox(false);
-      this.connection.send("box", { x0: from.x, y0: from.y, x1: to.x, y1: to.y });
-    });
-  }
-}
-
-function listTexts(list, texts) {
-  list.replaceChildren(...texts.map((text) => {
-    const item = document.createElement("li");
-    item.textContent = text;
-    return item;
-  }));
-}
-
-function drawMark(over, x, y, label, right) {
-  const cross = `M${x - 9} ${y}H${x + 9}M${x} ${y - 9}V${y + 9}`;
-  for (const layer of ["under", "over"]) shape("path", { d: cross, class: layer }, over);
-  const left = x > right - 110;
-  shape("text", { x: left ? x - 13 : x + 13, y: y - 10, "text-anchor": left ? "end" : "start" }, over, label);
-}
-
-function drawBox(over, at, { corners, extremes }, name) {
-  const [[left, top], [right, bottom]] = [at(corners[0], corners[1]), at(corners[2], corners[3])];
-  for (const layer of ["under", "over"]) {
-    shape("rect", { x: left, y: top, width: right - left, height: bottom - top, class: layer }, over);
-  }
-  shape("text", { x: left, y: top - 7 }, over, name);
-  extremes.forEach(([u, v], index) => {
-    const [x, y] = at(u, v);
-    shape("circle", { cx: x, cy: y, r: 5, class: index ? "highest" : "lowest" }, over);
-  });
 }
 
 new Page();
