@@ -333,6 +333,8 @@ def put_frame(**values):
         (put(fl_y=10**400), "fl_y of frame 0 .* not a plausible number"),
         (put(fl_y=0), "focal length .* must be positive"),
         (put(fl_x=-20.0), "focal length .* must be positive"),
+        (put(fl_x=1e-308), "focal length .* must be positive"),
+        (put(applied_scale=0), "applied_scale is 0; it must be positive"),
         (put(w=24.5), "is not whole"),
         (put(h=0), "image size .* is not possible"),
         (put(w=48), "is 24×16 px, but its intrinsics are for 48×16 px"),

@@ -110,3 +110,12 @@ def test_a_view_that_no_other_overlaps(folder):
     )
     (found,) = oddities(apart)
     assert f"1 of 18 training views show nothing that another one shows ({many[5].name})" in found
+
+
+def test_photos_that_serve_twice(folder):
+    scene = load_scene(folder)
+    first, second, *others = scene.train
+    images = {each: replace(image, load=first.images[each].load, files=first.images[each].files)
+              for each, image in second.images.items()}  # fmt: skip
+    (found,) = oddities(replace(scene, train=(first, View(second.name, images), *others)))
+    assert "2 of 10 photos are used by several views, or as several modalities" in found

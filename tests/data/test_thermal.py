@@ -23,6 +23,12 @@ def bounds(root: Path, **content) -> None:
     (root / "temperature_bounds.json").write_text(json.dumps(content))
 
 
+def test_bounds_that_are_no_file_are_not_passed_over(tmp_path):
+    (tmp_path / "temperature_bounds.json").mkdir()
+    with pytest.raises(SceneError, match=r"temperature_bounds\.json: is not a file"):
+        read_bounds(tmp_path, ReadingNotes())
+
+
 @pytest.mark.parametrize("folder", ["", "thermal"])
 def test_bounds_in_the_scene_or_in_thermal(tmp_path, folder):
     (tmp_path / "thermal").mkdir()

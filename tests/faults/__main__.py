@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.faults import fuzz, interruptions, kills, messages, places, soak
+from tests.faults import fuzz, interruptions, kills, memory, messages, places, soak
 from tests.faults.program import SMALL, run, small_scene
 from tests.faults.tally import Tally
 
@@ -47,6 +47,7 @@ def attacks(soak_hours: float) -> Iterator[tuple[str, Attack]]:
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)
     yield "fuzzed messages to the viewer", lambda at: messages.messages(at, _trained(at), 5000)
+    yield "memory estimates", memory.estimates
     for path in sorted(HERE.glob("test_*.py")):
         if path.name != "test_short.py":
             yield path.stem.removeprefix("test_").replace("_", " "), lambda at, p=path: _pytest(p)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import warnings
 from collections.abc import Iterator
@@ -241,3 +242,26 @@ def test_values_that_are_not_finite_count_as_damage(value, kind, folder):
             warnings.simplefilter("always")
             assert load_newest(folder, LOAD[kind]).step == 5
         assert f"{name} holds values that are not finite" in str(caught[0].message)
+
+
+def test_a_checkpoint_under_the_name_of_another_step_hides_nothing(kind, folder):
+    path = folder.newest_checkpoint()
+    path.with_name("step_999999.safetensors").write_bytes(path.read_bytes())
+    with pytest.warns(MrgsWarning, match=r"step_999999.* \(it is the one of step 10\)"):
+        assert load_newest(folder, LOAD[kind]).step == 10
+
+
+def test_a_configuration_that_was_cut_off_is_said(kind, folder):
+    lines = folder.config_file.read_text().splitlines(keepends=True)
+    folder.config_file.write_text("".join(lines[:-1]))
+    with pytest.warns(MrgsWarning, match=r"config\.yaml lacks .*: restore it if it was cut off"):
+        OPEN[kind](folder.path)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_a_log_that_is_no_file_is_named(make, kind, folder, small_scene):
+    folder.log_file.unlink(missing_ok=True)
+    make(folder.log_file)
+    do_train, config = TRAIN[kind]
+    with pytest.raises(RunError, match=r"log\.jsonl is not a file"):
+        do_train(small_scene, folder.path, config, resume=True)

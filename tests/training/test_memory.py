@@ -46,5 +46,22 @@ def test_every_modality_counts(small_scene):
     assert estimate_bytes(with_a_band, config, 0) > estimate_bytes(scene, config, 0)
 
 
+def test_the_compiler_takes_memory_once(small_scene):
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    more = [
+        estimate_bytes(scene, config, count, compiles=True) - estimate_bytes(scene, config, count)
+        for count in (1_000, 50_000)
+    ]
+    assert more[0] == more[1] > 100 * 2**20
+
+
+def test_photos_are_kept_with_their_channels(small_scene):
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    fewer = replace(scene, train=scene.train[:-1])
+    camera = scene.train[-1].camera
+    difference = estimate_bytes(scene, config, 100) - estimate_bytes(fewer, config, 100)
+    assert difference == 4 * (3 + 1) * camera.width * camera.height
+
+
 def test_peak_is_that_of_a_process_with_torch_in_it():
     assert 50 * 2**20 < peak_memory_bytes() < 2**40

@@ -32,6 +32,8 @@ _FOLD_ANGLES = 256
 _FOLD_RADII = 512
 _NEWTON_STEPS = 40
 _MAX_SIDE_PX = 1_000_000
+_SHORTEST_PX = 1e-3
+"""Shorter focal lengths are damage."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ def checked_lens(lens: Lens, what: str, file: Path) -> Lens:
             file,
             f"the image size of {what}, {lens.width}×{lens.height}, is not possible; correct it",
         )
-    if lens.fx <= 0 or lens.fy <= 0:
+    if not min(lens.fx, lens.fy) >= _SHORTEST_PX:
         raise scene_error(
             file,
             f"the focal length of {what} is {lens.fx:g}, {lens.fy:g} px; it must be positive: "

@@ -369,6 +369,10 @@ class _TransformsReader:
         COLMAP's points are moved by ``applied_transform`` first.
         """
         scale = finite_number(self.top.get("applied_scale", 1.0), "applied_scale", self.file)
+        if scale <= 0:
+            raise scene_error(
+                self.file, f"applied_scale is {scale:g}; it must be positive: correct it"
+            )
         scaling = np.eye(3, 4) * scale
         named = self.top.get("ply_file_path")
         if named is not None and not isinstance(named, str):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -45,6 +46,7 @@ def oddities(scene: Scene) -> list[str]:
     """
     cameras = scene.train_cameras
     found = [*_of_poses(cameras)] or [*_of_overlap(scene, cameras)]
+    found += _of_files(scene)
     views = [scene.train[place] for place in evenly_spaced(len(scene.train), PHOTOS)]
     for modality in scene.modalities:
         photos = [view.images[modality].load().values for view in views if modality in view.images]
@@ -63,6 +65,18 @@ def warn_of_oddities(scene: Scene, stacklevel: int) -> None:
     """
     for text in oddities(scene):
         warnings.warn(f"{scene.name}: {text}", MrgsWarning, stacklevel=stacklevel + 1)
+
+
+def _of_files(scene: Scene) -> Iterator[str]:
+    """Photos that are used as if they were several."""
+    images = [image for view in scene.train for image in view.images.values()]
+    uses = Counter(image.files[0] for image in images if image.files)
+    shared = [path for path, count in uses.items() if count > 1]
+    if shared:
+        yield (
+            f"{len(shared)} of {len(uses)} photos are used by several views, or as several "
+            f"modalities ({shared[0].name}): check that each view has its own"
+        )
 
 
 def _of_poses(cameras: Sequence[Camera]) -> Iterator[str]:

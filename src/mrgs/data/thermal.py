@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from mrgs.data.files import (
     MAX_MAGNITUDE,
     contained,
     finite_number,
-    is_file,
     read_json_object,
     scene_error,
 )
@@ -32,7 +32,7 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         SceneError: the file is there, but does not hold two different temperatures in °C.
     """
     paths = [contained(root, name, root) for name in BOUNDS_FILES]
-    path = next((path for path in paths if is_file(path)), None)
+    path = next((path for path in paths if os.path.lexists(path)), None)
     if path is None:
         return None
     content = read_json_object(path)

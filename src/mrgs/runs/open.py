@@ -147,6 +147,7 @@ def open_gaussians(
     folder = RunFolder(path)
     folder.newest_checkpoint()
     config = folder.read_config(from_yaml)
+    folder.warn_if_incomplete(config)
     model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
     chosen = gpu.choose_device(device)
     check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))

@@ -27,6 +27,7 @@ from mrgs.training.checkpoint_layout import (
     require_neighbours,
 )
 from mrgs.training.facts import CheckpointFacts
+from mrgs.training.run_folder import step_named
 from mrgs.training.state import TrainingState, layer_parameters, learned_layers
 
 UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
@@ -238,10 +239,15 @@ def _require_made_with(path: Path, header: Mapping[str, Any], made_with: dict[st
 
 
 def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
+    """The facts in a header; one that was copied under the name of another step would hide newer
+    ones."""
     try:
-        return CheckpointFacts.from_json(header)
+        facts = CheckpointFacts.from_json(header)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DamagedCheckpointError(path, "its header lacks facts") from error
+    if step_named(path) not in (None, facts.step):
+        raise DamagedCheckpointError(path, f"it is the one of step {facts.step}")
+    return facts
 
 
 def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:

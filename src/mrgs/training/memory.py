@@ -32,8 +32,11 @@ _STATISTICS = 8
 _WEIGHTS_BYTES = 2**20
 """Heads, image model and their moments."""
 
-_BASE_BYTES = 520 * 2**20
-"""Interpreter, torch, Numba and the compiled kernels."""
+_BASE_BYTES = 560 * 2**20
+"""Interpreter, torch, Numba and the compiled kernels, as measured."""
+
+_COMPILER_BYTES = 220 * 2**20
+"""What the compiler keeps in a process that compiles the kernels, as measured."""
 
 _RASTER_FLOATS_PER_GAUSSIAN = 80
 """The projected record, and about four tiles per Gaussian with their gradient moments."""
@@ -42,8 +45,17 @@ _PIXEL_FLOATS = 40
 """Images and gradients per pixel."""
 
 
-def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
-    """Memory that training needs with this many Gaussians, roughly."""
+def estimate_bytes(
+    scene: Scene, config: TrainConfig, gaussians: int, *, compiles: bool = False
+) -> int:
+    """Memory that a process needs that trains on the CPU, to about a fifth.
+
+    Args:
+        scene: to train on.
+        config: of the run.
+        gaussians: how many.
+        compiles: the process compiles the kernels, because none are saved.
+    """
     field = config.field
     parameters = _parameters(config, scene.modalities, Capture.of(scene))
     activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
@@ -53,12 +65,13 @@ def estimate_bytes(scene: Scene, config: TrainConfig, gaussians: int) -> int:
         for view in scene.train
     )
     photos = sum(
-        4 * _FLOAT * camera.width * camera.height
+        modality.channels * _FLOAT * camera.width * camera.height
         for view in scene.train
-        for camera in view.cameras.values()
+        for modality, camera in view.cameras.items()
     )
     return (
         _BASE_BYTES
+        + compiles * _COMPILER_BYTES
         + gaussians * per_gaussian
         + pixels * _PIXEL_FLOATS * _FLOAT
         + min(photos, CACHE_BYTES)

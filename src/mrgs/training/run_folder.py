@@ -7,6 +7,7 @@ import math
 import re
 import shutil
 import tempfile
+import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,11 +16,14 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import ConfigError, RunError, SceneError
+from mrgs.errors import ConfigError, MrgsWarning, RunError, SceneError
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
 from mrgs.system.strict_yaml import parse_yaml, write_yaml
 
 CHECKPOINTS_KEPT = 2
+
+_NAMED = 3
+"""Missing settings that a message names."""
 
 
 @runtime_checkable
@@ -85,7 +89,7 @@ class RunFolder:
     def checkpoints(self) -> list[Path]:
         """All checkpoints, oldest first."""
         found = (self.path / "checkpoints").glob("step_*.safetensors")
-        numbered = [path for path in found if re.fullmatch(r"step_[0-9]+", path.stem)]
+        numbered = [path for path in found if step_named(path) is not None]
         return sorted(numbered, key=lambda path: (len(path.name), path))
 
     def newest_checkpoint(self) -> Path:
@@ -182,6 +186,27 @@ class RunFolder:
         except ConfigError as error:
             raise RunError(f"{error}; fix the file or retrain") from error
 
+    def warn_if_incomplete(self, config: RunConfig) -> None:
+        """A run's config.yaml names every setting; one that was cut off may still be read.
+
+        Args:
+            config: what was read from it.
+
+        Warns:
+            MrgsWarning: it lacks some, for which the defaults are used.
+        """
+        whole = parse_yaml(write_yaml(config), "")
+        have = set(_names_in(self._config_values()))
+        missing = [name for name in _names_in(whole) if name not in have]
+        if missing:
+            more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+            warnings.warn(
+                f"{self.config_file} lacks {', '.join(missing[:_NAMED])}{more}, for which the "
+                f"defaults are used: restore it if it was cut off",
+                MrgsWarning,
+                stacklevel=3,
+            )
+
     def _require_config(self) -> None:
         if not self.config_file.is_file():
             raise RunError(
@@ -274,6 +299,11 @@ class RunFolder:
         """
         with self.locked():
             remove_abandoned(self.path)
+            if self.log_file.exists() and not self.log_file.is_file():  # a pipe would block
+                raise RunError(
+                    f"{self.log_file} is not a file: move it away, or choose another folder",
+                    options=("output",),
+                )
             if not resume:
                 self.start(config)
             try:
@@ -308,6 +338,20 @@ class TemporaryRunFolder(RunFolder):
     def __init__(self) -> None:
         super().__init__(tempfile.mkdtemp(prefix="mrgs-"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+def step_named(checkpoint: Path) -> int | None:
+    """The step in a checkpoint's name; None if it is not named like one."""
+    found = re.fullmatch(r"step_([0-9]{1,18})\.safetensors", checkpoint.name)
+    return None if found is None else int(found[1])
+
+
+def _names_in(values: Any, prefix: str = "") -> Iterator[str]:
+    """The dotted names of all entries of nested mappings."""
+    if isinstance(values, dict):
+        for name, value in values.items():
+            yield f"{prefix}{name}"
+            yield from _names_in(value, f"{prefix}{name}.")
 
 
 def _step_of(line: str) -> int:

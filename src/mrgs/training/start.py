@@ -83,6 +83,7 @@ def start_training(
     if resume:
         folder.newest_checkpoint()
         config = read_config(folder)
+        folder.warn_if_incomplete(config)
     else:
         folder.require_new()
     if isinstance(scene, Scene):

@@ -68,6 +68,7 @@ def open_thermonerf(
     folder = RunFolder(path)
     folder.newest_checkpoint()
     config = folder.read_config(from_yaml)
+    folder.warn_if_incomplete(config)
     model, facts = load_newest(folder, lambda file: load_model(file, config))
     with checking(gradients=False):
         model.render(dict.fromkeys(MODALITIES, _small_camera(model.frame)))
