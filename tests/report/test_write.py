@@ -10,6 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
+from mrgs import open_marks
 from mrgs.errors import RunError
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
@@ -205,3 +206,28 @@ def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
         "no thermal photos"
         in Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
     )
+
+
+def test_the_report_lists_the_marks_with_pictures_and_profile(run: Run, tmp_path: Path):
+    marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
+    try:
+        marks.spot(camera, (20, 15), note="near the <middle>")
+        marks.line(camera, [(15, 15), (25, 15)])
+        marks.box(camera, (16, 12), (24, 18), emissivity=0.8, reflected_c=-5.0)
+        marks.refer_to("S1")
+        readings = marks.measure()
+        path = write_report(run, run.load_scene(), tmp_path / "report.html")
+    finally:
+        for file in run.folder.path.glob("*marks*"):
+            file.unlink()
+    page = Page(path)
+    text = " ".join(page.words)
+    assert "Measurements" in text
+    for reading in readings:
+        assert f"{reading.mean:.1f}" in text
+    assert "near the <middle>" in text
+    assert "ε 0.8, T refl. −5 °C" in text
+    assert "temperatures are taken as apparent ones" in text
+    assert "svg" in page.tags
+    html = path.read_text(encoding="utf-8")
+    assert html.count(', thermal"') == html.count(', photo"') == 3

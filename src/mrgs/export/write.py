@@ -13,6 +13,7 @@ from mrgs.export.job import ExportJob
 from mrgs.export.loss import BakingLoss, baking_loss_db
 from mrgs.export.sidecar import facts_of, up_direction
 from mrgs.export.splats import require_exportable, thermal_scale
+from mrgs.marks import open_marks
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
@@ -160,5 +161,7 @@ def _job(
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
+    if run is not None and (marks := open_marks(run)).marks.marks:
+        baked = marks.meter.regions(marks.marks).of_splats(baked)
     facts = facts_of(baked, scene, up, loss)
     return ExportJob(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c)

@@ -16,7 +16,14 @@ from mrgs.scene.camera_paths import focus_point
 STAGE_STYLE = "pictures/web/stage.css"
 """Style sheet of the pages with a 3D view."""
 
-STAGE_SCRIPTS = ("pictures/web/navigation.js", "pictures/web/scale.js")
+MARKS_STYLE = "pictures/web/marks.css"
+"""Style sheet of the marks on them."""
+
+STAGE_SCRIPTS = (
+    "pictures/web/navigation.js",
+    "pictures/web/scale.js",
+    "pictures/web/marks.js",
+)
 """Scripts of the same: where the camera is, and the scale beside it."""
 
 PALETTE_CHOICES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")

@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 from mrgs.marks.emissivity import records_of
 from mrgs.pictures.html import PAGE_STYLE, write_html
+from mrgs.report.marks import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, show_marks
 from mrgs.report.sections import (
     capture_rows,
     find_named_spots,
@@ -44,10 +45,10 @@ def report_run(run: Run, path: str | Path | None = None) -> Path:
 def write_report(run: Run, scene: Scene, path: Path, progress: Progress | None = None) -> Path:
     """Write a page about the run for a thermographer; returns its path.
 
-    It holds the hottest and the coldest spots with their positions and pictures, the scores and the
-    contact sheet of ``RUN/eval`` (or how to get them), the data of the capture and of the training,
-    and the limits of the measurement. The page needs no script and nothing from the network; its
-    style sheet also fits printing on A4.
+    It holds the marks of the run, the hottest and the coldest spots with their positions and
+    pictures, the scores and the contact sheet of ``RUN/eval`` (or how to get them), the data of
+    the capture and of the training, and the limits of the measurement. The
+    page needs no script and nothing from the network; its style sheet also fits printing on A4.
 
     Args:
         run: what ``load_run`` returns.
@@ -70,6 +71,7 @@ def write_report(run: Run, scene: Scene, path: Path, progress: Progress | None =
     named = find_named_spots(run, scene) if has_thermal else {}
     begin(1)
     spots = show_spots(named, run, scene) if named else None
+    marks, assumptions = show_marks(run, scene)
     begin(2)
     return write_html(
         path,
@@ -83,6 +85,9 @@ def write_report(run: Run, scene: Scene, path: Path, progress: Progress | None =
         has_thermal=has_thermal,
         temperature=scene.temperature,
         spots=spots,
+        marks=marks,
+        assumptions=assumptions,
+        chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=capture_rows(scene),

@@ -18,9 +18,10 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
 from mrgs.marks.mark import Marks
+from mrgs.marks.texts import mark_text
 from mrgs.pictures.stage import PALETTE_CHOICES, camera_facts, modality_facts, palette_facts
 from mrgs.pictures.values import range_of
-from mrgs.scene import Modality
+from mrgs.scene import Modality, WorldFrame
 from mrgs.viewer import texts
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size
@@ -313,7 +314,10 @@ class Browser:
 
     def _marks_changed(self) -> None:
         board = self._board
-        shown = [texts.mark(each, board.marks.reference, self._subject) for each in board.readings]
+        scene, temperature = self._subject.scene, self._subject.temperature
+        world = WorldFrame() if scene is None else scene.world
+        reference = board.marks.reference
+        shown = [mark_text(each, reference, temperature, world) for each in board.readings]
         self._tell("marks", of=shown, notes=board.notes)
         self._redraw()
 

@@ -3,18 +3,12 @@ a tag."""
 
 from __future__ import annotations
 
-import math
 from typing import TypedDict
 
-from mrgs.marks.measure import MarkReading
-from mrgs.marks.tables import size_text, value_text
-from mrgs.scene import THERMAL, Modality, WorldFrame
+from mrgs.scene import THERMAL, Modality
 from mrgs.viewer.inspection import PointReading
 from mrgs.viewer.picking import ValueReading
 from mrgs.viewer.settings import Subject
-
-MOSTLY_COVERED = 0.98
-"""A mark that shows a surface on less of it says so."""
 
 EMPTY_HINT = "Nothing there: the model is empty at this point."
 
@@ -25,22 +19,6 @@ class ReadingText(TypedDict):
     value: str
     deviation: str
     lines: list[str]
-
-
-class MarkText(TypedDict):
-    """A mark as the panel lists it: what it is, what was measured, and what can be changed."""
-
-    name: str
-    kind: str
-    value: str
-    difference: str
-    lines: list[str]
-    profile: list[tuple[float, float | None]]
-    note: str
-    area: bool
-    emissivity: float | None
-    reflected_c: float | None
-    reference: bool
 
 
 def header(subject: Subject) -> str:
@@ -76,51 +54,6 @@ def point(shown: PointReading, subject: Subject) -> ReadingText:
     )
     lines.append("position " + ", ".join(number(each, 3) for each in reading.position))
     return {"value": value, "deviation": deviation, "lines": lines}
-
-
-def mark(reading: MarkReading, reference: str, subject: Subject) -> MarkText:
-    """A mark that was measured."""
-    mark, temperature = reading.mark, subject.temperature
-    return {
-        "name": mark.name,
-        "kind": mark.kind,
-        "value": value_text(reading.mean, temperature, unit=True),
-        "difference": ""
-        if math.isnan(reading.difference)
-        else f"ΔT {value_text(reading.difference, temperature, sign=True, unit=True)}",
-        "lines": _mark_lines(reading, subject),
-        "profile": _profile(reading),
-        "note": mark.note,
-        "area": mark.is_area,
-        "emissivity": mark.emissivity,
-        "reflected_c": mark.reflected_c,
-        "reference": mark.name == reference,
-    }
-
-
-def _mark_lines(reading: MarkReading, subject: Subject) -> list[str]:
-    """Extremes, size and photos of a mark; first of all why it has no temperature."""
-    temperature = subject.temperature
-    world = WorldFrame() if subject.scene is None else subject.scene.world
-    lines = [reading.problem] if reading.problem else []
-    if not math.isnan(reading.low):
-        low = value_text(reading.low, temperature)
-        high = value_text(reading.high, temperature, unit=True)
-        lines.append(f"{low} to {high}")
-    lines.append(size_text(reading, world))
-    if reading.covered < MOSTLY_COVERED and not reading.problem:
-        lines.append(f"{100 * reading.covered:.0f} % of it shows a surface")
-    if reading.photos is not None:
-        lines.append(f"seen by {reading.photos} thermal photos")
-    return lines
-
-
-def _profile(reading: MarkReading) -> list[tuple[float, float | None]]:
-    """Distance and value of a line's samples; None where there is no surface."""
-    if reading.profile is None:
-        return []
-    pairs = zip(reading.profile.distances.tolist(), reading.profile.values.tolist(), strict=True)
-    return [(distance, None if math.isnan(value) else value) for distance, value in pairs]
 
 
 def keyframes(count: int) -> str:

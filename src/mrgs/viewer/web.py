@@ -19,7 +19,7 @@ from websockets.http11 import Request, Response
 
 from mrgs.errors import ConfigError
 from mrgs.pictures.html import Page, make_page
-from mrgs.pictures.stage import STAGE_SCRIPTS, STAGE_STYLE
+from mrgs.pictures.stage import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
 from mrgs.scene import Camera
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.cameras import fitted_size
@@ -72,10 +72,9 @@ class Viewer:
         self._page = make_page(
             "viewer/page/page.html",
             title=subject.name,
-            styles=[STAGE_STYLE, "viewer/page/page.css"],
+            styles=[STAGE_STYLE, MARKS_STYLE, "viewer/page/page.css"],
             scripts=[
                 *STAGE_SCRIPTS,
-                "pictures/web/marks.js",
                 "viewer/page/marks.js",
                 "viewer/page/app.js",
             ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from mrgs.export.page import write_page
+from mrgs.export.page.marks import PageMark
 from mrgs.pictures.palette import colorize
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality
@@ -53,11 +54,13 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
         shown: BakedModel = baked,
         *,
         modalities: tuple[Modality, ...] = (RGB, THERMAL),
+        marks: Sequence[PageMark] = (),
         **options: Any,
     ) -> Any:
         write_page(
-            shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities
-        )
+            shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities,
+            marks=marks,
+        )  # fmt: skip
         page = new_page(browser, offline=True, **options)
         contexts.append(page.context)
         page.on("pageerror", lambda error: errors.append(str(error)))
@@ -203,6 +206,38 @@ def test_palette_range_and_isotherm_change_the_picture(open_page):
     page.wait_for_selector(SETTLED)
     red, green, _ = np.moveaxis(picture(page), 2, 0)
     assert 0.02 < (green - red > 100).mean() < 0.9
+
+
+def mark(kind: str, points: list[list[float]], **more: Any) -> PageMark:
+    name = kind[0].upper() + "1"
+    return {
+        "name": name, "kind": kind, "value": "21.0 °C", "difference": "", "lines": ["1.00 m"],
+        "profile": [], "note": "", "area": False, "emissivity": None, "reflected_c": None,
+        "reference": False, "points": points, "closed": kind == "box", "lowAt": None,
+        "highAt": None, "label": f"{name}  21.0 °C", **more,
+    }  # fmt: skip
+
+
+def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page, tmp_path):
+    marks = [
+        mark("spot", [[0.0, 0.0, 2.0]]),
+        mark("line", [[0.0, -0.5, 2.0], [0.0, 0.5, 2.0]], profile=[(0.0, 20.0), (1.0, 22.0)]),
+        mark("box", [[-9.0, 0.0, -0.5], [-9.0, 1.0, -0.5], [-9.0, 1.0, 0.5], [-9.0, 0.0, 0.5]]),
+    ]
+    page = open_page(marks=marks, viewport={"width": 800, "height": 600})
+    page.wait_for_selector(SETTLED)
+    rows = page.locator("#mark-list details")
+    assert rows.count() == 3
+    rows.nth(1).locator("summary").click()
+    assert rows.nth(1).locator("svg path").count() == 1
+    labels = page.locator("#marks text")
+    wait_until(
+        lambda: labels.all_text_contents() == ["S1  21.0 °C", "L1  21.0 °C"],
+        "the box behind the splats is hidden",
+        page,
+    )
+    page.uncheck("#show-marks")
+    assert labels.count() == 0
 
 
 def test_orbit_zoom_and_the_way_back(open_page):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mrgs.export.job import ExportJob
+from mrgs.export.page.marks import page_marks
 from mrgs.export.page.write import write_page
 from mrgs.scene.overview import best_view
 
@@ -15,6 +16,7 @@ __all__ = ["export", "write_page"]
 def export(job: ExportJob) -> list[Path]:
     """Write ``page.html`` into the job's folder; returns its path."""
     views = [*job.scene.eval, *job.scene.train]
+    marks, assumptions = ([], ()) if job.run is None else page_marks(job.run)
     path = write_page(
         job.baked,
         {view.name: view.camera for view in views},
@@ -22,7 +24,8 @@ def export(job: ExportJob) -> list[Path]:
         job.folder / "page.html",
         palette=job.palette,
         range_c=job.limits_c,
-        notes=job.scene.notes,
+        notes=(*job.scene.notes, *assumptions),
+        marks=marks,
         modalities=job.modalities,
         start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,
     )

@@ -6,6 +6,7 @@ const COARSEST = 0.35;
 const REST_MS = 200;
 const SURFACE_ALPHA = 0.5;
 const FIT_WIDTH_PX = 240;
+const HIDDEN_BEHIND = 1.05; // a mark that lies this much deeper than what is seen there is hidden by it
 
 const element = (id) => document.getElementById(id);
 const modalityButtons = () => document.querySelectorAll("button[data-modality]");
@@ -31,7 +32,9 @@ class Page {
     this.inMotion = false;
     this.spot = null;
     this.hover = null;
+    this.hidden = new Set();
     this.connectControls();
+    this.listMarks();
     this.navigation = new Navigation(this.canvas, this.viewpoint, {
       onHover: (x, y) => this.hoverAt(x, y),
       onLeave: () => this.hoverAt(null),
@@ -57,7 +60,11 @@ class Page {
     const { count, means, covariances, largestScale } = model;
     const appearances = Object.fromEntries(this.facts.readable.map((name) => [name, model.appearances[name]]));
     this.worker.postMessage({ model: { count, means, covariances, largestScale, appearances } });
-    this.worker.onmessage = ({ data }) => (data.order ? this.sorted(data) : this.answered(data));
+    this.worker.onmessage = ({ data }) => {
+      if (data.order) this.sorted(data);
+      else if (data.id !== undefined) this.seen(data);
+      else this.answered(data);
+    };
   }
 
   connectControls() {
@@ -223,10 +230,14 @@ class Page {
     const [width, height] = [this.canvas.width, this.canvas.height].map((n) => Math.max(1, Math.round(n * share)));
     this.renderer.draw(this.viewpoint.cameraFor(width, height), this.look());
     this.placeMarker();
+    this.drawMarks();
     if (inMotion) {
       clearTimeout(this.rest);
       this.rest = setTimeout(() => this.requestFrame(), REST_MS);
-    } else if (this.sortedVersion === this.version) this.canvas.dataset.settled = "true";
+    } else if (this.sortedVersion === this.version) {
+      this.canvas.dataset.settled = "true";
+      this.lookForMarks();
+    }
   }
 
   look() {
@@ -305,6 +316,67 @@ class Page {
     element("clipped").hidden = !seen || !metric || (value > scale.min && value < scale.max);
     element("value").dataset.value = seen ? String(value) : "";
     element("value").dataset.depth = seen ? String(reading.depth) : "";
+  }
+
+  // --- marks ---
+
+  listMarks() {
+    if (!this.facts.marks.length) return;
+    element("show-marks").addEventListener("change", () => this.drawMarks());
+    element("mark-list").append(...this.facts.marks.map((mark) => {
+      const row = document.createElement("details");
+      const summary = document.createElement("summary");
+      const difference = mark.reference ? "reference" : mark.difference;
+      for (const [tag, text, name] of [["b", mark.name, ""], ["span", difference, "muted"], ["span", mark.value, ""]]) {
+        const part = document.createElement(tag);
+        part.textContent = text;
+        part.className = name;
+        summary.append(part);
+      }
+      const lines = document.createElement("div");
+      lines.className = "lines muted";
+      lines.textContent = [...mark.lines, mark.note].filter(Boolean).join("\n");
+      row.append(summary, lines);
+      if (mark.profile.length) row.append(profileChart(mark.profile));
+      return row;
+    }));
+  }
+
+  drawMarks() {
+    const over = element("marks");
+    over.replaceChildren();
+    if (!this.facts.marks.length || !element("show-marks").checked) return;
+    const { clientWidth, clientHeight } = this.canvas;
+    const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
+    const place = (point) => point && project(camera, point);
+    this.facts.marks.forEach((mark, index) => {
+      const corners = mark.points.map(place);
+      if (this.hidden.has(index) || corners.includes(null)) return;
+      if (mark.kind === "spot") drawMark(over, ...corners[0], mark.label, clientWidth);
+      else drawOutline(over, (...at) => at, { corners, closed: mark.closed, label: mark.label, low: place(mark.lowAt), high: place(mark.highAt) }, clientWidth);
+    });
+  }
+
+  // Ask, once the view rests, which marks lie behind something.
+  lookForMarks() {
+    if (this.lookedVersion === this.version || !this.read) return;
+    this.lookedVersion = this.version;
+    const { clientWidth, clientHeight } = this.canvas;
+    const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
+    this.facts.marks.forEach((mark, index) => {
+      const place = project(camera, mark.points[0]);
+      const id = [index, this.version];
+      if (place) this.worker.postMessage({ read: { camera, x: place[0], y: place[1], modality: this.read.name, id } });
+    });
+  }
+
+  seen({ reading, id: [index, version] }) {
+    if (version !== this.version) return;
+    const { position, rotation } = this.viewpoint;
+    const depth = dot(rotation.slice(6, 9), subtract(this.facts.marks[index].points[0], position));
+    if (reading.alpha >= SURFACE_ALPHA && depth > HIDDEN_BEHIND * reading.depth) this.hidden.add(index);
+    else this.hidden.delete(index);
+    this.drawMarks();
   }
 
   placeMarker() {

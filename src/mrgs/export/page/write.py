@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 
 from mrgs.errors import ConfigError
+from mrgs.export.page.marks import PageMark
 from mrgs.export.page.packing import PackedModel, pack
 from mrgs.export.page.visibility import most_visible
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.stage import (
+    MARKS_STYLE,
     PALETTE_CHOICES,
     STAGE_SCRIPTS,
     STAGE_STYLE,
@@ -38,7 +40,7 @@ from mrgs.scene import (
 
 SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "app.js")
 ASSETS: dict[str, Any] = {
-    "styles": [STAGE_STYLE],
+    "styles": [STAGE_STYLE, MARKS_STYLE],
     "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}" for name in SCRIPTS)],
     "sources": ["worker-src blob:"],
 }
@@ -63,6 +65,7 @@ def write_page(
     notes: Sequence[str] = (),
     modalities: Sequence[Modality] | None = None,
     start: str | None = None,
+    marks: Sequence[PageMark] = (),
 ) -> Path:
     """Write the model as one HTML page; returns its path.
 
@@ -83,6 +86,7 @@ def write_page(
         modalities: to show; None shows all of the model's. The page opens on the first of them that
             has a unit.
         start: name of the view that the page opens at; None takes the first.
+        marks: that the page lists and draws, see ``page_marks``.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
@@ -93,7 +97,7 @@ def write_page(
     every = list(cameras.values())
     baked = _reduced(baked, every, max_splats)
     packed = pack(baked, sh_degree, shown)
-    facts = _facts(baked, packed, every, shown, range_c)
+    facts = _facts(baked, packed, every, shown, range_c) | {"marks": list(marks)}
     return write_html(
         path,
         "export/page/page.html",
@@ -108,6 +112,7 @@ def write_page(
         cameras=list(cameras),
         start=start or next(iter(cameras)),
         notes=notes,
+        marks=marks,
         splats=packed.header["count"],
         left_out=len(baked) - packed.header["count"],
         facts=script_json(facts),

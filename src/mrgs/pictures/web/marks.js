@@ -1,6 +1,6 @@
 // Marks over a picture, and the profiles of lines; for every page that shows them.
 
-const SVG = "http://www.w3.org/2000/svg";
+const SVG = document.getElementById("marks").namespaceURI;
 
 function shape(name, attributes, parent, text) {
   const made = document.createElementNS(SVG, name);
