@@ -96,10 +96,12 @@ def _messages() -> st.SearchStrategy[bytes]:
     kinds = [inspect.type_info(kind) for kind in typing.get_args(AnyMessage)]
     whole = st.sampled_from(kinds).flatmap(_values)
     changed = st.tuples(whole, JSON, st.integers(0, 20)).map(_with_another_value)
-    texts = (whole | changed).map(lambda value: json.dumps(value).encode())
+    valid, texts = (
+        values.map(lambda value: json.dumps(value).encode()) for values in (whole, whole | changed)
+    )
     cut = st.tuples(texts, st.integers(0, 200)).map(lambda pair: pair[0][: pair[1]])
     deep = st.integers(1, 60_000).map(lambda depth: b"[" * depth)
-    return st.one_of(texts, texts, cut, deep, st.binary(max_size=200))
+    return st.one_of(*[valid] * 5, texts, cut, deep, st.binary(max_size=200))
 
 
 def _with_another_value(change: tuple[dict[str, Any], Any, int]) -> dict[str, Any]:
@@ -130,7 +132,8 @@ def _values(kind: inspect.Type) -> st.SearchStrategy[Any]:
             turned = st.permutations([[1, 0, 0], [0, 1, 0], [0, 0, 1]]).map(
                 lambda rows: [number for row in rows for number in row]
             )
-            return turned | st.lists(_values(kind.item_type), min_size=9, max_size=9)
+            usual = st.lists(_values(kind.item_type), min_size=9, max_size=9)
+            return st.one_of(turned, turned, turned, usual)
         case inspect.VarTupleType() | inspect.ListType():
             most = 8 if kind.max_length is None else kind.max_length
             return st.lists(_values(kind.item_type), min_size=kind.min_length or 0, max_size=most)
