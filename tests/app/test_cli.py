@@ -523,7 +523,7 @@ def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_p
         [*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        while "compiles the kernels" not in process.stdout.readline():
+        while "start points" not in process.stdout.readline():
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=300)

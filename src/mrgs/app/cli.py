@@ -200,7 +200,7 @@ def _check(command: Check) -> int:
 def _train(command: Train) -> None:
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method
-    from mrgs.system.gpu import choose_device
+    from mrgs.system.gpu import HOST, choose_device
     from mrgs.training.run_folder import RunFolder
 
     output = _output(command)
@@ -216,8 +216,9 @@ def _train(command: Train) -> None:
         source=str(command.config),
     )
     device = command.device if method.uses_gpu else "cpu"
-    note_gpu(choose_device(device))
-    progress = TrainingProgress()
+    chosen = choose_device(device)
+    note_gpu(chosen)
+    progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
     with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
         method.train(
             command.scene,

@@ -89,9 +89,11 @@ class PipelineTerminal(Monitor):
         self._yes = yes
         self._preparing = PrepareProgress()
         self._training = TrainingProgress()
+        self._on_cpu = True
         self._show: Callable[..., None] | None = None
 
     def planned(self, plan: PipelinePlan) -> None:  # noqa: D102
+        self._on_cpu = plan.device == "cpu"
         for name, text in _plan_lines(plan).items():
             print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{text}")
         for note in plan.notes:
@@ -107,7 +109,7 @@ class PipelineTerminal(Monitor):
         rest = f", then {rough(rest_s)} for the rest" if rest_s >= 1 else ""
         print(f"{_heading(stage)} ({rough(seconds)}{rest})", flush=True)
         if stage.name == "train":
-            self._training = TrainingProgress()
+            self._training = TrainingProgress(compiles=self._on_cpu)
             with self._training:
                 yield
             if interrupts.received is not None:  # in the training's last step

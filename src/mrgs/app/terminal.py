@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
@@ -182,14 +183,50 @@ def scene_if_there(run: Run) -> Scene | None:
         return None
 
 
+@contextmanager
+def _compiling(config: RunConfig, console: Console) -> Iterator[None]:
+    """Within this block, say how far the kernels of a training are compiled, if any are missing."""
+    from mrgs.method.config import TrainConfig
+    from mrgs.training.compilation import Countdown
+
+    if not isinstance(config, TrainConfig):
+        yield
+        return
+    countdown, done = Countdown(config), Event()
+
+    def show() -> None:
+        show_line: Callable[[str], object] = print
+        with ExitStack() as stack:
+            if console.is_terminal and countdown.text is not None:
+                show_line = stack.enter_context(console.status("")).update
+            while (text := countdown.text) is not None:
+                show_line(text)
+                sys.stdout.flush()
+                if done.wait(REFRESH_EVERY_S if console.is_terminal else PLAIN_LINE_EVERY_S):
+                    return
+
+    thread = Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
 class TrainingProgress:
     """Progress of a training: step, time left, loss, thermal error, Gaussians, speed.
 
     Once the training has begun, an interruption ends it after the current step, and a second Ctrl-C
     at once.
+
+    Args:
+        compiles: whether the training runs the CPU's kernels, and so compiles those that are
+            missing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, compiles: bool = True) -> None:
+        self._compiles = compiles
         self.unfinished = False
         self._interruption: Interruption | None = None
         self._span_c: float | None = None
@@ -200,12 +237,13 @@ class TrainingProgress:
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
         self._bar = _progress_bar(BarColumn(BAR_WIDTH), _text_column(), auto_refresh=False)
         self._task = self._bar.add_task("")
-        self._postponed = ExitStack()
+        self._postponed, self._compiling = ExitStack(), ExitStack()
 
     def __enter__(self) -> None:
         self._postponed.__enter__()
 
     def __exit__(self, *_: object) -> None:
+        self._compiling.close()
         self._postponed.close()
         if self._first_step is not None:
             self._bar.stop()
@@ -237,16 +275,16 @@ class TrainingProgress:
         for note in scene.notes:  # those already shown are not repeated
             warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
         print(_plan(scene, config))
-        print(
-            "The first run on a machine compiles the kernels; this takes up to a minute.",
-            flush=True,
-        )
+        sys.stdout.flush()
+        if self._compiles:
+            self._compiling.enter_context(_compiling(config, self._bar.console))
 
     def step(self, statistics: Statistics) -> bool:
         """Show a step; returns True to stop the training."""
         now = time.perf_counter()
         if self._first_step is None:
             # Not counted in the speed: the first step compiles kernels and reads photos.
+            self._compiling.close()
             self._first_step, self._started = statistics.step, now
             self._bar.update(self._task, total=self._max_steps)
             self._bar.start()

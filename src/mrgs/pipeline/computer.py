@@ -9,9 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from numba.extending import is_jitted
-
-from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 
 REFERENCE_UNIT_S = 0.0018
 """Processor time of a probe's unit on the computer that the costs were measured on: a core of an
@@ -70,11 +67,6 @@ def _work(left: torch.Tensor, indices: torch.Tensor) -> None:
     product = left @ left
     values = torch.exp(-product.abs()).reshape(-1)
     torch.zeros_like(values).index_add_(0, indices, values)
-
-
-def kernels_are_compiled() -> bool:
-    """Whether an earlier process has left compiled kernels; the slowest one stands for all."""
-    return blend_backward._cache.is_saved if is_jitted(blend_backward) else True
 
 
 def usable_cores() -> int:

@@ -53,7 +53,7 @@ class Workload:
         gaussians: at the end.
         steps: of training.
         has_two_cameras: whether a thermal camera must be placed.
-        kernels_are_compiled: whether the kernels of an earlier run can be used.
+        compiling_s: processor seconds for the kernels that no earlier run has left.
     """
 
     photos: bool
@@ -66,10 +66,10 @@ class Workload:
     gaussians: int
     steps: int
     has_two_cameras: bool
-    kernels_are_compiled: bool
+    compiling_s: float
 
     @classmethod
-    def of(cls, intake: Intake, quality: Quality, kernels_are_compiled: bool) -> Workload:
+    def of(cls, intake: Intake, quality: Quality, compiling_s: float = 0.0) -> Workload:
         """The workload of photos or a scene at a quality."""
         posed = intake.sizes.get(RGB) or intake.sizes[THERMAL]
         points = intake.points
@@ -85,7 +85,7 @@ class Workload:
             gaussians=quality.max_gaussians,
             steps=quality.max_steps,
             has_two_cameras=len(intake.sizes) > 1,
-            kernels_are_compiled=kernels_are_compiled,
+            compiling_s=compiling_s,
         )
 
     @classmethod
@@ -103,7 +103,7 @@ class Workload:
             gaussians=run.gaussian_count,
             steps=run.config.max_steps,
             has_two_cameras=len(scene.modalities) > 1,
-            kernels_are_compiled=True,
+            compiling_s=0.0,
         )
 
     @property
@@ -163,8 +163,7 @@ def _prepare(work: Workload) -> dict[str, float]:
 
 def _train(work: Workload) -> dict[str, float]:
     step = 0.014 + 1.55e-3 * work.mean_gaussians / 1e3 + 0.2e-3 * work.kpx
-    compiling = 0.0 if work.kernels_are_compiled else 60.0
-    return {"compiling": 3.0 + compiling, "steps": step * work.steps}
+    return {"compiling": 3.0 + work.compiling_s, "steps": step * work.steps}
 
 
 def _page(work: Workload, render: float) -> dict[str, float]:

@@ -35,7 +35,7 @@ def expect_prepare(photos: Path, options: PrepareOptions) -> Forecast | None:
         return None
     if intake.kind == "scene":
         return None
-    work = Workload.of(intake, QUALITIES["fast"], kernels_are_compiled=True)
+    work = Workload.of(intake, QUALITIES["fast"])
     return Forecast(planned_seconds(stage_costs(work)["prepare"], measure_computer()))
 
 

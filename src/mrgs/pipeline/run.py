@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.errors import ConfigError, MrgsError, RunError
-from mrgs.pipeline.computer import Computer, kernels_are_compiled, measure_computer
+from mrgs.pipeline.computer import Computer, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
 from mrgs.pipeline.expect import left_in_stage
 from mrgs.pipeline.forecast import Forecast, pace_so_far
@@ -27,7 +27,8 @@ from mrgs.pipeline.quality import QUALITIES, Quality
 from mrgs.pipeline.stages import Job, Report, Stage
 from mrgs.prepare.options import PrepareOptions
 from mrgs.system import gpu
-from mrgs.system.gpu import DeviceName
+from mrgs.system.gpu import HOST, DeviceName
+from mrgs.training.compilation import compiling_progress
 from mrgs.training.run_folder import RunFolder
 
 
@@ -92,7 +93,9 @@ def run_pipeline(
     target = default_output(source) if output is None else Path(output)
     _require_own(source, target)
     missing = require_extras(intake, options)
-    work = Workload.of(intake, chosen, kernels_are_compiled())
+    on_cpu = gpu.choose_device(device) == HOST
+    compiling_s = compiling_progress(chosen.config()).seconds_left if on_cpu else 0.0
+    work = Workload.of(intake, chosen, compiling_s)
     disk = disk_bytes(work, intake)
     require_disk(disk - _size_of(target), target)
     with RunFolder(target).locked():

@@ -54,7 +54,7 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             degrees = {THERMAL: max(map(config.temperature_sh_degree_at, last))}
             rendering, _ = render(model, cameras, degrees)
             photos = {
-                modality: _random_photo(camera, modality.channels, generator, state.device)
+                modality: random_photo(camera, modality.channels, generator, state.device)
                 for modality, camera in cameras.items()
             }
             observed = state.image_model(rendering, number)
@@ -144,9 +144,10 @@ def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> 
     )
 
 
-def _random_photo(
+def random_photo(
     camera: Camera, channels: int, generator: torch.Generator, device: torch.device
 ) -> Pixels:
+    """Random values, of which a few do not count."""
     values = torch.rand(camera.height, camera.width, channels, generator=generator)
     valid = torch.rand(camera.height, camera.width, generator=generator) >= INVALID
     return Pixels(values.to(device), valid.to(device))

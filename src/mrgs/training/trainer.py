@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from copy import deepcopy
 from pathlib import Path
 from typing import TypeVar
@@ -20,8 +20,10 @@ from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.operation import is_plain
 from mrgs.system.room import warn_if_short
 from mrgs.training import checkpoint
+from mrgs.training.compilation import shared_compiling
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
 from mrgs.training.facts import CheckpointFacts
@@ -56,18 +58,22 @@ def open_training(
     """Within this block the run's folder is locked, and a trainer is ready for its first step; see
     ``train``."""
     chosen = gpu.choose_device(device)
-    with start_training(
-        scene,
-        output,
-        config,
-        resume=resume,
-        accept_changes=accept_changes,
-        plain=plain,
-        tensorboard=tensorboard,
-        read_config=lambda folder: folder.read_config(from_yaml),
-        initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
-        load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
-    ) as run:
+    on_kernels = chosen == HOST and not (plain or is_plain())
+    with (
+        shared_compiling(config) if on_kernels else nullcontext(),
+        start_training(
+            scene,
+            output,
+            config,
+            resume=resume,
+            accept_changes=accept_changes,
+            plain=plain,
+            tensorboard=tensorboard,
+            read_config=lambda folder: folder.read_config(from_yaml),
+            initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
+            load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
+        ) as run,
+    ):
         _check_room(run)
         yield Trainer(run)
 

@@ -1,0 +1,133 @@
+"""On the first run of a machine two processes share the compiling of the kernels, and it can be
+asked how far they are."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from numba.extending import is_jitted
+
+from mrgs.method.config import TrainConfig, to_yaml
+from mrgs.system.child import Child
+
+CHILD = ("-m", "mrgs.training.compile_child")
+
+_RASTERIZER = {
+    "rasterize.cpu.projection.project": 2.9,
+    "rasterize.cpu.projection.project_backward": 2.8,
+    "rasterize.cpu.tiles._count": 1.3,
+    "rasterize.cpu.tiles.depth_order": 0.7,
+    "rasterize.cpu.tiles._fill": 0.8,
+    "rasterize.cpu.tiles.gather_splats": 0.4,
+    "rasterize.cpu.blend.blend": 4.2,
+    "rasterize.cpu.blend_backward.blend_backward": 4.2,
+}
+_HARMONICS = {"harmonics.cpu._forward": 1.5, "harmonics.cpu._backward": 2.0}
+_COLOR_HEAD = {"color_head.cpu._forward": 3.2, "color_head.cpu._backward": 4.9}
+_THERMAL_HEAD = {"heat.thermal_head._forward": 5.3, "heat.thermal_head._backward": 6.0}
+_EXCHANGE = {
+    "heat.exchange._forward": 0.5,
+    "heat.exchange._with_neighbours": 0.6,
+    "heat.exchange._backward_anchors": 0.8,
+    "heat.exchange._backward_neighbours": 0.7,
+}
+_COMPARISON = {"ssim.compare_cpu.compare": 7.5}
+_SMOOTHNESS = {"variation.cpu.sum_differences": 2.4}
+_BLUR = {"blur.separable.filter_plane": 1.6}
+_CONVOLUTION = {
+    "convolution.correlate.correlate": 1.0,
+    "convolution.correlate.weights_gradient": 0.8,
+}
+"""The compiled functions, and the processor seconds that each takes on a core of 3 GHz."""
+
+
+class CompilingProgress(NamedTuple):
+    """How far the compiling is.
+
+    Attributes:
+        done: kernels that are compiled.
+        total: kernels that a training needs.
+        seconds_left: processor seconds for the others, on a core of 3 GHz.
+    """
+
+    done: int
+    total: int
+    seconds_left: float
+
+
+def compiling_progress(config: TrainConfig) -> CompilingProgress:
+    """How many of the CPU kernels of a training lie compiled on disk."""
+    needed = _needed(config)
+    missing = [name for name in needed if not _is_saved(name)]
+    return CompilingProgress(
+        len(needed) - len(missing), len(needed), sum(map(needed.__getitem__, missing))
+    )
+
+
+@contextmanager
+def shared_compiling(config: TrainConfig) -> Iterator[None]:
+    """Within this block, which trains on the CPU, another process compiles what this one needs
+    last, if anything is missing and there is a thread for it. What fails there is compiled here."""
+    if torch.get_num_threads() < 2 or compiling_progress(config).seconds_left == 0:
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
+        child = Child(CHILD, {"config": to_yaml(config)}, Path(folder, "stderr.txt"))
+        try:
+            yield
+        finally:
+            child.close()
+
+
+class Countdown:
+    """Says what is left of the compiling, by the pace at which it goes.
+
+    Args:
+        config: of the training.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        self._config = config
+        self._at_first = compiling_progress(config)
+        self._started = time.monotonic()
+
+    @property
+    def text(self) -> str | None:
+        """One line; None if nothing is left to compile."""
+        now = compiling_progress(self._config)
+        if now.done == now.total:
+            return None
+        made = self._at_first.seconds_left - now.seconds_left
+        # Before the first is done, as fast as two such cores.
+        pace = (made + 2.0) / (time.monotonic() - self._started + 1.0)
+        left = max(1, round(now.seconds_left / pace))
+        return f"compiling kernels {now.done}/{now.total}, about {left} s left"
+
+
+def _needed(config: TrainConfig) -> dict[str, float]:
+    """The kernels of a training by name, with their seconds."""
+    field, loss = config.field, config.loss
+    needed = _RASTERIZER | _HARMONICS | _COMPARISON
+    if field.residuals:
+        needed |= _COLOR_HEAD | _THERMAL_HEAD | (_EXCHANGE if field.neighbours_k > 0 else {})
+    if loss.smooth > 0 and max(loss.smooth_rgb, loss.smooth_thermal, loss.smooth_depth) > 0:
+        needed |= _SMOOTHNESS
+    if config.image_model.point_spread:
+        needed |= _BLUR
+    if config.radiation is not None:
+        needed |= _CONVOLUTION
+    return needed
+
+
+def _is_saved(name: str) -> bool:
+    """Whether a kernel lies compiled on disk, or is not compiled at all (NUMBA_DISABLE_JIT)."""
+    module, _, function = name.rpartition(".")
+    dispatcher: Any = getattr(import_module(f"mrgs.kernels.{module}"), function)
+    return dispatcher._cache.is_saved if is_jitted(dispatcher) else True
