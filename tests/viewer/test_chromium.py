@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from mrgs.pictures.palette import palette_table
+from mrgs.pictures.stage import PALETTE_CHOICES
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 from mrgs.viewer.painting import NO_SURFACE_COLOR
@@ -287,7 +288,5 @@ def test_the_end_of_the_viewer_is_said(browser, small_run):
 
 
 def test_what_shows_no_surface_has_a_colour_of_its_own():
-    tables = np.concatenate(
-        [palette_table(name) for name in ("inferno", "iron", "grey", "rainbow")]
-    )
+    tables = np.concatenate([palette_table(name) for name in PALETTE_CHOICES])
     assert np.abs(tables.astype(int) - NO_SURFACE_COLOR).sum(axis=1).min() > 15

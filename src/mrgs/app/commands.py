@@ -31,6 +31,9 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 QualityName = Literal["fast", "default", "best"]
 """As in ``mrgs.pipeline.quality``, which loads torch."""
 
+PaletteChoice = Literal["inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava"]
+"""As in ``mrgs.pictures.stage``, which loads torch; grey is white-hot."""
+
 T = TypeVar("T")
 
 Maybe = Annotated[T | None, tyro.conf.arg(help_behavior_hint="")]
@@ -240,7 +243,7 @@ class Render:
     """Scene folder, if it has moved since training."""
     split: Literal["eval", "train", "path"] = "eval"
     """Evaluation views, training views, or a camera path (frames; a video with mrgs[video])."""
-    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    palette: PaletteChoice = "inferno"
     """Palette of the thermal images."""
     frames: int = 120
     """Number of frames of the camera path."""
@@ -279,7 +282,7 @@ class Export:
     """Output folder; by default RUN/export."""
     scene: Maybe[Path] = None
     """Scene folder, if it has moved since training."""
-    palette: Literal["inferno", "iron", "grey", "rainbow"] = "inferno"
+    palette: PaletteChoice = "inferno"
     """Palette of the temperatures."""
     range_c: Maybe[tuple[float, float]] = None
     """°C of the palette's first and last colour; by default the scene's full range."""

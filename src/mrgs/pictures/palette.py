@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.interpolate import PchipInterpolator
 
-PaletteName = Literal["inferno", "iron", "grey", "rainbow", "depth", "error"]
+PaletteName = Literal[
+    "inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava", "depth", "error"
+]
 
 INVALID_COLOR = (208, 210, 214)
 """What is shown where a value is NaN."""
@@ -21,7 +23,12 @@ _CONTROL_COLORS: dict[PaletteName, str] = {
     "fcffa4",
     # What thermal cameras call iron: black, violet, red, orange, yellow, white.
     "iron": "000005 08106a 4a0c94 930f96 c52a66 e25624 f28a0a fabb1c fde36a ffffff",
+    # White-hot, as thermographers say; and its reverse.
     "grey": "000000 ffffff",
+    "black-hot": "ffffff 000000",
+    # As makers of cameras have them: blue over white to gold; night blue over red to white.
+    "arctic": "0a0a5c 1c3fb4 3f8be0 8fc9ee e8eef2 f2d39b e8a23c b8661a",
+    "lava": "04101c 0f3b57 1d6a6a 8a2f2a c8341a ec6a14 f9ac28 fde27a ffffff",
     # Cold to warm by hue; for eyes used to it, since its lightness does not rise evenly.
     "rainbow": "1c1a7a 2457d6 1f9fe0 22c7b0 55cf5a b5d635 f2c52e f08a24 dc4120 8f1020",
     # For a scale that runs from far to near: near is light.

@@ -22,11 +22,20 @@ MARKS_STYLE = "pictures/web/marks.css"
 STAGE_SCRIPTS = (
     "pictures/web/navigation.js",
     "pictures/web/scale.js",
+    "pictures/web/isotherm.js",
     "pictures/web/marks.js",
 )
 """Scripts of the same: where the camera is, and the scale beside it."""
 
-PALETTE_CHOICES: tuple[PaletteName, ...] = ("inferno", "iron", "grey", "rainbow")
+PALETTE_CHOICES: tuple[PaletteName, ...] = (
+    "inferno",
+    "iron",
+    "grey",
+    "black-hot",
+    "rainbow",
+    "arctic",
+    "lava",
+)
 """Palettes that the reader of such a page may choose."""
 
 

@@ -62,7 +62,8 @@ def render_pane(
         regions: surfaces with an emissivity of their own; None shows what the photos have.
     """
     with torch.no_grad():
-        rendering, _ = render(model, subject.cameras(camera))
+        cameras = subject.cameras(camera)
+        rendering, _ = render(model, cameras, with_median_depth=bool(regions))
     depth = to_array(surface_depth(rendering))
     if as_photo_of is not None:
         rendering = subject.camera_response(rendering, as_photo_of)

@@ -153,8 +153,9 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
         1,
     )
     assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [
-        {"selected": None}
-    ] * 2
+        {"value": "iron", "selected": None},
+        {"selected": None},
+    ]
     for chosen in ("iron", "view 3"):
         assert f"<option selected>{chosen}</option>" in path.read_text(encoding="utf-8")
 
@@ -165,7 +166,7 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
         ({"modalities": ()}, "the page needs at least one modality to show"),
         (
             {"palette": "depth"},
-            "the page has no palette depth; choose one of inferno, iron, grey, rainbow",
+            "the page has no palette depth; choose one of inferno, iron, grey, black-hot,",
         ),
         ({"range_c": (30.0, 30.0)}, "the temperature range 30 to 30 must rise"),
         ({"range_c": (float("nan"), 30.0)}, "the temperature range nan to 30 must rise"),

@@ -73,9 +73,7 @@ class Page {
     for (const id of ["low", "high"]) element(id).addEventListener("change", () => this.readRange());
     element("fit").addEventListener("click", () => this.fit());
     element("whole").addEventListener("click", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
-    for (const id of ["isotherm", "isotherm-low", "isotherm-high"]) {
-      element(id).addEventListener("change", () => this.readIsotherm());
-    }
+    this.isothermControl = new IsothermControl(() => this.readIsotherm());
     const cameras = element("camera");
     cameras.addEventListener("change", () => this.jumpTo(cameras.selectedIndex));
     element("previous").addEventListener("click", () => this.jumpTo(cameras.selectedIndex - 1));
@@ -103,7 +101,7 @@ class Page {
     this.scaled = modality;
     const { unit } = modality.scale;
     element("scale-title").textContent = `${modality.label} scale${unit ? `, ${unit}` : ""}`;
-    element("isotherm-low").value = "";
+    this.isothermControl.reset(modality.range, modality.scale);
     this.setRange(...modality.range);
   }
 
@@ -115,14 +113,10 @@ class Page {
 
   // Numbers as on the page.
   setRange(low, high) {
-    const { decimals, max } = this.scaled.scale;
+    const { decimals } = this.scaled.scale;
     this.range = [low, high];
     element("low").value = low.toFixed(decimals);
     element("high").value = high.toFixed(decimals);
-    if (!element("isotherm-low").value) {
-      element("isotherm-low").value = (low + 0.75 * (high - low)).toFixed(decimals);
-      element("isotherm-high").value = max.toFixed(decimals);
-    }
     this.readIsotherm();
     this.drawScale();
   }
@@ -151,9 +145,8 @@ class Page {
   }
 
   readIsotherm() {
-    const band = ["isotherm-low", "isotherm-high"].map((id) => element(id).valueAsNumber);
-    const on = element("isotherm").checked && band.every(Number.isFinite);
-    this.isotherm = on ? band.map((number) => this.scaled.scale.normalised(number)) : [1, 0];
+    const band = this.isothermControl.band;
+    this.isotherm = band ? band.map((number) => this.scaled.scale.normalised(number)) : [1, 0];
     this.requestFrame();
   }
 

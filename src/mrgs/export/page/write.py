@@ -77,7 +77,7 @@ def write_page(
         cameras: of the captured views, by name.
         title: heading of the page.
         path: ends with .html.
-        palette: inferno, iron, grey or rainbow; the reader may choose another.
+        palette: one of ``PALETTE_CHOICES``; the reader may choose another.
         range_c: temperatures at the ends of the palette, °C (normalised without °C); None takes
             those of what some of the cameras see.
         max_splats: keep only this many, those that paint most of the photos.

@@ -149,6 +149,7 @@ class Page {
       onHome: () => this.home(),
     });
     this.setMode(0);
+    this.ready = true;
     this.home();
     new ResizeObserver(() => this.pictures.moving()).observe(this.canvas);
   }
@@ -164,7 +165,7 @@ class Page {
       element("modes").append(button);
     }
     modes.forEach(({ label, compares }, index) => { if (compares) element("compare").add(new Option(label, index)); });
-    for (const name of choices) element("palette").add(new Option(name));
+    for (const name of choices) element("palette").add(new Option(name === "grey" ? "grey (white-hot)" : name, name));
     for (const { name } of views) element("photo").add(new Option(name));
     element("photo-section").hidden = views.length === 0;
     element("measure-section").hidden = !marks;
@@ -177,7 +178,8 @@ class Page {
     pressed("home", () => this.home());
     changed(["compare"], () => this.choose(element("compare").value === "" ? 0 : Number(element("compare").value)));
     element("share").addEventListener("input", () => this.sendChoices());
-    changed(["palette", "isotherm", "isotherm-low", "isotherm-high"], () => this.sendChoices());
+    changed(["palette"], () => this.sendChoices());
+    this.isotherm = new IsothermControl(() => { if (this.ready) this.sendChoices(); });
     changed(["low", "high"], () => this.readRange());
     changed(["follow"], () => this.setFollow(element("follow").checked));
     pressed("fit", () => { this.setFollow(false); this.connection.send("act", { what: "fit" }); });
@@ -244,7 +246,7 @@ class Page {
     this.scaled = this.modalities[name];
     const { unit } = this.scaled.scale;
     element("scale-title").textContent = `${this.scaled.label} scale${unit ? `, ${unit}` : ""}`;
-    element("isotherm-low").value = "";
+    this.isotherm.reset(this.scaled.range, this.scaled.scale);
     this.showRange();
   }
 
@@ -254,9 +256,6 @@ class Page {
     const number = (value) => value.toFixed(scale.decimals);
     [element("low").value, element("high").value] = [number(low), number(high)];
     element("follow").checked = follow;
-    if (element("isotherm-low").value) return;
-    element("isotherm-low").value = number(low + 0.75 * (high - low));
-    element("isotherm-high").value = number(scale.max);
   }
 
   setRange(low, high) {
@@ -286,14 +285,12 @@ class Page {
   }
 
   sendChoices() {
-    const band = ["isotherm-low", "isotherm-high"].map((id) => element(id).valueAsNumber);
-    const marked = element("isotherm").checked && band.every(Number.isFinite);
     this.connection.send("choose", {
       mode: this.mode,
       palette: element("palette").value,
       scaled: this.scaled?.name ?? null,
       limits: this.scaled && !this.scaled.follow ? this.scaled.range : null,
-      isotherm: marked ? band : null,
+      isotherm: this.scaled ? this.isotherm.band : null,
       share: Number(element("share").value) / 100,
     });
   }
