@@ -431,14 +431,15 @@ def _fitted(parts: Mapping[str, str], width: int) -> str:
 
 def _plan(scene: Scene, config: RunConfig) -> str:
     """Method, steps, cap on the Gaussians, and the memory needed."""
-    from mrgs.pipeline.computer import kernels_are_compiled
     from mrgs.training import TrainConfig, estimate_bytes
+    from mrgs.training.compilation import compiling_progress
 
     if not isinstance(config, TrainConfig):
         return f"{config.method}, {config.max_steps:,} steps"
     cap = config.densification.max_gaussians
+    compiles = compiling_progress(config).seconds_left > 0
     first, last = (
-        estimate_bytes(scene, config, count, compiles=not kernels_are_compiled()) / 2**30
+        estimate_bytes(scene, config, count, compiles=compiles) / 2**30
         for count in (min(len(scene.points.positions), cap), cap)
     )
     return (
