@@ -420,6 +420,7 @@ def _export(command: Export) -> None:
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     folder = command.output or command.run / "export"
+    maps = command.maps()
     scene = run.load_scene()
     with counter("export", expect_export(run, scene, command.format)) as progress:
         paths = export(
@@ -429,6 +430,7 @@ def _export(command: Export) -> None:
             folder,
             command.palette,
             command.range_c,
+            maps,
             on_baked=print_baking_loss,
             progress=progress,
         )

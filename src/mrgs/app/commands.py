@@ -16,6 +16,7 @@ from mrgs.export.formats import FORMATS
 from mrgs.runs.registry import registered_methods
 
 if TYPE_CHECKING:
+    from mrgs.export.maps.options import MapOptions
     from mrgs.prepare import PrepareOptions
 
 METHOD_NAMES = [each.name for each in registered_methods()]
@@ -270,7 +271,7 @@ class ViewRun:
 
 @dataclass(frozen=True)
 class Export:
-    """Export a run: splats, points, a mesh, cameras, a web page.
+    """Export a run: splats, points, a mesh, cameras, a web page, maps in °C.
 
     The page is one HTML file with everything in it: colour, temperature, °C under the cursor.
     """
@@ -286,6 +287,25 @@ class Export:
     """Palette of the temperatures."""
     range_c: Maybe[tuple[float, float]] = None
     """°C of the palette's first and last colour; by default the scene's full range."""
+    plane: Maybe[tuple[str, str, str]] = None
+    """Three points X,Y,Z of the facade for --format elevation: lower left, lower right, one above
+    them; by default it is found."""
+    pixel_size: Maybe[float] = None
+    """Pixel size of the maps (ortho, elevation) in metres; by default that of the photos."""
+    crs: Maybe[str] = None
+    """Projected coordinate system in metres, such as EPSG:25832, for ortho and las; by default UTM
+    on WGS 84."""
+
+    def maps(self) -> MapOptions:
+        """The choices for the maps.
+
+        Raises:
+            ConfigError: a value that cannot be used.
+        """
+        from mrgs.export.maps.options import MapOptions, parse_plane
+
+        plane = None if self.plane is None else parse_plane(*self.plane)
+        return MapOptions(plane, self.pixel_size, self.crs)
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,14 @@ class Format:
         export: writes the files of an ``ExportJob``; returns their paths.
         require: raises ConfigError, before anything is written, if the format cannot be written for
             a scene.
+        in_all: whether an export of all formats includes it; maps are not of use to every scene.
     """
 
     name: str
     files: str
     export: Callable[..., Any]
     require: Callable[..., Any] = lambda scene: None
+    in_all: bool = True
 
 
 def _format(name: str, files: str, **options: Any) -> Format:
@@ -47,6 +49,18 @@ _FORMATS = (
     _format("mesh", "triangles with colour and temperature"),
     _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
     _format("page", "one HTML file"),
+    _format(
+        "ortho",
+        "map from above in °C: GeoTIFF and PNG; not part of all",
+        require=imported("mrgs.export.ortho", "require"),
+        in_all=False,
+    ),
+    _format(
+        "elevation",
+        "map of a façade in °C: GeoTIFF and PNG; not part of all",
+        require=imported("mrgs.export.elevation", "require"),
+        in_all=False,
+    ),
 )
 
 FORMATS: dict[str, Format] = {each.name: each for each in _FORMATS}

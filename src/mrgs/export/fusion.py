@@ -6,12 +6,11 @@ B. Curless and M. Levoy, "A Volumetric Method for Building Complex Models from R
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
-import torch
 from jaxtyping import Bool, Float32, Float64
 
 from mrgs.scene.depth_map import DepthMap, visible
@@ -71,9 +70,7 @@ def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray,
 def _grid_of(maps: Sequence[DepthMap], resolution: int) -> Grid:
     """A box about the seen points, its step no finer than the median width of a pixel on the
     surfaces."""
-    points = np.concatenate(
-        [unprojected for item in maps for unprojected in _unproject(item, (0.0,))]
-    )
+    points = np.concatenate([item.points() for item in maps])
     low, high = np.percentile(points, [BOUNDS_PERCENTILE, 100 - BOUNDS_PERCENTILE], axis=0)
     surfaces = [(item.depth[np.isfinite(item.depth)], float(item.camera.K[0, 0])) for item in maps]
     pixel = np.median([np.median(depth) / focal for depth, focal in surfaces if len(depth)])
@@ -88,18 +85,9 @@ def _band(maps: Sequence[DepthMap], grid: Grid) -> Bool[np.ndarray, "x y z"]:
     band = np.zeros(grid.shape, dtype=bool)
     offsets = tuple(grid.step * k for k in range(-TRUNCATION_VOXELS, TRUNCATION_VOXELS + 1))
     for item in maps:
-        for points in _unproject(item, offsets):
+        for offset in offsets:
+            points = item.points(offset)
             nearest = np.rint((points - grid.origin) / grid.step).astype(np.int64)
             nearest = nearest[((nearest >= 0) & (nearest < grid.shape)).all(axis=1)]
             band[tuple(nearest.T)] = True
     return scipy.ndimage.binary_dilation(band)
-
-
-def _unproject(item: DepthMap, offsets: Sequence[float]) -> Iterator[Float64[np.ndarray, "m 3"]]:
-    """World coordinates of the pixels whose depth is known, each offset added to the depth in
-    turn."""
-    row, column = np.nonzero(np.isfinite(item.depth))
-    pixels = torch.from_numpy(np.stack([column, row], axis=1) + 0.5)
-    depth = torch.from_numpy(item.depth[row, column].astype(np.float64))
-    for offset in offsets:
-        yield item.camera.unproject(pixels, depth + offset).numpy()

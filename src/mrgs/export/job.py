@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from mrgs.export.loss import BakingLoss
+from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
 from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats
 from mrgs.export.surface_points import SurfacePoints, surface_points
@@ -36,6 +37,7 @@ class ExportJob:
         loss: PSNR lost by baking, dB; None without a run.
         palette: of the temperatures.
         limits_c: °C of the palette's first and last colour, as the caller gave them.
+        maps: choices for the maps.
     """
 
     baked: BakedModel
@@ -48,6 +50,7 @@ class ExportJob:
     loss: BakingLoss | None
     palette: PaletteName
     limits_c: tuple[float, float] | None
+    maps: MapOptions
 
     @property
     def modalities(self) -> tuple[Modality, ...]:

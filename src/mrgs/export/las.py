@@ -9,6 +9,7 @@ from types import ModuleType
 import numpy as np
 
 from mrgs.errors import ConfigError
+from mrgs.export.crs import CoordinateSystem, coordinate_system, require_pyproj
 from mrgs.export.job import ExportJob, described
 from mrgs.export.rendered import COLORS
 from mrgs.export.surface_points import SurfacePoints
@@ -28,23 +29,33 @@ needs."""
 
 def export(job: ExportJob) -> list[Path]:
     """Write ``points.las`` and its sidecar."""
-    return described(write_las(job.folder / "points.las", job.points), job.surface_facts)
+    system = coordinate_system(job.scene, job.maps.crs) if job.scene.world.metric else None
+    facts = job.surface_facts
+    if system is not None:
+        facts |= {"crs": system.name, "coordinates": "in the CRS"}
+    return described(write_las(job.folder / "points.las", job.points, system), facts)
 
 
 def require(scene: Scene) -> None:
     """Check that LAS files can be written.
 
     Raises:
-        ConfigError: laspy is not installed.
+        ConfigError: laspy is not installed, or pyproj, which a scene with a place on Earth needs.
     """
     require_laspy()
+    if scene.world.is_georeferenced:
+        require_pyproj()
 
 
-def write_las(path: Path, points: SurfacePoints) -> Path:
+def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None = None) -> Path:
     """Write coordinates, 16-bit RGB, and as float32 the dimensions ``temperature_c`` (or
     _normalised), other modalities by name, and ``opacity``.
 
-    There is no coordinate reference system: positions are in the scene's own frame.
+    Args:
+        path: of the file.
+        points: in the scene's own frame.
+        system: the coordinate reference system to write them in; None writes them as they are, and
+            names none.
 
     Raises:
         ConfigError: laspy is not installed.
@@ -59,6 +70,10 @@ def write_las(path: Path, points: SurfacePoints) -> Path:
         [laspy.ExtraBytesParams(name, np.float32, UNITS.get(name, "no unit")) for name in columns]
     )
     positions = points.positions.astype(np.float64)
+    if system is not None:
+        positions = system.apply(positions)
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(system.wkt))
+        header.global_encoding.wkt = True
     low, high = positions.min(axis=0), positions.max(axis=0)
     header.offsets = low
     header.scales = np.full(

@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from mrgs.export.crs import place_facts
 from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.pictures.values import unit_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import write_text
+
+UP_SNAP = np.array([0.0, 0.0, 1.0])
 
 MAX_TILT = 0.15
 """Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
@@ -49,7 +52,10 @@ def facts_of(
         "scene": scene.name,
         "splats": len(baked),
         "frame": "the scene's own world frame, right-handed, as in its camera file",
-        "length_unit": "scene unit (a metre if the scene's camera poses are in metres)",
+        "length_unit": "metre"
+        if scene.world.metric
+        else "scene unit (a metre if the scene's camera poses are in metres)",
+        **place_facts(scene),
         "up": None if up is None else [round(float(x), 6) for x in up],
         "up_from": "the cameras, taken to be level" if up is not None else "not known",
         "camera_axes": "OpenCV: x right, y down, z forward",

@@ -11,6 +11,7 @@ from mrgs.errors import ConfigError, MrgsError, MrgsWarning, WriteError
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
 from mrgs.export.loss import BakingLoss, baking_loss_db
+from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import facts_of, up_direction
 from mrgs.export.splats import require_exportable, thermal_scale
 from mrgs.marks import open_marks
@@ -22,6 +23,8 @@ from mrgs.scene import Scene
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
 
+DEFAULT_MAPS = MapOptions()
+
 BAKING = "baking"
 """The part of an export before its formats: the model as plain splats."""
 
@@ -32,6 +35,7 @@ def export_run(
     format: str = "all",
     palette: PaletteName = "inferno",
     limits_c: tuple[float, float] | None = None,
+    maps: MapOptions = DEFAULT_MAPS,
 ) -> list[Path]:
     """Write a run in one format, or in all that can be written here, for other programs; returns
     the paths.
@@ -43,15 +47,16 @@ def export_run(
         format: the name of one of ``mrgs.export.FORMATS``, or ``all``.
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
+        maps: choices for ``ortho`` and ``elevation``.
 
     Raises:
-        ConfigError: an unknown format, limits that cannot be used, or an extra that is not
-            installed.
+        ConfigError: an unknown format, limits that cannot be used, an extra that is not installed,
+            or a map that the scene does not allow.
         RunError: the model cannot be exported, or a file cannot be written.
         SceneError: the scene or a photo cannot be read.
     """
     target = run.folder.path / "export" if folder is None else Path(folder)
-    return export(run, run.load_scene(), format, target, palette, limits_c)
+    return export(run, run.load_scene(), format, target, palette, limits_c, maps)
 
 
 def export(
@@ -61,6 +66,7 @@ def export(
     folder: Path,
     palette: PaletteName = "inferno",
     limits_c: tuple[float, float] | None = None,
+    maps: MapOptions = DEFAULT_MAPS,
     on_baked: Callable[[BakingLoss], None] | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
@@ -83,6 +89,7 @@ def export(
         folder: made if it does not exist; files of these names are replaced.
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
+        maps: choices for ``ortho`` and ``elevation``.
         on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each part with its number, the number of parts, and its name: first
             ``BAKING``, then each format.
@@ -97,14 +104,14 @@ def export(
         SceneError: a photo cannot be read.
     """
     if format == "all":
-        chosen = [each for each in FORMATS.values() if _is_writable(each, scene)]
+        chosen = [each for each in FORMATS.values() if each.in_all and _is_writable(each, scene)]
     else:
         names = [format] if isinstance(format, str) else format
         chosen = [_required(name, scene) for name in names]
     parts = [BAKING, *(each.name for each in chosen)]
     report = progress or (lambda number, count, name: None)
     report(1, len(parts), BAKING)
-    job = _job(model, scene, folder, palette, limits_c)
+    job = _job(model, scene, folder, palette, limits_c, maps)
     if job.loss is not None and on_baked is not None:
         on_baked(job.loss)
     paths = []
@@ -151,6 +158,7 @@ def _job(
     folder: Path,
     palette: PaletteName,
     limits_c: tuple[float, float] | None,
+    maps: MapOptions,
 ) -> ExportJob:
     run = model if isinstance(model, Run) else None
     baked = (
@@ -164,4 +172,4 @@ def _job(
     if run is not None and (marks := open_marks(run)).marks.marks:
         baked = marks.meter.regions(marks.marks).of_splats(baked)
     facts = facts_of(baked, scene, up, loss)
-    return ExportJob(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c)
+    return ExportJob(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c, maps)

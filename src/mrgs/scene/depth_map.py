@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.view import evenly_spaced
@@ -41,6 +41,14 @@ class DepthMap:
     camera: Camera
     depth: Float32[np.ndarray, "h w"]
     image: Float32[np.ndarray, "h w c"]
+
+    def points(self, offset: float = 0.0) -> Float64[np.ndarray, "m 3"]:
+        """World coordinates of the pixels whose depth is known, ``offset`` (scene units) added to
+        it."""
+        row, column = np.nonzero(np.isfinite(self.depth))
+        pixels = torch.from_numpy(np.stack([column, row], axis=1) + 0.5)
+        depth = torch.from_numpy(self.depth[row, column].astype(np.float64))
+        return self.camera.unproject(pixels, depth + offset).numpy()
 
 
 def carry_over(

@@ -1,0 +1,219 @@
+"""The coordinate reference system (CRS) of exported coordinates.
+
+Where GPS placed the scene, coordinates become those of a projected CRS: UTM on WGS 84, or any other
+in metres. East, north, up at the scene's origin (ENU) and map coordinates differ by more than a
+similarity, but over a scene by millimetres; what is left is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.errors import ConfigError
+from mrgs.scene import EarthPosition, Scene
+
+UTM_LATITUDES_DEG = (-80.0, 84.0)
+"""UTM is defined between these."""
+
+UTM_NORTH, UTM_SOUTH = 32600, 32700
+"""EPSG codes of UTM on WGS 84, to which the number of the zone is added."""
+
+LOCAL_NAME = "the scene's own frame, metres"
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateSystem:
+    """Where exported coordinates lie.
+
+    Attributes:
+        name: for people, such as ``EPSG:32632, WGS 84 / UTM zone 32N``.
+        wkt: as well-known text of 2001 (WKT 1), which GIS and LAS readers know best.
+        matrix: from the scene's coordinates (x, y, z, 1) to easting, northing and height above sea
+            level in metres, [4, 4]; the identity in a scene without a place on Earth.
+        north: whether its second axis points north.
+        residual_m: largest distance, over the scene, between ``matrix`` and the exact projection.
+    """
+
+    name: str
+    wkt: str
+    matrix: Float64[np.ndarray, "4 4"]
+    north: bool
+    residual_m: float
+
+    @property
+    def scale(self) -> float:
+        """Map metres per metre on the ground: 0.9996 in the middle of a UTM zone."""
+        return float(np.hypot(self.matrix[0, 0], self.matrix[1, 0]))
+
+    def apply(self, positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Coordinates of points of the scene, [N, 3]."""
+        return np.einsum("ij,nj->ni", self.matrix[:3, :3], positions) + self.matrix[:3, 3]
+
+    def facts(self) -> dict[str, Any]:
+        """For a sidecar and header comments."""
+        return {
+            "crs": self.name,
+            "crs_from_scene": [[float(x) for x in row] for row in self.matrix],
+        }
+
+
+def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSystem:
+    """The CRS of a scene in metres: a projected one where GPS placed the scene, else a local one.
+
+    Args:
+        scene: what is exported.
+        wanted: a projected CRS in metres, such as ``EPSG:25832``; None takes the UTM zone.
+
+    Raises:
+        ConfigError: the scene is not known to be in metres; the wanted CRS does not exist, is not
+            in metres, does not cover the scene, or the scene has no place on Earth; or pyproj is
+            not installed.
+    """
+    world = scene.world
+    if not world.metric:
+        raise ConfigError(
+            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS "
+            f"or a known distance; if its poses are in metres, add "
+            f'"georeference": {{"units": "metres"}} to its transforms.json',
+            options=("known_distance",),
+        )
+    if not world.is_georeferenced or world.origin is None:
+        if wanted is not None:
+            raise ConfigError(
+                f"{scene.name} has no place on Earth, so {wanted} cannot be used: prepare it from "
+                f"photos with GPS, or leave the CRS out",
+                options=("crs",),
+            )
+        return CoordinateSystem(LOCAL_NAME, local_wkt(scene.name), np.eye(4), False, 0.0)
+    pyproj = require_pyproj()
+    crs = _utm(pyproj, world.origin) if wanted is None else _wanted(pyproj, wanted, world.origin)
+    code = crs.to_authority()
+    name = crs.name if code is None else f"{':'.join(code)}, {crs.name}"
+    matrix, residual_m = _from_scene(pyproj, crs, world.origin, scene.reach.radius)
+    return CoordinateSystem(name, crs.to_wkt("WKT1_GDAL"), matrix, True, residual_m)
+
+
+def known_coordinate_system(scene: Scene) -> CoordinateSystem | None:
+    """The CRS of formats that do without one: None where the scene has no scale, or has a place on
+    Earth and pyproj is not installed."""
+    try:
+        return coordinate_system(scene)
+    except ConfigError:
+        return None
+
+
+def place_facts(scene: Scene) -> Mapping[str, Any]:
+    """What is known of the scene's place, for a sidecar and header comments; needs no package."""
+    world = scene.world
+    if not world.metric:
+        return {}
+    facts: dict[str, Any] = {"axes": "east, north, up" if world.north else "not known"}
+    if world.origin is not None:
+        facts["origin"] = world.origin._asdict()
+    if world.residual_m is not None:
+        facts["gps_residual_m"] = round(world.residual_m, 3)
+    system = known_coordinate_system(scene)
+    return facts if system is None else facts | system.facts()
+
+
+def local_wkt(name: str) -> str:
+    """A local CRS in metres, as well-known text of 2001."""
+    quoted = "".join(char for char in name if char.isprintable() and char not in '"[]')
+    return (
+        f'LOCAL_CS["{quoted}",LOCAL_DATUM["origin of the scene",0],UNIT["metre",1],'
+        f'AXIS["x",EAST],AXIS["y",NORTH]]'
+    )
+
+
+def require_pyproj() -> ModuleType:
+    """Import the package pyproj.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        import pyproj
+    except ImportError:
+        raise ConfigError(
+            'map coordinates need the package pyproj: pip install "mrgs[export]"'
+        ) from None
+    return pyproj
+
+
+def _utm(pyproj: ModuleType, origin: EarthPosition) -> Any:
+    low, high = UTM_LATITUDES_DEG
+    if not low <= origin.latitude_deg <= high:
+        raise ConfigError(
+            f"UTM ends at {low:g}° and {high:g}° of latitude, and the scene lies at "
+            f"{origin.latitude_deg:.4f}°: give a polar CRS, such as EPSG:3413 or EPSG:3031",
+            options=("crs",),
+        )
+    zone = min(int((origin.longitude_deg + 180) // 6) + 1, 60)
+    return pyproj.CRS.from_epsg((UTM_NORTH if origin.latitude_deg >= 0 else UTM_SOUTH) + zone)
+
+
+def _wanted(pyproj: ModuleType, wanted: str, origin: EarthPosition) -> Any:
+    try:
+        crs = pyproj.CRS.from_user_input(wanted)
+    except pyproj.exceptions.CRSError:
+        raise ConfigError(
+            f"unknown CRS {wanted!r}; give a code such as EPSG:25832", options=("crs",)
+        ) from None
+    if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
+        raise ConfigError(
+            f"{wanted} ({crs.name}) is not a projected CRS in metres; give one such as EPSG:25832",
+            options=("crs",),
+        )
+    area = crs.area_of_use
+    if area is not None and not _covers(area, origin):
+        raise ConfigError(
+            f"{wanted} ({crs.name}) does not cover the scene at {origin.latitude_deg:.4f}°, "
+            f"{origin.longitude_deg:.4f}°; choose one that does, or leave it out for UTM",
+            options=("crs",),
+        )
+    return crs
+
+
+def _covers(area: Any, origin: EarthPosition) -> bool:
+    west, east, longitude = area.west, area.east, origin.longitude_deg
+    within = west <= longitude <= east if west <= east else longitude >= west or longitude <= east
+    return within and area.south <= origin.latitude_deg <= area.north
+
+
+def _from_scene(
+    pyproj: ModuleType, crs: Any, origin: EarthPosition, radius: float
+) -> tuple[Float64[np.ndarray, "4 4"], float]:
+    """The similarity from ENU to a projected CRS that fits best in the plane within a radius
+    (metres), and the largest distance from the exact projection there; heights are kept."""
+    height = origin.altitude_m or 0.0
+    place = f"+lat_0={origin.latitude_deg!r} +lon_0={origin.longitude_deg!r} +h_0={height!r}"
+    to_degrees = pyproj.Transformer.from_pipeline(
+        f"+proj=pipeline +step +inv +proj=topocentric +ellps=WGS84 {place} "
+        f"+step +inv +proj=cart +ellps=WGS84 +step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    )
+    to_map = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    steps = radius * np.linspace(-1, 1, 5)
+    east, north = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    longitude, latitude, _ = to_degrees.transform(east, north, np.zeros_like(east))
+    there = np.array(to_map.transform(longitude, latitude))
+    here = np.stack([east, north])
+    # A plane's similarity is one complex factor: (E + iN) = factor · (east + i north) + offset.
+    scene, target = here[0] + 1j * here[1], there[0] + 1j * there[1]
+    offset = target.mean()
+    factor = np.vdot(scene, target - offset) / np.vdot(scene, scene)
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[factor.real, -factor.imag], [factor.imag, factor.real]]
+    matrix[:3, 3] = offset.real, offset.imag, height
+    residual = np.abs(factor * scene + offset - target).max()
+    if not np.isfinite(residual):
+        raise ConfigError(
+            f"{crs.name} has no coordinates for the scene's place; choose another CRS",
+            options=("crs",),
+        )
+    return matrix, float(residual)

@@ -1,0 +1,1 @@
+"""Orthographic maps in °C: from above, and of a façade."""

@@ -1,0 +1,144 @@
+"""An orthographic map of a model: temperatures, colours, and what the photos say of both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+
+from mrgs.errors import ConfigError, RunError
+from mrgs.export.maps.grid import MapGrid, unprojected
+from mrgs.export.maps.photos import (
+    PhotoStatistics,
+    on_seen_surface,
+    photo_map,
+    thermal_photos,
+)
+from mrgs.export.splats import to_float32
+from mrgs.rasterizer import median_depth
+from mrgs.runs.baked import BakedModel
+from mrgs.scene import RGB, Camera, Modality, Scene
+from mrgs.scene.depth_map import DepthMap
+
+MAX_PIXELS = 50_000_000
+"""Of a map; drawing it takes some 60 bytes for each."""
+
+PART_PX = 1024
+"""Maps are drawn in parts of so many pixels in width and height."""
+
+BANDS = {
+    "temperature_c": "°C",
+    "red": "0 to 255",
+    "green": "0 to 255",
+    "blue": "0 to 255",
+    "photos": "thermal photos that show the place",
+    "scatter_c": "°C, standard deviation of the photos' readings",
+}
+"""Names of the bands, and their units."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrthographicMap:
+    """A map.
+
+    Attributes:
+        grid: its plane and pixels.
+        bands: see ``BANDS``; NaN where there is no surface, temperatures also where no photo
+            looked, the scatter where fewer than two did, [6, H, W].
+    """
+
+    grid: MapGrid
+    bands: Float32[np.ndarray, "b h w"]
+
+    @property
+    def celsius(self) -> Float32[np.ndarray, "h w"]:
+        """Temperatures, °C."""
+        return self.bands[0]
+
+
+def draw_map(
+    baked: BakedModel, scene: Scene, maps: Sequence[DepthMap], grid: MapGrid
+) -> OrthographicMap:
+    """Draw the splats on surfaces that photos show, seen from very far away.
+
+    The drawing gives the surface of each pixel and its colour. Its temperature is the mean of what
+    the cameras of the photos see there in the model, as in all exports: from where no photo was
+    taken, splats may leave gaps.
+
+    Args:
+        baked: the model.
+        scene: that it was trained on.
+        maps: its surfaces, see ``survey``.
+        grid: the pixels.
+
+    Raises:
+        ConfigError: the map has more than ``MAX_PIXELS``.
+        RunError: no photo shows anything of it.
+    """
+    if grid.width * grid.height > MAX_PIXELS:
+        raise ConfigError(
+            f"the map would have {grid.width}×{grid.height} pixels of {grid.pixel_m:g} m, more "
+            f"than {MAX_PIXELS:,}; choose larger pixels",
+            options=("pixel_size_m",),
+        )
+    means = to_float32(baked.means)
+    rows = np.flatnonzero(grid.inside(means.astype(np.float64)) & on_seen_surface(maps, means))
+    splats = baked.subset(torch.from_numpy(rows).to(baked.means.device))
+    bands = np.full((len(BANDS), grid.height, grid.width), np.nan, np.float32)
+    points = np.full((grid.height, grid.width, 3), np.nan, np.float32)
+    for part, camera in _parts(grid):
+        bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera)
+    statistics = PhotoStatistics(points, grid)
+    for image in thermal_photos(scene):
+        statistics.add(photo_map(baked, scene, image))
+    if not statistics.photos.any():
+        raise RunError("no thermal photo shows a surface of this map: check its plane")
+    bands[0], bands[5] = statistics.celsius, statistics.scatter_c
+    bands[4] = np.where(np.isfinite(points[..., 0]), statistics.photos, np.nan)
+    return OrthographicMap(grid, bands)
+
+
+def _parts(grid: MapGrid) -> Iterator[tuple[tuple[slice, slice], Camera]]:
+    """Rows and columns of the parts of a map, and the camera of each."""
+    for top in range(0, grid.height, PART_PX):
+        for left in range(0, grid.width, PART_PX):
+            width, height = min(PART_PX, grid.width - left), min(PART_PX, grid.height - top)
+            part = slice(top, top + height), slice(left, left + width)
+            yield part, grid.camera(left, top, width, height)
+
+
+def _draw_part(
+    splats: BakedModel, scene: Scene, camera: Camera
+) -> tuple[Float32[np.ndarray, "3 h w"], Float32[np.ndarray, "h w 3"]]:
+    """Colours, 0 to 255, and points of the surface; NaN where there is none."""
+    size = camera.height, camera.width
+    colors, points = (np.full(shape, np.nan, np.float32) for shape in ((3, *size), (*size, 3)))
+    if not len(splats):
+        return colors, points
+    depth = _opaque_depth(splats, camera, scene.modalities[0])
+    surface = np.isfinite(depth)
+    points[surface] = unprojected(camera, depth)[surface]
+    if RGB in scene.modalities:
+        blend = splats.render({RGB: camera})[RGB]
+        # The light that gets through gaps between splats is black: it is no colour of a surface.
+        opaque = blend.image / blend.alpha.clamp_min(0.5)[..., None]
+        colors[:, surface] = 255 * to_float32(opaque).clip(0, 1)[surface].T
+    return colors, points
+
+
+def _opaque_depth(
+    splats: BakedModel, camera: Camera, modality: Modality
+) -> Float32[np.ndarray, "h w"]:
+    """Median z-depth (scene units) of a modality's surface; NaN where none is seen, [H, W].
+
+    The mean would lose digits from as far away as a map's camera stands.
+    """
+    K, viewmat, _ = camera.tensors(splats.means.device)
+    depth = median_depth(
+        splats.means, splats.quats, splats.scales, splats.opacities[modality],
+        viewmat, K, camera.width, camera.height,
+    )  # fmt: skip
+    return to_float32(depth)

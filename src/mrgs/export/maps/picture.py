@@ -1,0 +1,128 @@
+"""A map as a picture for people: colours, legend in °C, scale bar, north arrow."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from mrgs.export.maps.draw import OrthographicMap
+from mrgs.pictures.drawing import (
+    INK,
+    MUTED,
+    PAPER,
+    Scale,
+    blank,
+    draw_text,
+    fit_text,
+    scale_bar,
+    text_width,
+)
+from mrgs.pictures.palette import PaletteName, display_range, tick_labels
+
+SMALLEST_PX, LARGEST_PX = 900, 2400
+"""Width or height, whichever is larger, that the map itself has in the picture."""
+
+MARGIN = 36
+BAR_SHARE = 0.25
+"""Longest scale bar, as a share of the map's width."""
+
+
+class Caption(NamedTuple):
+    """The texts of a picture.
+
+    Attributes:
+        title: above the map.
+        subtitle: below the title.
+        footer: below the map.
+        north: whether up in the map is north.
+    """
+
+    title: str
+    subtitle: str
+    footer: str
+    north: bool
+
+
+def map_picture(
+    drawn: OrthographicMap,
+    caption: Caption,
+    palette: PaletteName,
+    limits_c: tuple[float, float] | None,
+) -> Image.Image:
+    """The temperatures of a map as a picture.
+
+    Args:
+        drawn: the map.
+        caption: its texts.
+        palette: of the temperatures.
+        limits_c: °C of the first and last colour; None takes those of the map.
+    """
+    low, high = display_range(drawn.celsius) if limits_c is None else limits_c
+    scale = Scale(palette, low, high, "°C")
+    colors = scale.colorize(drawn.celsius)
+    colors[np.isnan(drawn.celsius)] = PAPER
+    body, zoom = _fitted(Image.fromarray(colors))
+    legend = scale_bar(scale, min(body.height, 520), "vertical", size=20)
+    width = max(body.width, 480) + legend.width + 3 * MARGIN
+    top, bottom = 2 * MARGIN + 64, MARGIN + 96
+    picture = blank((width, top + body.height + bottom))
+    text = width - 2 * MARGIN
+    draw_text(picture, (MARGIN, MARGIN + 26), fit_text(caption.title, 30, text), 30, bold=True)
+    draw_text(picture, (MARGIN, MARGIN + 60), fit_text(caption.subtitle, 19, text), 19, MUTED)
+    picture.paste(body, (MARGIN, top))
+    picture.paste(legend, (width - MARGIN - legend.width, top))
+    metres_per_px = drawn.grid.pixel_m / zoom
+    below = top + body.height + MARGIN
+    _draw_length(picture, (MARGIN, below), body.width, metres_per_px)
+    if caption.north:
+        _draw_north(picture, (MARGIN + body.width - 24, below - 10))
+    draw_text(picture, (MARGIN, below + 78), fit_text(caption.footer, 17, text), 17, MUTED)
+    return picture
+
+
+def _fitted(image: Image.Image) -> tuple[Image.Image, float]:
+    """The image at a size for people, and its magnification."""
+    longest = max(image.size)
+    zoom = 1.0
+    if longest < SMALLEST_PX:
+        zoom = float(np.ceil(SMALLEST_PX / longest))
+    elif longest > LARGEST_PX:
+        zoom = LARGEST_PX / longest
+    size = (max(1, round(image.width * zoom)), max(1, round(image.height * zoom)))
+    how = Image.Resampling.NEAREST if zoom > 1 else Image.Resampling.BOX
+    return image.resize(size, how), zoom
+
+
+def _draw_length(
+    picture: Image.Image, position: tuple[int, int], width: int, metres_per_px: float
+) -> None:
+    """A bar of a round length in four fields, black and white in turn."""
+    metres = _round_down(BAR_SHARE * width * metres_per_px)
+    field = metres / metres_per_px / 4
+    draw = ImageDraw.Draw(picture)
+    left, top = position
+    for k in range(4):
+        box = (left + k * field, top, left + (k + 1) * field, top + 12)
+        draw.rectangle(box, fill=INK if k % 2 == 0 else PAPER, outline=INK)
+    unit, factor = ("m", 1.0) if metres >= 0.5 else ("cm", 100.0) if metres >= 0.01 else ("mm", 1e3)
+    zero, half, whole = tick_labels([0.0, factor * metres / 2, factor * metres])
+    draw_text(picture, (left, top + 34), zero, 18)
+    for label, place in ((half, 2), (f"{whole} {unit}", 4)):
+        draw_text(picture, (left + place * field, top + 34), label, 18, anchor="ms")
+
+
+def _draw_north(picture: Image.Image, position: tuple[float, float]) -> None:
+    """An arrow that points up, with an N below it."""
+    x, top = position
+    draw = ImageDraw.Draw(picture)
+    draw.polygon([(x, top), (x - 13, top + 40), (x, top + 31)], fill=INK)
+    draw.polygon([(x, top), (x + 13, top + 40), (x, top + 31)], fill=PAPER, outline=INK)
+    draw_text(picture, (x - text_width("N", 20) / 2, top + 62), "N", 20, bold=True)
+
+
+def _round_down(value: float) -> float:
+    """The last of 1, 2, 4 (which halve well) and 10 times a power of ten that is not above."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(f * power for f in (4, 2, 1) if f * power <= value * (1 + 1e-9)))

@@ -1,0 +1,100 @@
+"""A map's files: the GeoTIFF, the picture, and the sidecar of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.errors import ConfigError
+from mrgs.export.crs import coordinate_system, require_pyproj
+from mrgs.export.job import ExportJob, described
+from mrgs.export.maps.draw import BANDS, OrthographicMap
+from mrgs.export.maps.geotiff import require_rasterio, write_geotiff
+from mrgs.export.maps.picture import Caption, map_picture
+from mrgs.export.sidecar import UP_SNAP, comment_lines
+from mrgs.pictures.files import write_png
+from mrgs.scene import THERMAL, Scene
+from mrgs.scene.depth_map import DepthMap
+
+UNSEEN = "white: no surface, or no photo looked there"
+
+
+def require_map(scene: Scene) -> None:
+    """Check that a map of a scene can be written.
+
+    Raises:
+        ConfigError: rasterio or pyproj is not installed, the scene has no °C, or is not known to be
+            in metres.
+    """
+    require_rasterio()
+    require_pyproj()
+    if scene.temperature is None or THERMAL not in scene.modalities:
+        raise ConfigError(
+            f"{scene.name} has no temperatures in °C, which a map shows: give it a "
+            f"temperature_bounds.json, or thermal photos in °C"
+        )
+    coordinate_system(scene)
+
+
+def default_pixel_m(job: ExportJob, maps: Sequence[DepthMap]) -> float:
+    """Width of a photo's pixel on the surfaces (median), to two digits, metres; that of the first
+    modality, which has the finest pixels."""
+    focals = [float(camera.K[0, 0]) for camera in job.scene.train_cameras]
+    return float(f"{median_distance(maps) / np.median(focals):.1e}")
+
+
+def median_distance(maps: Sequence[DepthMap]) -> float:
+    """Median z-depth of the surfaces in depth maps."""
+    return float(np.median(np.concatenate([each.depth[np.isfinite(each.depth)] for each in maps])))
+
+
+def vertical(job: ExportJob) -> Float64[np.ndarray, "3"]:
+    """The up direction of the scene.
+
+    Raises:
+        ConfigError: it is not known.
+    """
+    if job.scene.world.north:
+        return UP_SNAP
+    if job.up is None:
+        raise ConfigError(
+            "which way is up in this scene is not known, because its photos were not taken level: "
+            "prepare it from photos with GPS"
+        )
+    return UP_SNAP if job.up @ UP_SNAP > np.cos(np.radians(3)) else job.up
+
+
+def write_map(
+    job: ExportJob,
+    name: str,
+    drawn: OrthographicMap,
+    wkt: str,
+    caption: Caption,
+    facts: dict[str, Any],
+) -> list[Any]:
+    """Write ``NAME.tif`` with its sidecar, and ``NAME.png``; returns the paths."""
+    grid = drawn.grid
+    facts = job.surface_facts | {
+        **facts,
+        "bands": BANDS,
+        "pixel_m": grid.pixel_m,
+        "map_corner_in_scene": [round(float(x), 6) for x in grid.lower_left],
+        "map_right_in_scene": [round(float(x), 9) for x in grid.axes[0]],
+        "map_up_in_scene": [round(float(x), 9) for x in grid.axes[1]],
+    }
+    tags = dict(line.split(": ", 1) for line in comment_lines(facts))
+    paths = described(write_geotiff(job.folder / f"{name}.tif", drawn, wkt, tags), facts)
+    picture = map_picture(drawn, caption, job.palette, job.limits_c)
+    return [*paths, write_png(job.folder / f"{name}.png", picture)]
+
+
+def summary(drawn: OrthographicMap) -> str:
+    """Temperatures and photos of a map, in one line."""
+    celsius = drawn.celsius[np.isfinite(drawn.celsius)]
+    photos = drawn.bands[4][np.isfinite(drawn.celsius)]
+    low, high = float(celsius.min()), float(celsius.max())
+    places = f"{np.median(photos):.0f} photos per place (median)"
+    return f"{low:.1f} to {high:.1f} °C · {places} · {UNSEEN}"

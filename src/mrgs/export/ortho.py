@@ -1,0 +1,110 @@
+"""``ortho.tif``: the scene from above in °C, as a GeoTIFF, and as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.export.crs import CoordinateSystem, coordinate_system
+from mrgs.export.job import ExportJob
+from mrgs.export.maps.draw import draw_map
+from mrgs.export.maps.grid import MapGrid
+from mrgs.export.maps.photos import survey
+from mrgs.export.maps.picture import Caption
+from mrgs.export.maps.write import (
+    default_pixel_m,
+    median_distance,
+    require_map,
+    summary,
+    vertical,
+    write_map,
+)
+from mrgs.scene import Scene
+from mrgs.scene.depth_map import DepthMap
+
+TIMES_MEDIAN = 2.5
+"""The map holds the surfaces that photos show from up to so many times the median distance: what is
+farther has too coarse pixels."""
+
+TRIMMED_PERCENT = 0.5
+"""Of them, those between this percentile and its counterpart on each axis, and a margin."""
+
+MARGIN = 0.02
+"""As a share of the map's width and height."""
+
+
+def export(job: ExportJob) -> list[Path]:
+    """Write ``ortho.tif`` with its sidecar, and ``ortho.png``."""
+    system = coordinate_system(job.scene, job.maps.crs)
+    axes, scale, offset = _plan_view(system, vertical(job))
+    maps = survey(job.baked, job.scene)
+    pixel_m = job.maps.pixel_size_m or default_pixel_m(job, maps)
+    points = _near_points(maps)
+    grid = _grid(points, axes, scale, offset, pixel_m)
+    drawn = draw_map(job.baked, job.scene, maps, grid)
+    north = " · north is up" if system.north else ""
+    caption = Caption(
+        f"{job.scene.name}: temperatures from above",
+        f"{system.name}{north} · {grid.pixel_m * 100:g} cm per pixel",
+        summary(drawn),
+        system.north,
+    )
+    facts = {
+        "map": "orthographic, from above",
+        "map_crs": system.name,
+        "map_crs_residual_m": round(system.residual_m, 6),
+    }
+    return write_map(job, "ortho", drawn, system.wkt, caption, facts)
+
+
+def require(scene: Scene) -> None:
+    """Check that a map can be written, see ``require_map``."""
+    require_map(scene)
+
+
+def _plan_view(
+    system: CoordinateSystem, up: Float64[np.ndarray, "3"]
+) -> tuple[Float64[np.ndarray, "3 3"], float, Float64[np.ndarray, "2"]]:
+    """Axes, scale and offset of map coordinates: those of the CRS, or of the scene's own frame with
+    x to the right."""
+    if system.north:
+        matrix = system.matrix[:3, :3] / system.scale
+        axes = np.stack([matrix[0], matrix[1], up])
+        return axes, system.scale, system.matrix[:2, 3]
+    x = np.eye(3)[0] if abs(up[0]) < 0.9 else np.eye(3)[1]
+    right = x - up * (up @ x)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(up, right), up]), 1.0, np.zeros(2)
+
+
+def _near_points(maps: Sequence[DepthMap]) -> Float64[np.ndarray, "n 3"]:
+    """The surfaces that the map is to hold."""
+    limit = TIMES_MEDIAN * median_distance(maps)
+    near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
+    return np.concatenate([item.points() for item in near])
+
+
+def _grid(
+    points: Float64[np.ndarray, "n 3"],
+    axes: Float64[np.ndarray, "3 3"],
+    scale: float,
+    offset: Float64[np.ndarray, "2"],
+    pixel_m: float,
+) -> MapGrid:
+    """The pixels about the surfaces; their edges are multiples of the pixel size, as GIS expect of
+    neighbouring maps."""
+    heights = points @ axes[2]
+    slab = float(heights.min()), float(heights.max())
+    grid = MapGrid(axes, scale, offset, 0.0, 0.0, pixel_m, 1, 1, slab)
+    places = grid.to_map(points)
+    low, high = np.percentile(places, [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)
+    margin = MARGIN * (high - low)
+    first = np.floor((low - margin) / pixel_m).astype(np.int64)
+    last = np.ceil((high + margin) / pixel_m).astype(np.int64)
+    width, height = (max(int(size), 1) for size in last - first)
+    left, top = float(first[0] * pixel_m), float(last[1] * pixel_m)
+    return MapGrid(axes, scale, offset, left, top, pixel_m, width, height, slab)
