@@ -78,6 +78,24 @@ def test_what_several_photos_see_becomes_one_point():
     assert len(two) < 1.5 * len(one)
 
 
+def test_a_hole_in_a_surface_that_other_photos_see_elsewhere_is_no_sky():
+    """A part of a floor has no points, as in a shadow: in the same direction, which is far below
+    it, the other cameras see other parts of the floor."""
+    cameras = [camera_towards(0.0) for _ in range(4)]
+    for camera, aside in zip(cameras, (0.0, 4.0, 8.0, 12.0), strict=True):
+        camera.viewmat[0, 3] = aside
+    side = torch.arange(0.0, 30.0, 0.2)
+    floor = torch.cartesian_prod(side, torch.arange(-30.0, 30.0, 0.2), torch.tensor([-1.5]))
+    whole = (floor[:, :2] - torch.tensor([4.0, 0.0])).norm(dim=1) > 1.5
+    alone, agreed = (
+        distant_points(floor[whole], cameras[:count]).positions for count in (1, len(cameras))
+    )
+    below = [(each[:, 2] < -0.15 * each[:, 0]).sum().item() for each in (alone, agreed)]
+    assert below[0] > 0
+    assert below[1] == 0
+    assert len(agreed) > 0
+
+
 def test_cameras_outside_the_points_are_inside_the_sphere():
     """As around a thing on a table: the points lie within the ring of cameras, which look
     inwards."""

@@ -28,6 +28,10 @@ empty."""
 SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
 
+AGREEMENT = 0.5
+"""A distant point stays if so large a share of the photos that have it in their frame show nothing
+there: of what lies behind a hole in a surface, others see that the surface goes on before it."""
+
 
 class DistantPoints(NamedTuple):
     """M points that are about equally far from each other.
@@ -51,21 +55,45 @@ def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> D
     if not cameras or len(points) == 0:
         return DistantPoints(points[:0], 0.0)
     ball = reach(points, cameras)
-    directions = [
-        _on_sphere(camera, _empty_cells(camera, points.double()), ball) for camera in cameras
-    ]
-    positions = ball.centre + ball.background_distance * _merged(torch.cat(directions))
-    return DistantPoints(positions.to(points), SPACING_RAD * ball.background_distance)
+    spacing = SPACING_RAD * ball.background_distance
+    told = [(camera, _empty_cells(camera, points.double())) for camera in cameras]
+    empty = [(camera, cells) for camera, cells in told if cells is not None]
+    if not empty:
+        return DistantPoints(points[:0], spacing)
+    directions = torch.cat([_on_sphere(camera, cells, ball) for camera, cells in empty])
+    positions = ball.centre + ball.background_distance * _merged(directions)
+    agreed = _share_of_empty(positions, empty) >= AGREEMENT
+    return DistantPoints(positions[agreed].to(points), spacing)
 
 
-def _empty_cells(camera: Camera, positions: Float64[Tensor, "n 3"]) -> Bool[Tensor, "rows columns"]:
-    """Which cells of a photo lie in three by three cells without a start point; none if it shows
-    too few points."""
+def _share_of_empty(
+    positions: Float64[Tensor, "m 3"],
+    empty: Sequence[tuple[Camera, Bool[Tensor, "rows columns"]]],
+) -> Float64[Tensor, " m"]:
+    """The share of the photos with a position in their frame that show nothing there; NaN where
+    none has it."""
+    in_frame, nothing = torch.zeros(2, len(positions), dtype=torch.float64)
+    for camera, cells in empty:
+        pixels, _ = camera.project(positions)
+        inside = camera.contains(pixels)
+        rows, columns = cells.shape
+        scale = pixels.new_tensor([columns / camera.width, rows / camera.height])
+        column, row = (pixels[inside] * scale).long().T
+        in_frame[inside] += 1
+        nothing[inside] += cells[row.clamp_max(rows - 1), column.clamp_max(columns - 1)].double()
+    return nothing / in_frame
+
+
+def _empty_cells(
+    camera: Camera, positions: Float64[Tensor, "n 3"]
+) -> Bool[Tensor, "rows columns"] | None:
+    """Which cells of a photo lie in three by three cells without a start point; None if it shows
+    too few points to tell."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]
     if len(seen) < FEWEST_PER_CELL * rows * CELLS_ACROSS:
-        return torch.zeros(rows, CELLS_ACROSS, dtype=torch.bool)
+        return None
     cells = (
         seen
         / seen.new_tensor([camera.width, camera.height])
