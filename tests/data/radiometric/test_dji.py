@@ -1,13 +1,17 @@
-"""DJI: R-JPEGs are told apart, and what DJI's tool makes of them is read."""
+"""DJI: R-JPEGs are told apart, and read by DJI's tool, or a stand-in with its options."""
 
 from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.radiometric import read_thermal_photo
-from mrgs.data.radiometric.dji import SIZES
+from mrgs.data.radiometric import Overrides, dji, read_thermal_photo
+from mrgs.data.radiometric.dji import SIZES, TOOL
 from mrgs.errors import SceneError
 
 
@@ -21,11 +25,114 @@ def drone_photo(path, signal_bytes: int, make: str = "DJI"):
     return path
 
 
-def test_an_r_jpeg_names_the_tool_that_converts_it(tmp_path):
-    path = drone_photo(tmp_path / "DJI_0001_T.JPG", 60_000)
+STAND_IN = """#!{python}
+import sys, time
+import numpy as np
+
+arguments = dict(zip(sys.argv[1::2], sys.argv[2::2]))
+with open({log!r}, "w") as log:
+    log.write(repr(sys.argv[1:]))
+celsius = np.full((512, 640), 20.0, "<f4")
+celsius[100, 200] = 5 + float(arguments.get("--emissivity", 1.0))
+{body}
+"""
+"""Has the options of DJI's tool."""
+
+WRITES = 'open(arguments["-o"], "wb").write(celsius.tobytes())'
+
+
+@pytest.fixture
+def tool(tmp_path, monkeypatch):
+    """Puts a stand-in for DJI's tool on PATH; returns the file with its last arguments."""
+
+    def install(body: str = WRITES) -> Path:
+        folder, log = tmp_path / "bin", tmp_path / "arguments"
+        folder.mkdir()
+        program = folder / TOOL
+        program.write_text(STAND_IN.format(python=sys.executable, log=str(log), body=body))
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", str(folder))
+        return log
+
+    return install
+
+
+def r_jpeg(folder):
+    return drone_photo(folder / "DJI_0001_T.JPG", 60_000)
+
+
+def test_without_the_tool_an_r_jpeg_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
     command = r"dji_irp -s DJI_0001_T.JPG -a measure -o DJI_0001_T.raw --measurefmt float32"
-    with pytest.raises(SceneError, match=f"is a DJI R-JPEG.* convert it with {command}"):
-        read_thermal_photo(path)
+    with pytest.raises(SceneError, match=f"is a DJI R-JPEG.* install the SDK .*{command}"):
+        read_thermal_photo(r_jpeg(tmp_path))
+
+
+def test_with_the_tool_it_is_read(tmp_path, tool):
+    log = tool()
+    path = r_jpeg(tmp_path)
+    photo = read_thermal_photo(path)
+    assert photo.temperature_c.shape == (512, 640)
+    assert photo.temperature_c[0, 0] == 20
+    assert photo.facts.source == "DJI R-JPEG, read by dji_irp"
+    arguments = ast.literal_eval(log.read_text())
+    assert arguments[:4] == ["-s", str(path), "-a", "measure"]
+    assert arguments[-2:] == ["--measurefmt", "float32"]
+    assert not Path(arguments[5]).exists()
+
+
+def test_what_the_user_knows_better_is_handed_on(tmp_path, tool):
+    log = tool()
+    overrides = Overrides(
+        emissivity=0.93, distance_m=12, humidity=0.55, reflected_c=-4.5, window_c=20
+    )
+    photo = read_thermal_photo(r_jpeg(tmp_path), overrides)
+    given = ast.literal_eval(log.read_text())[8:]
+    assert dict(zip(given[::2], given[1::2], strict=True)) == {
+        "--emissivity": "0.93",
+        "--distance": "12",
+        "--humidity": "55",
+        "--reflection": "-4.5",
+    }
+    assert photo.temperature_c[100, 200] == pytest.approx(5.93)
+    assert photo.facts.warnings == (
+        "window_c had no effect: the file holds finished numbers, not the camera's signal.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("time.sleep(60)", r"did not end within 0\.5 s"),
+        (
+            "print('ERROR: not a valid R-JPEG')\nsys.exit(3)",
+            r"failed with status 3 \(ERROR: not a valid R-JPEG\)",
+        ),
+        ("sys.exit(1)", r"failed with status 1 \(no message\)"),
+        ("", "dji_irp wrote 0 bytes"),
+        ("open(arguments['-o'], 'wb').write(bytes(1000))", "dji_irp wrote 1000 bytes"),
+        ("open(arguments['-o'], 'wb').truncate(10**9)", "dji_irp wrote 1000000000 bytes"),
+        (
+            "open(arguments['-o'], 'wb').write(np.full(640 * 512, 9e9, '<f4').tobytes())",
+            "none of its numbers is a temperature in celsius",
+        ),
+    ],
+    ids=["hangs", "fails", "fails silently", "nothing", "too little", "too much", "nonsense"],
+)
+def test_a_tool_that_does_not_work_is_one_line(tmp_path, tool, monkeypatch, body, message):
+    tool(body)
+    if "sleep" in body:
+        monkeypatch.setattr(dji, "TIME_LIMIT_S", 0.5)
+    with pytest.raises(SceneError, match=message) as caught:
+        read_thermal_photo(r_jpeg(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_tool_that_is_no_program_is_one_line(tmp_path, tool):
+    tool()
+    (tmp_path / "bin" / TOOL).write_bytes(b"\x7fELF nothing")
+    with pytest.raises(SceneError, match="dji_irp cannot be run"):
+        read_thermal_photo(r_jpeg(tmp_path))
 
 
 @pytest.mark.parametrize(("signal_bytes", "make"), [(100, "DJI"), (60_000, "Canon")])

@@ -1,31 +1,122 @@
-"""DJI: what its R-JPEGs need before they can be read, and the bare numbers that DJI's own tool
-makes of them."""
+"""DJI: its R-JPEGs, read by DJI's own tool where that is installed, and the bare numbers that the
+tool makes of them."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from mrgs.data.files import scene_error
+from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import FLOAT_UNITS
-from mrgs.errors import SceneError
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))
 """Width and height of the thermal images of DJI's cameras; the bare numbers do not say their
 own."""
 
 
-def needs_converting(path: Path) -> SceneError:
-    """The error for an R-JPEG, whose signal only DJI's library turns into temperatures."""
-    return scene_error(
-        path,
-        "is a DJI R-JPEG, whose temperatures only DJI's Thermal SDK can read; convert it with "
-        f"dji_irp -s {path.name} -a measure -o {path.stem}.raw --measurefmt float32, and use the "
-        f".raw file instead",
+TOOL = "dji_irp"
+"""The program of DJI's Thermal SDK, or one with the same options, somewhere on PATH."""
+
+TIME_LIMIT_S = 60.0
+"""Of one photo; DJI's tool takes less than a second."""
+
+MAX_BYTES = max(width * height for width, height in SIZES) * 4
+
+MESSAGE_LENGTH = 120
+"""Of what the tool said, at most so many characters are shown."""
+
+_OPTIONS = {
+    "emissivity": ("--emissivity", 1.0),
+    "distance_m": ("--distance", 1.0),
+    "humidity": ("--humidity", 100.0),
+    "reflected_c": ("--reflection", 1.0),
+    "atmospheric_c": ("--ambient", 1.0),
+}
+"""The tool's option for each value that a user may override, and what turns our unit into its."""
+
+
+def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
+    """The photo in an R-JPEG, whose signal only DJI's library turns into temperatures.
+
+    ``TOOL`` is run as a program with a time limit, and what it writes is checked like a file of
+    anybody's. Without overrides the photo's own emissivity, distance, humidity and reflected
+    temperature count.
+
+    Args:
+        path: of the photo.
+        exif: its facts.
+        overrides: emissivity, distance, humidity, reflected and air temperature are handed on.
+
+    Raises:
+        SceneError: the tool is not installed, cannot be run, does not end, fails, or writes what is
+            no image of a DJI camera.
+    """
+    tool = shutil.which(TOOL)
+    if tool is None:
+        raise scene_error(
+            path,
+            f"is a DJI R-JPEG, whose temperatures only DJI's Thermal SDK can read; install the SDK "
+            f"(free, from DJI's website) so that its program {TOOL} is on PATH, or convert the "
+            f"photo elsewhere: {TOOL} -s {path.name} -a measure -o {path.stem}.raw --measurefmt "
+            f"float32",
+        )
+    given = {name: v for name, v in overrides.of_parameters().items() if name in _OPTIONS}
+    with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
+        output = Path(folder, "measured.raw")
+        _run_tool(tool, path, output, given)
+        size = output.stat().st_size if output.is_file() else 0
+        data = output.read_bytes() if 0 < size <= MAX_BYTES else b""
+    facts = PhotoFacts(
+        f"DJI R-JPEG, read by {TOOL}",
+        camera=exif.model,
+        taken=exif.taken,
+        gps=exif.gps,
+        handed_on=tuple(given),
     )
+    given_unit = Overrides(unit="celsius")
+    return _bare_numbers(data, path, facts, given_unit, f"{TOOL} wrote {size} bytes")
+
+
+def _run_tool(tool: str, path: Path, output: Path, given: dict[str, float]) -> None:
+    """Run DJI's tool on a photo, with the values that replace the photo's own."""
+    arguments = ["-s", os.path.abspath(path), "-a", "measure", "-o", str(output)]
+    arguments += ["--measurefmt", "float32"]
+    for name, value in given.items():
+        option, factor = _OPTIONS[name]
+        arguments += [option, f"{value * factor:g}"]
+    try:
+        done = subprocess.run(
+            [tool, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=TIME_LIMIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise scene_error(
+            path, f"{tool} did not end within {TIME_LIMIT_S:g} s; try it by hand"
+        ) from None
+    except OSError as error:
+        raise scene_error(
+            path, f"{tool} cannot be run ({error.strerror}); install it again"
+        ) from error
+    if done.returncode != 0:
+        lines = done.stdout.decode("utf-8", errors="replace").split("\n")
+        said = " ".join(" ".join(line for line in lines if "ERROR" in line).split()) or "no message"
+        raise scene_error(
+            path,
+            f"{tool} failed with status {done.returncode} ({said[:MESSAGE_LENGTH]}); check the "
+            f"photo, and that the version of the tool knows the camera and the options given",
+        )
 
 
 def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
@@ -37,14 +128,19 @@ def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalP
     Raises:
         SceneError: the length is none that a DJI camera gives, or the numbers are no temperatures.
     """
+    facts = PhotoFacts("output of DJI's Thermal SDK")
+    return _bare_numbers(data, path, facts, overrides, f"has {len(data)} bytes")
+
+
+def _bare_numbers(
+    data: bytes, path: Path, facts: PhotoFacts, overrides: Overrides, has: str
+) -> ThermalPhoto:
     for form, unit in (("<f4", FLOAT_UNITS), ("<i2", ("celsius*10",))):
         for width, height in SIZES:
             if len(data) == width * height * np.dtype(form).itemsize:
                 values = np.frombuffer(data, form).reshape(height, width).astype(np.float32)
-                facts = PhotoFacts("output of DJI's Thermal SDK")
                 return finished(values, unit, path, facts, overrides)
     raise scene_error(
         path,
-        f"has {len(data)} bytes, which is no image of a DJI camera; make it with dji_irp -a "
-        f"measure",
+        f"{has}, which is no image of a DJI camera; make it with {TOOL} -a measure",
     )

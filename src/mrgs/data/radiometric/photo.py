@@ -106,6 +106,7 @@ class PhotoFacts:
         unit: of the file's numbers, given or guessed, such as ``kelvin*100``; None where the file
             defines it.
         visible: a photo in visible light inside the file; None if there is none.
+        handed_on: names of the overrides with which another program has computed the temperatures.
         notes: how the file was understood, one sentence each.
         warnings: what the user should know before trusting the numbers, one sentence each.
     """
@@ -121,6 +122,7 @@ class PhotoFacts:
     scale_c: tuple[float, float] | None = None
     unit: str | None = None
     visible: VisibleImage | None = None
+    handed_on: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.radiometric import fff, jpeg
-from mrgs.data.radiometric.dji import needs_converting, read_bare_numbers
+from mrgs.data.radiometric.dji import read_bare_numbers, read_r_jpeg
 from mrgs.data.radiometric.exif import ExifFacts, read_exif
 from mrgs.data.radiometric.flir import read_flir
 from mrgs.data.radiometric.photo import Overrides, ThermalPhoto
@@ -23,7 +23,7 @@ _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 Kind = Literal["signal", "numbers", "table", "image", "dji"]
 """Content of a file: a camera's raw signal; bare numbers, or floats in an image; a table of
-temperatures; any other image; a DJI R-JPEG, which must be converted first."""
+temperatures; any other image; a DJI R-JPEG, which DJI's own tool reads."""
 
 
 class Reader(NamedTuple):
@@ -64,8 +64,8 @@ def _is_dji_jpeg(data: bytes, path: Path) -> bool:
     return data.startswith(jpeg.SIGNATURE) and jpeg.holds_dji_signal(data, read_exif(data).make)
 
 
-def _refuse_dji_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    raise needs_converting(path)
+def _read_dji_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    return read_r_jpeg(path, read_exif(data), overrides)
 
 
 def _is_raster(data: bytes, path: Path) -> bool:
@@ -86,7 +86,7 @@ def _is_bare_numbers(data: bytes, path: Path) -> bool:
 
 READERS = [
     Reader(_is_flir_jpeg, _read_flir_jpeg, "signal"),
-    Reader(_is_dji_jpeg, _refuse_dji_jpeg, "dji"),
+    Reader(_is_dji_jpeg, _read_dji_jpeg, "dji"),
     Reader(_is_fff, _read_fff, "signal"),
     Reader(_is_raster, _read_raster),
     Reader(_is_table, read_table, "table"),
@@ -109,13 +109,13 @@ def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> Therma
     kind, not the name.
 
     Args:
-        path: a FLIR radiometric JPEG or FFF file; a TIFF, PNG or JPEG image; a table (``.csv``,
-            ``.txt``, ``.tsv``); or the bare numbers of DJI's tool (``.raw``).
+        path: a FLIR radiometric JPEG or FFF file; a DJI R-JPEG; a TIFF, PNG or JPEG image; a table
+            (``.csv``, ``.txt``, ``.tsv``); or the bare numbers of DJI's tool (``.raw``).
         overrides: what the user knows better than the file.
 
     Raises:
         SceneError: the file cannot be read: empty, damaged, cut off, of an unknown kind or scale,
-            or a DJI R-JPEG.
+            or a DJI R-JPEG that DJI's tool does not read.
     """
     overrides = overrides or Overrides()
     photo = _read(read_bytes(path, MAX_BYTES), path, overrides)
@@ -136,7 +136,7 @@ def _read(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 def _with_unused(photo: ThermalPhoto, overrides: Overrides) -> ThermalPhoto:
     """The photo with a warning that names overrides without effect."""
     if photo.facts.parameters is None:
-        unused = [*overrides.of_parameters()]
+        unused = [name for name in overrides.of_parameters() if name not in photo.facts.handed_on]
         why = "the file holds finished numbers, not the camera's signal"
     else:
         unused = [name for name in ("unit", "bounds_c") if getattr(overrides, name) is not None]
