@@ -35,7 +35,7 @@ STEPS = 30
 
 
 def config(method: str = "mrgs-plus") -> TrainConfig:
-    return make_config(method, "fast", max_steps=STEPS, max_gaussians=400)
+    return make_config(method, "fast", max_steps=STEPS, max_gaussians=400, seed=1)
 
 
 @pytest.fixture(scope="module")

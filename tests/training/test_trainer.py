@@ -131,11 +131,11 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp
     assert facts.peak_memory_bytes > 2**20
 
 
-def test_pixels_of_different_cameras_are_not_held_against_each_other(make_scene, tmp_path):
+def test_light_and_heat_are_compared_although_their_cameras_differ(make_scene, tmp_path):
     statistics = []
     config = short_config("mrgs-plus", max_steps=2)
     train(make_scene(two_cameras=True), tmp_path / "run", config, on_step=statistics.append)
-    assert "opaque" not in statistics[0].terms
+    assert "opaque" in statistics[0].terms
 
 
 @pytest.mark.parametrize("method", METHODS)

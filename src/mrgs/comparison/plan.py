@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -114,7 +115,8 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
                 f"the file names of "
                 "some, or list them in val_filenames"
             )
-        warn_of_oddities(loaded, stacklevel=4)
+        with suppress(SceneError):  # a photo that cannot be read: the runs will say it
+            warn_of_oddities(loaded, stacklevel=4)
         path = scene.resolve()
         if named.setdefault(loaded.name, path) != path:
             raise ConfigError(

@@ -29,15 +29,16 @@ class RunMarks:
 
     Args:
         run: with Gaussians.
+        scene: of the run, where it has been read before.
 
     Raises:
         SceneError: the run is old and its scene is not there.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, scene: Scene | None = None) -> None:
         self.run = run
         self.store = MarkStore(run.folder.path, CameraSpread.of_run(run))
-        self.scene = _scene_if_there(run)
+        self.scene = _scene_if_there(run) if scene is None else scene
         self.meter = MarkMeter(
             run.render,
             run.temperature,
@@ -152,9 +153,9 @@ class RunMarks:
         return self.meter.measure(self.marks)
 
 
-def open_marks(run: Run) -> RunMarks:
+def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:
     """The marks of a run; see ``RunMarks``."""
-    return RunMarks(run)
+    return RunMarks(run, scene)
 
 
 def picked_places(surface: SeenSurface, pixels: Sequence[Sequence[float]]) -> tuple[Place, ...]:

@@ -97,7 +97,7 @@ def show_marks(run: Run, scene: Scene) -> tuple[list[ShownMark], tuple[str, ...]
         RunError: ``marks.json`` holds the marks of another model.
         SceneError: a photo cannot be read.
     """
-    marks = open_marks(run)
+    marks = open_marks(run, scene)
     known = marks.marks
     if not len(known):
         return [], ()

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from numba.extending import is_jitted
 
 from mrgs.method.config import TrainConfig, to_yaml
 from mrgs.system.child import Child
@@ -128,6 +127,8 @@ def _needed(config: TrainConfig) -> dict[str, float]:
 
 def _is_saved(name: str) -> bool:
     """Whether a kernel lies compiled on disk, or is not compiled at all (NUMBA_DISABLE_JIT)."""
+    from numba.extending import is_jitted
+
     module, _, function = name.rpartition(".")
     dispatcher: Any = getattr(import_module(f"mrgs.kernels.{module}"), function)
     return dispatcher._cache.is_saved if is_jitted(dispatcher) else True

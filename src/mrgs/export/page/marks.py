@@ -9,18 +9,19 @@ from mrgs.marks.mark import Place
 from mrgs.marks.tables import value_text
 from mrgs.marks.texts import mark_text
 from mrgs.runs.open import Run
+from mrgs.scene import Scene
 
 PageMark: TypeAlias = dict[str, Any]
 """``MarkText``, with the places of the mark and its label in the picture."""
 
 
-def page_marks(run: Run) -> tuple[list[PageMark], tuple[str, ...]]:
+def page_marks(run: Run, scene: Scene) -> tuple[list[PageMark], tuple[str, ...]]:
     """The marks of a run, and what was assumed for surfaces with an emissivity of their own.
 
     Raises:
         RunError: ``marks.json`` holds the marks of another model.
     """
-    marks = open_marks(run)
+    marks = open_marks(run, scene)
     known = marks.marks
     if not len(known):
         return [], ()
