@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,15 @@ def small_run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Ru
     config = make_config(max_steps=60, max_gaussians=300)
     output = tmp_path_factory.mktemp("runs") / "balls"
     return load_run(trained_run(tmp_path_factory, small_scene, config, output))
+
+
+@pytest.fixture(autouse=True)
+def _without_marks(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The run is shared: no test leaves marks in it."""
+    yield
+    if "small_run" in request.fixturenames:
+        for file in request.getfixturevalue("small_run").folder.path.glob("marks.*"):
+            file.unlink()
 
 
 @pytest.fixture(scope="session")

@@ -233,6 +233,7 @@ def test_a_photo_can_be_gone_to(open_page, viewer, balls, tmp_path):
 def test_a_hidden_page_asks_for_nothing(open_page, viewer):
     """A page behind another one is not called back for a frame."""
     page = open_page()
+    page.wait_for_selector(SETTLED)
     page.evaluate("window.requestAnimationFrame = () => 1")  # as the browser does for hidden pages
     drawn = viewer.browsers[0].inspection.drawn
     viewer.refresh("The model has changed.")
