@@ -58,7 +58,7 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
                 for modality, camera in cameras.items()
             }
             observed = state.image_model(rendering, number)
-            scale = SceneScale.of(scene)
+            scale = SceneScale(scene.extent, scene.temperature)
             context = LossContext(
                 rendering,
                 observed,
