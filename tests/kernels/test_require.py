@@ -19,7 +19,7 @@ from mrgs.kernels.hash_grid import cpu as hash_grid
 from mrgs.kernels.heat import cpu as heat
 from mrgs.kernels.heat.exchange import exchange, with_neighbours
 from mrgs.kernels.perceptron import cpu as perceptron
-from mrgs.kernels.rasterize.cpu.rasterize import rasterize
+from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
 from mrgs.kernels.variation import cpu as variation
 from mrgs.rasterizer import Layer
@@ -224,6 +224,9 @@ def test_a_camera_has_its_sizes():
     for place, wrong in ((4, torch.eye(3)), (5, torch.eye(2)), (6, 0), (7, -1)):
         with pytest.raises(ValueError, match="a camera has a viewmat"):
             rasterize(*right[:place], wrong, *right[place + 1 :])
+        surface = [*right[:3], ones(2), *right[4:]]
+        with pytest.raises(ValueError, match="a camera has a viewmat"):
+            median_depth(*surface[:place], wrong, *surface[place + 1 :])
 
 
 @pytest.mark.parametrize("sigma", [float("nan"), float("inf"), 1e30, 0.0, -1.0])

@@ -16,6 +16,7 @@ from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 from mrgs.kernels.rasterize.cpu.median import median
 from mrgs.kernels.rasterize.cpu.projection import project, project_backward
 from mrgs.kernels.rasterize.cpu.tiles import TileLists, depth_order, gather_splats, tile_lists
+from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import Layer, Raster
 from mrgs.scene import Blend
@@ -125,6 +126,7 @@ def median_depth(
     both = torch.stack([opacities.detach(), opacities.new_zeros(count)], dim=1)
     features, offset = means.new_zeros(count, 4), means.new_zeros(count, 2)
     _check(means, quats, scales, both, features, means.new_zeros(4), offset)
+    require_camera(viewmat, K, width, height)
     gaussians = [
         tensor.detach().contiguous().numpy() for tensor in (means, quats, scales, both, features)
     ]
@@ -164,11 +166,7 @@ def rasterize(
     )
     offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
     _check(means, quats, scales, opacities, features, backgrounds, offset)
-    if viewmat.shape != (4, 4) or K.shape != (3, 3) or min(width, height) < 1:
-        raise ValueError(
-            f"a camera has a viewmat [4, 4], a K [3, 3] and pixels, not {list(viewmat.shape)}, "
-            f"{list(K.shape)} and {width}×{height}"
-        )
+    require_camera(viewmat, K, width, height)
     *images, radii = _FusedPass.apply(
         means, quats, scales, opacities, features, backgrounds, offset,
         _float64(viewmat), _float64(K), width, height,

@@ -19,6 +19,7 @@ from mrgs.kernels.gpu_spec import Arguments
 from mrgs.kernels.rasterize import cpu
 from mrgs.kernels.rasterize.gpu import kernels
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
+from mrgs.kernels.require import require_camera
 from mrgs.rasterizer.contract import Layer, Raster
 from mrgs.scene import Blend
 
@@ -249,11 +250,7 @@ def rasterize(
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
     _check(inputs, channels)
-    if viewmat.shape != (4, 4) or K.shape != (3, 3) or min(width, height) < 1:
-        raise ValueError(
-            f"a camera has a viewmat [4, 4], a K [3, 3] and pixels, not {list(viewmat.shape)}, "
-            f"{list(K.shape)} and {width}×{height}"
-        )
+    require_camera(viewmat, K, width, height)
     # Not blocking: the host would wait for all that is queued. The copy has left a CPU tensor
     # before the call returns.
     viewmat, K = (
