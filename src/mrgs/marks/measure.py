@@ -27,7 +27,7 @@ from mrgs.marks.surface import (
 )
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
-from mrgs.scene.depth_map import SURFACE_DEPTH, DepthMap, surveying_cameras, visible
+from mrgs.scene.depth_map import DepthMap, surveying_cameras
 
 PROFILE_SAMPLES = 200
 SURVEY_WIDTH_PX = 160
@@ -174,11 +174,8 @@ class MarkMeter:
         surveyed, their share of all."""
         step = -(-len(places) // CHECKED_POINTS)
         points = places[::step].astype(np.float32)
-        seen = 0
-        for item in self._survey:
-            rows, pixels, depth = visible(item.camera, points)
-            near = np.abs(item.depth[pixels] - depth) < SURFACE_DEPTH * depth
-            seen += int(near.sum() >= 0.5 * len(points)) if len(rows) else 0
+        shown = [len(item.shown(points).rows) for item in self._survey]
+        seen = sum(count >= 0.5 * len(points) for count in shown)
         return -(-seen * len(self._cameras) // len(self._survey))
 
     @cached_property

@@ -199,8 +199,7 @@ def eye_of(camera: Camera) -> Place:
 
 def thermal_cameras(scene: Scene | None) -> list[Camera]:
     """The cameras of a scene's thermal training photos; none without a scene."""
-    views = () if scene is None else scene.train
-    return [view.images[THERMAL].camera for view in views if THERMAL in view.images]
+    return [] if scene is None else [photo.camera for photo in scene.train_photos(THERMAL)]
 
 
 def _scene_if_there(run: Run) -> Scene | None:

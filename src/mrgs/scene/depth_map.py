@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,6 +26,20 @@ SURFACE_DEPTH = 0.03
 MAX_STEP = 0.05
 """A pixel whose depth differs by more than this share within its neighbours lies on an outline: it
 has no depth."""
+
+
+class PointsInImage(NamedTuple):
+    """Some of the points that were asked for, as a camera has them in its image.
+
+    Attributes:
+        rows: their places among the points, [M].
+        pixels: row and column of the pixel of each, [M] each.
+        z: their z-depth in scene units, [M].
+    """
+
+    rows: Int64[np.ndarray, " m"]
+    pixels: tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]
+    z: Float32[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +65,25 @@ class DepthMap:
         depth = torch.from_numpy(self.depth[row, column].astype(np.float64))
         return self.camera.unproject(pixels, depth + offset).numpy()
 
+    def shown(
+        self,
+        points: Float32[np.ndarray, "n 3"],
+        relative_tolerance: float = SURFACE_DEPTH,
+        tolerance: float = 0.0,
+    ) -> PointsInImage:
+        """The points that lie on the surface which the camera sees.
+
+        Args:
+            points: world coordinates.
+            relative_tolerance: a point this far before or behind the depth of its pixel is still
+                seen there, as a share of the point's depth.
+            tolerance: the same in scene units; the larger of the two applies.
+        """
+        rows, pixels, z = visible(self.camera, points)
+        away = np.abs(self.depth[pixels] - z)
+        seen = away < np.maximum(tolerance, relative_tolerance * z)  # false for NaN
+        return PointsInImage(rows[seen], (pixels[0][seen], pixels[1][seen]), z[seen])
+
 
 def carry_over(
     maps: Sequence[DepthMap],
@@ -71,29 +105,19 @@ def carry_over(
     total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)
     for item in maps:
-        rows, pixels, z = visible(item.camera, points)
-        seen = np.abs(item.depth[pixels] - z) < np.maximum(
-            tolerance, relative_tolerance * z
-        )  # false for NaN
-        rows, pixels, near = rows[seen], (pixels[0][seen], pixels[1][seen]), 1 / z[seen] ** 2
+        rows, pixels, z = item.shown(points, relative_tolerance, tolerance)
+        near = 1 / z**2
         total[rows] += near[:, None] * item.image[pixels]
         weight[rows] += near
     return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
 
 
-def visible(
-    camera: Camera, positions: Float32[np.ndarray, "n 3"]
-) -> tuple[
-    Int64[np.ndarray, " m"],
-    tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]],
-    Float32[np.ndarray, " m"],
-]:
-    """The points inside a camera's image: their rows, their pixels (row, column) and their
-    z-depth."""
+def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:
+    """The points inside a camera's image."""
     pixels, depth = camera.project(torch.from_numpy(positions))
     rows = camera.contains(pixels).nonzero()[:, 0]
     column, row = pixels[rows].long().unbind(dim=1)
-    return rows.numpy(), (row.numpy(), column.numpy()), depth[rows].numpy()
+    return PointsInImage(rows.numpy(), (row.numpy(), column.numpy()), depth[rows].numpy())
 
 
 def surveying_cameras(cameras: Sequence[Camera]) -> list[Camera]:

@@ -19,7 +19,7 @@ from mrgs.scene.modality import Modality, in_order
 from mrgs.scene.point_cloud import PointCloud, random_points
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
-from mrgs.scene.view import View
+from mrgs.scene.view import PosedImage, View
 from mrgs.scene.world import WorldFrame
 
 STILL_CAMERAS = 1e-3
@@ -135,6 +135,10 @@ class Scene:
     def train_cameras(self) -> list[Camera]:
         """One camera of each training view: the RGB camera, where it has one."""
         return [view.camera for view in self.train]
+
+    def train_photos(self, modality: Modality) -> list[PosedImage]:
+        """The training photos of a modality."""
+        return [view.images[modality] for view in self.train if modality in view.images]
 
     @property
     def modalities(self) -> tuple[Modality, ...]:

@@ -133,7 +133,7 @@ class TrainedRun(ABC):
     def _thermal_maps(self) -> list[DepthMap]:
         """Depths and °C from the scene's thermal cameras."""
         scene = self.load_scene()
-        cameras = [view.images[THERMAL].camera for view in scene.train if THERMAL in view.images]
+        cameras = [photo.camera for photo in scene.train_photos(THERMAL)]
         maps = []
         for camera in surveying_cameras(cameras):
             rendering = self.render_cameras({THERMAL: camera})

@@ -15,12 +15,11 @@ from mrgs.export.maps.photos import (
     PhotoStatistics,
     on_seen_surface,
     photo_map,
-    thermal_photos,
 )
 from mrgs.export.splats import to_float32
 from mrgs.rasterizer import median_depth
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, Camera, Modality, Scene
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene
 from mrgs.scene.depth_map import DepthMap
 
 MAX_PIXELS = 50_000_000
@@ -92,7 +91,7 @@ def draw_map(
     for part, camera in _parts(grid):
         bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera)
     statistics = PhotoStatistics(points, grid)
-    for image in thermal_photos(scene):
+    for image in scene.train_photos(THERMAL):
         statistics.add(photo_map(baked, scene, image))
     if not statistics.photos.any():
         raise RunError("no thermal photo shows a surface of this map: check its plane")

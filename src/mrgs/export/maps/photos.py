@@ -12,18 +12,13 @@ from mrgs.export.maps.grid import MapGrid
 from mrgs.export.splats import to_float32
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
-from mrgs.scene.depth_map import MIN_ALPHA, SURFACE_DEPTH, DepthMap, visible
+from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
 
 SURVEY_PX = 240
 """Width of the depth maps in which surfaces are looked for."""
 
 RENDERED, MEASURED = 0, 1
 """Channels of a photo's map: °C as the model shows them, and as the photo does."""
-
-
-def thermal_photos(scene: Scene) -> list[PosedImage]:
-    """The thermal training photos."""
-    return [view.images[THERMAL] for view in scene.train if THERMAL in view.images]
 
 
 def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
@@ -34,7 +29,7 @@ def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
         RunError: no photo sees a surface.
     """
     maps = []
-    for image in thermal_photos(scene):
+    for image in scene.train_photos(THERMAL):
         camera = image.camera
         if camera.width > SURVEY_PX:
             camera = camera.with_width(SURVEY_PX)
@@ -55,8 +50,7 @@ def on_seen_surface(
     or belongs to the sky does not."""
     found = np.zeros(len(points), bool)
     for item in maps:
-        rows, pixels, z = visible(item.camera, points)
-        found[rows[np.abs(item.depth[pixels] - z) < SURFACE_DEPTH * z]] = True
+        found[item.shown(points).rows] = True
     return found
 
 
@@ -82,10 +76,9 @@ class PhotoStatistics:
         points = self._points[window]
         surface = np.isfinite(points[..., 0])
         places = np.flatnonzero(surface)
-        rows, pixels, z = visible(photo.camera, points[surface])
+        rows, pixels, z = photo.shown(points[surface])
         values = photo.image[pixels]
-        seen = np.abs(photo.depth[pixels] - z) < SURFACE_DEPTH * z  # false for NaN
-        seen &= np.isfinite(values).all(axis=1)
+        seen = np.isfinite(values).all(axis=1)
         where = np.unravel_index(places[rows[seen]], surface.shape)
         values, near = values[seen], 1 / z[seen] ** 2
         self._total[window][where] += near * values[:, RENDERED]

@@ -38,8 +38,8 @@ class SceneScale(NamedTuple):
     @classmethod
     def of(cls, scene: Scene) -> SceneScale:
         """The scale of a scene and its training photos."""
-        photos = [view.images[THERMAL] for view in scene.train if THERMAL in view.images]
-        return cls(scene.extent, scene.temperature, photo_noise(photos))
+        noise = photo_noise(scene.train_photos(THERMAL))
+        return cls(scene.extent, scene.temperature, noise)
 
 
 class LossContext(NamedTuple):

@@ -18,7 +18,7 @@ from torch import Tensor
 from mrgs.method.config import TrainConfig
 from mrgs.method.start.distant_points import distant_points
 from mrgs.method.start.photo_values import photo_values, with_neighbours_values
-from mrgs.scene import RGB, THERMAL, Modality, PointCloud, PosedImage, Scene, in_order
+from mrgs.scene import RGB, THERMAL, Modality, PointCloud, Scene, in_order
 
 OPACITY = 0.1
 """3DGS's."""
@@ -119,7 +119,7 @@ def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
     if count == 0:
         return points
     positions = torch.cat([points.positions, distant.positions])
-    colors = photo_values(positions, _photos(scene, RGB), RGB.channels)[-count:]
+    colors = photo_values(positions, scene.train_photos(RGB), RGB.channels)[-count:]
     like = distant.positions[:, 0]
     added = StartPoints(
         distant.positions,
@@ -133,7 +133,7 @@ def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
 def _with_photo_values(points: StartPoints, scene: Scene, modality: Modality) -> StartPoints:
     """Points get a modality's value in the photos that show them, or that of the nearest points
     which these show, and are more opaque to it."""
-    shown = photo_values(points.positions, _photos(scene, modality), modality.channels)
+    shown = photo_values(points.positions, scene.train_photos(modality), modality.channels)
     values = with_neighbours_values(points.positions, shown)
     unseen, opacities = values.isnan().any(dim=1), points.opacities[modality]
     opaque = opacities.clamp_min(THERMAL_OPACITY)
@@ -145,7 +145,3 @@ def _with_photo_values(points: StartPoints, scene: Scene, modality: Modality) ->
 
 def _unknown(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Tensor]:
     return {each: torch.full((count, each.channels), torch.nan) for each in modalities}
-
-
-def _photos(scene: Scene, modality: Modality) -> list[PosedImage]:
-    return [view.images[modality] for view in scene.train if modality in view.images]
