@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from mrgs.scene import Camera, Reach, reach
@@ -76,11 +76,8 @@ def _share_of_empty(
     for camera, cells in empty:
         pixels, _ = camera.project(positions)
         inside = camera.contains(pixels)
-        rows, columns = cells.shape
-        scale = pixels.new_tensor([columns / camera.width, rows / camera.height])
-        column, row = (pixels[inside] * scale).long().T
         in_frame[inside] += 1
-        nothing[inside] += cells[row.clamp_max(rows - 1), column.clamp_max(columns - 1)].double()
+        nothing[inside] += cells[_cells_at(pixels[inside], camera, len(cells))].double()
     return nothing / in_frame
 
 
@@ -94,15 +91,19 @@ def _empty_cells(
     seen = pixels[camera.contains(pixels)]
     if len(seen) < FEWEST_PER_CELL * rows * CELLS_ACROSS:
         return None
-    cells = (
-        seen
-        / seen.new_tensor([camera.width, camera.height])
-        * seen.new_tensor([CELLS_ACROSS, rows])
-    ).long()
-    occupied = torch.zeros(1, rows, CELLS_ACROSS)
-    occupied[0, cells[:, 1].clamp_max(rows - 1), cells[:, 0].clamp_max(CELLS_ACROSS - 1)] = 1
-    middles = _grown(occupied) == 0
+    occupied = torch.zeros(rows, CELLS_ACROSS)
+    occupied[_cells_at(seen, camera, rows)] = 1
+    middles = _grown(occupied[None]) == 0
     return _grown(middles.float())[0] > 0
+
+
+def _cells_at(
+    pixels: Float64[Tensor, "n 2"], camera: Camera, rows: int
+) -> tuple[Int64[Tensor, " n"], Int64[Tensor, " n"]]:
+    """Row and column of the cells in which places of a photo lie."""
+    size = pixels.new_tensor([camera.width, camera.height])
+    column, row = (pixels / size * pixels.new_tensor([CELLS_ACROSS, rows])).long().T
+    return row.clamp_max(rows - 1), column.clamp_max(CELLS_ACROSS - 1)
 
 
 def _grown(cells: Float[Tensor, "1 rows columns"]) -> Float[Tensor, "1 rows columns"]:
