@@ -119,9 +119,15 @@ class MarkMeter:
         """The parts of the surface with an emissivity of their own."""
         return Regions(marks, self._render, self._temperature, self.capture)
 
-    def measure(self, marks: Marks) -> list[MarkReading]:
-        """Every mark, in their order, with the differences between them."""
-        regions = self.regions(marks)
+    def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
+        """Every mark, in their order, with the differences between them.
+
+        Args:
+            marks: to measure.
+            regions: of these marks, where they are there already: each is a rendering.
+        """
+        if regions is None:
+            regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]
         means = {reading.mark.name: reading.mean for reading in readings}
         return [

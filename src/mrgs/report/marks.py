@@ -102,9 +102,8 @@ def show_marks(run: Run, scene: Scene) -> tuple[list[ShownMark], tuple[str, ...]
     if not len(known):
         return [], ()
     regions = marks.meter.regions(known)
-    shown = [
-        _shown(reading, known.reference, regions, scene) for reading in marks.meter.measure(known)
-    ]
+    readings = marks.meter.measure(known, regions)
+    shown = [_shown(reading, known.reference, regions, scene) for reading in readings]
     return shown, marks.meter.capture.notes if regions else ()
 
 

@@ -91,7 +91,7 @@ class MarkBoard:
     def _show(self, marks: Marks) -> None:
         self._stamp = self._store.stamp
         self.regions = self._meter.regions(marks)
-        self.readings = self._meter.measure(marks)
+        self.readings = self._meter.measure(marks, self.regions)
         self.marks = marks
         with self._lock:
             listeners = list(self._listeners)
