@@ -90,8 +90,7 @@ class RunMarks:
         **more: Any,
     ) -> Mark:
         """Add the surface within a rectangle of an image, between two corners; see ``spot``."""
-        (x0, y0), (x1, y1) = corner, opposite
-        return self.add("box", camera, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)], name, **more)
+        return self.add("box", camera, box_corners(corner, opposite), name, **more)
 
     def polygon(
         self, camera: Camera, pixels: Sequence[Sequence[float]], name: str = "", **more: Any
@@ -156,6 +155,12 @@ class RunMarks:
 def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:
     """The marks of a run; see ``RunMarks``."""
     return RunMarks(run, scene)
+
+
+def box_corners(corner: Sequence[float], opposite: Sequence[float]) -> list[tuple[float, float]]:
+    """The four corners (x, y) of a rectangle in a picture, in turn, from two opposite ones."""
+    (x0, y0), (x1, y1) = corner, opposite
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
 def picked_places(surface: SeenSurface, pixels: Sequence[Sequence[float]]) -> tuple[Place, ...]:

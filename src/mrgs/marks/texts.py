@@ -29,6 +29,12 @@ class MarkText(TypedDict):
     reference: bool
 
 
+def label_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """What stands beside a mark in a picture: its name, and its mean if there is one."""
+    value = "" if reading.problem else value_text(reading.mean, temperature, unit=True)
+    return f"{reading.mark.name}  {value}".rstrip()
+
+
 def mark_text(
     reading: MarkReading,
     reference: str,

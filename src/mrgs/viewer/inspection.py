@@ -16,9 +16,9 @@ from mrgs.errors import ConfigError
 from mrgs.marks.mark import MarkKind
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
-from mrgs.marks.run_marks import eye_of, picked_places, spot_radius
+from mrgs.marks.run_marks import box_corners, eye_of, picked_places, spot_radius
 from mrgs.marks.surface import see
-from mrgs.marks.tables import value_text
+from mrgs.marks.texts import label_text
 from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
@@ -174,7 +174,9 @@ class Inspection:
     def marks(self) -> list[PointLabel]:
         """The spots, and the point that was read last."""
         labels = [
-            PointLabel(np.array(reading.mark.points[0]), self._label(reading))
+            PointLabel(
+                np.array(reading.mark.points[0]), label_text(reading, self.subject.temperature)
+            )
             for reading in self._readings
             if reading.mark.kind == "spot"
         ]
@@ -189,7 +191,7 @@ class Inspection:
             Outline(
                 np.array(reading.mark.points),
                 reading.mark.is_area,
-                self._label(reading),
+                label_text(reading, self.subject.temperature),
                 reading.low_at,
                 reading.high_at,
             )
@@ -201,11 +203,6 @@ class Inspection:
     def _readings(self) -> Sequence[MarkReading]:
         board = self.subject.board
         return () if board is None else board.readings
-
-    def _label(self, reading: MarkReading) -> str:
-        temperature = self.subject.temperature
-        value = "" if reading.problem else value_text(reading.mean, temperature, unit=True)
-        return f"{reading.mark.name}  {value}".rstrip()
 
     def add_mark(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> None:
         """Add a mark through places of the latest picture, from 0 to 1, and save it.
@@ -228,8 +225,7 @@ class Inspection:
         camera = pane.photo.camera if pane.photo is not None else pane.camera
         pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
         if kind == "box":
-            (x0, y0), (x1, y1) = pixels
-            pixels = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+            pixels = box_corners(*pixels)
         surface = subject.source.run(
             lambda model: see(lambda each: render_surface(model, each, subject), camera)
         )

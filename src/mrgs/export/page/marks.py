@@ -6,8 +6,7 @@ from typing import Any, TypeAlias
 
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Place
-from mrgs.marks.tables import value_text
-from mrgs.marks.texts import mark_text
+from mrgs.marks.texts import label_text, mark_text
 from mrgs.runs.open import Run
 from mrgs.scene import Scene
 
@@ -28,7 +27,6 @@ def page_marks(run: Run, scene: Scene) -> tuple[list[PageMark], tuple[str, ...]]
     shown = []
     for reading in marks.meter.measure(known):
         mark = reading.mark
-        value = "" if reading.problem else value_text(reading.mean, run.temperature, unit=True)
         shown.append(
             {
                 **mark_text(reading, known.reference, run.temperature, marks.world),
@@ -36,7 +34,7 @@ def page_marks(run: Run, scene: Scene) -> tuple[list[PageMark], tuple[str, ...]]
                 "closed": mark.is_area,
                 "lowAt": list(reading.low_at) or None,
                 "highAt": list(reading.high_at) or None,
-                "label": f"{mark.name}  {value}".rstrip(),
+                "label": label_text(reading, run.temperature),
             }
         )
     has_own = any(mark.has_settings for mark in known.marks)
