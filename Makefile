@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test faults bench docs install dist clean
+.PHONY: demo test faults bench bench-quality docs install dist clean
 
 # What the demo needs, and no more.
 demo: $(VENV)/.installed
@@ -23,6 +23,10 @@ faults: $(VENV)/.dev-installed
 # Some ten minutes on two cores that do nothing else; `make bench ARGS=--quick` takes two.
 bench: $(VENV)/.dev-installed $(VENV)/.bench-installed
 	$(BIN)/python -m benchmarks $(ARGS)
+
+# Time until a training is good: an hour or so on three generated scenes.
+bench-quality: $(VENV)/.dev-installed $(VENV)/.bench-installed $(VENV)/.synth-installed
+	$(BIN)/python -m benchmarks.quality $(ARGS)
 
 # The documentation site, into build/site; warnings are errors.
 docs: $(VENV)/.docs-installed

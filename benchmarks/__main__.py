@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cases = [case for name in groups for case in GROUPS[name].cases(options.quick)]
     effort = QUICK_EFFORT if options.quick else Effort()
     results: dict[str, Any] = {
-        "machine": _machine(options.threads),
+        "machine": machine(options.threads),
         "quick": options.quick,
         "cases": [],
     }
@@ -60,7 +60,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def _machine(threads: int) -> dict[str, Any]:
+def machine(threads: int) -> dict[str, Any]:
     """What ran the benchmark."""
     versions = {
         name: importlib.metadata.version(name) for name in ("torch", "numba", "numpy", "mrgs")
