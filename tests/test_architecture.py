@@ -16,6 +16,7 @@ FLOORS = {
     "errors": 0,
     "system": 1,
     "scene": 2,
+    "distributed": 2,
     "data": 3,
     "field": 3,
     "rasterizer": 3,

@@ -5,7 +5,6 @@ Its memory is given back when it ends, and a run that crashes takes no other wit
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ from mrgs.comparison.methods import to_text
 from mrgs.comparison.plan import PlannedRun
 from mrgs.system.child import OUT_OF_MEMORY, Child, Message
 from mrgs.system.gpu import DeviceName
+from mrgs.system.threads import available_cores
 
 CHILD = ("-m", "mrgs.comparison.child")
 TICK_S = 1.0
@@ -84,10 +84,7 @@ def run_jobs(
 
 def threads_each(count: int) -> int:
     """The threads of one of ``count`` processes."""
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    return max(1, cores // count)
+    return max(1, available_cores() // count)
 
 
 def _start(
