@@ -65,3 +65,27 @@ def test_a_distortion_that_folds_the_image_names_the_file(tmp_path):
     lens = Lens(40, 31, 30.0, 31.0, 20.0, 15.0, (-100.0, 0.0, 0.0, 0.0))
     with pytest.raises(SceneError, match=r"a\.png: the distortion coefficients fold the image"):
         posed_image(source(tmp_path / "a.png", lens), decode_rgb, None)
+
+
+@pytest.mark.parametrize("lens", [LENS, Lens(40, 31, 30.0, 31.0, 20.0, 15.0, (-0.1, 0, 0, 0))])
+@pytest.mark.parametrize("width", [None, 20])
+def test_an_image_of_8_bits_can_keep_its_levels(lens, width, tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (31, 40, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / "a.png")
+    exact, kept = (
+        posed_image(source(tmp_path / "a.png", lens), decode_rgb, width, keeps).load().values
+        for keeps in (False, True)
+    )
+    assert (exact - kept).abs().max() < 0.5001 / 255
+    torch.testing.assert_close(kept * 255, (kept * 255).round(), atol=1e-4, rtol=0)
+    assert torch.equal(exact, kept) == (width is None and lens.is_pinhole)
+
+
+def test_an_image_of_more_bits_keeps_its_values(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 2**16, (31, 40), dtype=np.uint16)
+    Image.fromarray(noise).save(tmp_path / "a.png")
+    exact, kept = (
+        posed_image(source(tmp_path / "a.png"), decode_rgb, 20, keeps).load().values
+        for keeps in (False, True)
+    )
+    assert torch.equal(exact, kept)

@@ -60,7 +60,7 @@ def test_photos_are_kept_with_their_channels(small_scene):
     fewer = replace(scene, train=scene.train[:-1])
     camera = scene.train[-1].camera
     difference = estimate_bytes(scene, config, 100) - estimate_bytes(fewer, config, 100)
-    assert difference == 4 * (3 + 1) * camera.width * camera.height
+    assert difference == (3 * 1 + 4) * camera.width * camera.height
 
 
 def test_peak_is_that_of_a_process_with_torch_in_it():

@@ -17,9 +17,9 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, View
 from mrgs.training import METHODS, driver, step, train
 from mrgs.training.checkpoint import load_facts, load_model
+from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
-from mrgs.training.views import PhotoCache
 from tests.helpers.runs import trained_run
 from tests.helpers.training import short_config
 
@@ -342,7 +342,7 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
         (step, "_thermal_error", {0, 7, 60}),
         (adaptive, "add_views", {0, 7, 60}),
         (GaussianOptimizer, "step", {0, 7, 60}),
-        (PhotoCache, "fetch", {0, 7, 20}),
+        (HostPhotos, "fetch", {0, 7, 20}),
         (adaptive, "densify", {0, 2}),
         (adaptive, "_no_views", {1, 3}),  # the first is that of the start
         (GaussianOptimizer, "replace_rows", {0, 2}),
@@ -362,8 +362,8 @@ def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
 
 def test_photos_for_which_there_is_no_memory_are_not_fetched(small_scene, tmp_path, monkeypatch):
     released = []
-    fill_memory(monkeypatch, PhotoCache, "fetch", {0})
-    monkeypatch.setattr(PhotoCache, "release", lambda self: released.append(self))
+    fill_memory(monkeypatch, HostPhotos, "fetch", {0})
+    monkeypatch.setattr(HostPhotos, "release", lambda self: released.append(self))
     monkeypatch.setattr(
         torch.cuda, "empty_cache", lambda: pytest.fail("the step itself had enough memory")
     )

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.training.views import PhotoCache, ViewSampler
+from mrgs.training.views import ViewSampler
 
 
 def sampler(count: int, seed: int = 0) -> tuple[ViewSampler, torch.Generator]:
@@ -43,39 +43,6 @@ def test_a_round_of_another_scene_is_refused():
     views, _ = sampler(3)
     with pytest.raises(ValueError, match="the round is not one of 3 views"):
         views.load(torch.tensor([0, 3]))
-
-
-def test_photos_are_read_once_while_there_is_room(counting_image):
-    images = [counting_image() for _ in range(3)]
-    cache = PhotoCache(limit_bytes=240)
-    for image in images * 4:
-        assert cache.load(image.posed).values.shape == (4, 5, 1)
-    assert [image.reads for image in images] == [1, 1, 1]
-
-
-def test_the_least_recently_used_photo_goes_first(counting_image):
-    a, b, c = (counting_image() for _ in range(3))
-    cache = PhotoCache(limit_bytes=160)
-    for image in (a, b, a, c):  # c takes the place of b
-        cache.load(image.posed)
-    cache.load(a.posed)
-    assert (a.reads, b.reads, c.reads) == (1, 1, 1)
-    cache.load(b.posed)
-    assert b.reads == 2
-
-
-def test_masks_count_too(counting_image):
-    images = [counting_image(masked=True) for _ in range(2)]
-    cache = PhotoCache(limit_bytes=199)
-    for image in images * 2:
-        cache.load(image.posed)
-    assert [image.reads for image in images] == [2, 2]
-
-
-def test_a_photo_larger_than_the_cache_is_still_given(counting_image):
-    image = counting_image()
-    cache = PhotoCache(limit_bytes=10)
-    assert cache.load(image.posed) is cache.load(image.posed)
 
 
 def test_one_may_look_at_the_next_view_but_not_into_the_next_round():

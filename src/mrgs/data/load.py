@@ -153,7 +153,9 @@ def _view(
     return View(
         name,
         {
-            modality: posed_image(image, _decoder(modality, temperature), resolution)
+            modality: posed_image(
+                image, _decoder(modality, temperature), resolution, modality != THERMAL
+            )
             for modality, image in view.images.items()
         },
     )

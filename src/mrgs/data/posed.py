@@ -40,7 +40,9 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     return info
 
 
-def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -> PosedImage:
+def posed_image(
+    source: ImageSource, decoder: Decoder, resolution: int | None, keeps_levels: bool = False
+) -> PosedImage:
     """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
     called.
 
@@ -48,6 +50,8 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
         source: the file, its lens and its pose.
         decoder: gives the values and the mask of usable pixels of a file.
         resolution: largest width in pixels; None keeps the file's.
+        keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
+            smaller, so that it takes as little memory as before.
 
     Raises:
         SceneError: the distortion leaves nothing of the image.
@@ -59,7 +63,7 @@ def posed_image(source: ImageSource, decoder: Decoder, resolution: int | None) -
     camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
-    load = partial(_load, source, decoder, camera.width, camera.height)
+    load = partial(_load, source, decoder, camera.width, camera.height, keeps_levels)
     files = (source.path,) if source.mask is None else (source.path, source.mask)
     return PosedImage(camera, load, files, source.record)
 
@@ -100,8 +104,11 @@ def decode_rgb(path: Path) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"
     return decode_intensities(path, RGB.channels)
 
 
-def _load(source: ImageSource, decoder: Decoder, width: int, height: int) -> Pixels:
-    values, valid = decoder(source.path)
+def _load(
+    source: ImageSource, decoder: Decoder, width: int, height: int, keeps_levels: bool
+) -> Pixels:
+    decoded, valid = decoder(source.path)
+    values = decoded
     _check_size((values.shape[1], values.shape[0]), source.lens, source.path)
     if source.mask is not None:
         mask = decode_mask(source.mask)
@@ -109,7 +116,14 @@ def _load(source: ImageSource, decoder: Decoder, width: int, height: int) -> Pix
         valid = mask if valid is None else valid & mask
     values, valid = undistort(values, valid, source.lens)
     values, valid = resize(values, valid, width, height)
+    if keeps_levels and values is not decoded and _has_eight_bits(decoded):
+        values = (values * 255).round_() / 255
     return Pixels(values.contiguous(), valid)
+
+
+def _has_eight_bits(values: Float32[Tensor, "h w c"]) -> bool:
+    """Whether all values are multiples of 1 / 255, as ``decode`` makes them of 8 bits."""
+    return torch.equal((values * 255).round_() / 255, values)
 
 
 def _check_size(size: tuple[int, int], lens: Lens, path: Path) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import torch
 
+from mrgs.system.memory import free_memory
+
 REFERENCE_UNIT_S = 0.0018
 """Processor time of a probe's unit on the computer that the costs were measured on: a core of an
 AMD EPYC (Zen 4)."""
@@ -72,17 +74,6 @@ def _work(left: torch.Tensor, indices: torch.Tensor) -> None:
 def usable_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def free_memory() -> int | None:
-    """Bytes of memory that programs can have without paging; None if the system does not say."""
-    try:
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    except (OSError, ValueError, IndexError):
-        pass
-    return None
 
 
 def free_disk(folder: Path) -> int:

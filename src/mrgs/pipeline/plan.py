@@ -14,8 +14,8 @@ from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.quality import Quality
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.process import check_version, installed_version
-from mrgs.scene import THERMAL
-from mrgs.training.views import CACHE_BYTES
+from mrgs.scene import RGB, THERMAL
+from mrgs.training.photos import bytes_per_pixel, kept_limit
 
 
 @dataclass(frozen=True)
@@ -126,5 +126,6 @@ def disk_bytes(work: Workload, intake: Intake) -> int:
 
 def memory_bytes(work: Workload) -> int:
     """Bytes of memory that training needs at most, roughly; see docs/performance.md."""
-    photos = 16 * 1e3 * work.kpx * work.views
-    return int(450e6 + 3_000 * work.gaussians + 160e3 * work.kpx + min(photos, CACHE_BYTES))
+    bytes_each = bytes_per_pixel(RGB) + bytes_per_pixel(THERMAL)
+    photos = bytes_each * 1e3 * work.kpx * work.views
+    return int(450e6 + 3_000 * work.gaussians + 160e3 * work.kpx + min(photos, kept_limit()))

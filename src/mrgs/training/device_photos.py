@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 
 from mrgs.scene import Pixels, PosedImage
-from mrgs.training.views import PhotoCache, bytes_of, change_each
+from mrgs.training.photos import HostPhotos, bytes_of, change_each
 
 SHARE_OF_FREE_MEMORY = 0.25
 """Of a GPU's free memory at the start, for photos: most of the rest is for the Gaussians, which
@@ -29,7 +29,7 @@ class DevicePhotos:
         free = _free_bytes(device) if limit_bytes is None else 0
         self._left_bytes = int(SHARE_OF_FREE_MEMORY * free) if limit_bytes is None else limit_bytes
         self._kept: dict[PosedImage, Pixels] = {}
-        self._host = PhotoCache(pinned=device.type == "cuda")
+        self._host = HostPhotos(pinned=device.type == "cuda")
         self._copier = _Copier(device)
         self._ahead: dict[PosedImage, Copied] = {}
 

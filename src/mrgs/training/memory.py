@@ -12,7 +12,7 @@ from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.config import MAX_DEGREE, TrainConfig
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import THERMAL, Modality, Scene
-from mrgs.training.views import CACHE_BYTES
+from mrgs.training.photos import kept_bytes, kept_limit
 
 Result = TypeVar("Result")
 
@@ -64,17 +64,12 @@ def estimate_bytes(
         sum(camera.width * camera.height for camera in view.cameras.values())
         for view in scene.train
     )
-    photos = sum(
-        modality.channels * _FLOAT * camera.width * camera.height
-        for view in scene.train
-        for modality, camera in view.cameras.items()
-    )
     return (
         _BASE_BYTES
         + compiles * _COMPILER_BYTES
         + gaussians * per_gaussian
         + pixels * _PIXEL_FLOATS * _FLOAT
-        + min(photos, CACHE_BYTES)
+        + min(kept_bytes(scene), kept_limit())
     )
 
 

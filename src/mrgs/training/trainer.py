@@ -29,11 +29,11 @@ from mrgs.training.driver import Driver
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import checkpoint_bytes, retried_when_full
+from mrgs.training.photos import HostPhotos, PhotoSource
 from mrgs.training.run_folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
 from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
-from mrgs.training.views import PhotoCache, PhotoSource
 
 Result = TypeVar("Result")
 
@@ -191,7 +191,7 @@ class Trainer(Driver[StepStatistics]):
         )
         device = run.state.device
         self._scale = SceneScale.of(run.scene)
-        self._photos: PhotoSource = PhotoCache() if device == HOST else DevicePhotos(device)
+        self._photos: PhotoSource = HostPhotos() if device == HOST else DevicePhotos(device)
         super().__init__(
             run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device
         )

@@ -1,18 +1,9 @@
-"""Which view comes next, and the photos that are kept in memory."""
+"""Which view comes next."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from typing import Protocol
-
 import torch
 from torch import Tensor
-
-from mrgs.scene import Pixels, PosedImage
-
-CACHE_BYTES = 2 * 2**30
-"""Photos kept in memory; beyond it the least recently used are read again when their turn comes."""
 
 
 class ViewSampler:
@@ -57,63 +48,3 @@ class ViewSampler:
         if len(waiting.unique()) < len(waiting):
             raise ValueError("the round names a view twice")
         self._waiting = waiting
-
-
-class PhotoCache:
-    """Photos by view, least recently used first.
-
-    Args:
-        limit_bytes: of what is held.
-        pinned: whether they are held in page-locked memory, from which a GPU copies without the
-            processor.
-    """
-
-    def __init__(self, limit_bytes: int = CACHE_BYTES, pinned: bool = False) -> None:
-        self._limit_bytes = limit_bytes
-        self._pinned = pinned
-        self._held_bytes = 0
-        self._photos: OrderedDict[PosedImage, Pixels] = OrderedDict()
-
-    def load(self, image: PosedImage) -> Pixels:
-        """The pixels of an image, from memory if they are there."""
-        if image in self._photos:
-            self._photos.move_to_end(image)
-            return self._photos[image]
-        pixels = image.load()
-        if self._pinned:
-            pixels = change_each(pixels, Tensor.pin_memory)
-        self._photos[image] = pixels
-        self._held_bytes += bytes_of(pixels)
-        while self._held_bytes > self._limit_bytes and len(self._photos) > 1:
-            _, dropped = self._photos.popitem(last=False)
-            self._held_bytes -= bytes_of(dropped)
-        return pixels
-
-    def fetch(self, images: Sequence[PosedImage]) -> None:
-        """Nothing: on a CPU, to read ahead is to read now."""
-
-    def release(self) -> None:
-        """Nothing: no memory of a GPU is held."""
-
-
-class PhotoSource(Protocol):
-    """Where a training gets its photos from."""
-
-    def load(self, image: PosedImage) -> Pixels:
-        """The pixels of an image, on the training's device."""
-
-    def fetch(self, images: Sequence[PosedImage]) -> None:
-        """Start loading the images that come next."""
-
-    def release(self) -> None:
-        """Give back the memory of a GPU, which is needed for something else."""
-
-
-def change_each(pixels: Pixels, change: Callable[[Tensor], Tensor]) -> Pixels:
-    """Values and mask, each changed alike."""
-    return Pixels(change(pixels.values), None if pixels.valid is None else change(pixels.valid))
-
-
-def bytes_of(pixels: Pixels) -> int:
-    """Size of an image's values and mask, in bytes."""
-    return pixels.values.nbytes + (0 if pixels.valid is None else pixels.valid.nbytes)

@@ -1,0 +1,153 @@
+"""The photos of a training: kept in memory as they are stored on disk while there is room, and read
+ahead of their turn where there is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, Scene
+from mrgs.system.memory import free_memory
+
+SHARE_OF_FREE_MEMORY = 0.4
+"""Of what is free when the training starts; the Gaussians and a step need the rest."""
+
+LIMIT_IF_UNKNOWN = 2 * 2**30
+
+_EIGHT_BIT = 255.0
+
+
+class PhotoSource(Protocol):
+    """Where a training gets its photos from."""
+
+    def load(self, image: PosedImage) -> Pixels:
+        """The pixels of an image, on the training's device."""
+
+    def fetch(self, images: Sequence[PosedImage]) -> None:
+        """Start loading the images that come next."""
+
+    def release(self) -> None:
+        """Give back the memory of a GPU, which is needed for something else."""
+
+
+class HostPhotos:
+    """Photos in the host's memory: those that are read first are kept while they fit, the others
+    are read again whenever their turn comes, on request by a thread beforehand.
+
+    Every round shows each photo once, so which of them are kept makes no difference.
+
+    Args:
+        limit_bytes: of what is kept; None for a share of the memory that is free now.
+        pinned: whether they are kept in page-locked memory, from which a GPU copies without the
+            processor; they are then kept as they are used.
+    """
+
+    def __init__(self, limit_bytes: int | None = None, pinned: bool = False) -> None:
+        self._left_bytes = kept_limit() if limit_bytes is None else limit_bytes
+        self._pinned = pinned
+        self._kept: dict[PosedImage, _Stored] = {}
+        self._ahead: dict[PosedImage, Future[Pixels]] = {}
+        self._reader = ThreadPoolExecutor(1, thread_name_prefix="mrgs-photos")
+
+    def load(self, image: PosedImage) -> Pixels:
+        """The pixels of an image, the same bits at each call.
+
+        Raises:
+            SceneError: it cannot be read.
+        """
+        if image in self._kept:
+            return self._kept[image].pixels()
+        coming = self._ahead.pop(image, None)
+        pixels = image.load() if coming is None else coming.result()
+        if self._pinned:
+            pixels = change_each(pixels, Tensor.pin_memory)
+        if self._left_bytes > 0:
+            self._keep(image, pixels)
+        return pixels
+
+    def _keep(self, image: PosedImage, pixels: Pixels) -> None:
+        stored = _Stored.of(pixels, exact=self._pinned)
+        if stored.nbytes <= self._left_bytes:
+            self._kept[image] = stored
+            self._left_bytes -= stored.nbytes
+        else:  # what comes later may be smaller, but then every photo would be tried again
+            self._left_bytes = 0
+
+    def fetch(self, images: Sequence[PosedImage]) -> None:
+        """Begin to read these images, the next to be loaded; what was fetched and not loaded is
+        forgotten."""
+        due = [image for image in images if image not in self._kept]
+        for image in [image for image in self._ahead if image not in due]:
+            self._ahead.pop(image).cancel()
+        for image in due:
+            if image not in self._ahead:
+                self._ahead[image] = self._reader.submit(image.load)
+
+    def release(self) -> None:
+        """Nothing: no memory of a GPU is held."""
+
+
+class _Stored(NamedTuple):
+    """The pixels of a photo as they are kept.
+
+    Attributes:
+        values: uint8 where all are multiples of 1 / 255, as those of 8-bit photos are; else as they
+            are used.
+        valid: the mask, if there is one.
+    """
+
+    values: Tensor
+    valid: Tensor | None
+
+    @classmethod
+    def of(cls, pixels: Pixels, exact: bool) -> _Stored:
+        """From the pixels; ``exact`` keeps the values as they are."""
+        if not exact:
+            levels = (pixels.values * _EIGHT_BIT).round_().clamp_(0, _EIGHT_BIT)
+            if torch.equal(levels / _EIGHT_BIT, pixels.values):
+                return cls(levels.to(torch.uint8), pixels.valid)
+        return cls(pixels.values, pixels.valid)
+
+    @property
+    def nbytes(self) -> int:
+        return self.values.nbytes + (0 if self.valid is None else self.valid.nbytes)
+
+    def pixels(self) -> Pixels:
+        if self.values.dtype == torch.uint8:
+            return Pixels(self.values.to(torch.float32) / _EIGHT_BIT, self.valid)
+        return Pixels(self.values, self.valid)
+
+
+def kept_limit() -> int:
+    """Bytes of photos that a training on the CPU would keep if it started now."""
+    free = free_memory()
+    return LIMIT_IF_UNKNOWN if free is None else int(SHARE_OF_FREE_MEMORY * free)
+
+
+def kept_bytes(scene: Scene) -> int:
+    """Bytes that the training photos of a scene take if all of them are kept: a byte per channel of
+    8-bit photos, and four of temperatures."""
+    return sum(
+        bytes_per_pixel(modality) * camera.width * camera.height
+        for view in scene.train
+        for modality, camera in view.cameras.items()
+    )
+
+
+def bytes_per_pixel(modality: Modality) -> int:
+    """Of a photo that is kept."""
+    return 4 if modality == THERMAL else modality.channels
+
+
+def change_each(pixels: Pixels, change: Callable[[Tensor], Tensor]) -> Pixels:
+    """Values and mask, each changed alike."""
+    return Pixels(change(pixels.values), None if pixels.valid is None else change(pixels.valid))
+
+
+def bytes_of(pixels: Pixels) -> int:
+    """Size of an image's values and mask, in bytes."""
+    return pixels.values.nbytes + (0 if pixels.valid is None else pixels.valid.nbytes)

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import threading
+
+import pytest
+import torch
+
+from mrgs.errors import SceneError
+from mrgs.scene import RGB, THERMAL, Pixels, PosedImage
+from mrgs.training import photos
+from mrgs.training.photos import HostPhotos, bytes_per_pixel
+from tests.helpers.views import posed_image
+
+
+def test_photos_are_read_once_while_there_is_room(counting_image):
+    images = [counting_image() for _ in range(3)]
+    kept = HostPhotos(limit_bytes=240)
+    for image in images * 4:
+        assert kept.load(image.posed).values.shape == (4, 5, 1)
+    assert [image.reads for image in images] == [1, 1, 1]
+
+
+def test_the_photos_that_come_first_stay(counting_image):
+    a, b, c = (counting_image() for _ in range(3))
+    kept = HostPhotos(limit_bytes=160)
+    for image in (a, b, c, a, b, c):
+        kept.load(image.posed)
+    assert (a.reads, b.reads, c.reads) == (1, 1, 2)
+
+
+def test_masks_count_too(counting_image):
+    images = [counting_image(masked=True) for _ in range(2)]
+    kept = HostPhotos(limit_bytes=199)
+    for image in images * 2:
+        kept.load(image.posed)
+    assert [image.reads for image in images] == [1, 2]
+
+
+def eight_bit(seed: int, channels: int = 3) -> torch.Tensor:
+    levels = torch.randint(0, 256, (6, 7, channels), generator=torch.Generator().manual_seed(seed))
+    return levels.to(torch.float32) / 255
+
+
+def test_photos_of_8_bit_take_a_byte_per_channel_and_keep_their_bits():
+    values, valid = eight_bit(0), torch.rand(6, 7) > 0.5
+    kept = HostPhotos(limit_bytes=6 * 7 * 4)
+    image = posed_image(values, valid)
+    for _ in range(2):
+        found = kept.load(image)
+        assert torch.equal(found.values, values)
+        assert found.valid is valid
+    assert kept._left_bytes == 0
+    assert bytes_per_pixel(RGB) == 3
+
+
+@pytest.mark.parametrize("odd", [0.5, -1 / 255, 256 / 255, float("nan")])
+def test_other_photos_keep_their_bits_too(odd):
+    values = eight_bit(1, channels=1)
+    values[3, 2] = odd
+    kept = HostPhotos(limit_bytes=6 * 7 * 4)
+    image = posed_image(values)
+    kept.load(image)
+    assert kept.load(image).values is values
+    assert bytes_per_pixel(THERMAL) == 4
+
+
+def test_the_next_photos_are_read_by_another_thread():
+    readers = []
+
+    def load() -> Pixels:
+        readers.append(threading.current_thread().name)
+        return Pixels(eight_bit(2))
+
+    image = PosedImage(posed_image(eight_bit(2)).camera, load)
+    kept = HostPhotos(limit_bytes=0)
+    kept.fetch([image])
+    kept.fetch([image])  # it is on its way already
+    assert torch.equal(kept.load(image).values, eight_bit(2))
+    assert torch.equal(kept.load(image).values, eight_bit(2))
+    assert [name.startswith("mrgs-photos") for name in readers] == [True, False]
+
+
+def test_what_fails_ahead_of_its_turn_is_said_when_its_turn_comes():
+    def load() -> Pixels:
+        raise SceneError("a.png: cannot be decoded")
+
+    image = PosedImage(posed_image(eight_bit(3)).camera, load)
+    kept = HostPhotos(limit_bytes=0)
+    kept.fetch([image])
+    with pytest.raises(SceneError, match=r"a\.png: cannot be decoded"):
+        kept.load(image)
+
+
+def test_what_was_fetched_and_is_not_next_is_forgotten(counting_image):
+    a, b = counting_image(), counting_image()
+    kept = HostPhotos(limit_bytes=0)
+    kept.fetch([a.posed])
+    kept.fetch([b.posed])
+    kept.load(b.posed)
+    kept.load(a.posed)
+    assert b.reads == 1
+    assert not kept._ahead
+
+
+@pytest.mark.parametrize(("free", "limit"), [(10**9, 4 * 10**8), (None, 2 * 2**30)])
+def test_the_limit_is_a_share_of_the_free_memory(free, limit, monkeypatch):
+    monkeypatch.setattr(photos, "free_memory", lambda: free)
+    assert photos.kept_limit() == limit
