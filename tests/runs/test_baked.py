@@ -146,3 +146,17 @@ def test_a_subset_has_the_rows_in_their_order():
 def test_a_camera_is_needed():
     with pytest.raises(ValueError, match="without a camera"):
         bake(make_model(), [], None)
+
+
+def test_the_surface_of_a_rendering_is_not_what_shines_through_it():
+    """A wall at z = 0 that lets a twentieth of the light through, and a sky far behind it."""
+    baked = bake(make_model(), CAMERAS, None)
+    walls = baked.map_tensors(lambda tensor: tensor[:2].clone())
+    walls.means[:] = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 400.0]])
+    walls.quats[:] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    walls.scales[:] = torch.tensor([[5.0, 5.0, 0.01], [500.0, 500.0, 1.0]])
+    for opacity in walls.opacities.values():
+        opacity[:] = torch.tensor([0.95, 0.99])
+    rendering = walls.render(make_camera(0.0), RGB)
+    assert float(rendering.surface_depth(RGB, 0.5)[13, 16]) == pytest.approx(4.0, rel=1e-3)
+    assert float(rendering[RGB].depth[13, 16]) > 20

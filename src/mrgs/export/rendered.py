@@ -58,7 +58,7 @@ def value_columns(
 
 def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: Reach) -> DepthMap:
     """The depth of the surface that a pixel of one modality shows, and the values of all."""
-    rendering = baked.render(camera)
+    rendering = baked.render(camera, surface)
     depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
     images = [
         to_float32(in_unit(modality, blend.image, baked.temperature))

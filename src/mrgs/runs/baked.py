@@ -15,7 +15,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade
-from mrgs.rasterizer import Layer, rasterize
+from mrgs.rasterizer import Layer, median_depth, rasterize
 from mrgs.render import Model, shared_passes
 from mrgs.scene import (
     RGB,
@@ -125,19 +125,31 @@ class BakedModel:
         sh = self.sh[modality]
         return shade(self.means, sh[:, :1], sh[:, 1:], position.to(self.means), MAX_DEGREE)
 
-    def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
+    def render(
+        self, cameras: Camera | Mapping[Modality, Camera], surface: Modality | None = None
+    ) -> Rendering:
         """Render any camera, without gradients.
 
         Args:
             cameras: one for all modalities, or one for each modality to render.
+            surface: a modality whose median depth is found too.
         """
         if isinstance(cameras, Camera):
             cameras = dict.fromkeys(self.modalities, cameras)
         with torch.no_grad():
-            return self.blend(
+            blends = self.blend(
                 {each: self.values(each, camera.position) for each, camera in cameras.items()},
                 cameras,
             )
+            if surface is None:
+                return blends
+            return Rendering(dict(blends), {surface: self._median_depth(surface, cameras[surface])})
+
+    def _median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
+        return median_depth(
+            self.means, self.quats, self.scales, self.opacities[modality],
+            camera.viewmat, camera.K, camera.width, camera.height,
+        )  # fmt: skip
 
     def blend(
         self,

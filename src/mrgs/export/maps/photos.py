@@ -34,7 +34,7 @@ def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
         if camera.width > SURVEY_PX:
             camera = camera.with_width(SURVEY_PX)
         surface = scene.modalities[0]
-        depth = _surface_depth(baked.render({surface: camera}), scene, camera)
+        depth = _surface_depth(baked.render({surface: camera}, surface), scene, camera)
         maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError(
@@ -112,7 +112,8 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
     assert scene.temperature is not None
     assert baked.temperature is not None
     camera, pixels = image.camera, image.load()
-    rendering = baked.render(dict.fromkeys({scene.modalities[0], THERMAL}, camera))
+    surface = scene.modalities[0]
+    rendering = baked.render(dict.fromkeys({surface, THERMAL}, camera), surface)
     rendered = to_float32(baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]))
     measured = to_float32(scene.temperature.to_celsius(pixels.values[..., 0]))
     if pixels.valid is not None:
