@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt
 from scipy.ndimage import gaussian_filter
 
 from mrgs.scene import TemperatureRange
@@ -59,11 +60,14 @@ def _doubled(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h2 w"]:
 
 
 def quantise(
-    celsius: Float[np.ndarray, "h w"], temperature: TemperatureRange
-) -> UInt8[np.ndarray, "h w"]:
-    """°C -> 8-bit grey over the range; what lies outside is clipped."""
+    celsius: Float[np.ndarray, "h w"],
+    temperature: TemperatureRange,
+    bits: Literal[8, 16] = 8,
+) -> UInt[np.ndarray, "h w"]:
+    """°C -> grey of 8 or 16 bits over the range; what lies outside is clipped."""
     value = (celsius - temperature.min_c) / temperature.span_c
-    return np.round(255.0 * value.clip(0.0, 1.0)).astype(np.uint8)
+    white = 2**bits - 1
+    return np.round(white * value.clip(0.0, 1.0)).astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def rounded_range(coldest_c: float, hottest_c: float) -> TemperatureRange:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt, UInt8
 from PIL import Image, TiffImagePlugin
 
 from mrgs.data.ply import write_points
@@ -31,6 +31,8 @@ JPEG_QUALITY = 92
 # 1/16384 m.
 TEMPERATURE_STEP_C = 2.0**-9
 DEPTH_STEP_M = 2.0**-14
+
+METRES = WorldFrame(metric=True)
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,13 @@ class SceneFolder:
             ) from error
         return cls(path)
 
-    def rgb(self, name: str, photo: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Write ``images/NAME.jpg``."""
+    def rgb(self, name: str, photo: UInt8[np.ndarray, "h w 3"], exif: bytes = b"") -> None:
+        """Write ``images/NAME.jpg``, with EXIF data if there are any."""
         Image.fromarray(photo).save(
-            self.path / f"images/{name}.jpg", quality=JPEG_QUALITY, subsampling=0
+            self.path / f"images/{name}.jpg", quality=JPEG_QUALITY, subsampling=0, exif=exif
         )
 
-    def thermal(self, name: str, grey: UInt8[np.ndarray, "h w"]) -> None:
+    def thermal(self, name: str, grey: UInt[np.ndarray, "h w"]) -> None:
         """Write ``thermal/NAME.png``."""
         Image.fromarray(grey).save(self.path / f"thermal/{name}.png", optimize=True)
 
@@ -94,7 +96,12 @@ class SceneFolder:
         text = json.dumps(parameters, indent=1) + "\n"
         (self.path / "truth/synth.json").write_text(text, encoding="utf-8")
 
-    def transforms(self, cameras: Mapping[str, Camera], further: Sequence[Modality] = ()) -> None:
+    def transforms(
+        self,
+        cameras: Mapping[str, Camera],
+        further: Sequence[Modality] = (),
+        world: WorldFrame = METRES,
+    ) -> None:
         """Write ``transforms.json`` for named cameras that share their intrinsics, and for the
         images of further modalities."""
         frames = [
@@ -112,7 +119,7 @@ class SceneFolder:
             lens=lens,
             points=POINTS,
             modalities=further,
-            facts=world_json(WorldFrame(metric=True)),
+            facts=world_json(world),
         )
 
 

@@ -478,13 +478,16 @@ def _synth(command: Synth) -> None:
 
     if not 0 <= command.seed <= MAX_SYNTH_SEED:
         raise ConfigError(f"the seed must be from 0 to {MAX_SYNTH_SEED:,}, not {command.seed}")
+    if command.scene == "solar-plant":
+        _synth_plant(command)
+        return
     with counter("rendering") as progress:
         synthesize(
             command.output,
             scene=command.scene,
             width=command.width,
             height=command.height,
-            train_views=command.train_views,
+            train_views=40 if command.train_views is None else command.train_views,
             eval_views=command.eval_views,
             samples=command.samples,
             seed=command.seed,
@@ -492,6 +495,23 @@ def _synth(command: Synth) -> None:
             progress=progress,
         )
     print(f"scene: {command.output}")
+
+
+def _synth_plant(command: Synth) -> None:
+    from mrgs_synth.solar_plant import PlantOptions, synthesize_plant
+
+    if command.nir or command.train_views is not None:
+        raise ConfigError(
+            "solar-plant has no near-infrared photos, and as many training views as its overlap "
+            "asks for: leave out --nir and --train-views"
+        )
+    options = PlantOptions(
+        command.rows, command.modules, command.overlap, command.gps_noise,
+        command.eval_views, command.width, command.height, command.seed,
+    )  # fmt: skip
+    with counter("rendering") as progress:
+        views = synthesize_plant(command.output, options, progress)
+    print(f"scene: {command.output} ({views} training views)")
 
 
 def _read_text(path: Path) -> str:

@@ -465,13 +465,14 @@ class Synth:
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
     """Folder of the new scene."""
     scene: Literal[
-        "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine", "random"
-    ] = "tabletop"
+        "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine",
+        "random", "solar-plant",
+    ] = "tabletop"  # fmt: skip
     """Scene: things on a table, a house in winter, a powered circuit board; or one of the kinds
     whose layout is drawn from the seed: room, house, circuit, roof, machine. random also draws the
-    kind."""
-    train_views: int = 40
-    """Number of training views."""
+    kind. solar-plant is the survey of a solar plant by a drone, without Mitsuba."""
+    train_views: Maybe[int] = None
+    """Number of training views, by default 40; for solar-plant it follows from --overlap."""
     eval_views: int = 8
     """Number of evaluation views."""
     width: int = 320
@@ -484,6 +485,14 @@ class Synth:
     """Seed of the scene, or of its random details, and of the sensor's noise."""
     nir: bool = False
     """Also take near-infrared photos, a third modality."""
+    rows: int = 4
+    """solar-plant: rows of modules, 6 m apart."""
+    modules: int = 20
+    """solar-plant: modules along a row, 1.05 m wide."""
+    overlap: float = 0.75
+    """solar-plant: overlap of photos and of flight lines, as a share of a photo."""
+    gps_noise: float = 0.5
+    """solar-plant: standard deviation of the GPS positions in the photos' EXIF, m."""
 
 
 COMMANDS: dict[str, type] = {

@@ -1,0 +1,6 @@
+"""A solar plant of any size, surveyed by a drone: rays are cast, not traced, so that a thousand
+pairs of photos take minutes."""
+
+from mrgs_synth.solar_plant.generate import PlantOptions, synthesize_plant
+
+__all__ = ["PlantOptions", "synthesize_plant"]
