@@ -870,3 +870,38 @@ def test_the_scene_generator_needs_a_checkout(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "mrgs_synth", None)
     assert main(["synth", str(tmp_path / "scene")]) == 2
     assert "the scene generator comes with a source checkout only" in capsys.readouterr().err
+
+
+def test_minutes_choose_the_number_of_steps(small_scene, tmp_path, capsys, monkeypatch):
+    from mrgs.pipeline import time_limit
+
+    monkeypatch.setattr(time_limit, "PILOT_S", 0.0)
+    monkeypatch.setattr(time_limit, "steps_within", lambda left_s, pace, most: 3 + (most == 60))
+    output = tmp_path / "run"
+    options = ("--max-gaussians", 60, "--output", output, "--minutes", 2)
+    assert run("train", small_scene, *options) == 0
+    assert "4 steps fit into 2 minutes" in capsys.readouterr().out
+    assert "\nmax_steps: 4\n" in (output / "config.yaml").read_text()
+
+
+@pytest.mark.parametrize("other", [("--max-steps", 3), ("--resume",)])
+def test_minutes_leave_no_other_choice_of_steps(other, trained, small_scene, capsys):
+    message = "--minutes chooses the steps: leave --resume and --max-steps out"
+    options = ("--output", trained, "--minutes", 1, *other)
+    refused(capsys, message, "train", small_scene, *options)
+
+
+def test_minutes_are_above_zero(small_scene, tmp_path, capsys):
+    options = ("--output", tmp_path / "run", "--minutes", 0)
+    refused(capsys, "--minutes must be above 0, not 0", "train", small_scene, *options)
+
+
+def test_minutes_and_a_file_with_steps(small_scene, tmp_path, capsys, monkeypatch):
+    from mrgs.pipeline import time_limit
+
+    monkeypatch.setattr(time_limit, "PILOT_S", 0.0)
+    config = tmp_path / "own.yaml"
+    config.write_text("{max_steps: 1}")
+    options = ("--output", tmp_path / "run", "--minutes", 1, "--config", config)
+    message = f"--minutes chooses the steps: leave max_steps out of {config}"
+    refused(capsys, message, "train", small_scene, *options, "--max-gaussians", 50)

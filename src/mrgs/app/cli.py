@@ -3,9 +3,11 @@ elsewhere."""
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -206,16 +208,15 @@ def _train(command: Train) -> None:
     output = _output(command)
     method = method_of(RunFolder(output)) if command.resume else find_method(command.method)
     _require_possible(command, method)
-    config = method.configure(
-        command.preset,
-        max_steps=command.max_steps,
-        max_gaussians=command.max_gaussians,
-        resolution=command.resolution,
-        seed=command.seed,
-        changes="" if command.config is None else _read_text(command.config),
-        source=str(command.config),
-    )
+    config = _configured(command, method, command.max_steps)
     device = command.device if method.uses_gpu else "cpu"
+    if command.minutes is not None:
+        steps = _steps_in_time(command, method, config, device)
+        config = _configured(command, method, steps)
+        if config.max_steps != steps:
+            raise ConfigError(
+                f"--minutes chooses the steps: leave max_steps out of {command.config}"
+            )
     chosen = choose_device(device)
     note_gpu(chosen)
     progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
@@ -234,6 +235,33 @@ def _train(command: Train) -> None:
     _say_what_next(command, output, progress)
 
 
+def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
+    return method.configure(
+        command.preset,
+        max_steps=max_steps,
+        max_gaussians=command.max_gaussians,
+        resolution=command.resolution,
+        seed=command.seed,
+        changes="" if command.config is None else _read_text(command.config),
+        source=str(command.config),
+    )
+
+
+def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> int:
+    """Measure how fast the training is here, and say how many steps it gets."""
+    from mrgs.pipeline.time_limit import measure_pace, steps_within
+
+    assert command.minutes is not None
+    print("measuring the pace of a few steps", flush=True)
+    started = time.monotonic()
+    pace = measure_pace(method, command.scene, config, device=device, plain=command.plain)
+    left_s = command.minutes * 60 - (time.monotonic() - started)
+    most = config.densification.max_gaussians if method.has_gaussians else None
+    steps = steps_within(left_s, pace, most)
+    print(f"{steps:,} steps fit into {command.minutes:g} minutes", flush=True)
+    return steps
+
+
 def _require_possible(command: Train, method: Method) -> None:
     """Options that the method can follow.
 
@@ -246,6 +274,11 @@ def _require_possible(command: Train, method: Method) -> None:
             raise ConfigError(
                 f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
             )
+    if command.minutes is not None:
+        if command.resume or command.max_steps is not None:
+            raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
+        if not 0 < command.minutes < math.inf:
+            raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
     if command.accept_changes and not command.resume:
         raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
     if command.device == "cuda" and not method.uses_gpu:

@@ -181,6 +181,8 @@ class Train:
     """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
     max_steps: Maybe[int] = None
     """Number of steps; the preset's schedule is rescaled to fit."""
+    minutes: Maybe[float] = None
+    """Choose the number of steps so that training takes about this long on this computer."""
     max_gaussians: Maybe[int] = None
     """Maximum number of Gaussians."""
     resolution: Maybe[int] = None

@@ -162,8 +162,18 @@ def _prepare(work: Workload) -> dict[str, float]:
 
 
 def _train(work: Workload) -> dict[str, float]:
-    step = 0.014 + 1.55e-3 * work.mean_gaussians / 1e3 + 0.2e-3 * work.kpx
+    step = step_cost(work.mean_gaussians, work.kpx)
     return {"compiling": 3.0 + work.compiling_s, "steps": step * work.steps}
+
+
+def step_cost(gaussians: float, kpx: float) -> float:
+    """Processor seconds of a training step.
+
+    Args:
+        gaussians: how many.
+        kpx: thousands of pixels of the view's images.
+    """
+    return 0.014 + 1.55e-3 * gaussians / 1e3 + 0.2e-3 * kpx
 
 
 def _page(work: Workload, render: float) -> dict[str, float]:

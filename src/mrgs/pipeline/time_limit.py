@@ -1,0 +1,91 @@
+"""How many steps a training may take that has to end in a given time, from the pace of its first
+steps."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mrgs.pipeline.costs import MATURE, step_cost
+from mrgs.runs.registry import Method
+from mrgs.scene import Scene
+
+PILOT_S = 3.0
+"""How long the steps of a pilot take at least."""
+
+PILOT_STEPS = 12
+"""Steps of a pilot at least; the first third is not counted: caches are cold, photos are read."""
+
+MARGIN = 1.05
+"""Checkpoints, densifications, and the last picture of a viewer."""
+
+
+class Pace(NamedTuple):
+    """What a pilot found.
+
+    Attributes:
+        loading_s: from the call to the first step, without compiling.
+        step_s: a step.
+        gaussians: N; None for a method without Gaussians.
+        kpx: thousands of pixels of a view's images.
+    """
+
+    loading_s: float
+    step_s: float
+    gaussians: int | None
+    kpx: float
+
+
+def measure_pace(method: Method, scene: str | Path, config: Any, **options: Any) -> Pace:
+    """Train for a few seconds into a folder that is thrown away; this also compiles the kernels.
+
+    Args:
+        method: to train.
+        scene: the scene's folder.
+        config: of the training.
+        options: for ``method.train``.
+
+    Raises:
+        MrgsError: what the training itself would raise.
+    """
+    found: dict[str, Any] = {}
+    called = time.perf_counter()
+    times = [called]
+
+    def on_start(loaded: Scene, _: Any) -> None:
+        times[0] = time.perf_counter()
+        cameras = [camera for view in loaded.train for camera in view.cameras.values()]
+        found["kpx"] = sum(c.width * c.height for c in cameras) / len(loaded.train) / 1e3
+
+    def on_step(step: Any) -> bool:
+        times.append(time.perf_counter())
+        found["gaussians"] = step.gaussians
+        return len(times) > PILOT_STEPS and times[-1] - times[1] > PILOT_S
+
+    with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
+        pilot = Path(folder, "run")
+        method.train(scene, pilot, config, on_start=on_start, on_step=on_step, **options)
+    steps = [after - before for before, after in pairwise(times[len(times) // 3 :])]
+    return Pace(times[0] - called, statistics.median(steps), found["gaussians"], found["kpx"])
+
+
+def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
+    """The steps that fit into a time, at least one.
+
+    A step takes longer once there are more Gaussians: as the costs of a pipeline's training say.
+
+    Args:
+        seconds: from the start of the training.
+        pace: of its first steps.
+        max_gaussians: the cap that it reaches; None for a method without Gaussians.
+    """
+    growth = 1.0
+    if max_gaussians is not None and pace.gaussians:
+        first = step_cost(pace.gaussians, pace.kpx)
+        last = step_cost(max(max_gaussians, pace.gaussians), pace.kpx)
+        growth = (MATURE * (first + last) / 2 + (1 - MATURE) * last) / first
+    return max(1, int((seconds - pace.loading_s) / (MARGIN * growth * pace.step_s)))

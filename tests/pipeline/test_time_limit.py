@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from mrgs.data import load_scene
+from mrgs.pipeline.costs import step_cost
+from mrgs.pipeline.time_limit import MARGIN, PILOT_STEPS, Pace, measure_pace, steps_within
+from mrgs.runs.registry import Method, find_method
+
+
+def test_a_training_that_does_not_grow_takes_its_pace():
+    pace = Pace(loading_s=4.0, step_s=0.1, gaussians=1000, kpx=10.0)
+    assert steps_within(64.0, pace, 1000) == int(60 / (MARGIN * 0.1))
+    assert steps_within(64.0, pace._replace(gaussians=None), None) == int(60 / (MARGIN * 0.1))
+
+
+def test_growth_leaves_time_for_fewer_steps():
+    pace = Pace(loading_s=0.0, step_s=step_cost(10_000, 100.0), gaussians=10_000, kpx=100.0)
+    steps = steps_within(60.0, pace, 50_000)
+    at_the_cap = 60.0 / (MARGIN * step_cost(50_000, 100.0))
+    assert at_the_cap < steps < 1.15 * at_the_cap
+
+
+@pytest.mark.parametrize("seconds", [-5.0, 1.0])
+def test_without_time_there_is_one_step(seconds):
+    assert steps_within(seconds, Pace(4.0, 0.1, 1000, 10.0), 1000) == 1
+
+
+def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene, monkeypatch):
+    seen = {}
+    clock = iter(range(1000))
+
+    def train(scene, output, config, *, on_start, on_step, device):
+        seen["output"] = output
+        output.mkdir()
+        on_start(load_scene(scene), config)
+        for step in range(1, 1000):
+            if on_step(SimpleNamespace(step=step, gaussians=7)):
+                seen["steps"] = step
+                return
+
+    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
+    method = Method("paced", "", lambda **_: None, train=train)
+    pace = measure_pace(method, small_scene, None, device="cpu")
+    assert seen["steps"] == PILOT_STEPS
+    assert pace == Pace(loading_s=1, step_s=1, gaussians=7, kpx=2 * 40 * 30 / 1e3)
+    assert not seen["output"].exists()
+
+
+def test_a_pilot_of_a_short_training_ends_with_it(small_scene):
+    method = find_method("mrgs-plus")
+    config = method.configure("fast", max_steps=2, max_gaussians=50)
+    pace = measure_pace(method, small_scene, config, device="cpu")
+    assert pace.step_s > 0
+    assert pace.gaussians == 25
