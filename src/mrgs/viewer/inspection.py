@@ -147,7 +147,7 @@ class Inspection:
                 self.subject.views, camera, self.subject.scene.extent, self.view_index
             )
         settings = self.settings
-        panes, images = self._render(settings, camera)
+        panes, images = self._render(settings, camera, moving)
         scales = self._measure(panes, images, settings)
         if moving:
             scales = _known(self._scales, scales, settings)
@@ -235,17 +235,17 @@ class Inspection:
         self.point = None
 
     def _render(
-        self, settings: Settings, camera: Camera
+        self, settings: Settings, camera: Camera, moving: bool = False
     ) -> tuple[tuple[Pane, ...], tuple[PaneImages, ...]]:
         panes = panes_of(settings.mode, camera, self.view)
-        return panes, tuple(self._images(pane) for pane in panes)
+        return panes, tuple(self._images(pane, moving) for pane in panes)
 
     def _measure(
         self, panes: Sequence[Pane], images: Sequence[PaneImages], settings: Settings
     ) -> Scales:
         return measure_scales(panes, images, settings, self.subject.temperature, self._ball)
 
-    def _images(self, pane: Pane) -> PaneImages:
+    def _images(self, pane: Pane, moving: bool) -> PaneImages:
         subject = self.subject
         if pane.kind == "photo":
             return self._photo(pane)
@@ -257,7 +257,8 @@ class Inspection:
             camera, compared_with = pane.photo.camera, self.view.camera
         regions = self._regions(pane)
         images = subject.source.run(
-            lambda model: render_pane(model, camera, subject, compared_with, regions)
+            lambda model: render_pane(model, camera, subject, compared_with, regions),
+            camera if moving else None,
         )
         if compared_with is None:
             return images

@@ -15,8 +15,10 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from mrgs.render import Model
+from mrgs.scene import Camera
 from mrgs.system.gpu import HOST
 from mrgs.system.threads import one_thread
+from mrgs.viewer.detail import LevelsOfDetail
 
 Result = TypeVar("Result")
 
@@ -38,12 +40,19 @@ class TrainedSource:
 
     def __init__(self, model: Model) -> None:
         self._model = model
+        self._levels = LevelsOfDetail(model)
         self._lock = threading.Lock()
 
-    def run(self, job: Callable[[Model], Result]) -> Result:
-        """Run a job on the model after those before it; returns the result of the job."""
+    def run(self, job: Callable[[Model], Result], moving: Camera | None = None) -> Result:
+        """Run a job on the model after those before it; returns the result of the job.
+
+        Args:
+            job: to run.
+            moving: the camera of a picture that is wanted soon: drawn from as few Gaussians as
+                that takes. None for the model itself.
+        """
         with self._lock:
-            return job(self._model)
+            return job(self._model if moving is None else self._levels.model_for(moving))
 
     def small_work(self) -> AbstractContextManager[None]:
         """Around the drawing of a small picture: on one thread, see ``one_thread``."""
@@ -88,8 +97,10 @@ class LiveSource:
         with self._lock:
             return len(self._jobs)
 
-    def run(self, job: Callable[[Model], Result]) -> Result:
+    def run(self, job: Callable[[Model], Result], moving: Camera | None = None) -> Result:
         """Wait until the training has run the job between two steps, and return what it returns.
+
+        A model in training is drawn as it is, also while the camera moves.
 
         Raises:
             CancelledError: the source was closed.
