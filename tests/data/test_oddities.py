@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
-from mrgs.data.oddities import oddities
+from mrgs.data.oddities import _thinned, oddities
 from mrgs.scene import Camera, PosedImage, View
 from tests.helpers.scenes import write_scene
 
@@ -119,3 +119,11 @@ def test_photos_that_serve_twice(folder):
               for each, image in second.images.items()}  # fmt: skip
     (found,) = oddities(replace(scene, train=(first, View(second.name, images), *others)))
     assert "2 of 10 photos are used by several views, or as several modalities" in found
+
+
+def test_large_photos_are_thinned_before_they_are_kept():
+    photo = torch.arange(3.0 * 1200 * 900).reshape(1200, 900, 3)
+    thinned = _thinned(photo)
+    assert torch.equal(thinned, photo[::3, ::3])
+    assert thinned.untyped_storage().nbytes() == thinned.nbytes
+    assert torch.equal(_thinned(thinned), thinned)

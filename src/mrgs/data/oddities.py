@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,9 @@ from mrgs.scene.view import evenly_spaced
 
 PHOTOS = 12
 """How many views' photos are looked at."""
+
+PIXELS = 250_000
+"""Of a photo, about so many pixels are looked at, evenly spread."""
 
 POINTS = 20_000
 PAIRS = 50_000_000
@@ -49,8 +53,8 @@ def oddities(scene: Scene) -> list[str]:
     found += _of_files(scene)
     views = [scene.train[place] for place in evenly_spaced(len(scene.train), PHOTOS)]
     for modality in scene.modalities:
-        photos = [view.images[modality].load().values for view in views if modality in view.images]
-        found += _of_photos(modality, photos)
+        photos = [view.images[modality] for view in views if modality in view.images]
+        found += _of_photos(modality, [_thinned(photo.load().values) for photo in photos])
     return found
 
 
@@ -161,6 +165,12 @@ def _value_of(modality: Modality) -> str:
     if modality == THERMAL:
         return "temperature"
     return "colour" if modality.channels == 3 else "value"
+
+
+def _thinned(photo: Float32[Tensor, "h w c"]) -> Float32[Tensor, "y x c"]:
+    """Every k-th pixel of every k-th row, so that the others need not be kept."""
+    step = max(1, math.ceil(math.sqrt(photo.shape[0] * photo.shape[1] / PIXELS)))
+    return photo[::step, ::step].clone()
 
 
 def _span(photo: Float32[Tensor, "h w c"]) -> Float32[Tensor, " c"]:

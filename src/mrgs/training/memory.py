@@ -41,7 +41,7 @@ _COMPILER_BYTES = 220 * 2**20
 _RASTER_FLOATS_PER_GAUSSIAN = 80
 """The projected record, and about four tiles per Gaussian with their gradient moments."""
 
-_PIXEL_FLOATS = 40
+_PIXEL_FLOATS = 28
 """Images and gradients per pixel."""
 
 
