@@ -14,7 +14,7 @@ test: $(VENV)/.dev-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40
 
 # Attacks for hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes about one.
 faults: $(VENV)/.dev-installed
