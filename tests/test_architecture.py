@@ -17,6 +17,7 @@ FLOORS = {
     "system": 1,
     "scene": 2,
     "distributed": 2,
+    "survey": 3,
     "data": 3,
     "field": 3,
     "rasterizer": 3,

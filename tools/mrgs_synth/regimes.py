@@ -54,15 +54,25 @@ class TrainingView:
         source: its images, lenses and poses.
         thermal: what is done to its thermal photo's values [h, w] or [h, w, 3] when it is written;
             None links the file.
+        in_celsius: whether these become °C, in a TIFF.
     """
 
     source: ViewSource
     thermal: Callable[[np.ndarray], np.ndarray] | None = None
+    in_celsius: bool = False
 
     def with_images(self, images: Mapping[Modality, ImageSource]) -> TrainingView:
         """The view with other images."""
         return replace(self, source=replace(self.source, images=images))
 
+
+DRIFT_C = 0.5
+SHUTTER_S = 180.0
+"""An uncooled camera drifts from ``DRIFT_C`` below to as much above, or the other way round,
+between two corrections with its shutter."""
+
+SECONDS_PER_PHOTO = (8.0, 20.0)
+"""Of a person who walks around a building, at random."""
 
 Change = Callable[[Sequence[TrainingView], SceneSource, np.random.Generator], list[TrainingView]]
 
@@ -208,6 +218,34 @@ def _noisy(
     ]
 
 
+def _drifting(
+    views: Sequence[TrainingView], scene: SceneSource, rng: np.random.Generator
+) -> list[TrainingView]:
+    """Thermal photos of a camera that drifts steadily, up or down, until its shutter corrects it, in
+    the order of their names; in °C."""
+    bounds = read_bounds(scene.root, scene.notes)
+    if bounds is None:
+        raise ConfigError("the scene has no temperature_bounds.json, so a drift has no °C")
+    ordered = sorted(views, key=lambda view: view.source.key)
+    taken = rng.uniform(0, SHUTTER_S) + rng.uniform(*SECONDS_PER_PHOTO, len(views)).cumsum()
+    ends = rng.choice([-DRIFT_C, DRIFT_C], size=int(taken[-1] // SHUTTER_S) + 1)
+
+    def add(values: np.ndarray, drift_c: float) -> np.ndarray:
+        celsius = values.astype(np.float32)
+        if values.dtype.kind == "u":
+            celsius = bounds.to_celsius(celsius / np.iinfo(values.dtype).max)
+        return (celsius + drift_c).astype(np.float32)
+
+    drifts = [
+        float(ends[int(second // SHUTTER_S)] * (2 * (second % SHUTTER_S) / SHUTTER_S - 1))
+        for second in taken
+    ]
+    return [
+        replace(view, thermal=partial(add, drift_c=drift), in_celsius=True)
+        for view, drift in zip(ordered, drifts, strict=True)
+    ]
+
+
 def _thermal_missing(
     share: float, views: Sequence[TrainingView], scene: SceneSource, rng: np.random.Generator
 ) -> list[TrainingView]:
@@ -266,6 +304,7 @@ REGIMES: dict[str, Change] = {
     "poses-2px": partial(_wrong_poses, 2.0),
     "poses-4px": partial(_wrong_poses, 4.0),
     "noise": _noisy,
+    "drift": _drifting,
     "missing-half": partial(_thermal_missing, 0.5),
     "missing-90": partial(_thermal_missing, 0.9),
     "thermal-quarter": _thermal_quarter,
@@ -318,6 +357,8 @@ def _write_view(output: Path, view: TrainingView, name: str) -> tuple[dict, list
         suffix = source.path.suffix
         if change is not None and suffix.lower() in (".jpg", ".jpeg"):
             suffix = ".png"
+        if view.in_celsius and modality == THERMAL:
+            suffix = ".tiff"
         paths[modality] = f"{folder}/{name}{suffix}"
         if change is None:
             _link(source.path, output / paths[modality])

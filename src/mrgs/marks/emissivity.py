@@ -4,7 +4,7 @@ photos were computed with."""
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -83,16 +83,29 @@ class CaptureSettings:
         ε' W(T') + (1 − ε') W(T'_refl) = ε W(T) + (1 − ε) W(T_refl). Air and window weigh both sides
         alike. NaN where the reflection alone would be more than what was measured.
         """
-        received = self._radiated(celsius, self.surface)
-        of_object = (received - self._reflected(surface)) / surface.emissivity
-        corrected: Float64[np.ndarray, "..."] = self.law.celsius(of_object - self.law.o)
-        return corrected
+        return self.celsius_of(self.received(celsius), surface)
 
-    def _radiated(
+    def as_photos(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> Float64[np.ndarray, "..."]:
+        """What the photos give for temperatures of a surface with other settings; undoes
+        ``corrected``."""
+        there = replace(self, surface=surface)
+        return self.celsius_of(there.received(celsius), self.surface)
+
+    def received(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+        """The signal that left a surface of these temperatures, as the photos have them."""
         own: Float64[np.ndarray, "..."] = self.law.signals(celsius) + self.law.o
-        return surface.emissivity * own + self._reflected(surface)
+        return self.surface.emissivity * own + self._reflected(self.surface)
+
+    def celsius_of(
+        self, received: Float64[np.ndarray, "..."], surface: SurfaceSettings
+    ) -> Float64[np.ndarray, "..."]:
+        """The temperatures, °C, of a surface with these settings that a signal left; NaN where
+        there is none."""
+        of_object = (received - self._reflected(surface)) / surface.emissivity
+        celsius: Float64[np.ndarray, "..."] = self.law.celsius(of_object - self.law.o)
+        return celsius
 
     def _reflected(self, surface: SurfaceSettings) -> float:
         if surface.reflected_c is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,6 +26,7 @@ from mrgs.marks.surface import (
     see,
     seen_depth,
 )
+from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
 from mrgs.scene.depth_map import DepthMap, surveying_cameras
@@ -69,6 +71,8 @@ class MarkReading:
         high_at: the place of the largest value, [3].
         spread: standard deviation over the mark.
         difference: the mean minus that of the mark it is compared with; NaN without one.
+        uncertainty: of the mean; None if the photos are not known.
+        difference_uncertainty: of the difference, as ``Uncertainty.total``; NaN if not known.
         length: of a line, along its straight pieces, scene units; else NaN.
         area: of the flat outline of a box or polygon, scene units squared; else NaN.
         covered: share of the mark where the model shows a surface.
@@ -85,6 +89,8 @@ class MarkReading:
     high_at: tuple[float, ...] = ()
     spread: float = np.nan
     difference: float = np.nan
+    uncertainty: Uncertainty | None = None
+    difference_uncertainty: float = np.nan
     length: float = np.nan
     area: float = np.nan
     covered: float = 0.0
@@ -101,6 +107,7 @@ class MarkMeter:
         temperature: the scale of the thermal values; None without known °C.
         cameras: of the thermal photos; empty if they are not known.
         capture: what the temperatures of the photos were computed with.
+        uncertainty: says how far they may be from the truth; None if the photos are not known.
     """
 
     def __init__(
@@ -109,8 +116,10 @@ class MarkMeter:
         temperature: TemperatureRange | None,
         cameras: Sequence[Camera] = (),
         capture: CaptureSettings | None = None,
+        uncertainty: UncertaintyMeter | None = None,
     ) -> None:
         self.capture = capture or CaptureSettings()
+        self.uncertainty = uncertainty
         self._render = render
         self._temperature = temperature
         self._cameras = cameras
@@ -129,11 +138,8 @@ class MarkMeter:
         if regions is None:
             regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]
-        means = {reading.mark.name: reading.mean for reading in readings}
-        return [
-            replace(reading, difference=_difference(reading, means, marks.reference))
-            for reading in readings
-        ]
+        named = {reading.mark.name: reading for reading in readings}
+        return [_with_difference(reading, named, marks.reference) for reading in readings]
 
     def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
         """One mark by itself, in a model with regions."""
@@ -143,9 +149,10 @@ class MarkMeter:
         try:
             if problem:
                 raise ConfigError(problem)
-            surface = see(regions.render, measuring_camera(mark))
+            seen = see(self._render, measuring_camera(mark))
         except ConfigError as error:
             return MarkReading(mark, problem=str(error))
+        surface = replace(seen, rendering=regions.applied_to(seen.rendering, seen.camera))
         values = self._values(surface)
         if mark.kind == "line":
             reading, places = _read_line(mark, surface, values)
@@ -156,7 +163,22 @@ class MarkMeter:
                 else outline_mask(surface.camera, mark.points)
             )
             reading, places = _read_pixels(mark, surface, values, mask)
-        return self._with_photos(reading, places)
+        reading = self._with_photos(reading, places)
+        return reading if reading.problem else self._with_uncertainty(reading, places, regions)
+
+    def _with_uncertainty(
+        self, reading: MarkReading, places: Float[np.ndarray, "n 3"], regions: Regions
+    ) -> MarkReading:
+        """With the uncertainty of its mean, where the photos are known."""
+        if self.uncertainty is None:
+            return reading
+        step = -(-len(places) // CHECKED_POINTS)
+        settings = regions.settings_at(places)
+        value = reading.mean
+        if settings is not None:
+            value = float(self.capture.as_photos(np.array([value]), settings)[0])
+        found = self.uncertainty.of_mark(places[::step].astype(np.float32), value, settings)
+        return replace(reading, uncertainty=found)
 
     def _values(self, surface: SeenSurface) -> Float[np.ndarray, "h w"] | None:
         values = celsius_or_value(surface.rendering)
@@ -259,7 +281,17 @@ def _with_values(
     )
 
 
-def _difference(reading: MarkReading, means: dict[str, float], reference: str) -> float:
-    """ΔT of a mark to the one that it is compared with; NaN without one."""
+def _with_difference(
+    reading: MarkReading, named: dict[str, MarkReading], reference: str
+) -> MarkReading:
+    """With ΔT to the mark that it is compared with, if there is one."""
     other = reading.mark.against or reference
-    return reading.mean - means[other] if other and other != reading.mark.name else np.nan
+    if not other or other == reading.mark.name:
+        return reading
+    pair = reading, named[other]
+    found = [each.uncertainty.of_differences for each in pair if each.uncertainty is not None]
+    return replace(
+        reading,
+        difference=pair[0].mean - pair[1].mean,
+        difference_uncertainty=math.hypot(*found) if len(found) == 2 else np.nan,
+    )

@@ -117,6 +117,14 @@ class Regions:
         """The model from a camera, with the temperatures of the regions corrected."""
         return self.applied_to(self._render(camera), camera)
 
+    def settings_at(self, points: Float[np.ndarray, "n 3"]) -> SurfaceSettings | None:
+        """The settings of the region that holds most of some points; None for those of the
+        photos."""
+        for region in reversed(self._regions):
+            if region.holds(points).mean() > 0.5:
+                return region.settings
+        return None
+
     def of_splats(self, baked: BakedModel) -> BakedModel:
         """A model of splats whose temperatures are corrected one by one.
 

@@ -14,6 +14,7 @@ from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SeenSurface, see, steady_depth
+from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
 
@@ -44,6 +45,7 @@ class RunMarks:
             run.temperature,
             thermal_cameras(self.scene),
             CaptureSettings.of(self.scene),
+            None if self.scene is None else UncertaintyMeter.of_run(run, self.scene),
         )
 
     @property

@@ -7,6 +7,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ import numpy as np
 
 from mrgs.marks.mark import Mark, Place
 from mrgs.marks.measure import MarkReading
+from mrgs.marks.uncertainty import Uncertainty
 from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.prepare.earth import geodetic
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
 
-HEADINGS = ("Mark", "Kind", "Mean", "Min", "Max", "ΔT", "Size", "Photos", "Note")
+HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Note")
 DASH = "–"
 
 
@@ -56,6 +58,11 @@ def value_text(
     return text
 
 
+def total_uncertainty(reading: MarkReading) -> float:
+    """Of the mean, all parts together; NaN where it is not known."""
+    return math.nan if reading.uncertainty is None else reading.uncertainty.total
+
+
 def text_rows(
     readings: Sequence[MarkReading], temperature: TemperatureRange | None, world: WorldFrame
 ) -> list[tuple[str, ...]]:
@@ -69,6 +76,7 @@ def text_rows(
             reading.mark.name,
             reading.mark.kind,
             number(reading.mean),
+            number(total_uncertainty(reading)),
             number(reading.low),
             number(reading.high),
             number(reading.difference, sign=True),
@@ -88,12 +96,16 @@ def facts_of_reading(
     value_unit = "c" if temperature is not None else "normalised"
     length_unit = "m" if world.metric else "units"
     x, y, z = np.mean(mark.points, axis=0).tolist()
+    parts = asdict(reading.uncertainty or Uncertainty())
     numbers = {
         f"mean_{value_unit}": reading.mean,
         f"min_{value_unit}": reading.low,
         f"max_{value_unit}": reading.high,
         f"std_{value_unit}": reading.spread,
+        f"uncertainty_{value_unit}": total_uncertainty(reading),
+        **{f"uncertainty_{name}_{value_unit}": part for name, part in parts.items()},
         f"difference_{value_unit}": reading.difference,
+        f"difference_uncertainty_{value_unit}": reading.difference_uncertainty,
         f"length_{length_unit}": reading.length,
         f"area_{length_unit}2": reading.area,
         f"diameter_{length_unit}": 2 * mark.radius if mark.kind == "spot" else np.nan,

@@ -6,8 +6,18 @@ import math
 from typing import TypedDict
 
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.tables import size_text, value_text
+from mrgs.marks.tables import size_text, total_uncertainty, value_text
 from mrgs.scene import TemperatureRange, WorldFrame
+
+PART_NAMES = {
+    "photos": "photos",
+    "model": "model",
+    "camera": "data sheet",
+    "emissivity": "emissivity",
+    "reflected": "reflected temperature",
+    "distance": "distance",
+}
+"""What the parts of an uncertainty are called."""
 
 MOSTLY_COVERED = 0.98
 """A mark that shows a surface on less of it says so."""
@@ -31,8 +41,29 @@ class MarkText(TypedDict):
 
 def label_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
     """What stands beside a mark in a picture: its name, and its mean if there is one."""
-    value = "" if reading.problem else value_text(reading.mean, temperature, unit=True)
-    return f"{reading.mark.name}  {value}".rstrip()
+    return f"{reading.mark.name}  {value_with_uncertainty(reading, temperature)}".rstrip()
+
+
+def value_with_uncertainty(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """The mean, ± its uncertainty where that is known; empty without a temperature."""
+    if reading.problem:
+        return ""
+    around = total_uncertainty(reading)
+    if math.isnan(around):
+        return value_text(reading.mean, temperature, unit=True)
+    mean = value_text(reading.mean, temperature)
+    return f"{mean} ± {value_text(around, temperature, unit=True)}"
+
+
+def uncertainty_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """The parts of the uncertainty; empty where it is not known."""
+    if reading.uncertainty is None or not reading.uncertainty.known:
+        return ""
+    parts = ", ".join(
+        f"{PART_NAMES[name]} {value_text(part, temperature)}"
+        for name, part in reading.uncertainty.known.items()
+    )
+    return f"± for 95 of 100 cases: {parts}"
 
 
 def mark_text(
@@ -53,10 +84,9 @@ def mark_text(
     return {
         "name": mark.name,
         "kind": mark.kind,
-        "value": value_text(reading.mean, temperature, unit=True),
-        "difference": ""
-        if math.isnan(reading.difference)
-        else f"ΔT {value_text(reading.difference, temperature, sign=True, unit=True)}",
+        "value": value_with_uncertainty(reading, temperature)
+        or value_text(reading.mean, temperature),
+        "difference": difference_text(reading, temperature),
         "lines": _lines(reading, temperature, world),
         "profile": _profile(reading),
         "note": mark.note,
@@ -65,6 +95,18 @@ def mark_text(
         "reflected_c": mark.reflected_c,
         "reference": mark.name == reference,
     }
+
+
+def difference_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """ΔT, ± its uncertainty where that is known; empty without one."""
+    if math.isnan(reading.difference):
+        return ""
+    around = reading.difference_uncertainty
+    text = f"ΔT {value_text(reading.difference, temperature, sign=True, unit=math.isnan(around))}"
+    if math.isnan(around):
+        return text
+    unit = "" if temperature is None else " K"
+    return f"{text} ± {value_text(around, temperature)}{unit}"
 
 
 def _lines(
@@ -76,6 +118,8 @@ def _lines(
         low = value_text(reading.low, temperature)
         high = value_text(reading.high, temperature, unit=True)
         lines.append(f"{low} to {high}")
+    if doubt := uncertainty_text(reading, temperature):
+        lines.append(doubt)
     lines.append(size_text(reading, world))
     if reading.covered < MOSTLY_COVERED and not reading.problem:
         lines.append(f"{100 * reading.covered:.0f} % of it shows a surface")

@@ -149,6 +149,8 @@ def training_step(
     )
     # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
     state.move(config, finite)
+    if THERMAL in photos:
+        state.image_model.learn_drift(number, observed, photos[THERMAL], finite)
     state.skipped_in_a_row = skipped_in_a_row
     return StepResult(statistics, passes, finite)
 

@@ -13,6 +13,8 @@ from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.run_marks import thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
+from mrgs.marks.surface import SurfaceRenderer
+from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
@@ -68,8 +70,18 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         subject.temperature,
         thermal_cameras(subject.scene),
         CaptureSettings.of(subject.scene),
+        _uncertainty_of(subject, draw),
     )
     return MarkBoard(MarkStore(subject.folder, spread), meter)
+
+
+def _uncertainty_of(subject: Subject, draw: SurfaceRenderer) -> UncertaintyMeter | None:
+    """None without photos, and for a model that still changes."""
+    if subject.scene is None or not isinstance(subject.source, TrainedSource):
+        return None
+    return UncertaintyMeter.of(
+        draw, subject.camera_response, subject.scene, subject.temperature, subject.folder
+    )
 
 
 def is_training(folder: Path) -> bool:

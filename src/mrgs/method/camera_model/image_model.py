@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from mrgs.method.camera_model.photo_drift import PhotoDrift
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
-from mrgs.scene import THERMAL, Camera, Rendering, Scene
+from mrgs.scene import THERMAL, Camera, Pixels, Rendering, Scene
 from mrgs.system.limits import MOST_RATE, require_within
 
 INITIAL_POINT_SPREAD_PX = 0.8
@@ -32,12 +33,14 @@ class ImageModelConfig:
         point_spread: blur the rendered temperatures by a Gaussian of learned width.
         thermal_gain: a learned gain and offset per thermal photo, in scenes without °C, whose
             cameras may have automatic gain.
+        thermal_drift: an offset per thermal photo, in scenes with °C, see ``PhotoDrift``.
         point_spread_rate: learning rate of the logarithm of the blur's width.
         thermal_gain_rate: learning rate of gains and offsets.
     """
 
     point_spread: bool = False
     thermal_gain: bool = False
+    thermal_drift: bool = False
     point_spread_rate: float = 5e-3
     thermal_gain_rate: float = 1e-3
 
@@ -76,6 +79,11 @@ class Capture(NamedTuple):
     def lacks_celsius(self) -> bool:
         """Whether there are thermal photos whose values are no temperatures."""
         return any(self.thermal_viewpoints) and not self.has_celsius
+
+    @property
+    def may_drift(self) -> bool:
+        """Whether there are thermal photos in °C."""
+        return any(self.thermal_viewpoints) and self.has_celsius
 
     @property
     def views(self) -> int:
@@ -126,19 +134,49 @@ class ImageModel(nn.Module):
         self.point_spread = PointSpread() if config.point_spread else None
         has_gain = config.thermal_gain and capture.lacks_celsius
         self.thermal_gain = PhotoGain(capture.thermal_viewpoints) if has_gain else None
+        has_drift = config.thermal_drift and capture.may_drift
+        self.thermal_drift = PhotoDrift(capture.thermal_viewpoints) if has_drift else None
         self._extent = capture.extent
 
     def forward(self, rendering: Rendering, view: int) -> Rendering:
         """The rendering of a training view as its cameras write it."""
-        return self._written(rendering, lambda gains: gains.of(view))
+        return self._written(rendering, lambda gains: gains.of(view), lambda drift: drift.of(view))
 
     @torch.no_grad()
     def expected(self, rendering: Rendering, camera: Camera) -> Rendering:
         """The rendering of any camera as it is expected to write it; no gradients."""
         viewpoint = Viewpoint.of(camera, self._extent)
-        return self._written(rendering, lambda gains: gains.expected(viewpoint))
+        return self._written(
+            rendering,
+            lambda gains: gains.expected(viewpoint),
+            lambda drift: drift.expected(viewpoint),
+        )
 
-    def _written(self, rendering: Rendering, gain: Callable[[PhotoGain], Gain]) -> Rendering:
+    def learn_drift(
+        self, view: int, written: Rendering, photo: Pixels, finite: Bool[Tensor, ""]
+    ) -> None:
+        """Take in how far a training photo lies above the model, where drift is modelled.
+
+        Args:
+            view: whose photo it is.
+            written: what ``forward`` returned for it.
+            photo: its thermal photo.
+            finite: nothing is learned where it is False.
+        """
+        if self.thermal_drift is None:
+            return
+        offset = self.thermal_drift.of(view)
+        residual = (photo.values - written[THERMAL].image.detach() + offset)[:, :, 0]
+        if photo.valid is not None:
+            residual = torch.where(photo.valid, residual, torch.nan)
+        self.thermal_drift.learn(view, residual, finite)
+
+    def _written(
+        self,
+        rendering: Rendering,
+        gain: Callable[[PhotoGain], Gain],
+        offset: Callable[[PhotoDrift], Tensor],
+    ) -> Rendering:
         if THERMAL not in rendering:
             return rendering
         thermal = rendering[THERMAL].image
@@ -146,6 +184,8 @@ class ImageModel(nn.Module):
             thermal = self.point_spread(thermal)
         if self.thermal_gain is not None:
             thermal = gain(self.thermal_gain).apply(thermal)
+        if self.thermal_drift is not None:
+            thermal = thermal + offset(self.thermal_drift)
         return rendering.with_images({THERMAL: thermal})
 
     def parameter_groups(self) -> list[dict]:

@@ -112,13 +112,15 @@ def expected_gains(
         viewpoint: of the photo to predict; if exactly one photo was taken there, the result is
             that photo's gain.
     """
-    distances = _distances([viewpoint], viewpoints)
+    distances = viewpoint_distances([viewpoint], viewpoints)
     same = (distances[0] < SAME_PLACE).nonzero()[:, 0]
     if len(same) == 1:
         return gains[same[0]]
     if len(viewpoints) <= NEAREST:
         return torch.zeros_like(gains[0])
-    predicted = _nearest_means(gains, _distances(viewpoints, viewpoints).fill_diagonal_(torch.inf))
+    predicted = _nearest_means(
+        gains, viewpoint_distances(viewpoints, viewpoints).fill_diagonal_(torch.inf)
+    )
     square = predicted.square().sum(dim=0)
     trust = torch.where(square > 0, (predicted * gains).sum(dim=0) / square, 0.0).clamp(0, 1)
     return trust * _nearest_means(gains, distances)[0]
@@ -135,7 +137,9 @@ def _nearest_means(
     )
 
 
-def _distances(some: Sequence[Viewpoint], others: Sequence[Viewpoint]) -> Float[Tensor, "m n"]:
+def viewpoint_distances(
+    some: Sequence[Viewpoint], others: Sequence[Viewpoint]
+) -> Float[Tensor, "m n"]:
     """Distance between viewpoints: that of the positions (extents) plus the angle (radians)."""
     positions, directions = _columns(some)
     other_positions, other_directions = _columns(others)

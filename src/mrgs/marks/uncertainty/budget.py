@@ -1,0 +1,244 @@
+"""What a temperature's uncertainty is made of (JCGM 100:2008, the GUM): its parts, and their sum.
+
+That of the settings is the law of propagation, as in S. Muniz et al., Opt. Eng. 53(7), 074101
+(2014): the temperature is computed again with each setting changed by its uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from statistics import median
+
+import numpy as np
+from jaxtyping import Float64
+
+from mrgs.data.radiometric.measurement import Atmosphere
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings, records_of
+from mrgs.scene import Scene
+from mrgs.scene.radiometry import ObjectParameters
+from mrgs.survey import Survey
+
+COVERAGE = 2.0
+"""Times the standard uncertainty: an interval that holds the truth in 95 of 100 cases."""
+
+EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT = 0.02, 2.0, 10.0
+"""Standard uncertainties of settings where the survey states none."""
+
+USUAL_ACCURACY = 2.0
+"""°C, or per cent of the reading, whichever is more: the limit of error in the data sheets of
+nearly all uncooled cameras."""
+
+USUAL_AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)
+"""The constants that FLIR's cameras store."""
+
+PARTS = ("photos", "model", "camera", "emissivity", "reflected", "distance")
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """The parts of a temperature's uncertainty, each as half the width of the interval that would
+    hold the truth in 95 of 100 cases if there were no other part; K, or normalised without °C. NaN
+    where it is not known.
+
+    Attributes:
+        photos: what the photos that see the place disagree by.
+        model: how far the model is from what the photos show there, and how sharp the place is.
+        camera: limit of error of the thermal camera.
+        emissivity: of the surface.
+        reflected: reflected temperature.
+        distance: through the air.
+    """
+
+    photos: float = math.nan
+    model: float = math.nan
+    camera: float = math.nan
+    emissivity: float = math.nan
+    reflected: float = math.nan
+    distance: float = math.nan
+
+    @property
+    def known(self) -> dict[str, float]:
+        """The parts that are known, by name."""
+        return {name: value for name, value in asdict(self).items() if not math.isnan(value)}
+
+    @property
+    def total(self) -> float:
+        """All known parts together; NaN where no photo looked."""
+        return math.nan if math.isnan(self.photos) else math.hypot(*self.known.values())
+
+    @property
+    def of_differences(self) -> float:
+        """Without the camera's part, which two places of the same photos have in common."""
+        return replace(self, camera=math.nan).total
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The uncertainties that do not depend on the place, and what follows from them.
+
+    Attributes:
+        capture: what the photos were computed with.
+        parameters: of the photos, their median; None if they are not known.
+        emissivity: standard uncertainty.
+        reflected_c: standard uncertainty, K.
+        distance_percent: standard uncertainty.
+        accuracy: limit of error of the camera, K and per cent of °C; None if it is not known.
+        notes: what was assumed, one sentence each.
+    """
+
+    capture: CaptureSettings = field(default_factory=CaptureSettings)
+    parameters: ObjectParameters | None = None
+    emissivity: float = EMISSIVITY
+    reflected_c: float = REFLECTED_C
+    distance_percent: float = DISTANCE_PERCENT
+    accuracy: tuple[float, float] | None = None
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, scene: Scene | None, survey: Survey) -> Budget:
+        """Of a scene's photos, and of what a survey states."""
+        records = [] if scene is None else records_of(scene)
+        known = [record.parameters for record in records if record.parameters is not None]
+        accuracy, notes = _accuracy(survey, any(record.camera for record in records))
+        stated = (
+            survey.emissivity_uncertainty,
+            survey.reflected_uncertainty_c,
+            survey.distance_uncertainty_percent,
+        )
+        usual = (EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT)
+        chosen = [b if a is None else a for a, b in zip(stated, usual, strict=True)]
+        if known and None in stated:
+            notes.append(
+                f"Assumed as standard uncertainties: emissivity ± {chosen[0]:g}, reflected "
+                f"temperature ± {chosen[1]:g} K, distance ± {chosen[2]:g} %."
+            )
+        parameters = _median_of(known) if known else None
+        emissivity, reflected, distance = chosen
+        return cls(
+            CaptureSettings.of(scene),
+            parameters,
+            emissivity,
+            reflected,
+            distance,
+            accuracy,
+            tuple(notes),
+        )
+
+    def with_settings(
+        self, parts: Uncertainty, celsius: float, surface: SurfaceSettings | None = None
+    ) -> Uncertainty:
+        """The parts of the photos and the model, with those of the camera and the settings.
+
+        Args:
+            parts: of the photos and the model, as the photos have the place.
+            celsius: what the photos have there.
+            surface: emissivity and reflected temperature there; those of the photos if None.
+        """
+        surface = surface or self.capture.surface
+        at = np.array([celsius])
+        camera, gain = self._camera(at), self._gain(at, surface)
+        emissivity, reflected, distance = self._settings(at, surface)
+        return Uncertainty(
+            *(float(gain[0]) * each for each in (parts.photos, parts.model)),
+            *(
+                COVERAGE * float(each[0])
+                for each in (gain * camera, emissivity, reflected, distance)
+            ),
+        )
+
+    def shared(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+        """What camera and settings add to the uncertainty of temperatures, as the photos have them;
+        0 where none of it is known."""
+        parts = (self._camera(celsius), *self._settings(celsius, self.capture.surface))
+        total: Float64[np.ndarray, "..."] = COVERAGE * np.sqrt(
+            sum(np.square(np.nan_to_num(part)) for part in parts)
+        )
+        return total
+
+    def _camera(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+        """Standard uncertainty of the camera: a limit of error means that all within it is equally
+        likely (GUM 4.3.7)."""
+        if self.accuracy is None:
+            return np.full(celsius.shape, np.nan)
+        kelvin, percent = self.accuracy
+        return np.maximum(kelvin, percent / 100 * np.abs(celsius)) / math.sqrt(3)
+
+    def _gain(
+        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
+    ) -> Float64[np.ndarray, "..."]:
+        """By how much the temperature of a surface changes with that of the photos."""
+        if surface == self.capture.surface:
+            return np.ones(celsius.shape)
+        ends = [self.capture.corrected(celsius + step, surface) for step in (-0.5, 0.5)]
+        return np.abs(ends[1] - ends[0])
+
+    def _settings(
+        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
+    ) -> list[Float64[np.ndarray, "..."]]:
+        """Standard uncertainties that emissivity, reflected temperature and distance cause; NaN
+        where photos and mark do not say these."""
+        unknown = np.full(celsius.shape, np.nan)
+        if self.parameters is None and surface.reflected_c is None:
+            return [unknown, unknown, unknown]
+        varied = [
+            [replace(surface, emissivity=_share(surface.emissivity + sign * self.emissivity))
+             for sign in (-1, 1)],
+            [replace(surface, reflected_c=(surface.reflected_c or 0.0) + sign * self.reflected_c)
+             for sign in (-1, 1)],
+        ]  # fmt: skip
+        found = [_half([self.capture.corrected(celsius, each) for each in pair]) for pair in varied]
+        distance = unknown if self.parameters is None else self._distance(celsius, surface)
+        return [*found, distance]
+
+    def _distance(
+        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
+    ) -> Float64[np.ndarray, "..."]:
+        """The same of the distance: with another transmission τ of the air, what reaches the
+        camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
+        assert self.parameters is not None
+        given, law = self.parameters, self.capture.law
+        tau = _transmission(given, 1.0)
+        air = law.signal(given.atmospheric_c) + law.o
+        at_surface = self.capture.received(celsius)
+        ends = []
+        for sign in (-1, 1):
+            other = _transmission(given, 1 + sign * self.distance_percent / 100)
+            ends.append((tau * at_surface + (other - tau) * air) / other)
+        return _half([self.capture.celsius_of(each, surface) for each in ends])
+
+
+def _half(pair: Sequence[Float64[np.ndarray, "..."]]) -> Float64[np.ndarray, "..."]:
+    return np.abs(pair[1] - pair[0]) / 2
+
+
+def _share(value: float) -> float:
+    """An emissivity within what there is."""
+    return min(max(value, 0.01), 1.0)
+
+
+def _transmission(given: ObjectParameters, times: float) -> float:
+    """Share of the radiation that the air lets through, at a distance so many times the noted
+    one."""
+    tau = USUAL_AIR.transmission(given.distance_m * times, given.atmospheric_c, given.humidity)
+    return min(max(tau, 0.01), 1.0)
+
+
+def _median_of(known: Sequence[ObjectParameters]) -> ObjectParameters:
+    names = asdict(known[0])
+    return ObjectParameters(
+        **{name: median(getattr(each, name) for each in known) for name in names}
+    )
+
+
+def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | None, list[str]]:
+    stated = survey.camera_accuracy_c, survey.camera_accuracy_percent
+    if any(each is not None for each in stated):
+        return (stated[0] or 0.0, stated[1] or 0.0), []
+    if has_camera:
+        return (USUAL_ACCURACY, USUAL_ACCURACY), [
+            f"The camera's accuracy is taken as ± {USUAL_ACCURACY:g} °C or {USUAL_ACCURACY:g} % of "
+            f"the reading, whichever is more."
+        ]
+    return None, ["The accuracy of the thermal camera is not known, and not included."]

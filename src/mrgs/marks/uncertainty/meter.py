@@ -1,0 +1,107 @@
+"""The uncertainty of the temperatures of one run, by all that is known of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from mrgs.marks.emissivity import SurfaceSettings
+from mrgs.marks.surface import SurfaceRenderer
+from mrgs.marks.uncertainty.budget import Budget, Uncertainty
+from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.runs.open import Run
+from mrgs.scene import CameraResponse, Scene, TemperatureRange
+from mrgs.survey import SURVEY_FILE, read_survey
+
+
+class UncertaintyMeter:
+    """Says how far temperatures may be from the truth, in 95 of 100 cases.
+
+    Args:
+        witnesses: the thermal photos.
+        budget: of what does not depend on the place; None without known °C.
+
+    Attributes:
+        notes: what was assumed, one sentence each.
+    """
+
+    def __init__(self, witnesses: PhotoWitnesses, budget: Budget | None) -> None:
+        self.notes = () if budget is None else budget.notes
+        self._witnesses = witnesses
+        self._budget = budget
+
+    @classmethod
+    def of_run(cls, run: Run, scene: Scene) -> UncertaintyMeter:
+        """Of a run, with what the survey in its folder states.
+
+        Raises:
+            ConfigError: the survey has a value that cannot be.
+            RunError: the survey cannot be read.
+        """
+        return cls.of(run.render, run.camera_response, scene, run.temperature, run.folder.path)
+
+    @classmethod
+    def of(
+        cls,
+        render: SurfaceRenderer,
+        respond: CameraResponse,
+        scene: Scene,
+        temperature: TemperatureRange | None,
+        folder: Path,
+    ) -> UncertaintyMeter:
+        """Of a model that is rendered in any way; see ``of_run``.
+
+        Args:
+            render: renders it with the depth of its surfaces.
+            respond: what the scene's cameras make of a rendering.
+            scene: with the photos.
+            temperature: the scale of the thermal values; None without known °C.
+            folder: of the run.
+        """
+        survey = read_survey(folder / SURVEY_FILE)
+        witnesses = PhotoWitnesses(render, respond, scene.train, temperature)
+        return cls(witnesses, None if temperature is None else Budget.of(scene, survey))
+
+    def of_mark(
+        self,
+        points: Float32[np.ndarray, "n 3"],
+        value: float,
+        surface: SurfaceSettings | None = None,
+    ) -> Uncertainty:
+        """Of the mean of a mark.
+
+        Args:
+            points: on its surface, world coordinates.
+            value: the mean as the photos have it, °C or normalised.
+            surface: emissivity and reflected temperature there; those of the photos if None.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        photos, model = (float(part[0]) for part in self._witnesses.of_mark(points, value))
+        parts = Uncertainty(photos, model)
+        if self._budget is None or math.isnan(photos):
+            return parts
+        return self._budget.with_settings(parts, value, surface)
+
+    def of_points(
+        self, points: Float32[np.ndarray, "n 3"], values: Float32[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, " n"]:
+        """Of what the cameras of the photos see at points on surfaces, all parts together; NaN
+        where no photo looked, [N].
+
+        Args:
+            points: world coordinates.
+            values: seen there, °C or normalised.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        of_photos = self._witnesses.of_points(points).total
+        if self._budget is None:
+            return of_photos.astype(np.float32)
+        shared = self._budget.shared(values.astype(np.float64))
+        return np.hypot(of_photos, shared).astype(np.float32)

@@ -1,0 +1,150 @@
+"""What the thermal photos show of a place, beside what the model shows from the same cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from mrgs.marks.surface import SurfaceRenderer, seen_depth
+from mrgs.marks.uncertainty.photo_parts import (
+    CHANNELS,
+    CONTRAST_SQUARED,
+    READING,
+    RENDERED,
+    PhotoParts,
+    SightingSums,
+)
+from mrgs.scene import THERMAL, CameraResponse, Rendering, TemperatureRange, View, evenly_spaced
+from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
+
+WIDTH_PX = 320
+"""Wider photos are reduced to this width."""
+
+LEAST_SHARE = 0.5
+"""A photo that shows less of a mark does not count."""
+
+
+class PhotoWitnesses:
+    """The thermal training photos with the model rendered from their cameras, each when it is first
+    asked for.
+
+    Args:
+        render: renders the model with the depth of its surfaces.
+        respond: what the cameras make of a rendering.
+        views: of the scene; those with a thermal photo count, at most ``MAX_VIEWS``.
+        temperature: the scale of the thermal values; None without known °C.
+    """
+
+    def __init__(
+        self,
+        render: SurfaceRenderer,
+        respond: CameraResponse,
+        views: Sequence[View],
+        temperature: TemperatureRange | None,
+    ) -> None:
+        thermal = [view for view in views if THERMAL in view.images]
+        self._views = [thermal[index] for index in evenly_spaced(len(thermal), MAX_VIEWS)]
+        self._render = render
+        self._respond = respond
+        self._span = 1.0 if temperature is None else temperature.span_c
+        self._least = 0.0 if temperature is None else temperature.min_c
+        self._maps: dict[int, DepthMap] = {}
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __getitem__(self, index: int) -> DepthMap:
+        """Depth and channels of one photo; NaN where it is masked.
+
+        Raises:
+            SceneError: the photo cannot be read.
+        """
+        if index not in self._maps:
+            self._maps[index] = self._witness(self._views[index])
+        return self._maps[index]
+
+    def of_mark(self, points: Float32[np.ndarray, "n 3"], value: float) -> PhotoParts:
+        """The parts of the uncertainty of a mark's mean, of one place.
+
+        Args:
+            points: on its surface, world coordinates.
+            value: its mean, as the photos have it.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        sums = SightingSums(1)
+        for index, view in enumerate(self._views):
+            if not len(visible(view.images[THERMAL].camera, points).rows):
+                continue
+            item = self[index]
+            values = item.image[item.shown(points).pixels]
+            values = values[np.isfinite(values).all(axis=1)]
+            if len(values) >= max(LEAST_SHARE * len(points), 1):
+                sums.add(np.array([0]), _of_mark(values))
+        return sums.parts(np.array([value]))
+
+    def of_points(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
+        """The parts of the uncertainty of what the photos' cameras see at N points on surfaces.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        sums = SightingSums(len(points))
+        for index in range(len(self)):
+            item = self[index]
+            shown = item.shown(points)
+            sums.add(shown.rows, item.image[shown.pixels])
+        return sums.parts()
+
+    def _witness(self, view: View) -> DepthMap:
+        photo = view.images[THERMAL]
+        camera = photo.camera
+        if camera.width > WIDTH_PX:
+            camera = camera.with_width(WIDTH_PX)
+        rendering = self._render(camera)
+        written = self._respond(rendering, view.camera)
+        size = camera.height, camera.width
+        model, blurred = (_values(each) for each in (rendering, written))
+        difference = _reduced(_photo_values(view), size) - blurred
+        image = np.empty((*size, CHANNELS), np.float32)
+        # The photo without the camera's blur and drift, as far as the model knows them.
+        image[..., READING] = self._least + self._span * (model + difference)
+        image[..., RENDERED] = self._least + self._span * model
+        image[..., CONTRAST_SQUARED] = np.square(self._span) * _slope(model)
+        return DepthMap(camera, seen_depth(rendering).astype(np.float32), image)
+
+
+def _values(rendering: Rendering) -> Float[np.ndarray, "h w"]:
+    values: Float[np.ndarray, "h w"] = rendering[THERMAL].image[..., 0].cpu().double().numpy()
+    return values
+
+
+def _photo_values(view: View) -> Float[Tensor, "h w"]:
+    pixels = view.images[THERMAL].load()
+    values = pixels.values[..., 0]
+    return values if pixels.valid is None else torch.where(pixels.valid, values, torch.nan)
+
+
+def _reduced(image: Float[Tensor, "h w"], size: tuple[int, int]) -> Float[np.ndarray, "h2 w2"]:
+    """An image averaged to a size; NaN where any of what is averaged is."""
+    if tuple(image.shape) != size:
+        image = torch.nn.functional.interpolate(image[None, None], size, mode="area")[0, 0]
+    reduced: Float[np.ndarray, "h2 w2"] = image.double().numpy()
+    return reduced
+
+
+def _slope(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Square of the gradient, per pixel."""
+    down, across = np.gradient(image)
+    squares: Float[np.ndarray, "h w"] = np.square(down) + np.square(across)
+    return squares
+
+
+def _of_mark(values: Float32[np.ndarray, "n c"]) -> Float32[np.ndarray, "1 c"]:
+    """The mean of a photo's channels over a mark."""
+    return values.mean(axis=0, dtype=np.float64, keepdims=True).astype(np.float32)

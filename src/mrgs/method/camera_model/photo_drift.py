@@ -1,0 +1,100 @@
+"""An offset per thermal photo: what an uncooled camera drifts by between two corrections with its
+shutter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from mrgs.method.camera_model.photo_gain import SAME_PLACE, Viewpoint, viewpoint_distances
+
+PARTS = 4
+"""A photo is divided into so many parts across and down."""
+
+NEWEST_SHARE = 0.25
+"""Weight of the newest residual in the running mean."""
+
+NORMAL_QUARTILES = 1.349
+"""Distance between the quartiles of a normal variable, in standard deviations."""
+
+MEDIAN_LOSS = 1.5708
+"""Variance of the median over that of the mean, of many normal variables (π / 2)."""
+
+
+class PhotoDrift(nn.Module):
+    """An offset per photo, of sum zero: a random effect, as in the analysis of variance.
+
+    A photo's residual is the median over its parts of what it shows above the model. How far the
+    parts differ tells how well it is known: a drift shifts all of a photo alike, a surface that is
+    not yet learned does not. Each residual is shrunk by v / (v + τ²), with v its variance and τ²
+    the variance of the drift over the photos, estimated by moments (DerSimonian and Laird, 1986).
+    τ² is 0, and so are all offsets, where the residuals differ no more than their variances
+    explain.
+
+    Args:
+        viewpoints: of each training view, None where it has no thermal photo; at least one has.
+    """
+
+    residuals: Float[Tensor, " p"]
+    variances: Float[Tensor, " p"]
+    visits: Float[Tensor, " p"]
+
+    def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
+        super().__init__()
+        self._viewpoints = [point for point in viewpoints if point is not None]
+        self._rows = list(accumulate((point is not None for point in viewpoints), initial=0))
+        for name in ("residuals", "variances", "visits"):
+            self.register_buffer(name, torch.zeros(len(self._viewpoints)))
+
+    def of(self, view: int) -> Float[Tensor, ""]:
+        """The offset of a training view's photo, normalised; the view must have one."""
+        return self.offsets()[self._rows[view]]
+
+    def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
+        """The offset of the photo taken there; 0, which is the mean, for any other place: a drift
+        depends on the time, not on the place."""
+        apart = viewpoint_distances([viewpoint], self._viewpoints)[0]
+        same = (apart < SAME_PLACE).nonzero()[:, 0]
+        return self.offsets()[same[0]] if len(same) == 1 else torch.zeros_like(self.residuals[0])
+
+    def offsets(self) -> Float[Tensor, " p"]:
+        """Of all photos, normalised."""
+        seen = (self.visits > 0).to(self.residuals)
+        count = seen.sum().clamp_min(1)
+        centred = seen * (self.residuals - (seen * self.residuals).sum() / count)
+        spread = (seen * (centred.square() - self.variances)).sum() / count
+        drift = spread.clamp_min(0)
+        shrunk = centred * drift / (drift + self.variances).clamp_min(torch.finfo().tiny)
+        return seen * (shrunk - shrunk.sum() / count)
+
+    @torch.no_grad()
+    def learn(self, view: int, residual: Float[Tensor, "h w"], finite: Bool[Tensor, ""]) -> None:
+        """Take in what a photo shows above the model without the photo's offset.
+
+        Args:
+            view: a training view with a photo.
+            residual: normalised; NaN where the photo is masked.
+            finite: nothing is learned where it is False.
+        """
+        row = self._rows[view]
+        parts = _part_medians(residual)
+        low, middle, high = parts.nanquantile(parts.new_tensor([0.25, 0.5, 0.75]))
+        spread = (high - low) / NORMAL_QUARTILES
+        variance = MEDIAN_LOSS * spread.square() / parts.isfinite().sum().clamp_min(1)
+        usable = finite & middle.isfinite()
+        share = (1 / (self.visits[row] + 1)).clamp_min(NEWEST_SHARE) * usable
+        for mean, new in ((self.residuals, middle), (self.variances, variance)):
+            mean[row] += share * (new.nan_to_num() - mean[row])
+        self.visits[row] += usable
+
+
+def _part_medians(residual: Float[Tensor, "h w"]) -> Float[Tensor, " n"]:
+    """The median of each part of an image; NaN where it is masked throughout."""
+    height, width = (max(size // PARTS, 1) for size in residual.shape)
+    down, across = (min(size, PARTS) for size in residual.shape)
+    parts = residual[: down * height, : across * width].reshape(down, height, across, width)
+    return parts.transpose(1, 2).reshape(down * across, -1).nanmedian(dim=1).values

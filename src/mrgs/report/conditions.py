@@ -1,0 +1,160 @@
+"""Whether the conditions of a survey are those that its standard asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from mrgs.survey import Survey
+
+LEAST_DIFFERENCE_K = 10.0
+MOST_WIND_BUILDING_M_S = 5.0
+LEAST_HOURS_WITHOUT_SUN = 2.0
+LEAST_IRRADIANCE_W_M2 = 600.0
+MOST_WIND_PLANT_M_S = 28 / 3.6
+"""4 Beaufort."""
+
+MOST_CLOUD_EIGHTHS = 2.0
+
+
+class Condition(NamedTuple):
+    """One condition of a standard; texts are English, for ``Texts``.
+
+    Attributes:
+        what: the quantity.
+        asked: what the standard asks for.
+        stated: the quantity with its unit; empty if the survey does not state it.
+        met: whether it is met; None if that cannot be said.
+    """
+
+    what: str
+    asked: str
+    stated: str
+    met: bool | None
+
+
+def conditions_of(survey: Survey) -> list[Condition]:
+    """The conditions of the survey's standard, as practitioners cite it; none without one."""
+    if survey.standard is None:
+        return []
+    checks = _PLANT if survey.standard == "IEC TS 62446-3" else _BUILDING
+    return [check(survey) for check in checks]
+
+
+def difference_k(survey: Survey) -> float | None:
+    """The air inside minus the air outside."""
+    if survey.inside_c is None or survey.outside_c is None:
+        return None
+    return survey.inside_c - survey.outside_c
+
+
+def _difference(survey: Survey) -> Condition:
+    found = difference_k(survey)
+    met = None if found is None else abs(found) >= LEAST_DIFFERENCE_K
+    return Condition("Air inside minus outside", "at least 10 K", _text(found, "K"), met)
+
+
+def _steady(survey: Survey) -> Condition:
+    """The difference over the 24 hours before, from the warmest and the coldest hour outside."""
+    known = (survey.inside_c, survey.outside_low_c, survey.outside_high_c)
+    stated, met = "", None
+    if None not in known:
+        inside, low, high = (float(each) for each in known if each is not None)
+        least = min(inside - low, inside - high, key=abs) if (inside - low) * (
+            inside - high
+        ) > 0 else 0.0  # fmt: skip
+        stated, met = _text(least, "K"), abs(least) >= LEAST_DIFFERENCE_K
+    return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
+
+
+def _wind(most: float, asked: str) -> Callable[[Survey], Condition]:
+    def check(survey: Survey) -> Condition:
+        found = survey.wind_m_s
+        met = None if found is None else found <= most
+        return Condition("Wind", asked, _text(found, "m/s"), met)
+
+    return check
+
+
+def _sun(survey: Survey) -> Condition:
+    found = survey.hours_without_sun
+    met = None if found is None else found >= LEAST_HOURS_WITHOUT_SUN
+    return Condition("Without direct sun", "at least 2 h", _text(found, "h"), met)
+
+
+def _dry(survey: Survey) -> Condition:
+    return Condition("Precipitation", "dry surfaces", survey.precipitation or "", None)
+
+
+def _irradiance(survey: Survey) -> Condition:
+    found = survey.irradiance_w_m2
+    met = None if found is None else found >= LEAST_IRRADIANCE_W_M2
+    return Condition(
+        "Irradiance in the plane of the modules", "at least 600 W/m²", _text(found, "W/m²"), met
+    )
+
+
+def _clouds(survey: Survey) -> Condition:
+    found = survey.cloud_eighths
+    met = None if found is None else found <= MOST_CLOUD_EIGHTHS
+    return Condition("Clouds", "at most 2 eighths of the sky", _text(found, "/ 8"), met)
+
+
+def _text(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{value:.3g} {unit}".replace("-", "−")
+
+
+_BUILDING = (_difference, _steady, _wind(MOST_WIND_BUILDING_M_S, "at most 5 m/s"), _sun, _dry)
+_PLANT = (_irradiance, _wind(MOST_WIND_PLANT_M_S, "at most 7.8 m/s (4 Beaufort)"), _clouds)
+
+_Row = tuple[str, str]
+
+
+def stated_rows(survey: Survey, names: Sequence[str]) -> list[_Row]:
+    """Label and value of the fields that the survey states, in the order of the names."""
+    rows = []
+    for name in names:
+        value = getattr(survey, name)
+        if value is None:
+            continue
+        label, unit = LABELS[name]
+        text = _text(value, unit) if isinstance(value, float) else str(value)
+        rows.append((label, text))
+    return rows
+
+
+LABELS: Mapping[str, tuple[str, str]] = {
+    "object": ("Object", ""),
+    "address": ("Address", ""),
+    "client": ("Client", ""),
+    "inspector": ("Inspector", ""),
+    "company": ("Company", ""),
+    "qualification": ("Qualification", ""),
+    "purpose": ("Purpose", ""),
+    "standard": ("Standard", ""),
+    "construction": ("Construction", ""),
+    "parts_observed": ("Parts observed", ""),
+    "orientation": ("Orientation", ""),
+    "date": ("Date", ""),
+    "time": ("Time", ""),
+    "weather": ("Weather", ""),
+    "precipitation": ("Precipitation", ""),
+    "sun": ("Sun", ""),
+    "inside_c": ("Air inside", "°C"),
+    "outside_c": ("Air outside", "°C"),
+    "outside_low_c": ("Lowest outside in the 24 hours before", "°C"),
+    "outside_high_c": ("Highest outside in the 24 hours before", "°C"),
+    "humidity_percent": ("Relative humidity inside", "%"),
+    "pressure_pa": ("Pressure inside minus outside", "Pa"),
+    "wind_m_s": ("Wind", "m/s"),
+    "hours_without_sun": ("Without direct sun", "h"),
+    "irradiance_w_m2": ("Irradiance in the plane of the modules", "W/m²"),
+    "cloud_eighths": ("Clouds", "/ 8"),
+    "camera": ("Thermal camera", ""),
+    "camera_serial": ("Serial number", ""),
+    "camera_accuracy_c": ("Accuracy in the data sheet", "K"),
+    "camera_accuracy_percent": ("Accuracy in the data sheet", "%"),
+    "statement": ("Statement", ""),
+    "remarks": ("Remarks", ""),
+}
+"""Label in the report and unit of each field."""

@@ -1,0 +1,144 @@
+"""Uncertainties of marks on a wall, whose photos differ from the model by known amounts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrgs.marks import Mark, Marks
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
+from mrgs.marks.measure import MarkMeter
+from mrgs.marks.texts import mark_text
+from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
+from mrgs.marks.uncertainty.budget import Budget
+from mrgs.marks.uncertainty.photo_parts import CONTRAST, DEVIATION, SCATTER, SightingSums
+from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
+from mrgs.scene.radiometry import ObjectParameters
+from mrgs.survey import Survey
+from tests.helpers.walls import RANGE, camera_before_wall, render_wall
+
+EYE = (0.0, -5.0, 0.5)
+BOX = Mark("B1", "box", ((0.0, 0.0, 0.0), (1, 0.0, 0.0), (1, 0.0, 1.0), (0.0, 0.0, 1.0)), EYE)
+SHIFTS_C = (-0.3, 0.0, 0.6)
+CAPTURE = CaptureSettings(SurfaceSettings(0.95, 20.0))
+SETTINGS = ObjectParameters(0.95, 8.0, 20.0, 10.0, 0.5)
+
+
+def photo_of_wall(number: int, shift_c: float) -> View:
+    camera = camera_before_wall(number - 1.0)
+    values = render_wall(camera)[THERMAL].image.float() + shift_c / RANGE.span_c
+    return View(f"v{number}", {THERMAL: PosedImage(camera, lambda: Pixels(values))})
+
+
+def meter_of(budget: Budget | None = None, views: list[View] | None = None) -> MarkMeter:
+    if views is None:
+        views = [photo_of_wall(number, shift) for number, shift in enumerate(SHIFTS_C)]
+    cameras = [view.camera for view in views]
+    witnesses = PhotoWitnesses(render_wall, ideal_cameras, views, RANGE)
+    capture = CaptureSettings() if budget is None else budget.capture
+    uncertainty = UncertaintyMeter(witnesses, budget or Budget())
+    return MarkMeter(render_wall, RANGE, cameras, capture, uncertainty)
+
+
+def test_what_photos_disagree_by_and_how_sharp_a_place_is():
+    found = meter_of().read(BOX).uncertainty
+    assert found.photos == pytest.approx(SCATTER * np.std(SHIFTS_C), rel=0.01)
+    pixel_c = 5**0.5 * 5 / camera_before_wall().K[0, 0].item()
+    head_on = CONTRAST * pixel_c / 3**0.5
+    assert head_on < found.model < 1.5 * head_on  # the photos see it at an angle
+    assert found.total == pytest.approx(math.hypot(found.photos, found.model))
+    assert found.known == {"photos": found.photos, "model": found.model}
+
+
+def test_a_value_that_differs_from_what_the_photos_cameras_see_is_doubtful():
+    sums = SightingSums(2)
+    for reading in (10.0, 12.0):
+        sums.add(np.array([0]), np.array([[reading, 11.0, 0.0]], np.float32))
+    parts = sums.parts(np.array([11.5, 3.0]))
+    assert parts.photos[0] == pytest.approx(SCATTER)
+    assert parts.model[0] == pytest.approx(0.5 * DEVIATION)
+    assert np.isnan(parts.total[1])
+    assert sums.parts().model[0] == 0.0
+
+
+def test_where_no_photo_looked_there_is_no_uncertainty():
+    away = camera_before_wall().look_at([0.0, -5.0, 0.0], [0.0, -10.0, 0.0])
+    values = render_wall(away)[THERMAL].image.float()
+    view = View("away", {THERMAL: PosedImage(away, lambda: Pixels(values))})
+    meter = meter_of(views=[view])
+    assert meter.read(BOX).uncertainty is None
+    points = np.array([[0.5, 0.0, 0.5]], np.float32)
+    assert np.isnan(meter.uncertainty.of_points(points, np.array([20.0], np.float32))).all()
+    assert math.isnan(meter.uncertainty.of_mark(points, 20.0).total)
+
+
+def test_points_have_the_uncertainty_of_a_map():
+    budget = Budget(accuracy=(2.0, 0.0))
+    points = np.array([[0.5, 0.0, 0.5]], np.float32)
+    (found,) = meter_of(budget).uncertainty.of_points(points, np.array([21.5], np.float32))
+    camera = 2 * 2 / 3**0.5
+    assert found == pytest.approx(math.hypot(camera, SCATTER * np.std(SHIFTS_C)), rel=0.02)
+
+
+def test_the_data_sheet_is_a_limit_and_cancels_in_differences():
+    budget = Budget(accuracy=(1.0, 10.0))
+    other = replace(BOX, name="B2", points=tuple((x - 1.5, y, z) for x, y, z in BOX.points))
+    one, two = meter_of(budget).measure(Marks((BOX, other), reference="B1"))
+    assert one.uncertainty.camera == pytest.approx(2 * 2.15 / 3**0.5, rel=0.01)
+    assert two.uncertainty.of_differences < two.uncertainty.camera
+    assert two.difference_uncertainty == pytest.approx(
+        math.hypot(one.uncertainty.of_differences, two.uncertainty.of_differences)
+    )
+    assert math.isnan(one.difference_uncertainty)
+
+
+def test_settings_are_varied_by_their_uncertainties():
+    budget = Budget(CAPTURE, SETTINGS, emissivity=0.03, reflected_c=5.0, distance_percent=50.0)
+    found = budget.with_settings(Uncertainty(0.1, 0.2), 40.0)
+    at = np.array([40.0])
+    ends = [CAPTURE.corrected(at, SurfaceSettings(each, 20.0))[0] for each in (0.92, 0.98)]
+    assert found.emissivity == pytest.approx(ends[0] - ends[1])
+    ends = [CAPTURE.corrected(at, SurfaceSettings(0.95, each))[0] for each in (15.0, 25.0)]
+    assert found.reflected == pytest.approx(ends[0] - ends[1])
+    # 4 m of air at 10 °C let some 1 % less through, before an object 30 K warmer.
+    assert 0.1 < found.distance < 0.6
+    assert (found.photos, found.model) == (0.1, 0.2)
+
+
+def test_a_surface_with_a_small_emissivity_magnifies_what_photos_disagree_by():
+    budget = Budget(CAPTURE, SETTINGS)
+    dull, shiny = (
+        budget.with_settings(Uncertainty(0.1, 0.0), 40.0, SurfaceSettings(each, 20.0))
+        for each in (0.95, 0.3)
+    )
+    assert shiny.photos > 2 * dull.photos
+    assert shiny.emissivity > 5 * dull.emissivity
+
+
+def test_a_box_with_its_own_emissivity_is_corrected_before_it_is_doubted():
+    budget = Budget(CAPTURE, SETTINGS)
+    plain = meter_of(budget).read(BOX)
+    own = meter_of(budget).measure(Marks((replace(BOX, emissivity=0.5),)))[0]
+    assert own.mean != pytest.approx(plain.mean, abs=0.5)
+    assert own.uncertainty.photos > 1.5 * plain.uncertainty.photos
+    assert own.uncertainty.emissivity > plain.uncertainty.emissivity
+
+
+def test_what_is_assumed_is_said():
+    assert Budget.of(None, Survey()).notes == (
+        "The accuracy of the thermal camera is not known, and not included.",
+    )
+    stated = Budget.of(None, Survey(camera_accuracy_c=1.0))
+    assert (stated.accuracy, stated.notes) == ((1.0, 0.0), ())
+
+
+def test_panels_show_the_uncertainty_and_its_parts():
+    reading = meter_of(Budget(accuracy=(2.0, 0.0))).read(BOX)
+    text = mark_text(reading, "", RANGE, WorldFrame())
+    assert text["value"] == "21.5 ± 2.3 °C"
+    assert text["lines"][1].startswith("± for 95 of 100 cases: photos 0.2, model 0.")
+    assert text["lines"][1].endswith("data sheet 2.3")

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from mrgs.method.camera_model.image_model import Capture, ImageModel, ImageModelConfig
+from mrgs.method.camera_model.photo_drift import PhotoDrift
+from mrgs.method.camera_model.photo_gain import Viewpoint
+from mrgs.scene import THERMAL, Blend, Pixels, Rendering
+
+YES = torch.tensor(True)
+POINTS = tuple(Viewpoint((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(6))
+WITH_A_GAP = (*POINTS[:3], None, *POINTS[3:])
+TRUE = torch.tensor([0.02, -0.01, 0.03, -0.02, 0.0, -0.02])
+
+
+def noise(seed: int, size: float = 0.002) -> torch.Tensor:
+    return size * torch.randn(12, 16, generator=torch.Generator().manual_seed(seed))
+
+
+def taught(residuals: list[torch.Tensor], times: int = 20) -> PhotoDrift:
+    drift = PhotoDrift(WITH_A_GAP)
+    for _ in range(times):
+        for row, residual in enumerate(residuals):
+            drift.learn(row + (row >= 3), residual, YES)
+    return drift
+
+
+def test_what_shifts_a_whole_photo_is_found():
+    drift = taught([true + noise(row) for row, true in enumerate(TRUE)])
+    assert drift.offsets() == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
+    assert drift.of(6).item() == drift.offsets()[5].item()
+    assert drift.offsets().sum().item() == pytest.approx(0.0, abs=1e-7)
+
+
+def test_what_parts_of_a_photo_disagree_about_is_no_drift():
+    half = torch.zeros(12, 16)
+    half[:, 8:] = 1.0
+    residuals = [true * (1 - 2 * half) + noise(row) for row, true in enumerate(TRUE)]
+    assert taught(residuals).offsets().abs().max().item() < 1e-3
+
+
+def test_without_drift_there_are_no_offsets():
+    assert taught([noise(row, 0.02) for row in range(6)]).offsets().abs().max().item() < 2e-3
+    assert PhotoDrift(POINTS).offsets().abs().max().item() == 0.0
+
+
+def test_a_photo_elsewhere_is_expected_at_the_mean():
+    drift = taught([true + noise(row) for row, true in enumerate(TRUE)])
+    assert drift.expected(POINTS[2]).item() == drift.of(2).item()
+    assert drift.expected(Viewpoint((0.5, 0.0, 0.0), (0.0, 0.0, 1.0))).item() == 0.0
+
+
+def test_masked_parts_and_failed_steps_teach_nothing():
+    residual = torch.full((12, 16), torch.nan)
+    drift = PhotoDrift(POINTS)
+    drift.learn(0, residual, YES)
+    drift.learn(1, noise(1), torch.tensor(False))
+    assert drift.visits.sum().item() == 0
+    residual[:6] = 0.01
+    drift.learn(0, residual, YES)
+    assert drift.residuals[0].item() == pytest.approx(0.01)
+    assert drift.visits.tolist() == [1, 0, 0, 0, 0, 0]
+
+
+def test_the_image_model_writes_photos_with_their_drift():
+    config = ImageModelConfig(thermal_drift=True)
+    capture = Capture(POINTS, 1.0, has_celsius=True)
+    model = ImageModel(config, capture)
+    assert ImageModel(config, capture._replace(has_celsius=False)).thermal_drift is None
+    image = torch.rand(12, 16, 1, generator=torch.Generator().manual_seed(3))
+    ones = torch.ones(12, 16)
+    rendering = Rendering({THERMAL: Blend(image, ones, ones)})
+    for _ in range(20):
+        for view, true in enumerate(TRUE):
+            photo = Pixels(image + true + noise(view)[..., None])
+            model.learn_drift(view, model(rendering, view), photo, YES)
+    found = torch.stack([(model(rendering, i)[THERMAL].image - image).mean() for i in range(6)])
+    assert found == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
+    again = ImageModel(config, capture)
+    again.load_state_dict(model.state_dict())
+    assert torch.equal(again.thermal_drift.offsets(), model.thermal_drift.offsets())

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import datetime
+from dataclasses import fields, replace
+
+import pytest
+
+from mrgs.errors import ConfigError, RunError
+from mrgs.survey import Survey, read_survey, write_survey
+
+STATED = Survey(
+    title="Cold bridges",
+    object="School: gym\nand hall",
+    standard="EN 13187",
+    date=datetime.date(2026, 1, 12),
+    time="06:30",
+    inside_c=21.0,
+    wind_m_s=0.0,
+)
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    path = write_survey(tmp_path / "survey.yaml", STATED)
+    assert read_survey(path) == STATED
+
+
+def test_the_template_names_every_field_and_is_an_empty_survey(tmp_path):
+    path = write_survey(tmp_path / "survey.yaml", Survey())
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert {f"{field.name}:" for field in fields(Survey)} <= set(lines)
+    assert read_survey(path) == Survey() == read_survey(tmp_path / "none.yaml")
+    assert not Survey()
+
+
+def test_an_empty_file_states_nothing(tmp_path):
+    path = tmp_path / "survey.yaml"
+    path.write_text("# nothing yet\n", encoding="utf-8")
+    assert read_survey(path) == Survey()
+
+
+def test_assignments_change_some_fields():
+    changed = STATED.stating(["client=Town: of X", "inside_c=19", "date=2026-02-01", "title="])
+    assert changed == replace(
+        STATED,
+        client="Town: of X",
+        inside_c=19.0,
+        date=datetime.date(2026, 2, 1),
+        title=None,
+    )
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("client", "write NAME=VALUE, with a NAME of title, object"),
+        ("nobody=1", "write NAME=VALUE, with a NAME of title, object"),
+        ("inside_c=warm", "inside_c must be of type float, not 'warm'"),
+        ("wind_m_s=-3", "wind_m_s must be from 0 to 100 m/s, not -3"),
+        ("standard=my own", "standard must be one of EN 13187, ISO 6781-3, IEC TS 62446-3"),
+        ("date=tomorrow", "date must be of type date, not 'tomorrow'"),
+        ("remarks=" + "x" * 2001, "remarks must be a text of at most 2,000 printable characters"),
+    ],
+)
+def test_what_cannot_be_stated(assignment, message):
+    with pytest.raises(ConfigError, match=message):
+        Survey().stating([assignment])
+
+
+def test_a_file_that_is_no_survey(tmp_path):
+    path = tmp_path / "survey.yaml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(RunError, match="cannot be read"):
+        read_survey(path)
+    path.write_text("x" * 100_001, encoding="utf-8")
+    with pytest.raises(RunError, match=r"has more than 100,000 bytes: it is no survey"):
+        read_survey(path)
+    path.write_text("weather: sun\nclouds: 3\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"there is no field 'clouds'; known are title, object"):
+        read_survey(path)
