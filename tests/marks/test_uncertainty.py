@@ -140,5 +140,5 @@ def test_panels_show_the_uncertainty_and_its_parts():
     reading = meter_of(Budget(accuracy=(2.0, 0.0))).read(BOX)
     text = mark_text(reading, "", RANGE, WorldFrame())
     assert text["value"] == "21.5 ± 2.3 °C"
-    assert text["lines"][1].startswith("± for 95 of 100 cases: photos 0.2, model 0.")
+    assert text["lines"][1].startswith("± for 95 of 100 cases: photos 0.3, model 0.")
     assert text["lines"][1].endswith("data sheet 2.3")

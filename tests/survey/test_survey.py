@@ -39,7 +39,9 @@ def test_an_empty_file_states_nothing(tmp_path):
 
 
 def test_assignments_change_some_fields():
-    changed = STATED.stating(["client=Town: of X", "inside_c=19", "date=2026-02-01", "title="])
+    changed = STATED.stating(
+        ["client=Town: of X", "inside_c=19", "date=2026-02-01", "title="], "--set"
+    )
     assert changed == replace(
         STATED,
         client="Town: of X",
@@ -63,7 +65,7 @@ def test_assignments_change_some_fields():
 )
 def test_what_cannot_be_stated(assignment, message):
     with pytest.raises(ConfigError, match=message):
-        Survey().stating([assignment])
+        Survey().stating([assignment], "--set")
 
 
 def test_a_file_that_is_no_survey(tmp_path):

@@ -221,8 +221,8 @@ def _noisy(
 def _drifting(
     views: Sequence[TrainingView], scene: SceneSource, rng: np.random.Generator
 ) -> list[TrainingView]:
-    """Thermal photos of a camera that drifts steadily, up or down, until its shutter corrects it, in
-    the order of their names; in °C."""
+    """Thermal photos of a camera that drifts steadily, up or down, until its shutter corrects it,
+    in the order of their names; in °C."""
     bounds = read_bounds(scene.root, scene.notes)
     if bounds is None:
         raise ConfigError("the scene has no temperature_bounds.json, so a drift has no °C")

@@ -4,6 +4,7 @@ run's folder, so that nothing is asked twice."""
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
@@ -124,7 +125,7 @@ class Survey:
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())
 
-    def stating(self, assignments: list[str], source: str = "--set") -> Survey:
+    def stating(self, assignments: Sequence[str], source: str) -> Survey:
         """This with other values of some fields.
 
         Args:

@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int64
 
-SCATTER = 0.66
+SCATTER = 0.7
 """Times the standard deviation of the photos' readings. It is not divided by the root of their
 number: what they disagree by at one place, a reflection or a wrong depth, their mean keeps."""
 
-CONTRAST = 4.2
+CONTRAST = 4.5
 """Times the change of the model within a pixel, over the root of the number of photos: places and
 poses are known to a few pixels, and a camera's blur is undone to a few."""
 
-DEVIATION = 2.35
+DEVIATION = 2.0
 """Times the difference between a value and the mean of what the photos' cameras see there."""
 
 READING, RENDERED, CONTRAST_SQUARED = 0, 1, 2
