@@ -31,7 +31,7 @@ def export(job: ExportJob) -> list[Path]:
     maps = survey(job.baked, job.scene)
     facade = _facade(job, maps)
     grid = _grid(facade, job.maps.pixel_size_m or default_pixel_m(job, maps))
-    drawn = draw_map(job.baked, job.scene, maps, grid)
+    drawn = draw_map(job.baked, job.scene, maps, grid, job.uncertainty)
     facts = {
         "map": "orthographic, of a façade",
         "map_crs": "metres to the right and upwards from the map's lower left corner",

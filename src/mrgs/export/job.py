@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,13 @@ from jaxtyping import Float64
 from mrgs.export.loss import BakingLoss
 from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
-from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats
+from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, value_names
 from mrgs.export.surface_points import SurfacePoints, surface_points
+from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import Run
-from mrgs.scene import Modality, Scene
+from mrgs.scene import THERMAL, Modality, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +60,21 @@ class ExportJob:
 
     @cached_property
     def points(self) -> SurfacePoints:
-        """The splats on surfaces as points, computed once."""
-        return surface_points(self.baked, self.scene)
+        """The splats on surfaces as points with their uncertainty, computed once."""
+        points = surface_points(self.baked, self.scene)
+        if self.uncertainty is None:
+            return points
+        (name,) = value_names(self.baked, THERMAL)
+        found = self.uncertainty.of_points(points.positions, points.columns[name])
+        own = {name.replace("temperature", "uncertainty"): found}
+        return replace(points, columns={**points.columns, **own})
+
+    @cached_property
+    def uncertainty(self) -> UncertaintyMeter | None:
+        """Of the temperatures; None without a run or without thermal photos."""
+        if self.run is None or THERMAL not in self.scene.modalities:
+            return None
+        return UncertaintyMeter.of_run(self.run, self.scene)
 
     @property
     def surface_facts(self) -> dict[str, Any]:

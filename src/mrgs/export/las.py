@@ -19,7 +19,11 @@ from mrgs.system.atomic import replacing
 POINT_FORMAT = 7
 """The format of LAS 1.4 that holds RGB."""
 
-UNITS = {"temperature_c": "degrees Celsius", "opacity": "0 to 1"}
+UNITS = {
+    "temperature_c": "degrees Celsius",
+    "uncertainty_c": "degrees, half of a 95 % interval",
+    "opacity": "0 to 1",
+}
 """Descriptions of the dimensions that have one."""
 
 FINEST_STEP = 1e-6

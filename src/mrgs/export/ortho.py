@@ -45,7 +45,7 @@ def export(job: ExportJob) -> list[Path]:
     pixel_m = job.maps.pixel_size_m or default_pixel_m(job, maps)
     points = _near_points(maps)
     grid = _grid(points, axes, scale, offset, pixel_m)
-    drawn = draw_map(job.baked, job.scene, maps, grid)
+    drawn = draw_map(job.baked, job.scene, maps, grid, job.uncertainty)
     north = " · north is up" if system.north else ""
     caption = Caption(
         f"{job.scene.name}: temperatures from above",

@@ -17,6 +17,7 @@ from mrgs.export.maps.photos import (
     photo_map,
 )
 from mrgs.export.splats import to_float32
+from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.rasterizer import median_depth
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene
@@ -35,6 +36,7 @@ BANDS = {
     "blue": "0 to 255",
     "photos": "thermal photos that show the place",
     "scatter_c": "°C, standard deviation of the photos' readings",
+    "uncertainty_c": "°C, half of the interval that holds the truth in 95 of 100 cases",
 }
 """Names of the bands, and their units."""
 
@@ -46,7 +48,7 @@ class OrthographicMap:
     Attributes:
         grid: its plane and pixels.
         bands: see ``BANDS``; NaN where there is no surface, temperatures also where no photo
-            looked, the scatter where fewer than two did, [6, H, W].
+            looked, the scatter where fewer than two did, [7, H, W].
     """
 
     grid: MapGrid
@@ -59,7 +61,11 @@ class OrthographicMap:
 
 
 def draw_map(
-    baked: BakedModel, scene: Scene, maps: Sequence[DepthMap], grid: MapGrid
+    baked: BakedModel,
+    scene: Scene,
+    maps: Sequence[DepthMap],
+    grid: MapGrid,
+    uncertainty: UncertaintyMeter | None = None,
 ) -> OrthographicMap:
     """Draw the splats on surfaces that photos show, seen from very far away.
 
@@ -72,6 +78,7 @@ def draw_map(
         scene: that it was trained on.
         maps: its surfaces, see ``survey``.
         grid: the pixels.
+        uncertainty: of the temperatures; None leaves its band empty.
 
     Raises:
         ConfigError: the map has more than ``MAX_PIXELS``.
@@ -97,6 +104,9 @@ def draw_map(
         raise RunError("no thermal photo shows a surface of this map: check its plane")
     bands[0], bands[5] = statistics.celsius, statistics.scatter_c
     bands[4] = np.where(np.isfinite(points[..., 0]), statistics.photos, np.nan)
+    if uncertainty is not None:
+        known = np.isfinite(bands[0])
+        bands[6][known] = uncertainty.of_points(points[known], bands[0][known])
     return OrthographicMap(grid, bands)
 
 

@@ -55,10 +55,8 @@ def write_geotiff(path: Path, drawn: OrthographicMap, wkt: str, tags: Mapping[st
             with rasterio.open(temporary, "w", **profile) as file:
                 file.write(drawn.bands)
                 file.update_tags(**tags)
-                file.colorinterp = (
-                    color.undefined, color.red, color.green, color.blue, color.undefined,
-                    color.undefined,
-                )  # fmt: skip
+                colors = {name: color[name] for name in ("red", "green", "blue")}
+                file.colorinterp = [colors.get(name, color.undefined) for name in BANDS]
                 for number, (name, unit) in enumerate(BANDS.items(), start=1):
                     file.set_band_description(number, name)
                     file.set_band_unit(number, unit)
