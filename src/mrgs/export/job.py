@@ -20,7 +20,8 @@ from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Modality, Scene
+from mrgs.scene import THERMAL, Modality, Scene, ideal_cameras
+from mrgs.survey import Survey
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +72,13 @@ class ExportJob:
 
     @cached_property
     def uncertainty(self) -> UncertaintyMeter | None:
-        """Of the temperatures; None without a run or without thermal photos."""
-        if self.run is None or THERMAL not in self.scene.modalities:
+        """Of the temperatures; None without thermal photos."""
+        if THERMAL not in self.scene.modalities:
             return None
-        return UncertaintyMeter.of_run(self.run, self.scene)
+        if self.run is not None:
+            return UncertaintyMeter.of_run(self.run, self.scene)
+        render, temperature = self.baked.render, self.baked.temperature
+        return UncertaintyMeter.of(render, ideal_cameras, self.scene, temperature, Survey())
 
     @property
     def surface_facts(self) -> dict[str, Any]:

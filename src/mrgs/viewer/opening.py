@@ -20,6 +20,7 @@ from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import Camera, Rendering, Scene
 from mrgs.scene.overview import best_view
+from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import camera_around
 from mrgs.viewer.picking import render_surface
@@ -79,8 +80,9 @@ def _uncertainty_of(subject: Subject, draw: SurfaceRenderer) -> UncertaintyMeter
     """None without photos, and for a model that still changes."""
     if subject.scene is None or not isinstance(subject.source, TrainedSource):
         return None
+    survey = read_survey(subject.folder / SURVEY_FILE)
     return UncertaintyMeter.of(
-        draw, subject.camera_response, subject.scene, subject.temperature, subject.folder
+        draw, subject.camera_response, subject.scene, subject.temperature, survey
     )
 
 

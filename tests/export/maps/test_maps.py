@@ -98,9 +98,10 @@ def test_temperatures_are_those_of_the_rendered_model(elevation, front, front_sc
 
 def test_bands_say_how_many_photos_looked_and_how_far_they_scatter(elevation):
     with rasterio.open(elevation / "elevation.tif") as file:
-        celsius, red, _, blue, photos, scatter = file.read()
+        celsius, red, _, blue, photos, scatter, uncertainty = file.read()
         assert file.descriptions == (
             "temperature_c", "red", "green", "blue", "photos", "scatter_c",
+            "uncertainty_c",
         )  # fmt: skip
         assert file.units[0] == "°C"
         assert file.colorinterp[1] == rasterio.enums.ColorInterp.red
@@ -110,6 +111,8 @@ def test_bands_say_how_many_photos_looked_and_how_far_they_scatter(elevation):
     assert np.nanmedian(photos) >= 5
     assert np.nanmedian(scatter[photos >= 5]) == pytest.approx(0.1, abs=0.03)  # the photos' noise
     assert np.isnan(scatter[photos < 2]).all()
+    assert 0.05 < np.nanmedian(uncertainty[photos >= 5]) < 0.5
+    assert np.isnan(uncertainty[np.isnan(celsius)]).all()
     assert np.isnan(celsius[np.isnan(photos) | (photos == 0)]).all()
     wall = known & (np.abs(celsius - WALL_C) < 0.3)
     assert np.nanmedian(red[wall]) == pytest.approx(0.8 * 255, abs=8)

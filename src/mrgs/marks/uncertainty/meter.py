@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
@@ -14,7 +13,7 @@ from mrgs.marks.uncertainty.budget import Budget, Uncertainty
 from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
 from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene, TemperatureRange
-from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 
 class UncertaintyMeter:
@@ -41,7 +40,8 @@ class UncertaintyMeter:
             ConfigError: the survey has a value that cannot be.
             RunError: the survey cannot be read.
         """
-        return cls.of(run.render, run.camera_response, scene, run.temperature, run.folder.path)
+        survey = read_survey(run.folder.path / SURVEY_FILE)
+        return cls.of(run.render, run.camera_response, scene, run.temperature, survey)
 
     @classmethod
     def of(
@@ -50,18 +50,17 @@ class UncertaintyMeter:
         respond: CameraResponse,
         scene: Scene,
         temperature: TemperatureRange | None,
-        folder: Path,
+        survey: Survey,
     ) -> UncertaintyMeter:
-        """Of a model that is rendered in any way; see ``of_run``.
+        """Of a model that is rendered in any way.
 
         Args:
             render: renders it with the depth of its surfaces.
             respond: what the scene's cameras make of a rendering.
             scene: with the photos.
             temperature: the scale of the thermal values; None without known °C.
-            folder: of the run.
+            survey: states uncertainties of camera and settings.
         """
-        survey = read_survey(folder / SURVEY_FILE)
         witnesses = PhotoWitnesses(render, respond, scene.train, temperature)
         return cls(witnesses, None if temperature is None else Budget.of(scene, survey))
 
