@@ -99,3 +99,13 @@ def test_room_that_is_needed_grows_with_the_photos_and_the_model():
     assert disk_bytes(small, PHOTOS) < disk_bytes(large, PHOTOS)
     assert disk_bytes(small, PHOTOS) < disk_bytes(small, replace(PHOTOS, bytes=10**9))
     assert memory_bytes(small) < memory_bytes(large) < 4e9
+
+
+def test_the_first_steps_cost_less_where_photos_are_large():
+    work = workload(quality="fast")  # 640×480 each: a half of the steps on a quarter of the pixels
+    assert work.kpx == pytest.approx(2 * 640 * 480 / 1e3, rel=1e-3)
+    assert work.mean_kpx == pytest.approx((0.5 + 0.5 / 4) * work.kpx, rel=2e-3)
+    small = Intake(
+        Path("p"), "photos", 24, 3, {RGB: (320, 240), THERMAL: (160, 120)}, "", False, None, 10**7
+    )
+    assert workload(small).mean_kpx == pytest.approx(workload(small).kpx)

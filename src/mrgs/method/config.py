@@ -51,6 +51,10 @@ CPU_SMOOTHNESS = {
 """Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise of their
 photos asks for: docs/decisions."""
 
+CPU_COARSE = 0.5
+"""Share of the training on coarser photos in the presets for CPUs, where photos are large enough:
+docs/decisions."""
+
 CPU_HIDDEN_WIDTH = 64
 """Width of the heads' hidden layers in the presets for CPUs: half of that in ``paper``, and as
 good."""
@@ -65,6 +69,8 @@ class TrainConfig:
         preset: the preset's name.
         max_steps: training steps, one view each.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
+        coarse_until: share of the training in which photos and renderings are coarser: a quarter of
+            the photos' resolution in its first half, half of it in the second; not in the paper.
         seed: of every random choice.
         sh_every: steps between the degrees of the spherical harmonics.
         shares_opacity: blend both modalities with o_c.
@@ -92,6 +98,7 @@ class TrainConfig:
     preset: Preset = "default"
     max_steps: int = 30_000
     resolution: int | None = None
+    coarse_until: float = 0.0
     seed: int = 0
     sh_every: int = 1_000
     shares_opacity: bool = False
@@ -113,6 +120,7 @@ class TrainConfig:
         require_within(self, schedule, 1, MOST_STEPS)
         require_within(self, ["fitted_residuals"], 0, MOST_STEPS)
         require_within(self, ["seed"], 0, MOST_SEED)
+        require_within(self, ["coarse_until"], 0, 1)
         if self.resolution is not None and self.resolution < 16:
             raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
         if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):
@@ -125,6 +133,13 @@ class TrainConfig:
         if self.temperature_sh_degree is not None:
             return self.temperature_sh_degree
         return MAX_DEGREE if capture.lacks_celsius else 0
+
+    def pixel_size_at(self, step: int) -> int:
+        """Side of a pixel at this step, in pixels of the photos."""
+        coarse_steps = self.coarse_until * self.max_steps
+        if step < coarse_steps / 2:
+            return 4
+        return 2 if step < coarse_steps else 1
 
     def sh_degree_at(self, step: int) -> int:
         """Highest degree of the spherical harmonics in use at this step."""
@@ -234,6 +249,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     optimizer = replace(config.optimizer, **CPU_RATES)
     return replace(
         config,
+        coarse_until=CPU_COARSE,
         distant_points=True,
         photo_temperatures=True,
         fitted_residuals=FITTED_RESIDUALS,

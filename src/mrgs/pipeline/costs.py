@@ -6,7 +6,9 @@ into time on the computer at hand.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mrgs.pipeline.intake import Intake, Size
@@ -14,6 +16,7 @@ from mrgs.pipeline.quality import Quality
 from mrgs.prepare.colmap.pairs import ALIKE, MAX_EXHAUSTIVE, NEIGHBOURS
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Scene
+from mrgs.training.resolution import coarse_size
 
 FEATURE_PX = 1600 * 1200
 """Larger images are reduced before features are found in them."""
@@ -48,7 +51,8 @@ class Workload:
         held_out: of them.
         source_px: pixels of a view's images as they are.
         feature_px: pixels of the images whose features are matched, at most ``FEATURE_PX``.
-        kpx: thousands of pixels of a view's images in training.
+        kpx: thousands of pixels of a view's images in training, at their full resolution.
+        mean_kpx: the same as a mean over the steps, of which the first are coarser.
         start: start points.
         gaussians: at the end.
         steps: of training.
@@ -62,6 +66,7 @@ class Workload:
     source_px: int
     feature_px: int
     kpx: float
+    mean_kpx: float
     start: int
     gaussians: int
     steps: int
@@ -81,6 +86,7 @@ class Workload:
             source_px=sum(width * height for width, height in intake.sizes.values()),
             feature_px=min(posed[0] * posed[1], FEATURE_PX),
             kpx=sum(_reduced_px(size, quality.resolution) for size in intake.sizes.values()) / 1e3,
+            mean_kpx=_mean_kpx([*intake.sizes.values()], quality),
             start=min(start, quality.max_gaussians),
             gaussians=quality.max_gaussians,
             steps=quality.max_steps,
@@ -99,6 +105,7 @@ class Workload:
             source_px=pixels,
             feature_px=0,
             kpx=pixels / 1e3,
+            mean_kpx=pixels / 1e3,
             start=len(scene.points.positions),
             gaussians=run.gaussian_count,
             steps=run.config.max_steps,
@@ -114,6 +121,25 @@ class Workload:
 
 def _reduced_px(size: Size, resolution: int) -> float:
     return size[0] * size[1] * min(1.0, resolution / size[0]) ** 2
+
+
+def _mean_kpx(sizes: Sequence[Size], quality: Quality) -> float:
+    """Thousands of pixels of a view's images, as a mean over the steps."""
+    config = quality.config()
+    scales = [
+        math.sqrt(_reduced_px(size, quality.resolution) / (size[0] * size[1])) for size in sizes
+    ]
+    reduced = [
+        (round(scale * width), round(scale * height))
+        for (width, height), scale in zip(sizes, scales, strict=True)
+    ]
+    steps = range(1, config.max_steps + 1)
+    shares = Counter(config.pixel_size_at(step) for step in steps)
+    return sum(
+        count / len(steps) * math.prod(coarse_size(*size, pixel_size)) / 1e3
+        for pixel_size, count in shares.items()
+        for size in reduced
+    )
 
 
 def stage_costs(work: Workload) -> dict[str, Cost]:
@@ -162,7 +188,7 @@ def _prepare(work: Workload) -> dict[str, float]:
 
 
 def _train(work: Workload) -> dict[str, float]:
-    step = step_cost(work.mean_gaussians, work.kpx)
+    step = step_cost(work.mean_gaussians, work.mean_kpx)
     return {"compiling": 3.0 + work.compiling_s, "steps": step * work.steps}
 
 

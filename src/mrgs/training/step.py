@@ -17,6 +17,7 @@ from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
 from mrgs.render import ScreenPoints, render, renderer
 from mrgs.scene import THERMAL, Modality, Pixels, Rendering, View
+from mrgs.training.resolution import coarser, pixel_sizes
 from mrgs.training.state import TrainingState
 
 
@@ -126,13 +127,14 @@ def training_step(
     state.refresh_neighbours(config)
 
     degrees = {THERMAL: config.temperature_sh_degree_at(state.step)}
-    rendering, passes = render(state.model, view.cameras, degrees)
-    observed = state.image_model(rendering, number)
+    cameras, photos = coarser(view.cameras, photos, config.pixel_size_at(state.step))
+    rendering, passes = render(state.model, cameras, degrees)
+    observed = state.image_model(rendering, number, pixel_sizes(view.cameras, cameras))
     context = LossContext(
         rendering,
         observed,
         photos,
-        view.cameras,
+        cameras,
         state.model.gaussians,
         scale,
         renderer(state.model, degrees),

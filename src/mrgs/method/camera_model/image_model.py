@@ -7,8 +7,9 @@ a thermal lens blurs, and automatic gain scales each photo differently.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -18,11 +19,13 @@ from torch import Tensor, nn
 from mrgs.method.camera_model.photo_drift import PhotoDrift
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
-from mrgs.scene import THERMAL, Camera, Pixels, Rendering, Scene
+from mrgs.scene import THERMAL, Camera, Modality, Pixels, Rendering, Scene
 from mrgs.system.limits import MOST_RATE, require_within
 
 INITIAL_POINT_SPREAD_PX = 0.8
 SMALLEST_POINT_SPREAD_PX = 0.2
+
+NOT_COARSER: Mapping[Modality, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -120,9 +123,17 @@ class PointSpread(nn.Module):
         """Standard deviation in pixels of the thermal image."""
         return self.log_sigma.exp().clamp_min(SMALLEST_POINT_SPREAD_PX)
 
-    def forward(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
-        """The image as the lens and the detector spread it."""
-        return blur(image[:, :, 0], self.sigma_px)[:, :, None]
+    def forward(
+        self, image: Float[Tensor, "h w 1"], pixel_size: float = 1.0
+    ) -> Float[Tensor, "h w 1"]:
+        """The image as the lens and the detector spread it.
+
+        Args:
+            image: the rendered temperatures.
+            pixel_size: of the image, in pixels of the photos.
+        """
+        sigma = (self.sigma_px / pixel_size).clamp_min(SMALLEST_POINT_SPREAD_PX)
+        return blur(image[:, :, 0], sigma)[:, :, None]
 
 
 class ImageModel(nn.Module):
@@ -138,9 +149,22 @@ class ImageModel(nn.Module):
         self.thermal_drift = PhotoDrift(capture.thermal_viewpoints) if has_drift else None
         self._extent = capture.extent
 
-    def forward(self, rendering: Rendering, view: int) -> Rendering:
-        """The rendering of a training view as its cameras write it."""
-        return self._written(rendering, lambda gains: gains.of(view), lambda drift: drift.of(view))
+    def forward(
+        self, rendering: Rendering, view: int, pixel_sizes: Mapping[Modality, float] = NOT_COARSER
+    ) -> Rendering:
+        """The rendering of a training view as its cameras write it.
+
+        Args:
+            rendering: of the view.
+            view: its place among the training views.
+            pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
+        """
+        return self._written(
+            rendering,
+            lambda gains: gains.of(view),
+            lambda drift: drift.of(view),
+            pixel_sizes.get(THERMAL, 1.0),
+        )
 
     @torch.no_grad()
     def expected(self, rendering: Rendering, camera: Camera) -> Rendering:
@@ -176,12 +200,13 @@ class ImageModel(nn.Module):
         rendering: Rendering,
         gain: Callable[[PhotoGain], Gain],
         offset: Callable[[PhotoDrift], Tensor],
+        pixel_size: float = 1.0,
     ) -> Rendering:
         if THERMAL not in rendering:
             return rendering
         thermal = rendering[THERMAL].image
         if self.point_spread is not None:
-            thermal = self.point_spread(thermal)
+            thermal = self.point_spread(thermal, pixel_size)
         if self.thermal_gain is not None:
             thermal = gain(self.thermal_gain).apply(thermal)
         if self.thermal_drift is not None:
