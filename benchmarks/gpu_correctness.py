@@ -26,7 +26,7 @@ from mrgs.method.losses.photometric import (
 from mrgs.method.losses.radiation import boltzmann_loss
 from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.ssim import ssim_map, structural_similarity
-from mrgs.training.step import training_step
+from mrgs.training.step import PhotographedView, training_step
 
 IMAGE_ERROR_MAX = 1e-4
 """Largest absolute error of a value in [0, 1], and of a depth relative to the largest depth."""
@@ -272,15 +272,10 @@ def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Find
     config = make_config(method, "paper")
     losses = []
     for place in (torch.device("cpu"), device):
-        state, view, photos = (
-            state_on(place, count, config),
-            workload.view(width, height),
-            photos_on(place, width, height),
-        )
-        steps = [
-            training_step(state, view, 0, photos, config, workload.SCALE).statistics
-            for _ in range(3)
-        ]
+        state = state_on(place, count, config)
+        photos = photos_on(place, width, height)
+        views = [PhotographedView(0, workload.view(width, height), photos)]
+        steps = [training_step(state, views, config, workload.SCALE).statistics for _ in range(3)]
         losses.append(torch.tensor([float(step.loss) for step in steps], dtype=torch.float64))
     yield {
         "of": f"losses of three steps, {method}",

@@ -24,7 +24,7 @@ from mrgs.evaluation.evaluate import evaluate
 from mrgs.method.config import make_config
 from mrgs.runs.open import load_run
 from mrgs.training import StepStatistics, train
-from mrgs.training.step import training_step
+from mrgs.training.step import PhotographedView, training_step
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 EVALUATION_S = 75.0
@@ -144,14 +144,12 @@ def _steps(clock: Clock, method: str, plan: Plan) -> Row:
     count, width, height = plan.step_size
     config = make_config(method, "paper")
     memory = PeakMemory(clock.device)
-    state, view, photos = (
-        state_on(clock.device, count, config),
-        workload.view(width, height),
-        photos_on(clock.device, width, height),
-    )
+    state = state_on(clock.device, count, config)
+    photos = photos_on(clock.device, width, height)
+    views = [PhotographedView(0, workload.view(width, height), photos)]
 
     def run() -> StepStatistics:
-        return training_step(state, view, 0, photos, config, workload.SCALE).statistics
+        return training_step(state, views, config, workload.SCALE).statistics
 
     times = clock.measure({"step": run}, plan.steps, flush=False)
     return {

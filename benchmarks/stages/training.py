@@ -14,7 +14,13 @@ from mrgs.method.config import Preset, TrainConfig, make_config
 from mrgs.render import bake_temperature_residuals, render_view
 from mrgs.scene import Gaussians
 from mrgs.training.state import TrainingState
-from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
+from mrgs.training.step import (
+    PhotographedView,
+    StepResult,
+    StepStatistics,
+    control_density,
+    training_step,
+)
 
 STEP = "step"
 RENDER = "render"
@@ -43,8 +49,8 @@ def _step(case: Case, method: str, preset: Preset) -> Stages:
     count, width, height = case.size
     config = make_config(method, preset)
     state = training_state(count, config)
-    seen, targets = view(width, height), photos(width, height)
-    return Stages([Timing(STEP, lambda _: training_step(state, seen, 0, targets, config, SCALE))])
+    views = [PhotographedView(0, view(width, height), photos(width, height))]
+    return Stages([Timing(STEP, lambda _: training_step(state, views, config, SCALE))])
 
 
 def rendering(case: Case) -> Stages:
@@ -78,7 +84,8 @@ def densification(case: Case) -> Stages:
 
     def event(state: TrainingState) -> None:
         statistics = StepStatistics(state.step, 0.0, {}, None, len(state.model.gaussians), False)
-        done = StepResult(statistics, [], torch.tensor(True))
+        nothing = {name: torch.zeros_like(each) for name, each in state.strategy_state.items()}
+        done = StepResult(statistics, nothing, torch.tensor(True))
         control_density(state, done, config, EXTENT)
         state.model.neighbours = nearest_neighbours(
             state.model.gaussians.means, config.field.neighbours_k

@@ -9,7 +9,7 @@ import torch
 
 from benchmarks import workload
 from mrgs.method.config import make_config
-from mrgs.training.step import training_step
+from mrgs.training.step import PhotographedView, training_step
 
 
 @contextmanager
@@ -31,7 +31,9 @@ def train(method: str, steps: int = 3) -> dict[str, torch.Tensor]:
     view, photos = workload.view(160, 120), workload.photos(160, 120)
     losses = []
     for _ in range(steps):
-        statistics = training_step(state, view, 0, photos, config, workload.SCALE).statistics
+        statistics = training_step(
+            state, [PhotographedView(0, view, photos)], config, workload.SCALE
+        ).statistics
         losses.append(statistics.loss)
     tensors = {
         **state.model.gaussians.tensors(),

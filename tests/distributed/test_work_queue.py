@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
 import pytest
 import torch.distributed as dist
 
@@ -14,17 +10,7 @@ from mrgs.distributed.launch import Launch
 from mrgs.distributed.processes import Processes
 from mrgs.distributed.work_queue import WorkQueue
 from mrgs.errors import LinkError, PeerError
-
-
-def together(action: Callable[[Processes], Any], count: int = 3, store: Any = None) -> list[Any]:
-    """What an action returns on each of several processes."""
-    shared = store or dist.HashStore()
-
-    def one(rank: int) -> Any:
-        return action(Processes(Launch(rank, count, count, rank), shared))
-
-    with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(one, range(count)))
+from tests.helpers.threaded_processes import together
 
 
 def test_each_piece_is_taken_once_and_all_results_arrive():

@@ -18,7 +18,16 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.faults import fuzz, interruptions, kills, memory, messages, places, soak
+from tests.faults import (
+    fuzz,
+    interruptions,
+    kills,
+    memory,
+    messages,
+    places,
+    processes,
+    soak,
+)
 from tests.faults.program import SMALL, run, small_scene
 from tests.faults.tally import Tally
 
@@ -32,6 +41,9 @@ def attacks(soak_hours: float) -> Iterator[tuple[str, Attack]]:
     rng = random.Random(0)
     moments = [round(rng.uniform(0, 6), 2) for _ in range(30)]
     yield "kill -9 of trainings", lambda at: kills.trainings(at, 50)
+    yield "kill -9 of processes under torchrun", lambda at: processes.kills(at, 20)
+    yield "requests to stop torchrun", processes.stops
+    yield "a full disk under torchrun", processes.full_disk
     yield "kill -9 of writers", kills.writes
     yield "kill -9 of prepare", lambda at: interruptions.preparations(at, moments, signal.SIGKILL)
     yield "signals to trainings", lambda at: interruptions.trainings(at, 3 * interruptions.SIGNALS)

@@ -47,11 +47,13 @@ def state(make_start, config) -> TrainingState:
     """After two steps."""
     scene, state = make_start(config)
     for _ in range(2):
-        number = state.sampler.next()
+        (number,) = state.sampler.next()
         view = scene.train[number]
         photos = {each: image.load() for each, image in view.images.items()}
         scale = SceneScale(scene.extent, scene.temperature)
-        result = step.training_step(state, view, number, photos, config, scale)
+        result = step.training_step(
+            state, [step.PhotographedView(number, view, photos)], config, scale
+        )
         step.control_density(state, result, config, scene.extent)
     return state
 

@@ -28,7 +28,7 @@ from mrgs.scene import RGB, Blend, Pixels
 from mrgs.system import gpu
 from mrgs.training import step as step_module
 from mrgs.training.state import initial_state
-from mrgs.training.step import control_density, training_step
+from mrgs.training.step import PhotographedView, control_density, training_step
 from tests.helpers.training import short_config, tensors_of
 
 aten = torch.ops.aten
@@ -164,7 +164,9 @@ def start(small_scene):
                 photos = {each: replace(pixels, valid=valid) for each, pixels in photos.items()}
 
             def step() -> step_module.StepStatistics:
-                result = training_step(state, view, number, photos, config, scale)
+                result = training_step(
+                    state, [PhotographedView(number, view, photos)], config, scale
+                )
                 control_density(state, result, config, scale.extent)
                 return result.statistics
 
@@ -209,7 +211,7 @@ def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, 
     scale = SceneScale(scene.extent, scene.temperature)
 
     def take() -> None:
-        result = training_step(state, view, 0, photos, config, scale)
+        result = training_step(state, [PhotographedView(0, view, photos)], config, scale)
         control_density(state, result, config, scale.extent)
 
     for _ in range(2):
@@ -293,7 +295,7 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, gpu_device, monkeyp
     }
     scale = SceneScale(scene.extent, scene.temperature)
     for number in (1, 2):
-        result = training_step(state, view, 0, photos, config, scale)
+        result = training_step(state, [PhotographedView(0, view, photos)], config, scale)
         control_density(state, result, config, scale.extent)
         assert result.statistics.step == number
         assert result.statistics._measured.device == device

@@ -11,7 +11,13 @@ from mrgs.method.losses import terms as terms_module
 from mrgs.method.losses.photometric import LossConfig, photometric_loss
 from mrgs.method.losses.term import SceneScale
 from mrgs.scene import RGB, THERMAL, Modality, Pixels
-from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
+from mrgs.training.step import (
+    PhotographedView,
+    StepResult,
+    StepStatistics,
+    control_density,
+    training_step,
+)
 from tests.helpers.training import short_config, tensors_of
 
 Photos: TypeAlias = dict[Modality, Pixels]
@@ -32,9 +38,7 @@ def do_step(state, scene, config, number: int = 0, photos: Photos | None = None)
     view = scene.train[number]
     return training_step(
         state,
-        view,
-        number,
-        photos or photos_of(view),
+        [PhotographedView(number, view, photos or photos_of(view))],
         config,
         SceneScale(scene.extent, scene.temperature),
     )
@@ -219,7 +223,7 @@ def test_large_gaussians_are_pruned_after_the_first_reset_but_for_a_sky(distant_
         state.model.gaussians.log_scales[:3] = math.log(2 * schedule.prune_above * scene.extent)
     count, state.step = len(state.model.gaussians), 4
     statistics = StepStatistics(4, 0.0, {}, None, count, skipped=False)
-    done = StepResult(statistics, [], torch.tensor(True))
+    done = StepResult(statistics, dict(state.strategy_state), torch.tensor(True))
     control_density(state, done, config, scene.extent)
     assert count - len(state.model.gaussians) == (0 if distant_points else 3)
 

@@ -6,7 +6,6 @@ import json
 import sys
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
 
 import pytest
 import torch
@@ -34,8 +33,11 @@ class Duplicate(Strategy):
     def initial_state(self, gaussians):
         return {"drawn": torch.zeros(len(gaussians))}
 
+    def observe(self, passes):
+        return {"drawn": sum((points.radii > 0).float() for points in passes)}
+
     def after_step(self, state, optimizer, step):
-        drawn = state["drawn"] + sum((points.radii > 0).float() for points in step.passes)
+        drawn = state["drawn"] + step.observed["drawn"]
         gaussians = optimizer.gaussians
         if step.number % self.every > 0 or len(gaussians) >= self.max_gaussians:
             return DensityUpdate({"drawn": drawn})
@@ -49,10 +51,8 @@ class Duplicate(Strategy):
 class Blind(Strategy):
     """Keeps all as it is."""
 
-    needs_screen_gradients: ClassVar[bool] = False
-
     def after_step(self, state, optimizer, step):
-        assert list(step.passes) == []
+        assert dict(step.observed) == {}
         return DensityUpdate(state)
 
 

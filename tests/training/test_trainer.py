@@ -340,7 +340,7 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
     [
         (step, "total_loss", {0, 7, 60}),
         (step, "_thermal_error", {0, 7, 60}),
-        (adaptive, "add_views", {0, 7, 60}),
+        (adaptive.AdaptiveDensityControl, "observe", {0, 7, 60}),
         (GaussianOptimizer, "step", {0, 7, 60}),
         (HostPhotos, "fetch", {0, 7, 20}),
         (adaptive, "densify", {0, 2}),

@@ -47,9 +47,12 @@ from mrgs.app.terminal import (
     print_viewer_address,
     scene_if_there,
 )
-from mrgs.errors import ConfigError, DeviceError, MrgsError, TrainingError
+from mrgs.app.together import FollowingProgress, muted, processes_of, silenced
+from mrgs.distributed.launch import Launch
+from mrgs.errors import ConfigError, DeviceError, MrgsError, PeerError, TrainingError
 
 if TYPE_CHECKING:
+    from mrgs.distributed.processes import Processes
     from mrgs.runs.registry import Method
     from mrgs.scene import Scene
     from mrgs.training import StepStatistics, TrainConfig
@@ -73,16 +76,21 @@ def main(argv: list[str] | None = None) -> int:
     # Threads that spin while they wait cost more than they save on shared cores. Read once, when
     # torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    with interrupts, plain_warnings():
+    launch = Launch.from_environment()
+    with interrupts, plain_warnings(), silenced(launch):
         try:
-            status = _run(argv)
+            status = _run(argv, launch)
             sys.stdout.flush()
             return status
+        except PeerError:
+            return EXIT_USER_ERROR
         except KeyboardInterrupt:
-            return _stopped()
+            with muted(launch):
+                return _stopped()
         except Exception as error:
             if interrupts.received is not None:  # a library has turned it into an error of its own
-                return _stopped()
+                with muted(launch):
+                    return _stopped()
             line = _line(error)
             if line is None:
                 raise
@@ -90,14 +98,19 @@ def main(argv: list[str] | None = None) -> int:
             return EXIT_USER_ERROR
 
 
-def _run(argv: list[str] | None) -> int:
+def _run(argv: list[str] | None, launch: Launch | None) -> int:
     """Run the command that the arguments name; returns the exit code."""
-    command = _parsed(sys.argv[1:] if argv is None else argv)
+    with muted(launch):
+        command = _parsed(sys.argv[1:] if argv is None else argv)
+    if isinstance(command, (Train, CompareMethods)):
+        with processes_of(launch) as processes:
+            return _COOPERATIVE[type(command)](command, processes)
+    if launch is not None and launch.world_size > 1:
+        _refuse_processes(launch)
     handlers: dict[type, Callable[[Any], int | None]] = {
         RunAll: _run_all,
         Prepare: _prepare,
         Check: _check,
-        Train: _train,
         Eval: _eval,
         Render: _render,
         ViewRun: _view,
@@ -105,10 +118,23 @@ def _run(argv: list[str] | None) -> int:
         Export: _export,
         Report: _report,
         Demo: _demo,
-        CompareMethods: _compare,
         Synth: _synth,
     }
     return handlers[type(command)](command) or 0
+
+
+def _refuse_processes(launch: Launch) -> None:
+    """Say that a command works in one process.
+
+    Raises:
+        ConfigError: in the first process.
+        PeerError: in the others.
+    """
+    if launch.is_first:
+        raise ConfigError(
+            "only mrgs train and mrgs compare run in several processes: leave torchrun out"
+        )
+    raise PeerError("the first process says why")
 
 
 def _stopped() -> int:
@@ -199,28 +225,36 @@ def _check(command: Check) -> int:
     return 0 if found.usable else EXIT_BAD_SCENE
 
 
-def _train(command: Train) -> None:
+def _train(command: Train, processes: Processes | None) -> int:
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method
     from mrgs.system.gpu import HOST, choose_device
     from mrgs.training.run_folder import RunFolder
 
+    if processes is not None:
+        processes.connect()
+    leads = processes is None or processes.is_first
     output = _output(command)
-    method = method_of(RunFolder(output)) if command.resume else find_method(command.method)
-    _require_possible(command, method)
-    config = _configured(command, method, command.max_steps)
+    name = method_of(RunFolder(output)).name if command.resume and leads else command.method
+    method = find_method(name if processes is None else processes.share_json(name))
+    _require_possible(command, method, processes)
+    batch = command.batch or (1 if processes is None else processes.count)
+    config = _configured(command, method, command.max_steps, batch)
     device = command.device if method.uses_gpu else "cpu"
     if command.minutes is not None:
         steps = _steps_in_time(command, method, config, device)
-        config = _configured(command, method, steps)
+        config = _configured(command, method, steps, batch)
         if config.max_steps != steps:
             raise ConfigError(
                 f"--minutes chooses the steps: leave max_steps out of {command.config}"
             )
     chosen = choose_device(device)
-    note_gpu(chosen)
-    progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
-    with progress, _live_view(output, command.port) if command.view else nullcontext() as live:
+    progress: TrainingProgress | FollowingProgress = FollowingProgress()
+    if leads:
+        note_gpu(chosen)
+        progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
+    shows = command.view and leads
+    with progress, _live_view(output, command.port) if shows else nullcontext() as live:
         method.train(
             command.scene,
             output,
@@ -231,17 +265,23 @@ def _train(command: Train) -> None:
             plain=command.plain,
             tensorboard=command.tensorboard,
             **_hooks(progress, live),
+            **({"processes": processes} if processes and method.has_gaussians else {}),
         )
-    _say_what_next(command, output, progress)
+    if isinstance(progress, TrainingProgress):
+        _say_what_next(command, output, progress, processes)
+    elif interrupts.received is not None:
+        raise Interrupted
+    return 0
 
 
-def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
+def _configured(command: Train, method: Method, max_steps: int | None, batch: int) -> Any:
     return method.configure(
         command.preset,
         max_steps=max_steps,
         max_gaussians=command.max_gaussians,
         resolution=command.resolution,
         seed=command.seed,
+        batch=batch,
         changes="" if command.config is None else _read_text(command.config),
         source=str(command.config),
     )
@@ -262,14 +302,15 @@ def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> 
     return steps
 
 
-def _require_possible(command: Train, method: Method) -> None:
+def _require_possible(command: Train, method: Method, processes: Processes | None) -> None:
     """Options that the method can follow.
 
     Raises:
         ConfigError: one needs Gaussians, and there are none.
         DeviceError: the method cannot use a GPU.
     """
-    for option, value in (("--view", command.view), ("--max-gaussians", command.max_gaussians)):
+    needs = {"--view": command.view, "--max-gaussians": command.max_gaussians}
+    for option, value in {**needs, "--batch": command.batch}.items():
         if value and not method.has_gaussians:
             raise ConfigError(
                 f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
@@ -277,8 +318,12 @@ def _require_possible(command: Train, method: Method) -> None:
     if command.minutes is not None:
         if command.resume or command.max_steps is not None:
             raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
+        if processes is not None and processes.count > 1:
+            raise ConfigError("--minutes measures one process: under torchrun, use --max-steps")
         if not 0 < command.minutes < math.inf:
             raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
+    if not method.has_gaussians and processes is not None and processes.count > 1:
+        raise ConfigError(f"{method.name} trains in one process: leave torchrun out")
     if command.accept_changes and not command.resume:
         raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
     if command.device == "cuda" and not method.uses_gpu:
@@ -291,14 +336,18 @@ def _output(command: Train) -> Path:
     return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
 
 
-def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> None:
+def _say_what_next(
+    command: Train, output: Path, progress: TrainingProgress, processes: Processes | None
+) -> None:
     """How to go on with an unfinished run, or what to do with a finished one."""
-    if progress.unfinished:
+    if progress.unfinished or (processes is not None and processes.stopped):
         go_on = shlex.join(
             ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
         )
         print(f"checkpoint saved; resume with: {go_on}", file=progress.sink)
-        raise Interrupted
+        if progress.unfinished:
+            raise Interrupted
+        return  # another process was asked to stop
     quoted = shlex.quote(str(output))
     print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
 
@@ -309,7 +358,7 @@ def _live_view(output: Path, port: int) -> LiveView:
     return LiveView(output, port=port, on_ready=print_viewer_address)
 
 
-def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
+def _hooks(progress: TrainingProgress | FollowingProgress, live: LiveView | None) -> dict[str, Any]:
     """What ``train`` calls: the terminal's line, and the view if there is one."""
     if live is None:
         return {"on_start": progress.start, "on_step": progress.step}
@@ -366,9 +415,14 @@ def _eval_renders(command: Eval, folder: Path) -> None:
     )
 
 
-def _compare(command: CompareMethods) -> None:
+def _compare(command: CompareMethods, processes: Processes | None) -> int:
     from mrgs.comparison import Options, Variant, compare
 
+    if processes is not None and not processes.is_first:
+        from mrgs.comparison.shared import follow_jobs
+
+        follow_jobs(processes, command.lpips_weights, command.device)
+        return 0
     variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
     options = Options(
         command.methods,
@@ -392,6 +446,7 @@ def _compare(command: CompareMethods) -> None:
             device=command.device,
             lpips_weights=command.lpips_weights,
             say=lambda line: print(line, flush=True),
+            processes=processes,
         )
     except KeyboardInterrupt:
         print("interrupted runs keep their checkpoints; re-run the same command to resume")
@@ -405,6 +460,7 @@ def _compare(command: CompareMethods) -> None:
             f"{len(comparison.failures)} rows of the tables have no scores, first {name} "
             f"({reason}); fix the cause and re-run the same command"
         )
+    return 0
 
 
 def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str, Path]:
@@ -565,6 +621,13 @@ def _bundled_scene() -> Path:
     raise ConfigError(
         "the bundled scene is not installed; run `mrgs demo` from a checkout, or reinstall mrgs"
     )
+
+
+_COOPERATIVE: dict[type, Callable[[Any, Processes | None], int]] = {
+    Train: _train,
+    CompareMethods: _compare,
+}
+"""Commands that several processes can share."""
 
 
 if __name__ == "__main__":

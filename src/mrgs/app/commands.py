@@ -189,6 +189,8 @@ class Train:
     """Downscale images wider than this many pixels."""
     seed: int = 0
     """Random seed."""
+    batch: Maybe[int] = None
+    """Views per step; by default 1, or one per process under torchrun (docs/large-scenes.md)."""
     config: Maybe[Path] = None
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
     resume: bool = False

@@ -26,11 +26,13 @@ from mrgs.comparison.plan import PlannedRun, neighbour_methods, plan
 from mrgs.comparison.processes import run_jobs
 from mrgs.comparison.progress import Progress
 from mrgs.comparison.results import Outcome, failed, outcome
+from mrgs.comparison.shared import lead_jobs
 from mrgs.comparison.single import is_scored, read_metrics
 from mrgs.comparison.table import Table
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 from mrgs.comparison.text import to_csv, to_latex, to_markdown
 from mrgs.data import load_scene
+from mrgs.distributed.processes import Processes
 from mrgs.errors import ConfigError, MrgsError
 from mrgs.evaluation.contact_sheet import SheetRow
 from mrgs.evaluation.figures import to_json
@@ -76,6 +78,7 @@ def compare(
     device: DeviceName = "auto",
     lpips_weights: Path | None = None,
     say: Say = lambda line: None,
+    processes: Processes | None = None,
 ) -> Comparison:
     """Train and score every method on every scene, then write tables and figures.
 
@@ -93,6 +96,8 @@ def compare(
         device: where they train and render, if their method can use a GPU.
         lpips_weights: weights for LPIPS; without them it is left out.
         say: called with lines of progress.
+        processes: that share out the runs, one at a time each. The first one calls this, the others
+            ``comparison.shared.follow_jobs``; all see the scenes and the output under these paths.
 
     Raises:
         MrgsError: a scene, an option or the output folder cannot be used.
@@ -101,13 +106,18 @@ def compare(
     """
     if jobs < 1:
         raise ConfigError(f"the number of jobs must be at least 1, not {jobs}", options=("jobs",))
+    if jobs > 1 and processes is not None:
+        raise ConfigError(
+            "under torchrun each process does one run at a time: start more processes instead",
+            options=("jobs",),
+        )
     gpu.choose_device(device)  # better now than in every run
     renders = dict(renders or {})
     _check_names(options, renders)
     if lpips_weights is not None:
         Lpips.from_file(lpips_weights)  # better now than after the first training
     planned = plan(scenes, output, options)
-    failures = _do(planned, jobs, device, lpips_weights, say)
+    failures = _do(planned, jobs, device, lpips_weights, say, processes)
     found = [_run_outcome(job, failures) for job in planned]
     paths = {job.scene_name: job.scene for job in planned}
     for name, folder in renders.items():
@@ -155,16 +165,19 @@ def _do(
     device: DeviceName,
     lpips_weights: Path | None,
     say: Say,
+    processes: Processes | None,
 ) -> dict[PlannedRun, str]:
     """Train and score the runs without scores; returns the reasons of failures."""
     due = [
         job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)
     ]
     say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
-    if not due:
-        return {}
-    _check_room(due)
-    progress = Progress(due, jobs, say)
+    if due:
+        _check_room(due)
+    progress = Progress(due, jobs if processes is None else processes.count, say)
+    if processes is not None:
+        hooks = (progress.on_message, progress.on_tick)
+        return lead_jobs(due, processes, lpips_weights, *hooks, device)
     return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
 
 

@@ -38,6 +38,7 @@ def run_jobs(
     on_message: Callable[[PlannedRun, Message], None],
     on_tick: Callable[[], None],
     device: DeviceName = "auto",
+    threads: int | None = None,
 ) -> dict[PlannedRun, str]:
     """Execute all runs, ``count`` at a time.
 
@@ -50,6 +51,7 @@ def run_jobs(
             starts.
         on_tick: called about once a second.
         device: where they train and render.
+        threads: of each process, instead of the cores divided among them.
 
     Returns:
         of each job that failed, why: one line.
@@ -60,13 +62,12 @@ def run_jobs(
     """
     waiting, running, failures = list(jobs), list[_Run](), dict[PlannedRun, str]()
     inbox: _Inbox = queue.Queue()
+    threads = threads or threads_each(max(1, min(count, len(jobs))))
     try:
         while waiting or running:
             while waiting and len(running) < count:
                 job = waiting.pop(0)
-                running.append(
-                    _start(job, threads_each(min(count, len(jobs))), device, lpips_weights, inbox)
-                )
+                running.append(_start(job, threads, device, lpips_weights, inbox))
                 on_message(job, {"start": True})
             _receive(inbox, running, failures, on_message)
             on_tick()

@@ -108,6 +108,14 @@ class Processes:
         assert group is not None
         return group
 
+    def connect(self) -> None:
+        """Connect with the others now, so that each notices at once when another one ends.
+
+        Raises:
+            LinkError, PeerError: another process is gone.
+        """
+        assert self._group is not None
+
     def remember(self, name: str) -> None:
         """Note something for the processes that torchrun starts after this round."""
         with self.linked():

@@ -40,7 +40,7 @@ class WorkQueue:
     def __init__(self, processes: Processes, name: str) -> None:
         self._processes = processes
         self._store = dist.PrefixStore(f"queue/{name}", processes.store)
-        self._read = 0
+        self._read = self._finished = 0
 
     def fill(self, contents: Sequence[Any]) -> None:
         """Offer these pieces, in this order; the first process does so, once."""
@@ -82,16 +82,19 @@ class WorkQueue:
         Args:
             on_wait: called several times a second while there is none.
         """
-        left = len(self)
-        while left > 0:
-            with self._processes.linked():
-                is_there = self._store.check([f"message/{self._read}"])
-                found = self._store.get(f"message/{self._read}") if is_there else None
-            if found is None:
+        while self._finished < len(self):
+            found = self.new_messages()
+            yield from found
+            if not found:
                 on_wait()
                 time.sleep(_POLL_S)
-                continue
-            self._read += 1
-            message = json.loads(found)
-            left -= "finished" in message
-            yield message
+
+    def new_messages(self) -> list[dict[str, Any]]:
+        """Those that have come since the last call, without waiting."""
+        found = []
+        with self._processes.linked():
+            while self._store.check([f"message/{self._read}"]):
+                found.append(json.loads(self._store.get(f"message/{self._read}")))
+                self._read += 1
+        self._finished += sum("finished" in message for message in found)
+        return found

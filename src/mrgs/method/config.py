@@ -67,7 +67,9 @@ class TrainConfig:
     Attributes:
         method: the method's name in the registry (``mrgs.runs.registry``).
         preset: the preset's name.
-        max_steps: training steps, one view each.
+        max_steps: training steps.
+        batch: views per step. Several processes share them out; how many processes there are
+            changes a run's result by rounding alone.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
         coarse_until: share of the training in which photos and renderings are coarser: a quarter of
             the photos' resolution in its first half, half of it in the second; not in the paper.
@@ -97,6 +99,7 @@ class TrainConfig:
     method: str = "mrgs"
     preset: Preset = "default"
     max_steps: int = 30_000
+    batch: int = 1
     resolution: int | None = None
     coarse_until: float = 0.0
     seed: int = 0
@@ -116,7 +119,7 @@ class TrainConfig:
     densification: ConfiguredStrategy = dataclasses.field(default_factory=AdaptiveDensityControl)
 
     def __post_init__(self) -> None:
-        schedule = ("max_steps", "sh_every", "neighbours_every", "checkpoint_every")
+        schedule = ("max_steps", "batch", "sh_every", "neighbours_every", "checkpoint_every")
         require_within(self, schedule, 1, MOST_STEPS)
         require_within(self, ["fitted_residuals"], 0, MOST_STEPS)
         require_within(self, ["seed"], 0, MOST_SEED)
@@ -164,9 +167,10 @@ def make_config(
     max_gaussians: int | None = None,
     resolution: int | None = None,
     seed: int = 0,
+    batch: int = 1,
 ) -> TrainConfig:
     """The configuration of a method and a preset; ``max_steps`` stretches or shrinks the preset's
-    whole schedule.
+    whole schedule, and with a ``batch`` of several views per step fewer and larger steps are taken.
 
     Raises:
         ConfigError: an unknown method or preset, or a value that is not allowed.
@@ -177,6 +181,8 @@ def make_config(
         raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
     config = _with_preset(TrainConfig(method=method, resolution=resolution, seed=seed), preset)
     config = _CHANGES[method](config)
+    if batch != 1:
+        config = _with_batch(config, batch)
     if max_steps is not None:
         config = _with_steps(config, max_steps)
     if max_gaussians is not None:
@@ -281,6 +287,23 @@ def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
         sh_every=scaled(config.sh_every),
         radiation=radiation,
         densification=config.densification.rescaled(factor),
+    )
+
+
+def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:
+    """The same number of views in steps of several: what is counted in steps shrinks as the batch
+    grows, and learning rates grow with it (docs/decisions)."""
+    if batch < 1:
+        raise ConfigError(f"batch must be at least 1, not {batch}", options=("batch",))
+    config = _with_steps(config, max(1, round(config.max_steps / batch)))
+    return replace(
+        config,
+        batch=batch,
+        neighbours_every=max(1, round(config.neighbours_every / batch)),
+        checkpoint_every=max(1, round(config.checkpoint_every / batch)),
+        optimizer=config.optimizer.faster(batch),
+        image_model=config.image_model.faster(batch),
+        densification=config.densification.with_batch(batch),
     )
 
 

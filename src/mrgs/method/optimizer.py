@@ -69,6 +69,12 @@ class OptimizerConfig:
                 "other"
             )
 
+    def faster(self, factor: float) -> OptimizerConfig:
+        """All rates times a factor."""
+        names = [field.name for field in dataclasses.fields(self)]
+        rates = [name for name in names if not name.startswith("slowdown")]
+        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name in rates})
+
     def means_at(self, progress: float) -> float:
         """Learning rate of the means after this share of the training, in scene extents."""
         return math.exp(

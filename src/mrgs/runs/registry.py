@@ -38,8 +38,8 @@ class Method:
         name: the value of ``--method``, and of ``method`` in a run's config.yaml.
         description: one line, for the help.
         make_config: configuration of a preset, from the keywords ``preset``, ``max_steps``,
-            ``resolution``, ``seed``, and ``max_gaussians`` where the method has Gaussians. A
-            dataclass with what ``mrgs.training.run_folder.RunConfig`` asks for.
+            ``resolution``, ``seed``, and ``max_gaussians`` and ``batch`` where the method has
+            Gaussians. A dataclass with what ``mrgs.training.run_folder.RunConfig`` asks for.
         train: trains or resumes a run, with the parameters of ``mrgs.train``; without ``on_model``
             where the method has no Gaussians.
         open: opens the newest checkpoint of a run as a ``TrainedRun``, from the folder, the scene
@@ -67,6 +67,7 @@ class Method:
         max_gaussians: int | None = None,
         resolution: int | None = None,
         seed: int = 0,
+        batch: int = 1,
         changes: str = "",
         source: str = "",
     ) -> Any:
@@ -78,6 +79,7 @@ class Method:
             max_gaussians: cap on the Gaussians, where the method has any; None keeps the preset's.
             resolution: images wider than this many pixels are reduced to it.
             seed: of every random choice.
+            batch: views per step, where the method has Gaussians.
             changes: YAML of the values that differ; they count before the others.
             source: where the changes come from, for messages.
 
@@ -87,6 +89,8 @@ class Method:
         options = {"max_steps": max_steps, "resolution": resolution, "seed": seed}
         if self.has_gaussians:
             options["max_gaussians"] = max_gaussians
+        if batch != 1:
+            options["batch"] = batch
         config = replace(self.make_config(preset=preset, **options), method=self.name)
         if not changes:
             return config

@@ -63,8 +63,13 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
         NotFiniteError: the state holds a NaN or an infinity; nothing is written.
         RunError: the file cannot be written.
     """
+    write_file(path, tensors_of(state), header_of(state, facts))
+
+
+def header_of(state: TrainingState, facts: CheckpointFacts) -> dict[str, Any]:
+    """The header of a state's checkpoint, for JSON."""
     made_with = _made_with(state.strategy, state.terms)
-    write(path, tensors_of(state), facts, int(state.skipped_in_a_row), made_with)
+    return {**facts.to_json(), "skipped_in_a_row": int(state.skipped_in_a_row), **made_with}
 
 
 def write(
@@ -72,7 +77,6 @@ def write(
     tensors: Mapping[str, Tensor],
     facts: CheckpointFacts,
     skipped_in_a_row: int,
-    more: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a checkpoint of any method.
 
@@ -81,14 +85,12 @@ def write(
         tensors: by name.
         facts: about the run.
         skipped_in_a_row: steps skipped since the last good one.
-        more: entries of the header that only the method reads, for JSON.
 
     Raises:
         NotFiniteError: a tensor holds a NaN or an infinity; nothing is written.
         RunError: the file cannot be written.
     """
-    header = {**facts.to_json(), "skipped_in_a_row": skipped_in_a_row, **(more or {})}
-    write_file(path, tensors, header)
+    write_file(path, tensors, {**facts.to_json(), "skipped_in_a_row": skipped_in_a_row})
 
 
 def read(path: Path) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
@@ -154,7 +156,34 @@ def load_state(
         RunError: it cannot be read, is of another format, not of this configuration, or of another
             strategy or other terms.
     """
-    tensors, facts, header = read(path)
+    return state_of(*read(path), path, config, device, strategy, terms)
+
+
+def state_of(
+    tensors: Mapping[str, Tensor],
+    facts: CheckpointFacts,
+    header: Mapping[str, Any],
+    path: Path,
+    config: TrainConfig,
+    device: torch.device = HOST,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+) -> TrainingState:
+    """The state that ``tensors_of`` and ``header_of`` describe; see ``load_state``.
+
+    Args:
+        tensors: by name.
+        facts: in the header.
+        header: of the checkpoint.
+        path: where it comes from, for messages.
+        config: the run's configuration.
+        device: where to train on.
+        strategy: density control, if the run was given one.
+        terms: of the loss, if the run was given any.
+
+    Raises:
+        RunError: it is not of this configuration, or of another strategy or other terms.
+    """
     strategy = config.densification if strategy is None else strategy
     try:
         model = _model(tensors, config, facts).to(device)

@@ -102,6 +102,10 @@ class Driver(ABC, Generic[S]):
     def _skipped_in_a_row(self) -> int:
         """Steps that the state says were skipped since the last good one."""
 
+    def _stops_now(self, is_asked: bool) -> bool:
+        """Whether the training ends after this step, if it is asked to."""
+        return is_asked
+
     def _describe_model(self) -> Mapping[str, float | None]:
         """What the log says of the model every ``LOG_MODEL_EVERY`` steps."""
         return {}
@@ -120,7 +124,7 @@ class Driver(ABC, Generic[S]):
         last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
         while self._step_done < last:
             statistics = self._next_step()
-            if on_step is not None and on_step(statistics) is True:
+            if self._stops_now(on_step is not None and on_step(statistics) is True):
                 last = self._step_done
             if self._step_done % self._checkpoint_every == 0 or self._step_done == last:
                 self.save()

@@ -165,25 +165,42 @@ def _changes_since(
     return "" if is_same else "its cameras"
 
 
+def differences(facts: CheckpointFacts, scene: Scene) -> str:
+    """How a scene differs from the one of the facts, for the user; empty if it does not.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    if other := _other_views(facts, scene):
+        return f"it {other}"
+    if facts.temperature != scene.temperature:
+        return "it has another temperature range"
+    return _changes_since(facts, fingerprints(scene), scene)
+
+
 def _require_same_views(facts: CheckpointFacts, scene: Scene) -> None:
     """The state of a training fits as many images as it began with, thermal ones in the same views.
 
     Raises:
         RunError: there are others.
     """
+    if other := _other_views(facts, scene):
+        raise RunError(f"{scene.name} {other}: use that scene as it was")
+
+
+def _other_views(facts: CheckpointFacts, scene: Scene) -> str:
+    """How the numbers of a scene's images differ from those of the facts; empty if they do not."""
     trained = model_modalities(facts.modalities)
     count = sum(modality in trained for view in scene.train for modality in view.images)
     if facts.capture.views != len(scene.train) or (facts.images and len(facts.images) != count):
-        raise RunError(
-            f"{scene.name} has {len(scene.train)} training views of {count} images, not the "
-            f"{facts.capture.views} that the run was trained with: use that scene as it was"
+        return (
+            f"has {len(scene.train)} training views of {count} images, not the "
+            f"{facts.capture.views} that the run was trained with"
         )
     thermal = [THERMAL in view.images for view in scene.train]
     if thermal != [point is not None for point in facts.capture.thermal_viewpoints]:
-        raise RunError(
-            f"{scene.name} has thermal photos in other views than the run was trained with: use "
-            f"that scene as it was"
-        )
+        return "has thermal photos in other views than the run was trained with"
+    return ""
 
 
 def _require_same_temperatures(facts: CheckpointFacts, scene: Scene) -> None:

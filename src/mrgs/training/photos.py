@@ -122,10 +122,11 @@ class _Stored(NamedTuple):
         return Pixels(self.values, self.valid)
 
 
-def kept_limit() -> int:
-    """Bytes of photos that a training on the CPU would keep if it started now."""
+def kept_limit(processes: int = 1) -> int:
+    """Bytes of photos that each of so many processes on this machine would keep if it started a
+    training on the CPU now."""
     free = free_memory()
-    return LIMIT_IF_UNKNOWN if free is None else int(SHARE_OF_FREE_MEMORY * free)
+    return (LIMIT_IF_UNKNOWN if free is None else int(SHARE_OF_FREE_MEMORY * free)) // processes
 
 
 def kept_bytes(scene: Scene) -> int:

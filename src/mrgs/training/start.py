@@ -16,6 +16,7 @@ from mrgs.system.operation import plainly
 from mrgs.training.checkpoint import load_facts
 from mrgs.training.facts import CheckpointFacts, facts_to_resume
 from mrgs.training.newest import load_newest
+from mrgs.training.peers import Peers
 from mrgs.training.run_folder import RunConfig, RunFolder
 from mrgs.training.tensorboard import tensorboard_log
 
@@ -55,6 +56,7 @@ def start_training(
     read_config: Callable[[RunFolder], C],
     initial_state: Callable[[Scene, C], S],
     load_state: Callable[[Path, C], S],
+    peers: Peers | None = None,
 ) -> Iterator[TrainingStart[C, S]]:
     """Within this block the run's folder is locked, and no other process trains in it.
 
@@ -69,6 +71,7 @@ def start_training(
         read_config: the configuration of the run that is continued.
         initial_state: the state at step 0.
         load_state: the state in a checkpoint.
+        peers: the processes that train the run together; only the first one uses the folder.
 
     Warns:
         MrgsWarning: the scene can be used, but is odd (see ``mrgs.data.oddities``) or has changed,
@@ -80,21 +83,25 @@ def start_training(
         ConfigError: TensorBoard was asked for and is not installed.
     """
     folder = RunFolder(output)
-    if resume:
-        folder.newest_checkpoint()
-        config = read_config(folder)
-        folder.warn_if_incomplete(config)
-    else:
-        folder.require_new()
-    if isinstance(scene, Scene):
-        loaded = scene
-        if not resume:
-            config = replace(cast(Any, config), resolution=scene.resolution)
-    else:
-        loaded = load_scene(scene, resolution=config.resolution, seed=config.seed)
+    leads = peers is None or peers.lead
+    if leads:
+        resume = resume or (peers is not None and peers.were_restarted(folder))
+        config = _config_in_force(folder, config, resume, read_config)
+    if isinstance(scene, Scene) and not resume:
+        config = replace(cast(Any, config), resolution=scene.resolution)
+    if peers is not None:
+        folder, resume = peers.agree(folder, cast(Any, config), resume)
+        config = config if leads else read_config(folder)
+    loaded = (
+        scene
+        if isinstance(scene, Scene)
+        else load_scene(scene, resolution=config.resolution, seed=config.seed)
+    )
     warn_of_oddities(loaded, stacklevel=4)
     with folder.training(config, resume), plainly(plain):
-        if resume:
+        if peers is not None and not leads:
+            state, facts = cast(Any, peers.receive(loaded, cast(Any, config)))
+        elif resume:
             state, facts = load_newest(
                 folder, lambda path: (load_state(path, config), load_facts(path)), set_aside=True
             )
@@ -103,5 +110,24 @@ def start_training(
         else:
             facts = CheckpointFacts.at_start(loaded)
             state = initial_state(loaded, config)
-        with tensorboard_log(folder, facts.step) if tensorboard else nullcontext():
+        if peers is not None and leads:
+            peers.share(cast(Any, state), facts)
+        with tensorboard_log(folder, facts.step) if tensorboard and leads else nullcontext():
             yield TrainingStart(folder, facts, loaded, config, state)
+
+
+def _config_in_force(
+    folder: RunFolder, config: C, resume: bool, read_config: Callable[[RunFolder], C]
+) -> C:
+    """The configuration of a new run, or of the one that is continued.
+
+    Raises:
+        RunError: the folder cannot be used for it.
+    """
+    if not resume:
+        folder.require_new()
+        return config
+    folder.newest_checkpoint()
+    config = read_config(folder)
+    folder.warn_if_incomplete(config)
+    return config

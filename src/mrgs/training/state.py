@@ -83,7 +83,7 @@ class TrainingState:
             layer_optimizer=_layer_optimizer(model.field, terms, image_model, config),
             strategy=strategy,
             strategy_state=strategy.initial_state(model.gaussians),
-            sampler=ViewSampler(capture.views, generator),
+            sampler=ViewSampler(capture.views, generator, config.batch),
             generator=generator,
             skipped_in_a_row=torch.zeros((), dtype=torch.int64, device=device),
         )
@@ -111,6 +111,15 @@ class TrainingState:
                 f"gaussians.means holds values that are not finite at step {self.step}"
             )
         self.model.neighbours = nearest_neighbours(means, k)
+
+    def scale_gradients(self, factor: float) -> None:
+        """Multiply all gradients by a factor."""
+        if factor == 1:
+            return
+        layers = [layer.grad for layer in layer_parameters(self.layer_optimizer)]
+        for gradient in [*self.gaussian_optimizer.gradients(), *layers]:
+            if gradient is not None:
+                gradient.mul_(factor)
 
     def gradients_are_finite(self, loss: Tensor) -> Bool[Tensor, ""]:
         """Whether neither the loss nor a gradient holds a NaN or an infinity; on the device."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,10 +15,14 @@ from mrgs.method.density import DensityStep
 from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import term_values
-from mrgs.render import ScreenPoints, render, renderer
+from mrgs.render import render, renderer
 from mrgs.scene import THERMAL, Modality, Pixels, Rendering, View
 from mrgs.training.resolution import coarser, pixel_sizes
 from mrgs.training.state import TrainingState
+from mrgs.training.view_sums import LOSS, THERMAL_ERROR, ViewSums
+
+SumOverProcesses: TypeAlias = Callable[[TrainingState, ViewSums], ViewSums]
+"""Adds to the gradients and measurements of a process those of all others."""
 
 
 class StepStatistics:
@@ -87,49 +91,92 @@ def _together(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
     )
 
 
+class PhotographedView(NamedTuple):
+    """A training view with its photos.
+
+    Attributes:
+        number: its place among the training views.
+        view: the view.
+        photos: of it, by modality.
+    """
+
+    number: int
+    view: View
+    photos: Mapping[Modality, Pixels]
+
+
 class StepResult(NamedTuple):
     """A step that has moved the parameters, before density control.
 
     Attributes:
         statistics: what it measured.
-        passes: projected centres of the view's passes, with their gradients.
+        observed: what the strategy has observed, summed over the views.
         finite: whether it counted; on the device.
     """
 
     statistics: StepStatistics
-    passes: list[ScreenPoints]
+    observed: Mapping[str, Float[Tensor, " n"]]
     finite: Bool[Tensor, ""]
 
 
 def training_step(
     state: TrainingState,
-    view: View,
-    number: int,
-    photos: Mapping[Modality, Pixels],
+    views: Sequence[PhotographedView],
     config: TrainConfig,
     scale: SceneScale,
+    sum_up: SumOverProcesses | None = None,
 ) -> StepResult:
-    """Render a view, compare it with its photos, move the parameters.
+    """Render views, compare them with their photos, move the parameters once.
 
     A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there:
     the host does not wait.
 
     Args:
         state: changed in place.
-        view: a training view.
-        number: its place among the training views.
-        photos: of the view, by modality.
+        views: those that this process renders; without others, the ``batch`` of the configuration.
         config: of the run.
         scale: of the scene.
+        sum_up: adds what other processes have found in other views.
     """
     state.step += 1
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)
 
+    found = ViewSums()
+    for each in views:
+        _backward(state, each, config, scale, found)
+    if sum_up is not None:
+        found = sum_up(state, found)
+    state.scale_gradients(1 / config.batch)
+
+    loss = found.mean(LOSS)
+    assert loss is not None
+    finite = state.gradients_are_finite(loss)
+    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~finite
+    error, count = found.mean(THERMAL_ERROR), len(state.model.gaussians)
+    statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
+    # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
+    state.move(config, finite)
+    for number, residual in found.residuals.items():
+        state.image_model.learn_drift(number, residual, finite)
+    state.skipped_in_a_row = skipped_in_a_row
+    return StepResult(statistics, found.observed, finite)
+
+
+def _backward(
+    state: TrainingState,
+    each: PhotographedView,
+    config: TrainConfig,
+    scale: SceneScale,
+    found: ViewSums,
+) -> None:
+    """Add the gradients of a view's loss to those of the parameters, and what it measured to what
+    was found."""
+    view = each.view
     degrees = {THERMAL: config.temperature_sh_degree_at(state.step)}
-    cameras, photos = coarser(view.cameras, photos, config.pixel_size_at(state.step))
+    cameras, photos = coarser(view.cameras, each.photos, config.pixel_size_at(state.step))
     rendering, passes = render(state.model, cameras, degrees)
-    observed = state.image_model(rendering, number, pixel_sizes(view.cameras, cameras))
+    observed = state.image_model(rendering, each.number, pixel_sizes(view.cameras, cameras))
     context = LossContext(
         rendering,
         observed,
@@ -142,19 +189,12 @@ def training_step(
     values = term_values(state.terms, context)
     loss = total_loss(values, {term.name: term.weight(state.step) for term in state.terms})
     loss.backward()
-
-    finite = state.gradients_are_finite(loss)
-    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~finite
     error = _thermal_error(observed, photos)
-    statistics = StepStatistics(
-        state.step, loss, values, error, len(state.model.gaussians), ~finite
-    )
-    # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
-    state.move(config, finite)
+    found.add(loss, values, error, state.strategy.observe(passes))
     if THERMAL in photos:
-        state.image_model.learn_drift(number, observed, photos[THERMAL], finite)
-    state.skipped_in_a_row = skipped_in_a_row
-    return StepResult(statistics, passes, finite)
+        residual = state.image_model.thermal_residual(each.number, observed, photos[THERMAL])
+        if residual is not None:
+            found.residuals[each.number] = residual
 
 
 def control_density(
@@ -174,28 +214,17 @@ def control_density(
         the strategy's counts for the log; None where it has left the rows as they are.
     """
     strategy, before = state.strategy, state.model.gaussians.means
-    passes = (
-        [_only_if(result.finite, points) for points in result.passes]
-        if strategy.needs_screen_gradients
-        else []
-    )
+    observed = {
+        name: torch.where(result.finite, value, 0) for name, value in result.observed.items()
+    }
     step = DensityStep(
-        state.step, extent, config.distant_points, passes, result.finite, state.generator
+        state.step, extent, config.distant_points, observed, result.finite, state.generator
     )
     update = strategy.after_step(state.strategy_state, state.gaussian_optimizer, step)
     state.strategy_state = update.state
     if state.model.gaussians.means is not before:
         state.model.neighbours = None
     return update.counts
-
-
-def _only_if(finite: Bool[Tensor, ""], points: ScreenPoints) -> ScreenPoints:
-    """The projected centres of a pass; without gradients, and none of them drawn, if the step was
-    skipped."""
-    offset = points.offset.detach()
-    if points.offset.grad is not None:
-        offset.grad = torch.where(finite, points.offset.grad, 0)
-    return points._replace(offset=offset, radii=torch.where(finite, points.radii, 0))
 
 
 def _thermal_error(

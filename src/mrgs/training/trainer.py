@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from copy import deepcopy
@@ -11,7 +12,8 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from mrgs.errors import TrainingError
+from mrgs.distributed.processes import Processes
+from mrgs.errors import ConfigError, LinkError, MrgsWarning, PeerError, TrainingError
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import SceneScale, Term
@@ -27,13 +29,22 @@ from mrgs.training.compilation import shared_compiling
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
 from mrgs.training.facts import CheckpointFacts
+from mrgs.training.gradient_exchange import GradientExchange
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import checkpoint_bytes, retried_when_full
-from mrgs.training.photos import HostPhotos, PhotoSource
+from mrgs.training.peers import Peers
+from mrgs.training.photos import HostPhotos, PhotoSource, kept_limit
+from mrgs.training.replicas import align_replicas
 from mrgs.training.run_folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
-from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
+from mrgs.training.step import (
+    PhotographedView,
+    StepResult,
+    StepStatistics,
+    control_density,
+    training_step,
+)
 
 Result = TypeVar("Result")
 
@@ -54,13 +65,15 @@ def open_training(
     tensorboard: bool = False,
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
+    processes: Processes | None = None,
 ) -> Iterator[Trainer]:
     """Within this block the run's folder is locked, and a trainer is ready for its first step; see
     ``train``."""
     chosen = gpu.choose_device(device)
     on_kernels = chosen == HOST and not (plain or is_plain())
+    compiles = on_kernels and (processes is None or processes.launch.local_rank == 0)
     with (
-        shared_compiling(config) if on_kernels else nullcontext(),
+        shared_compiling(config) if compiles else nullcontext(),
         start_training(
             scene,
             output,
@@ -72,10 +85,13 @@ def open_training(
             read_config=lambda folder: folder.read_config(from_yaml),
             initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
             load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
+            peers=None if processes is None else Peers(processes, chosen, strategy, terms),
         ) as run,
     ):
-        _check_room(run)
-        yield Trainer(run)
+        _require_enough_views(run)
+        if processes is None or processes.is_first:
+            _check_room(run)
+        yield Trainer(run, processes)
 
 
 def train(
@@ -94,6 +110,7 @@ def train(
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, CameraResponse], None] | None = None,
+    processes: Processes | None = None,
 ) -> RunFolder:
     """Train a model of a scene into a run folder.
 
@@ -117,6 +134,8 @@ def train(
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
             must not change, and with what the scene's cameras are taken to do to its renderings, as
             far as is learned by then.
+        processes: that train the run together; all of them call this with the same arguments, but
+            for the hooks, and the first one alone writes into ``output``.
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
@@ -133,6 +152,8 @@ def train(
             up to ten steps later), the model holds such a value (found up to a hundred steps
             later, and always before it is saved), or the GPU's memory does not suffice; the last
             good checkpoint is kept.
+        ConfigError: there are more processes, or more views in a step, than there are views.
+        LinkError, PeerError: another process is gone; the first one has saved a checkpoint.
     """
     with open_training(
         scene,
@@ -145,6 +166,7 @@ def train(
         tensorboard=tensorboard,
         strategy=strategy,
         terms=terms,
+        processes=processes,
     ) as trainer:
         if on_start is not None:
             on_start(trainer.scene, trainer.config)
@@ -163,6 +185,20 @@ def _check_room(run: TrainingStart[TrainConfig, TrainingState]) -> None:
     warn_if_short(run.folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
 
 
+def _require_enough_views(run: TrainingStart[TrainConfig, TrainingState]) -> None:
+    """Each view of a step is another one.
+
+    Raises:
+        ConfigError: a step has more views than the scene.
+    """
+    if run.config.batch > len(run.scene.train):
+        raise ConfigError(
+            f"a batch of {run.config.batch} is more than the {len(run.scene.train)} training views "
+            f"of {run.scene.name}: choose a smaller one",
+            options=("batch",),
+        )
+
+
 def _response_of(state: TrainingState) -> CameraResponse:
     """Turns a rendering in the host's memory into what the cameras write, as far as is learned when
     it is called."""
@@ -173,7 +209,7 @@ def _response_of(state: TrainingState) -> CameraResponse:
 
 
 class Trainer(Driver[StepStatistics]):
-    """Trains Gaussians: choose a view, take a step on it, control the density.
+    """Trains Gaussians: choose views, take a step on them, control the density.
 
     Attributes:
         folder: of the run, locked.
@@ -182,7 +218,11 @@ class Trainer(Driver[StepStatistics]):
         state: all that changes during training.
     """
 
-    def __init__(self, run: TrainingStart[TrainConfig, TrainingState]) -> None:
+    def __init__(
+        self,
+        run: TrainingStart[TrainConfig, TrainingState],
+        processes: Processes | None = None,
+    ) -> None:
         self.folder, self.scene, self.config, self.state = (
             run.folder,
             run.scene,
@@ -190,8 +230,18 @@ class Trainer(Driver[StepStatistics]):
             run.state,
         )
         device = run.state.device
+        self._processes = processes
+        has_others = processes is not None and processes.count > 1
+        batch = run.config.batch
+        self._share = _share_of(batch, processes)
+        self._exchange = (
+            GradientExchange(processes, batch, self._share) if processes and has_others else None
+        )
         self._scale = SceneScale.of(run.scene)
-        self._photos: PhotoSource = HostPhotos() if device == HOST else DevicePhotos(device)
+        here = 1 if processes is None else processes.launch.local_world_size
+        self._photos: PhotoSource = (
+            HostPhotos(kept_limit(here)) if device == HOST else DevicePhotos(device)
+        )
         super().__init__(
             run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device
         )
@@ -201,16 +251,43 @@ class Trainer(Driver[StepStatistics]):
         check_kernels(self.state, self.scene, self.config)
 
     def _take_step(self) -> StepStatistics:
-        result = self._with_enough_memory(self._step_on_next_view)
-        self._fetch_next_view()
+        result = self._with_enough_memory(self._step_on_next_views)
+        self._fetch_next_views()
+        self._align_replicas()
         self._with_enough_memory(lambda: self._control_density(result))
         return result.statistics
 
-    def _step_on_next_view(self) -> StepResult:
-        number = self.state.sampler.next()
+    def _step_on_next_views(self) -> StepResult:
+        views = [self._with_photos(number) for number in self.state.sampler.next()[self._share]]
+        return training_step(self.state, views, self.config, self._scale, self._exchange)
+
+    def _with_photos(self, number: int) -> PhotographedView:
         view = self.scene.train[number]
         photos = {modality: self._photos.load(image) for modality, image in view.images.items()}
-        return training_step(self.state, view, number, photos, self.config, self._scale)
+        return PhotographedView(number, view, photos)
+
+    def _stops_now(self, is_asked: bool) -> bool:
+        """Processes stop together: after the step in which all have heard that one was asked."""
+        if self._processes is None or self._exchange is None:
+            return is_asked
+        if is_asked:
+            self._exchange.ask_to_stop()
+        self._processes.stopped = self._exchange.stops and self.state.step < self.config.max_steps
+        return self._processes.stopped
+
+    def _align_replicas(self) -> None:
+        """Before the Gaussians may change, have the same ones on all processes."""
+        if self._processes is None or self._exchange is None:
+            return
+        if self.state.strategy.may_change_at(self.state.step) and align_replicas(
+            self._processes, self.state
+        ):
+            warnings.warn(
+                "the machines round differently, so all take the first one's model whenever "
+                "Gaussians are added or removed",
+                MrgsWarning,
+                stacklevel=2,
+            )
 
     def _control_density(self, result: StepResult) -> None:
         state = self.state
@@ -225,13 +302,16 @@ class Trainer(Driver[StepStatistics]):
                 f"poses and images"
             )
 
-    def _fetch_next_view(self) -> None:
-        """Let its photos come ahead of their turn, if there is memory for them."""
-        following = self.state.sampler.peek()
-        if following is None:
+    def _fetch_next_views(self) -> None:
+        """Let their photos come ahead of their turn, if there is memory for them."""
+        following = self.state.sampler.peek()[self._share]
+        if not following:
             return
+        images = [
+            image for number in following for image in self.scene.train[number].images.values()
+        ]
         try:
-            self._photos.fetch(list(self.scene.train[following].images.values()))
+            self._photos.fetch(images)
         except torch.cuda.OutOfMemoryError:
             self._photos.release()
 
@@ -254,6 +334,10 @@ class Trainer(Driver[StepStatistics]):
 
         try:
             return retried_when_full(action, undo)
+        except (LinkError, PeerError):
+            undo()
+            self._save_last_good_step()
+            raise
         except torch.cuda.OutOfMemoryError:
             pass  # a checkpoint needs the memory that the error's frames hold
         raise self._out_of_memory()
@@ -261,9 +345,7 @@ class Trainer(Driver[StepStatistics]):
     def _out_of_memory(self) -> TrainingError:
         """Leaves a checkpoint of the last good step."""
         state = self.state
-        self._step_done = state.step
-        if state.step > 0:
-            self.save()
+        self._save_last_good_step()
         found = self.folder.checkpoints()
         kept = (
             f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
@@ -275,6 +357,11 @@ class Trainer(Driver[StepStatistics]):
             f"lower resolution",
             options=("max_gaussians", "resolution"),
         )
+
+    def _save_last_good_step(self) -> None:
+        self._step_done = self.state.step
+        if self.state.step > 0:
+            self.save()
 
     def _describe_model(self) -> Mapping[str, float | None]:
         """How much the parts of the model say, see ``PartSpreads``."""
@@ -290,4 +377,13 @@ class Trainer(Driver[StepStatistics]):
         return checkpoint.tensors_of(self.state)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
-        checkpoint.save(path, self.state, facts)
+        if self._processes is None or self._processes.is_first:
+            checkpoint.save(path, self.state, facts)
+
+
+def _share_of(batch: int, processes: Processes | None) -> slice:
+    """Which views of a step this process renders."""
+    if processes is None:
+        return slice(0, batch)
+    rank, count = processes.rank, processes.count
+    return slice(rank * batch // count, (rank + 1) * batch // count)

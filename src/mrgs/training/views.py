@@ -9,28 +9,44 @@ from torch import Tensor
 class ViewSampler:
     """Every view once per round, each round in a new random order.
 
+    With several views per step, the views are dealt into as many groups, and each step takes one of
+    each: so the processes of a training read the photos of their own groups alone. In groups that
+    are smaller than others, one view comes twice in a round.
+
     Args:
         count: number of views.
         generator: of the orders; a checkpoint of it and of ``state()`` continues the sequence
             exactly.
+        groups: views per step, at most as many as there are.
     """
 
-    def __init__(self, count: int, generator: torch.Generator) -> None:
+    def __init__(self, count: int, generator: torch.Generator, groups: int = 1) -> None:
         self._count = count
         self._generator = generator
+        self._groups = groups
         self._waiting = torch.empty(0, dtype=torch.int64)
 
-    def next(self) -> int:
-        """Index of the next view."""
+    def next(self) -> list[int]:
+        """The views of the next step, one of each group."""
         if len(self._waiting) == 0:
-            self._waiting = torch.randperm(self._count, generator=self._generator)
-        index, self._waiting = int(self._waiting[0]), self._waiting[1:]
-        return index
+            self._waiting = self._round()
+        chosen, self._waiting = self._waiting[: self._groups], self._waiting[self._groups :]
+        return chosen.tolist()
 
-    def peek(self) -> int | None:
-        """Index of the view after that; None at the end of a round, since the next one is not drawn
+    def peek(self) -> list[int]:
+        """Those of the step after that; none at the end of a round, since the next one is not drawn
         yet."""
-        return int(self._waiting[0]) if len(self._waiting) > 0 else None
+        return self._waiting[: self._groups].tolist()
+
+    def _round(self) -> Tensor:
+        """The views of a round, step after step."""
+        longest = -(-self._count // self._groups)
+        orders = []
+        for first in range(self._groups):
+            group = torch.arange(first, self._count, self._groups)
+            order = group[torch.randperm(len(group), generator=self._generator)]
+            orders.append(torch.cat([order, order[: longest - len(order)]]))
+        return torch.stack(orders, dim=1).flatten()
 
     def state(self) -> Tensor:
         """The rest of the running round."""
@@ -40,11 +56,15 @@ class ViewSampler:
         """Continue with the rest of a round.
 
         Raises:
-            ValueError: it names a view that does not exist, or one twice.
+            ValueError: it names a view that does not exist, a view of another group, or one twice.
         """
         is_list = waiting.dtype == torch.int64 and waiting.dim() == 1
         if not is_list or not set(waiting.tolist()) <= set(range(self._count)):
             raise ValueError(f"the round is not one of {self._count} views")
-        if len(waiting.unique()) < len(waiting):
+        steps, rest = divmod(len(waiting), self._groups)
+        groups = torch.arange(self._groups).repeat(steps)
+        if rest or not torch.equal(waiting % self._groups, groups):
+            raise ValueError(f"the round is not one of {self._groups} views per step")
+        if self._groups == 1 and len(waiting.unique()) < len(waiting):
             raise ValueError("the round names a view twice")
         self._waiting = waiting

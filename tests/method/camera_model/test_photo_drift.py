@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from mrgs.method.camera_model.image_model import Capture, ImageModel, ImageModelConfig
-from mrgs.method.camera_model.photo_drift import PhotoDrift
+from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
 from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.scene import THERMAL, Blend, Pixels, Rendering
 
@@ -22,7 +22,7 @@ def taught(residuals: list[torch.Tensor], times: int = 20) -> PhotoDrift:
     drift = PhotoDrift(WITH_A_GAP)
     for _ in range(times):
         for row, residual in enumerate(residuals):
-            drift.learn(row + (row >= 3), residual, YES)
+            drift.learn(row + (row >= 3), residual_of(residual), YES)
     return drift
 
 
@@ -54,11 +54,11 @@ def test_a_photo_elsewhere_is_expected_at_the_mean():
 def test_masked_parts_and_failed_steps_teach_nothing():
     residual = torch.full((12, 16), torch.nan)
     drift = PhotoDrift(POINTS)
-    drift.learn(0, residual, YES)
-    drift.learn(1, noise(1), torch.tensor(False))
+    drift.learn(0, residual_of(residual), YES)
+    drift.learn(1, residual_of(noise(1)), torch.tensor(False))
     assert drift.visits.sum().item() == 0
     residual[:6] = 0.01
-    drift.learn(0, residual, YES)
+    drift.learn(0, residual_of(residual), YES)
     assert drift.residuals[0].item() == pytest.approx(0.01)
     assert drift.visits.tolist() == [1, 0, 0, 0, 0, 0]
 
@@ -74,7 +74,8 @@ def test_the_image_model_writes_photos_with_their_drift():
     for _ in range(20):
         for view, true in enumerate(TRUE):
             photo = Pixels(image + true + noise(view)[..., None])
-            model.learn_drift(view, model(rendering, view), photo, YES)
+            residual = model.thermal_residual(view, model(rendering, view), photo)
+            model.learn_drift(view, residual, YES)
     found = torch.stack([(model(rendering, i)[THERMAL].image - image).mean() for i in range(6)])
     assert found == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
     again = ImageModel(config, capture)

@@ -10,10 +10,10 @@ from mrgs.errors import ConfigError
 from mrgs.method.density.adaptive import (
     AdaptiveDensityControl,
     DensificationCounts,
-    add_views,
     densify,
     mean_gradients,
 )
+from mrgs.method.density.strategy import DensityStep
 from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig
 from mrgs.rasterizer.reference import rotation_matrices
 from mrgs.render import ScreenPoints
@@ -181,9 +181,15 @@ def screen_points(gradient: list[list[float]], radii: list[float], size=(40, 30)
 
 
 def test_statistics_are_means_over_the_views_that_drew():
-    state = CONFIG.initial_state(random_gaussians(3))
-    state = add_views(state, [screen_points([[0.3, 0.0], [0.0, 0.2], [0.0, 0.0]], [5.0, 2.0, 0.0])])
-    state = add_views(state, [screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0])])
+    optimizer = GaussianOptimizer(random_gaussians(3), OptimizerConfig(), EXTENT)
+    state = CONFIG.initial_state(optimizer.gaussians)
+    for points in (
+        screen_points([[0.3, 0.0], [0.0, 0.2], [0.0, 0.0]], [5.0, 2.0, 0.0]),
+        screen_points([[0.1, 0.0], [0.0, 0.0], [0.0, 0.0]], [5.0, 0.0, 0.0]),
+    ):
+        observed = CONFIG.observe([points])
+        step = DensityStep(1, EXTENT, False, observed, torch.tensor(True), torch.Generator())
+        state = CONFIG.after_step(state, optimizer, step).state
     assert state["views"].tolist() == [2, 1, 0]
     # in units of half the image: 20 px wide, 15 px high
     torch.testing.assert_close(
@@ -192,10 +198,9 @@ def test_statistics_are_means_over_the_views_that_drew():
 
 
 def test_two_passes_of_a_view_add_up_and_count_once():
-    state = CONFIG.initial_state(random_gaussians(2))
     rgb = screen_points([[0.1, 0.0], [0.0, 0.0]], [5.0, 0.0])
     thermal = screen_points([[0.0, 0.1], [0.1, 0.0]], [5.0, 1.0], size=(20, 10))
-    state = add_views(state, [rgb, thermal])
+    state = CONFIG.observe([rgb, thermal])
     assert state["views"].tolist() == [1, 1]
     torch.testing.assert_close(mean_gradients(state), torch.tensor([0.1 * 20 + 0.1 * 5, 0.1 * 10]))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.photo_drift import PhotoDrift
+from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.scene import THERMAL, Camera, Modality, Pixels, Rendering, Scene
@@ -50,6 +50,14 @@ class ImageModelConfig:
     def __post_init__(self) -> None:
         names = ("point_spread_rate", "thermal_gain_rate")
         require_within(self, names, 0, MOST_RATE, "the learning rate {}")
+
+    def faster(self, factor: float) -> ImageModelConfig:
+        """All learning rates times a factor."""
+        return replace(
+            self,
+            point_spread_rate=factor * self.point_spread_rate,
+            thermal_gain_rate=factor * self.thermal_gain_rate,
+        )
 
 
 class Capture(NamedTuple):
@@ -176,23 +184,36 @@ class ImageModel(nn.Module):
             lambda drift: drift.expected(viewpoint),
         )
 
-    def learn_drift(
-        self, view: int, written: Rendering, photo: Pixels, finite: Bool[Tensor, ""]
-    ) -> None:
-        """Take in how far a training photo lies above the model, where drift is modelled.
+    def thermal_residual(
+        self, view: int, written: Rendering, photo: Pixels
+    ) -> Float[Tensor, "2"] | None:
+        """How far a training photo lies above the model, for ``learn_drift``; None where drift is
+        not modelled.
 
         Args:
             view: whose photo it is.
             written: what ``forward`` returned for it.
             photo: its thermal photo.
-            finite: nothing is learned where it is False.
         """
         if self.thermal_drift is None:
-            return
+            return None
         offset = self.thermal_drift.of(view)
         residual = (photo.values - written[THERMAL].image.detach() + offset)[:, :, 0]
         if photo.valid is not None:
             residual = torch.where(photo.valid, residual, torch.nan)
+        return residual_of(residual)
+
+    def learn_drift(
+        self, view: int, residual: Float[Tensor, "2"], finite: Bool[Tensor, ""]
+    ) -> None:
+        """Take in how far a training photo lies above the model.
+
+        Args:
+            view: whose photo it is.
+            residual: what ``thermal_residual`` returned for it.
+            finite: nothing is learned where it is False.
+        """
+        assert self.thermal_drift is not None
         self.thermal_drift.learn(view, residual, finite)
 
     def _written(

@@ -72,24 +72,36 @@ class PhotoDrift(nn.Module):
         return seen * (shrunk - shrunk.sum() / count)
 
     @torch.no_grad()
-    def learn(self, view: int, residual: Float[Tensor, "h w"], finite: Bool[Tensor, ""]) -> None:
+    def learn(self, view: int, residual: Float[Tensor, "2"], finite: Bool[Tensor, ""]) -> None:
         """Take in what a photo shows above the model without the photo's offset.
 
         Args:
             view: a training view with a photo.
-            residual: normalised; NaN where the photo is masked.
+            residual: of the photo, see ``residual_of``.
             finite: nothing is learned where it is False.
         """
         row = self._rows[view]
-        parts = _part_medians(residual)
-        low, middle, high = parts.nanquantile(parts.new_tensor([0.25, 0.5, 0.75]))
-        spread = (high - low) / NORMAL_QUARTILES
-        variance = MEDIAN_LOSS * spread.square() / parts.isfinite().sum().clamp_min(1)
+        middle, variance = residual
         usable = finite & middle.isfinite()
         share = (1 / (self.visits[row] + 1)).clamp_min(NEWEST_SHARE) * usable
         for mean, new in ((self.residuals, middle), (self.variances, variance)):
             mean[row] += share * (new.nan_to_num() - mean[row])
         self.visits[row] += usable
+
+
+@torch.no_grad()
+def residual_of(difference: Float[Tensor, "h w"]) -> Float[Tensor, "2"]:
+    """The residual of a photo and its variance; NaN where all of it is masked.
+
+    Args:
+        difference: what the photo shows above the model without the photo's offset, normalised;
+            NaN where the photo is masked.
+    """
+    parts = _part_medians(difference)
+    low, middle, high = parts.nanquantile(parts.new_tensor([0.25, 0.5, 0.75]))
+    spread = (high - low) / NORMAL_QUARTILES
+    variance = MEDIAN_LOSS * spread.square() / parts.isfinite().sum().clamp_min(1)
+    return torch.stack([middle, variance])
 
 
 def _part_medians(residual: Float[Tensor, "h w"]) -> Float[Tensor, " n"]:

@@ -80,11 +80,29 @@ class AdaptiveDensityControl(Strategy):
         """No view drew any of them yet."""
         return _no_views(len(gaussians), gaussians.means.device)
 
+    def may_change_at(self, step: int) -> bool:
+        """Where it densifies or resets opacities."""
+        return self.densifies_at(step) or self.resets_at(step)
+
+    def observe(self, passes: Sequence[ScreenPoints]) -> dict[str, Float[Tensor, " n"]]:
+        """The norms of a view's gradients, in units of half the image's size (3DGS), and which
+        Gaussians it drew."""
+        norms = [
+            (points.offset.grad * _half(points.size, points.offset.device)).norm(dim=1)
+            for points in passes
+            if points.offset.grad is not None
+        ]
+        drawn = torch.stack([points.radii > 0 for points in passes]).any(dim=0).float()
+        return {
+            "gradient_sum": torch.stack(norms).sum(dim=0) if norms else torch.zeros_like(drawn),
+            "views": drawn,
+        }
+
     def after_step(
         self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
     ) -> DensityUpdate:
-        """Add the view's gradients; clone, split, prune and reset where the schedule says so."""
-        state = add_views(state, step.passes)
+        """Add the views' gradients; clone, split, prune and reset where the schedule says so."""
+        state = {name: total + step.observed[name] for name, total in state.items()}
         densifies, resets = self.densifies_at(step.number), self.resets_at(step.number)
         if not (densifies or resets) or step.skipped:
             return DensityUpdate(state)
@@ -112,6 +130,10 @@ class AdaptiveDensityControl(Strategy):
         start, stop = (max(1, round(step * factor)) for step in (self.start, self.stop))
         return replace(self, start=start, stop=stop)
 
+    def with_batch(self, batch: int) -> AdaptiveDensityControl:
+        """As many views between densifications; the mean gradient of a view stays what it is."""
+        return replace(self, every=max(1, round(self.every / batch)))
+
     def densifies_at(self, step: int) -> bool:
         """Whether Gaussians are added and removed after this step."""
         return self.start < step <= self.stop and step % self.every == 0
@@ -124,24 +146,6 @@ class AdaptiveDensityControl(Strategy):
 def _no_views(count: int, device: torch.device) -> StrategyState:
     """The statistics of Gaussians that no view drew."""
     return {name: torch.zeros(count, device=device) for name in ("gradient_sum", "views")}
-
-
-def add_views(state: StrategyState, passes: Sequence[ScreenPoints]) -> StrategyState:
-    """The statistics with one view more, whose gradients count in units of half the image's size
-    (3DGS).
-
-    Args:
-        state: the statistics so far.
-        passes: of the view.
-    """
-    gradient_sum, views = state["gradient_sum"], state["views"]
-    drawn = torch.zeros_like(views, dtype=torch.bool)
-    for points in passes:
-        if points.offset.grad is not None:
-            half = _half(points.size, points.offset.device)
-            gradient_sum = gradient_sum + (points.offset.grad * half).norm(dim=1)
-        drawn |= points.radii > 0
-    return {"gradient_sum": gradient_sum, "views": views + drawn}
 
 
 def mean_gradients(state: StrategyState) -> Float[Tensor, " n"]:

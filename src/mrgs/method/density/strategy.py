@@ -6,10 +6,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.errors import ConfigError
@@ -32,9 +32,8 @@ class DensityStep(NamedTuple):
         number: of the step, from 1.
         extent: the scene's extent in scene units.
         has_sky: whether training started with distant points, whose Gaussians are large.
-        passes: projected centres of the view's passes. Their ``offset.grad`` is the gradient of
-            the loss; it is 0, and nothing counts as drawn, where the step was skipped. Empty for a
-            strategy without ``needs_screen_gradients``.
+        observed: what ``observe`` has found, summed over the step's views; zeros where the step was
+            skipped.
         finite: whether the step counted: False where the loss or a gradient was not finite.
         generator: of every random choice, on the CPU.
     """
@@ -42,7 +41,7 @@ class DensityStep(NamedTuple):
     number: int
     extent: float
     has_sky: bool
-    passes: Sequence[ScreenPoints]
+    observed: Mapping[str, Float[Tensor, " n"]]
     finite: Bool[Tensor, ""]
     generator: torch.Generator
 
@@ -78,9 +77,6 @@ class Strategy(ABC):
 
     max_gaussians: int = 5_000_000
 
-    needs_screen_gradients: ClassVar[bool] = True
-    """Whether ``after_step`` reads ``DensityStep.passes``."""
-
     def __post_init__(self) -> None:
         if not 1 <= self.max_gaussians <= MOST_GAUSSIANS:
             raise ConfigError(
@@ -94,6 +90,23 @@ class Strategy(ABC):
 
         Later states have the same names and types, and the shapes that this gives for as many
         Gaussians; a run whose checkpoint has others is not resumed. All numbers are finite.
+        """
+        return {}
+
+    def may_change_at(self, step: int) -> bool:
+        """Whether ``after_step`` may change the Gaussians after this step, counted from 1; always
+        by default. Several processes compare their models before it does."""
+        return True
+
+    def observe(self, passes: Sequence[ScreenPoints]) -> Mapping[str, Float[Tensor, " n"]]:
+        """What the strategy wants to know of a view, for each Gaussian; nothing by default.
+
+        A step may have several views, rendered by several processes; ``after_step`` gets the sum
+        over them. The names are the same for all views.
+
+        Args:
+            passes: projected centres of the view's passes; their ``offset.grad``, if there is one,
+                is the gradient of the view's loss.
         """
         return {}
 
@@ -115,4 +128,9 @@ class Strategy(ABC):
 
     def rescaled(self, factor: float) -> Strategy:
         """The same settings for a schedule of ``factor`` times as many steps."""
+        return self
+
+    def with_batch(self, batch: int) -> Strategy:
+        """The same settings where each step has ``batch`` views instead of one, and a schedule
+        already rescaled to fewer steps."""
         return self

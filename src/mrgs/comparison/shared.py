@@ -1,0 +1,135 @@
+"""The runs of a comparison, shared out among the processes of one torchrun: each takes the next run
+until none is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from mrgs.comparison.methods import from_text, to_text
+from mrgs.comparison.plan import PlannedRun
+from mrgs.comparison.processes import Message, run_jobs
+from mrgs.distributed.processes import Processes
+from mrgs.distributed.work_queue import Piece, WorkQueue
+from mrgs.system.gpu import DeviceName
+
+ORPHAN_S = 60.0
+"""How long the run of a process that was killed may take to save a checkpoint."""
+
+OnMessage = Callable[[PlannedRun, Message], None]
+
+_QUEUE = "comparison"
+
+
+def lead_jobs(
+    jobs: Sequence[PlannedRun],
+    processes: Processes,
+    lpips_weights: Path | None,
+    on_message: OnMessage,
+    on_tick: Callable[[], None],
+    device: DeviceName = "auto",
+) -> dict[PlannedRun, str]:
+    """Execute all runs on all processes; called by the first one, see ``run_jobs``.
+
+    Args:
+        jobs: in the order in which they are started.
+        processes: that execute them, one run at a time each.
+        lpips_weights: weights for LPIPS.
+        on_message: called with each message of a run, on whichever process.
+        on_tick: called about once a second.
+        device: where they train and render.
+
+    Returns:
+        of each job that failed, why: one line.
+    """
+    queue = WorkQueue(processes, _QUEUE)
+    queue.fill([_to_json(job) for job in jobs])
+    failures: dict[PlannedRun, str] = {}
+
+    def hear(message: dict[str, Any]) -> None:
+        if "finished" in message:
+            if message["result"] is not None:
+                failures[jobs[message["finished"]]] = message["result"]
+            return
+        on_message(jobs[message["job"]], message["message"])
+
+    def tick() -> None:
+        for message in queue.new_messages():
+            hear(message)
+        on_tick()
+
+    _work(queue, processes, lpips_weights, tick, device)
+    for message in queue.messages(on_tick):
+        hear(message)
+    return failures
+
+
+def follow_jobs(
+    processes: Processes, lpips_weights: Path | None, device: DeviceName = "auto"
+) -> None:
+    """Execute runs of the comparison that the first process leads, until none is left."""
+    _work(WorkQueue(processes, _QUEUE), processes, lpips_weights, lambda: None, device)
+
+
+def _work(
+    queue: WorkQueue,
+    processes: Processes,
+    lpips_weights: Path | None,
+    on_tick: Callable[[], None],
+    device: DeviceName,
+) -> None:
+    while (piece := queue.take()) is not None:
+        queue.finish(piece, _execute(queue, piece, processes, lpips_weights, on_tick, device))
+
+
+def _execute(
+    queue: WorkQueue,
+    piece: Piece,
+    processes: Processes,
+    lpips_weights: Path | None,
+    on_tick: Callable[[], None],
+    device: DeviceName,
+) -> str | None:
+    """Execute a run; returns why it failed, if it did."""
+    job = _from_json(piece.content)
+    _wait_for_orphan(job.folder)
+    failures = run_jobs(
+        [job],
+        1,
+        lpips_weights,
+        lambda job, message: queue.report(job=piece.number, message=message),
+        on_tick,
+        device,
+        threads=processes.launch.threads,
+    )
+    return failures.get(job)
+
+
+def _wait_for_orphan(folder: Path) -> None:
+    """Let the run of a process that was killed end: it holds the folder while it saves a
+    checkpoint."""
+    if folder.is_dir():
+        try:
+            with FileLock(folder / ".lock", timeout=ORPHAN_S):
+                pass
+        except (OSError, Timeout):  # the run itself says what is wrong
+            return
+
+
+def _to_json(job: PlannedRun) -> dict[str, Any]:
+    return {
+        "scene": str(job.scene.absolute()),
+        "scene_name": job.scene_name,
+        "method": job.method,
+        "seed": job.seed,
+        "config": to_text(job.config),
+        "folder": str(job.folder.absolute()),
+    }
+
+
+def _from_json(values: dict[str, Any]) -> PlannedRun:
+    paths = {name: Path(values[name]) for name in ("scene", "folder")}
+    return PlannedRun(**{**values, **paths, "config": from_text(values["config"])})
