@@ -137,7 +137,7 @@ def test_marks_are_drawn_measured_and_saved(inspection, camera, subject):
     inspection.add_mark("box", [(0.55, 0.55), (0.45, 0.45)])
     inspection.add_mark("polygon", [(0.5, 0.45), (0.55, 0.55), (0.45, 0.55)])
     (label,) = inspection.marks()
-    assert re.fullmatch(r"S1  \d+\.\d °C", label.label)
+    assert re.fullmatch(r"S1  \d+\.\d ± \d+\.\d °C", label.label)
     line, box, polygon = inspection.outlines()
     assert [len(each.corners) for each in (line, box, polygon)] == [2, 4, 3]
     assert [each.closed for each in (line, box, polygon)] == [False, True, True]
@@ -156,6 +156,13 @@ def subject_of_same_folder(subject):
     """Another viewer of the same run."""
     spread = subject.board._store._spread
     return replace(subject, board=board_of(subject, spread))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_box_has_two_corners(count, inspection, camera):
+    inspection.picture(camera)
+    with pytest.raises(ConfigError, match="draw a box from one corner to the opposite one"):
+        inspection.add_mark("box", [(0.5, 0.5)] * count)
 
 
 def test_a_mark_must_lie_within_one_picture(inspection, camera):

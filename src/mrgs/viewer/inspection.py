@@ -218,6 +218,8 @@ class Inspection:
         board, subject = self.subject.board, self.subject
         if board is None:
             raise ConfigError("marks need the scene: open the run with it")
+        if kind == "box" and len(points) != 2:
+            raise ConfigError("draw a box from one corner to the opposite one")
         places = [place for x, y in points if (place := self._place(x, y)) is not None]
         pane = places[0].pane if places else None
         if pane is None or len(places) < len(points) or any(p.pane is not pane for p in places):

@@ -49,7 +49,7 @@ def edges(row: np.ndarray) -> np.ndarray:
 def test_the_facade_is_found_and_metric(elevation):
     with rasterio.open(elevation / "elevation.tif") as file:
         celsius = file.read(1)
-        assert (file.count, file.dtypes[0]) == (6, "float32")
+        assert (file.count, file.dtypes[0]) == (7, "float32")
         assert 'UNIT["metre",1' in file.crs.to_wkt()
         assert np.isnan(file.nodata)
         assert file.res == (PIXEL, PIXEL)
