@@ -26,6 +26,7 @@ FLOORS = {
     "method": 5,
     "prepare": 6,
     "training": 6,
+    "blocks": 7,
     "check": 7,
     "baselines": 7,
     "runs": 8,

@@ -26,6 +26,10 @@ class RunError(MrgsError):
     """A run folder, or a checkpoint in it, cannot be used."""
 
 
+class FolderInUseError(RunError):
+    """Another process trains in the run folder."""
+
+
 class WriteError(RunError):
     """A file cannot be written or removed: no room, or no permission."""
 

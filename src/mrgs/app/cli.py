@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrgs.app.arguments import EXIT_USER_ERROR, parse
+from mrgs.app.blocks import require_blocks, train_in_blocks
 from mrgs.app.commands import (
     Check,
     CompareMethods,
@@ -235,10 +236,13 @@ def _train(command: Train, processes: Processes | None) -> int:
         processes.connect()
     leads = processes is None or processes.is_first
     output = _output(command)
-    name = method_of(RunFolder(output)).name if command.resume and leads else command.method
+    goes_on = command.resume and leads and command.blocks is None
+    name = method_of(RunFolder(output)).name if goes_on else command.method
     method = find_method(name if processes is None else processes.share_json(name))
     _require_possible(command, method, processes)
-    batch = command.batch or (1 if processes is None else processes.count)
+    require_blocks(command)
+    together = 1 if processes is None or command.blocks is not None else processes.count
+    batch = command.batch or together
     config = _configured(command, method, command.max_steps, batch)
     device = command.device if method.uses_gpu else "cpu"
     if command.minutes is not None:
@@ -249,6 +253,9 @@ def _train(command: Train, processes: Processes | None) -> int:
                 f"--minutes chooses the steps: leave max_steps out of {command.config}"
             )
     chosen = choose_device(device)
+    if command.blocks is not None:
+        train_in_blocks(command, output, config, device, processes)
+        return 0
     progress: TrainingProgress | FollowingProgress = FollowingProgress()
     if leads:
         note_gpu(chosen)

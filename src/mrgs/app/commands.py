@@ -199,6 +199,14 @@ class Train:
     accept_changes: bool = False
     """With --resume: continue although photos, poses or intrinsics have changed since the run
     began."""
+    blocks: Maybe[str] = None
+    """Train a large scene in blocks and join them: auto, or ROWSxCOLUMNS such as 2x3. Steps and
+    Gaussians are those of each block. Re-run the same command to resume (docs/large-scenes.md)."""
+    overlap: Maybe[float] = None
+    """With --blocks: margin that is trained about each block, in metres where the scene has them,
+    else in scene units; by default 15 % of the narrowest block."""
+    block: Maybe[int] = None
+    """With --blocks: train only this block, from 1; for job arrays."""
     device: DeviceName = "auto"
     """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
     plain: bool = False

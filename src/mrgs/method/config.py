@@ -184,7 +184,7 @@ def make_config(
     if batch != 1:
         config = _with_batch(config, batch)
     if max_steps is not None:
-        config = _with_steps(config, max_steps)
+        config = with_steps(config, max_steps)
     if max_gaussians is not None:
         config = replace(
             config, densification=replace(config.densification, max_gaussians=max_gaussians)
@@ -246,7 +246,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     if preset == "paper":
         return config
     steps, max_gaussians = {"fast": (1_500, 20_000), "default": (4_000, 50_000)}[preset]
-    config = _with_steps(config, steps)
+    config = with_steps(config, steps)
     densification = replace(config.densification, max_gaussians=max_gaussians)
     field = replace(
         config.field, hidden_width=CPU_HIDDEN_WIDTH, temperature_scale=TEMPERATURE_SCALE
@@ -266,7 +266,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     )
 
 
-def _with_steps(config: TrainConfig, steps: int) -> TrainConfig:
+def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     """The same schedule in another number of steps."""
     if steps < 1:
         raise ConfigError(f"max_steps must be at least 1, not {steps}")
@@ -295,7 +295,7 @@ def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:
     grows, and learning rates grow with it (docs/decisions)."""
     if batch < 1:
         raise ConfigError(f"batch must be at least 1, not {batch}", options=("batch",))
-    config = _with_steps(config, max(1, round(config.max_steps / batch)))
+    config = with_steps(config, max(1, round(config.max_steps / batch)))
     return replace(
         config,
         batch=batch,

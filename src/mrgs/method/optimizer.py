@@ -221,6 +221,12 @@ class GaussianOptimizer:
         """Forget the gradients."""
         self._adam.zero_grad(set_to_none=True)
 
+    def hold(self, rows: Bool[Tensor, " n"]) -> None:
+        """Forget the gradients of some Gaussians: the next step moves them no further than their
+        moments do."""
+        for gradient in self.gradients():
+            gradient[rows] = 0
+
     def gradients(self) -> list[Tensor]:
         """Gradients of all parameters that have one."""
         return [

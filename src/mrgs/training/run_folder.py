@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import ConfigError, MrgsWarning, RunError, SceneError
+from mrgs.errors import ConfigError, FolderInUseError, MrgsWarning, RunError, SceneError
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
 from mrgs.system.strict_yaml import parse_yaml, write_yaml
 
@@ -278,7 +278,7 @@ class RunFolder:
                 self.path.mkdir(parents=True, exist_ok=True)
                 lock.acquire(timeout=0)
         except Timeout:
-            raise RunError(
+            raise FolderInUseError(
                 f"{self.path} is in use by another run: wait for it, or choose another folder",
                 options=("output",),
             ) from None

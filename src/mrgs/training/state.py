@@ -130,6 +130,8 @@ class TrainingState:
     def move(self, config: TrainConfig, finite: Bool[Tensor, ""]) -> None:
         """Adam's step of all parameters; nothing moves where ``finite`` is False."""
         progress = self.step / config.max_steps
+        if (movable := self.strategy.movable(self.model.gaussians)) is not None:
+            self.gaussian_optimizer.hold(~movable)
         self.gaussian_optimizer.step(progress, finite)
         set_rates(self.layer_optimizer, config.optimizer.slowdown_at(progress))
         step_if(finite, self.layer_optimizer)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from copy import deepcopy
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -52,6 +52,20 @@ OnStep = Callable[[StepStatistics], bool | None]
 """Called after every step; returning True stops the training with a checkpoint."""
 
 
+class TrainingPart(NamedTuple):
+    """A training of a part of a scene.
+
+    Attributes:
+        views: training views that take part, in ascending order.
+        strategy: density control; it says which Gaussians move.
+        start: the state at step 0, from the scene, the configuration and the device.
+    """
+
+    views: Sequence[int]
+    strategy: Strategy
+    start: Callable[[Scene, TrainConfig, torch.device], TrainingState]
+
+
 @contextmanager
 def open_training(
     scene: Scene | str | Path,
@@ -66,10 +80,18 @@ def open_training(
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
     processes: Processes | None = None,
+    part: TrainingPart | None = None,
 ) -> Iterator[Trainer]:
     """Within this block the run's folder is locked, and a trainer is ready for its first step; see
     ``train``."""
     chosen = gpu.choose_device(device)
+    strategy = strategy if part is None else part.strategy
+
+    def at_start(loaded: Scene, own: TrainConfig) -> TrainingState:
+        if part is not None:
+            return part.start(loaded, own, chosen)
+        return initial_state(loaded, own, chosen, strategy, terms)
+
     on_kernels = chosen == HOST and not (plain or is_plain())
     compiles = on_kernels and (processes is None or processes.launch.local_rank == 0)
     with (
@@ -83,14 +105,16 @@ def open_training(
             plain=plain,
             tensorboard=tensorboard,
             read_config=lambda folder: folder.read_config(from_yaml),
-            initial_state=lambda loaded, own: initial_state(loaded, own, chosen, strategy, terms),
+            initial_state=at_start,
             load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
             peers=None if processes is None else Peers(processes, chosen, strategy, terms),
         ) as run,
     ):
-        _require_enough_views(run)
+        _require_enough_views(run, len(run.scene.train) if part is None else len(part.views))
         if processes is None or processes.is_first:
             _check_room(run)
+        if part is not None:
+            run.state.sampler.restrict(part.views)
         yield Trainer(run, processes)
 
 
@@ -111,6 +135,7 @@ def train(
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, CameraResponse], None] | None = None,
     processes: Processes | None = None,
+    part: TrainingPart | None = None,
 ) -> RunFolder:
     """Train a model of a scene into a run folder.
 
@@ -136,6 +161,7 @@ def train(
             far as is learned by then.
         processes: that train the run together; all of them call this with the same arguments, but
             for the hooks, and the first one alone writes into ``output``.
+        part: of the scene to which the training is limited; a resumed run needs it again.
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
@@ -167,6 +193,7 @@ def train(
         strategy=strategy,
         terms=terms,
         processes=processes,
+        part=part,
     ) as trainer:
         if on_start is not None:
             on_start(trainer.scene, trainer.config)
@@ -185,15 +212,15 @@ def _check_room(run: TrainingStart[TrainConfig, TrainingState]) -> None:
     warn_if_short(run.folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
 
 
-def _require_enough_views(run: TrainingStart[TrainConfig, TrainingState]) -> None:
+def _require_enough_views(run: TrainingStart[TrainConfig, TrainingState], count: int) -> None:
     """Each view of a step is another one.
 
     Raises:
         ConfigError: a step has more views than the scene.
     """
-    if run.config.batch > len(run.scene.train):
+    if run.config.batch > count:
         raise ConfigError(
-            f"a batch of {run.config.batch} is more than the {len(run.scene.train)} training views "
+            f"a batch of {run.config.batch} is more than the {count} training views "
             f"of {run.scene.name}: choose a smaller one",
             options=("batch",),
         )

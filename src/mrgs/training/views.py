@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -22,9 +24,14 @@ class ViewSampler:
 
     def __init__(self, count: int, generator: torch.Generator, groups: int = 1) -> None:
         self._count = count
+        self._views = torch.arange(count)
         self._generator = generator
         self._groups = groups
         self._waiting = torch.empty(0, dtype=torch.int64)
+
+    def restrict(self, views: Sequence[int]) -> None:
+        """From the next round on, show only these."""
+        self._views = torch.tensor(views)
 
     def next(self) -> list[int]:
         """The views of the next step, one of each group."""
@@ -40,10 +47,10 @@ class ViewSampler:
 
     def _round(self) -> Tensor:
         """The views of a round, step after step."""
-        longest = -(-self._count // self._groups)
+        longest = -(-len(self._views) // self._groups)
         orders = []
         for first in range(self._groups):
-            group = torch.arange(first, self._count, self._groups)
+            group = self._views[first :: self._groups]
             order = group[torch.randperm(len(group), generator=self._generator)]
             orders.append(torch.cat([order, order[: longest - len(order)]]))
         return torch.stack(orders, dim=1).flatten()

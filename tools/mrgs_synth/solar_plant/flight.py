@@ -95,7 +95,12 @@ def survey(
     chosen = [starts[int((n + 0.5) * len(starts) / eval_views)] for n in range(eval_views)]
     aside = 0.25 * (lines[1] - lines[0])
     between = [
-        ((places[n][0] + places[n + 1][0]) / 2, places[n][1] + aside, places[n][2]) for n in chosen
+        (
+            (places[n][0] + places[n + 1][0]) / 2,
+            places[n][1] + (aside if places[n][1] < lines[-1] else -aside),
+            places[n][2],
+        )
+        for n in chosen
     ]
     cameras = {
         f"frame_{split}_{number:05d}": _camera(place, size, rng)

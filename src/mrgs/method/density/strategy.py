@@ -93,6 +93,10 @@ class Strategy(ABC):
         """
         return {}
 
+    def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"] | None:
+        """The Gaussians that a step may move; None for all, which is the default."""
+        return None
+
     def may_change_at(self, step: int) -> bool:
         """Whether ``after_step`` may change the Gaussians after this step, counted from 1; always
         by default. Several processes compare their models before it does."""

@@ -1,0 +1,154 @@
+"""One model from the blocks of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from mrgs.blocks.density import Part
+from mrgs.blocks.plan import BlockPlan
+from mrgs.blocks.refinement import WholeModel
+from mrgs.field import nearest_neighbours
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.terms import configured_terms
+from mrgs.method.start.start_points import model_modalities
+from mrgs.render import Model
+from mrgs.scene import Gaussians, Scene
+from mrgs.training import checkpoint
+from mrgs.training.checkpoint_layout import below
+from mrgs.training.facts import CheckpointFacts
+from mrgs.training.newest import load_newest
+from mrgs.training.run_folder import RunFolder
+from mrgs.training.state import TrainingState
+
+
+class JoinedBlocks(NamedTuple):
+    """The model of a scene, from its blocks.
+
+    Attributes:
+        whole: the model.
+        facts: of the coarse run and of each block's.
+    """
+
+    whole: WholeModel
+    facts: tuple[CheckpointFacts, ...]
+
+
+def join(
+    coarse: RunFolder,
+    blocks: Sequence[RunFolder],
+    plan: BlockPlan,
+    scene: Scene,
+    config: TrainConfig,
+) -> JoinedBlocks:
+    """Of each block the Gaussians in its cell, the heads and the background of the coarse model,
+    and the blocks' mean image model.
+
+    In memory is never more than the joined model and the checkpoint of one block.
+
+    Args:
+        coarse: of the whole.
+        blocks: finished.
+        plan: of the blocks.
+        scene: the whole.
+        config: of the whole.
+
+    Raises:
+        RunError: a checkpoint cannot be read.
+    """
+    gaussians, facts, cameras = _joined([coarse, *blocks], plan, scene)
+    model, image_model = WholeModel.of(coarse, config)
+    image_model.load_state_dict(cameras)
+    whole = WholeModel(Model(gaussians, model.field, None, model.sh_degree), image_model)
+    return JoinedBlocks(whole, tuple(facts))
+
+
+def save(
+    path: Path, joined: JoinedBlocks, config: TrainConfig, more: Sequence[CheckpointFacts]
+) -> None:
+    """Write the checkpoint of a joined model, with neighbours found anew.
+
+    Args:
+        path: of the checkpoint.
+        joined: the model.
+        config: of the whole.
+        more: facts of further runs that its training consists of.
+
+    Raises:
+        RunError: it cannot be written.
+    """
+    gaussians, field = joined.whole.model.gaussians, joined.whole.model.field
+    neighbours = None
+    if config.field.neighbours_k > 0:
+        neighbours = nearest_neighbours(gaussians.means, config.field.neighbours_k)
+    terms = configured_terms(config, (), gaussians.modalities)
+    generator = torch.Generator().manual_seed(config.seed)
+    state = TrainingState.around(
+        Model(gaussians, field, neighbours), terms, config.densification, config,
+        joined.facts[0].capture, generator,
+    )  # fmt: skip
+    state.image_model.load_state_dict(joined.whole.image_model.state_dict())
+    state.step = config.max_steps
+    checkpoint.save(path, state, _facts_of_all([*joined.facts, *more], config))
+
+
+def _joined(
+    runs: Sequence[RunFolder], plan: BlockPlan, scene: Scene
+) -> tuple[Gaussians, list[CheckpointFacts], dict[str, Tensor]]:
+    """The Gaussians of all, the facts of each run, of which the first is the coarse one, and the
+    mean of the blocks' image models, weighted by their photos."""
+    counts, facts = [], []
+    image_model: dict[str, Tensor] = {}
+    views = sum(len(cell.views) for cell in plan.cells)
+    for number, run in enumerate(runs):
+        tensors, own, cameras = load_gaussians(run)
+        counts.append(len(_rows(tensors["means"], number, plan, scene)))
+        facts.append(own)
+        weight = len(plan.cells[number - 1].views) / views if number else 0.0
+        for name, tensor in cameras.items():
+            image_model[name] = image_model.get(name, 0.0) + weight * tensor
+    shapes = {name: tensor.shape[1:] for name, tensor in tensors.items()}
+    del tensors
+    joined = {name: torch.empty(sum(counts), *shape) for name, shape in shapes.items()}
+    first = 0
+    for number, (run, count) in enumerate(zip(runs, counts, strict=True)):
+        tensors, _, _ = load_gaussians(run)
+        rows = _rows(tensors["means"], number, plan, scene)
+        for name, target in joined.items():
+            torch.index_select(tensors[name], 0, rows, out=target[first : first + count])
+        del tensors
+        first += count
+    return Gaussians.from_tensors(joined, model_modalities(facts[0].modalities)), facts, image_model
+
+
+def load_gaussians(run: RunFolder) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Tensor]]:
+    """Parameters of the Gaussians in a run's newest checkpoint, without moments; its facts; and its
+    image model."""
+    tensors, facts, _ = load_newest(run, checkpoint.read)
+    named = below(tensors, "gaussians.")
+    gaussians = {name: each for name, each in named.items() if not name.startswith("adam.")}
+    return gaussians, facts, below(tensors, "image_model.")
+
+
+def _rows(means: Tensor, number: int, plan: BlockPlan, scene: Scene) -> Int64[Tensor, " k"]:
+    """The Gaussians that a run contributes: the background of the coarse one, number 0; those of
+    a block's cell."""
+    if number == 0:
+        inside = scene.reach.is_background(means)
+    else:
+        inside = Part(plan.plane, plan.cells[number - 1].region, scene.reach).contains(means)
+    return inside.nonzero()[:, 0]
+
+
+def _facts_of_all(facts: Sequence[CheckpointFacts], config: TrainConfig) -> CheckpointFacts:
+    return facts[0]._replace(
+        step=config.max_steps,
+        train_seconds=sum(each.train_seconds for each in facts),
+        peak_memory_bytes=max(each.peak_memory_bytes for each in facts),
+        skipped_steps=sum(each.skipped_steps for each in facts),
+    )

@@ -1,0 +1,242 @@
+"""How a scene is cut into blocks, on disk: made once, and the same for all who train its blocks."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mrgs.blocks.coverage import Surveyor, counted_places, views_of
+from mrgs.blocks.region import (
+    Region,
+    ScenePlane,
+    cells,
+    parse_grid,
+    plane_of,
+    shape_for,
+    without_empty,
+)
+from mrgs.errors import ConfigError, RunError
+from mrgs.method.config import TrainConfig
+from mrgs.render import Model
+from mrgs.scene import Scene
+from mrgs.system.atomic import write_text
+
+FORMAT = 1
+
+VIEWS_PER_BLOCK = 150
+"""Photos over a block, where the number of blocks is chosen for the user."""
+
+OVERLAP = 0.15
+"""Width of the margins, as a share of the narrowest block, where it is chosen for the user."""
+
+
+class BlockOptions(NamedTuple):
+    """How a scene is to be cut.
+
+    Attributes:
+        blocks: ``auto`` or ``ROWSxCOLUMNS``.
+        overlap: width of the strip about each block that is trained with it, scene units; None for
+            a share of the smallest block.
+    """
+
+    blocks: str = "auto"
+    overlap: float | None = None
+
+
+class PlannedBlock(NamedTuple):
+    """A block.
+
+    Attributes:
+        region: that it contributes to the joined model.
+        views: training views of the scene that show it or its margin.
+    """
+
+    region: Region
+    views: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class BlockPlan:
+    """The blocks of a scene.
+
+    Attributes:
+        scene: absolute path of its folder.
+        config: of the whole, as ``config.yaml`` holds it.
+        options: by which it was cut.
+        plane: in which it was cut.
+        overlap: width of the margins, scene units.
+        cells: the blocks.
+    """
+
+    scene: str
+    config: Mapping[str, Any]
+    options: BlockOptions
+    plane: ScenePlane
+    overlap: float
+    cells: tuple[PlannedBlock, ...]
+
+    def write(self, path: Path) -> None:
+        """Write the plan.
+
+        Raises:
+            WriteError: it cannot be written.
+        """
+        cells = [{"region": each.region.to_json(), "views": each.views} for each in self.cells]
+        content = {
+            "format": FORMAT,
+            "scene": self.scene,
+            "config": self.config,
+            "options": self.options._asdict(),
+            "plane": self.plane._asdict(),
+            "overlap": self.overlap,
+            "cells": cells,
+        }
+        write_text(path, json.dumps(content, allow_nan=False) + "\n")
+
+    def require_same(
+        self, path: Path, scene: Scene, config: TrainConfig, options: BlockOptions
+    ) -> None:
+        """The plan must be the one that would be made now.
+
+        Raises:
+            RunError: it is of another scene, configuration or number of blocks.
+        """
+        wanted = {
+            "scene": scene.path,
+            "blocks": options.blocks,
+            "overlap": options.overlap,
+            **_flat(_plain(asdict(config))),
+        }
+        found = {"scene": self.scene, **self.options._asdict(), **_flat(self.config)}
+        other = [name for name in wanted if found.get(name) != wanted[name]]
+        views = max((view for each in self.cells for view in each.views), default=-1)
+        if not other and views >= len(scene.train):
+            other, found, wanted = ["views"], {"views": views + 1}, {"views": len(scene.train)}
+        if other:
+            name = other[0]
+            raise RunError(
+                f"{path.parent} holds blocks made with another {name.replace('_', ' ')} "
+                f"({found.get(name)}, not {wanted[name]}): use the same options again, or choose "
+                f"another folder",
+                options=("output",),
+            )
+
+
+def make_plan(
+    coarse: Model,
+    scene: Scene,
+    config: Mapping[str, Any],
+    options: BlockOptions,
+    say: Callable[[str], None],
+) -> BlockPlan:
+    """Cut a scene into blocks.
+
+    Args:
+        coarse: model of the whole.
+        scene: the whole.
+        config: of the whole, for the plan.
+        options: how to cut.
+        say: takes lines for the user.
+
+    Raises:
+        ConfigError: the scene cannot be cut like this.
+    """
+    plane = plane_of(scene)
+    rows, columns = parse_grid(options.blocks) or shape_for(
+        math.ceil(len(scene.train) / VIEWS_PER_BLOCK), plane.sides
+    )
+    places = counted_places(Surveyor(coarse, scene, plane), scene)
+    points = plane.coordinates(scene.points.positions.double())
+    wanted = rows * columns
+    regions = without_empty(
+        cells(points, rows, columns), lambda region: not views_of(region, places)
+    )
+    if len(regions) < wanted:
+        say(f"{wanted - len(regions)} of {wanted} blocks have no photo and are left to others")
+    narrowest = min(min(plane.clipped(region)) for region in regions)
+    overlap = OVERLAP * narrowest if options.overlap is None else options.overlap
+    unit = scene.world.length_unit
+    if not 0 <= overlap <= narrowest:
+        raise ConfigError(
+            f"an overlap of {overlap:g} {unit} does not fit blocks that are {narrowest:.3g} {unit} "
+            f"wide: choose a smaller one, or fewer blocks",
+            options=("overlap", "blocks"),
+        )
+    found = tuple(PlannedBlock(each, views_of(each.grown(overlap), places)) for each in regions)
+    photos = sorted(len(cell.views) for cell in found)
+    say(
+        f"{len(found)} blocks of {photos[0]} to {photos[-1]} photos, {narrowest:.3g} {unit} wide "
+        f"or more, that overlap by {overlap:.3g} {unit}"
+    )
+    return BlockPlan(scene.path, config, options, plane, overlap, found)
+
+
+def read_plan(path: Path) -> BlockPlan | None:
+    """The plan in a file; None if there is none.
+
+    Raises:
+        RunError: the file is no plan, or that of another version of the program.
+    """
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            raise RunError(
+                f"{path} was written by another version of the program: choose another folder",
+                options=("output",),
+            )
+        return _from_json(content)
+    except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
+        raise RunError(
+            f"{path} is not a plan of blocks: restore it, or choose another folder",
+            options=("output",),
+        ) from error
+
+
+def config_values(config: TrainConfig) -> Mapping[str, Any]:
+    """A configuration as JSON gives it back."""
+    values: Mapping[str, Any] = _plain(asdict(config))
+    return values
+
+
+def _from_json(content: Any) -> BlockPlan:
+    plane = content["plane"]
+    first, second = (tuple(map(float, axis)) for axis in plane["axes"])
+    low, high = (tuple(map(float, plane[end])) for end in ("low", "high"))
+    if [len(each) for each in (first, second, low, high)] != [3, 3, 2, 2]:
+        raise ValueError("not a plane")
+    cells = tuple(
+        PlannedBlock(Region.from_json(each["region"]), tuple(map(int, each["views"])))
+        for each in content["cells"]
+    )
+    overlap = float(content["overlap"])
+    if not cells or not 0 <= overlap < float("inf") or min(map(_first_view, cells)) < 0:
+        raise ValueError("no blocks")
+    return BlockPlan(
+        str(content["scene"]), dict(content["config"]), BlockOptions(**content["options"]),
+        ScenePlane((first, second), low, high), overlap, cells,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _first_view(cell: PlannedBlock) -> int:
+    return min(cell.views, default=-1)
+
+
+def _plain(values: Any) -> Any:
+    return json.loads(json.dumps(values))
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The entries of nested mappings by their dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found

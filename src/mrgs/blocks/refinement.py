@@ -1,0 +1,196 @@
+"""Refining a part of a whole scene's model: a block of it, or the seam about one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor
+
+from mrgs.blocks.coverage import Surveyor, counted_places, views_of
+from mrgs.blocks.density import FixedGaussians, LocalDensityControl, Part
+from mrgs.blocks.plan import BlockPlan
+from mrgs.blocks.region import Ring
+from mrgs.method.camera_model.image_model import Capture, ImageModel
+from mrgs.method.config import TrainConfig, with_steps
+from mrgs.method.density import Strategy
+from mrgs.method.losses.terms import configured_terms
+from mrgs.render import Model, rows_in_view
+from mrgs.scene import Scene
+from mrgs.training.checkpoint import load_model
+from mrgs.training.newest import load_newest
+from mrgs.training.run_folder import RunFolder
+from mrgs.training.state import TrainingState
+from mrgs.training.trainer import TrainingPart
+
+SEAM_WIDTH = 1 / 3
+"""Of the strip to either side of a block's edge that is refined once the blocks are joined, as a
+share of their overlap."""
+
+SEAM_STEPS = 0.2
+"""Of a seam, as a share of a block's."""
+
+
+class WholeModel(NamedTuple):
+    """A model of a whole scene.
+
+    Attributes:
+        model: its Gaussians and heads.
+        image_model: what the cameras do to the images.
+    """
+
+    model: Model
+    image_model: ImageModel
+
+    @classmethod
+    def of(cls, folder: RunFolder, config: TrainConfig) -> WholeModel:
+        """The model of a finished run.
+
+        Raises:
+            RunError: it cannot be read.
+        """
+        model, _, image_model = load_newest(folder, lambda path: load_model(path, config))
+        return cls(model, image_model)
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A training that refines a part of a model.
+
+    Attributes:
+        start: the model.
+        part: what is refined; everything else stays as it is.
+        views: training views that show it.
+        config: of the training.
+        density: control of the part's Gaussians.
+        rows: Gaussians of the model that are in the part, or that its views show.
+    """
+
+    start: WholeModel
+    part: Part
+    views: tuple[int, ...]
+    config: TrainConfig
+    density: Strategy
+    rows: Int64[Tensor, " k"]
+
+    @property
+    def inside(self) -> Bool[Tensor, " k"]:
+        """Which of ``rows`` are in the part."""
+        return self.part.contains(self.start.model.gaussians.means.detach()[self.rows])
+
+    @property
+    def training_part(self) -> TrainingPart:
+        """What a training must know to refine the part."""
+        fixed = int((~self.inside).sum())
+        most = self.density.max_gaussians + fixed
+        strategy = LocalDensityControl(
+            max_gaussians=most, inner=replace(self.density, max_gaussians=most), part=self.part
+        )
+
+        def state(scene: Scene, config: TrainConfig, device: torch.device) -> TrainingState:
+            return self._initial_state(strategy, scene, config, device)
+
+        return TrainingPart(self.views, strategy, state)
+
+    def _initial_state(
+        self, strategy: Strategy, scene: Scene, config: TrainConfig, device: torch.device
+    ) -> TrainingState:
+        gaussians = self.start.model.gaussians
+        chosen = gaussians.with_tensors(
+            {name: each.detach()[self.rows].clone() for name, each in gaussians.tensors().items()}
+        )
+        model = Model(chosen, self.start.model.field, neighbours=None, sh_degree=0).to(device)
+        terms = configured_terms(config, (), chosen.modalities)
+        generator = torch.Generator().manual_seed(config.seed)
+        state = TrainingState.around(model, terms, strategy, config, Capture.of(scene), generator)
+        state.image_model.load_state_dict(self.start.image_model.state_dict())
+        return state
+
+
+def block(
+    coarse: WholeModel, scene: Scene, plan: BlockPlan, number: int, config: TrainConfig
+) -> Refinement:
+    """The refinement of a block, and of the strip about it, from the coarse model.
+
+    Args:
+        coarse: of the whole.
+        scene: the whole.
+        plan: of the blocks.
+        number: of the block, from 0.
+        config: of the whole.
+    """
+    cell = plan.cells[number]
+    part = Part(plan.plane, cell.region.grown(plan.overlap), scene.reach)
+    own = _local(config, scene, cell.views, number)
+    rows = _rows(coarse.model, scene, part, cell.views)
+    return Refinement(coarse, part, cell.views, own, own.densification, rows)
+
+
+def seam(
+    joined: WholeModel,
+    surveyor: Surveyor,
+    scene: Scene,
+    plan: BlockPlan,
+    number: int,
+    config: TrainConfig,
+) -> Refinement | None:
+    """The refinement of the strip along a block's edges in the joined model; None if no photo shows
+    it. No Gaussians are added or removed."""
+    cell, width = plan.cells[number], SEAM_WIDTH * plan.overlap
+    ring = Ring(cell.region.grown(width), cell.region.grown(-width))
+    part = Part(plan.plane, ring, scene.reach)
+    shown = replace(scene, train=tuple(scene.train[view] for view in cell.views))
+    views = tuple(cell.views[n] for n in views_of(ring, counted_places(surveyor, shown)))
+    if not views:
+        return None
+    own = _local(with_steps(config, _seam_steps(config)), scene, views, len(plan.cells) + number)
+    rows = _rows(joined.model, scene, part, views)
+    # The rates of the last part of a block's schedule: what is there is good but for the seam.
+    means = (own.optimizer.means * own.optimizer.means_final) ** 0.5
+    own = replace(
+        own,
+        optimizer=replace(own.optimizer, means=means),
+        image_model=replace(own.image_model, point_spread_rate=0.0),
+    )
+    return Refinement(joined, part, views, own, FixedGaussians(), rows)
+
+
+def _seam_steps(config: TrainConfig) -> int:
+    return max(1, round(SEAM_STEPS * config.max_steps))
+
+
+def _local(config: TrainConfig, scene: Scene, views: Sequence[int], number: int) -> TrainConfig:
+    """The configuration of a part: that of the whole, but that heads and the gains of photos stay
+    as they are, and lengths are those of the part's cameras."""
+    ratio = replace(scene, train=tuple(scene.train[view] for view in views)).extent / scene.extent
+    density, optimizer = config.densification, config.optimizer
+    return replace(
+        config,
+        seed=(config.seed + number + 1) % 2**32,
+        sh_every=1,
+        optimizer=replace(
+            optimizer,
+            heads=0.0,
+            means=ratio * optimizer.means,
+            means_final=ratio * optimizer.means_final,
+        ),
+        image_model=replace(config.image_model, thermal_gain_rate=0.0),
+        densification=replace(
+            density,
+            clone_below=ratio * density.clone_below,
+            prune_above=ratio * density.prune_above,
+        ),
+    )
+
+
+def _rows(model: Model, scene: Scene, part: Part, views: Sequence[int]) -> Int64[Tensor, " k"]:
+    """The Gaussians of a part, and those that any of its views may show."""
+    kept = part.contains(model.gaussians.means.detach())
+    for number in views:
+        for camera in scene.train[number].cameras.values():
+            rows = rows_in_view(model.gaussians, camera)
+            kept[slice(None) if rows is None else rows] = True
+    return kept.nonzero()[:, 0]

@@ -1,0 +1,213 @@
+"""Rectangles in the plane of a scene, and how it is cut into them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+
+from mrgs.errors import ConfigError
+from mrgs.scene import Scene
+
+TRIMMED = 0.02
+"""Share of the points at either end that say nothing of a scene's size: they may lie anywhere."""
+
+MOST_BLOCKS = 10_000
+
+
+class ScenePlane(NamedTuple):
+    """The plane in which a scene is cut.
+
+    Attributes:
+        axes: unit vectors along and across it in world coordinates, the longer side first, [2, 3].
+        low: smallest coordinates of the scene along both, but for stray points, scene units.
+        high: largest coordinates.
+    """
+
+    axes: tuple[tuple[float, float, float], tuple[float, float, float]]
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def coordinates(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
+        """Coordinates of points of the world along both axes."""
+        return points @ torch.tensor(self.axes).to(points).T
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Lengths of the scene along both axes, scene units."""
+        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+
+    def clipped(self, region: Region) -> tuple[float, float]:
+        """Lengths of a region as far as it lies in the scene."""
+        first, second = (
+            min(region.high[axis], self.high[axis]) - max(region.low[axis], self.low[axis])
+            for axis in (0, 1)
+        )
+        return first, second
+
+
+class Region(NamedTuple):
+    """A rectangle of the plane, from ``low`` up to but without ``high``; both may be infinite."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def contains(self, places: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
+        """Whether coordinates of the plane lie in it; NaN does not."""
+        low, high = (torch.tensor(end).to(places) for end in self)
+        return ((places >= low) & (places < high)).all(dim=-1)
+
+    def grown(self, margin: float) -> Region:
+        """The rectangle with a margin on all sides, scene units."""
+        return Region(
+            (self.low[0] - margin, self.low[1] - margin),
+            (self.high[0] + margin, self.high[1] + margin),
+        )
+
+    @classmethod
+    def from_json(cls, value: Any) -> Region:
+        """A region from ``to_json``.
+
+        Raises:
+            TypeError, ValueError: the value is none.
+        """
+        low, high = value
+        return cls(_ends(low, -math.inf), _ends(high, math.inf))
+
+    def to_json(self) -> list[list[float | None]]:
+        """Both ends; null where the rectangle is infinite."""
+        return [[x if math.isfinite(x) else None for x in end] for end in self]
+
+
+class Ring(NamedTuple):
+    """What lies in one rectangle and not in another."""
+
+    outer: Region
+    inner: Region
+
+    def contains(self, places: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
+        """Whether coordinates of the plane lie in it; NaN does not."""
+        return self.outer.contains(places) & ~self.inner.contains(places)
+
+
+def plane_of(scene: Scene) -> ScenePlane:
+    """The plane of a scene: the horizontal one where that is known, else the one in which cameras
+    and points spread most; the axes follow the longest extent in it."""
+    places = torch.cat(
+        [
+            scene.points.positions.double(),
+            torch.stack([camera.position for camera in scene.train_cameras]),
+        ]
+    )
+    middle = places.median(dim=0).values
+    near = places[((places - middle).norm(dim=1) <= scene.reach.radius)] - middle
+    spread = near.T @ near
+    if scene.world.north:
+        spread[2], spread[:, 2] = 0.0, 0.0
+    directions = torch.linalg.eigh(spread).eigenvectors.T.flip(0)[:2]
+    # The sign of an eigenvector is the library's choice: the largest component is positive.
+    largest = directions.gather(1, directions.abs().argmax(dim=1, keepdim=True))
+    axes = directions * largest.sign()
+    across = (scene.points.positions.double() @ axes.T).sort(dim=0).values
+    trimmed = int(TRIMMED * len(across))
+    low, high = across[trimmed], across[-1 - trimmed]
+    first, second = axes.tolist()
+    return ScenePlane(
+        (_three(first), _three(second)),
+        (float(low[0]), float(low[1])),
+        (float(high[0]), float(high[1])),
+    )
+
+
+def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[Region]]:
+    """Rectangles that fill the plane and hold equally many places each: columns along the first
+    axis, each cut into rows along the second; the outermost ones have no end.
+
+    Args:
+        places: coordinates in the plane.
+        rows: of each column.
+        columns: along the first axis.
+    """
+    found = []
+    edges = _edges(places[:, 0], columns)
+    for left, right in pairwise(edges):
+        inside = places[(places[:, 0] >= left) & (places[:, 0] < right), 1]
+        across = _edges(inside, rows)
+        found.append([Region((left, low), (right, high)) for low, high in pairwise(across)])
+    return found
+
+
+def without_empty(
+    columns: Sequence[Sequence[Region]], is_empty: Callable[[Region], bool]
+) -> list[Region]:
+    """Rectangles of which each empty one has been joined with its neighbour in the column, and an
+    empty column with its neighbour."""
+    kept: list[list[Region]] = []
+    for column in columns:
+        filled: list[Region] = []
+        for cell in column:
+            if filled and (is_empty(cell) or is_empty(filled[-1])):
+                filled[-1] = Region(filled[-1].low, cell.high)
+            else:
+                filled.append(cell)
+        kept.append(filled)
+    while len(kept) > 1 and (bare := [each for each in kept if all(map(is_empty, each))]):
+        place = kept.index(bare[0])
+        other = place - 1 if place else 1
+        left, right = min(place, other), max(place, other)
+        edges = kept[left][0].low[0], kept[right][0].high[0]
+        kept[left : right + 1] = [
+            [Region((edges[0], each.low[1]), (edges[1], each.high[1])) for each in kept[other]]
+        ]
+    return [cell for column in kept for cell in column]
+
+
+def parse_grid(blocks: str) -> tuple[int, int] | None:
+    """Rows and columns of ``ROWSxCOLUMNS``; None for ``auto``.
+
+    Raises:
+        ConfigError: something else.
+    """
+    if blocks == "auto":
+        return None
+    rows, _, columns = blocks.partition("x")
+    if (
+        not (rows.isdecimal() and columns.isdecimal())
+        or not 1 <= int(rows) * int(columns) <= MOST_BLOCKS
+    ):
+        raise ConfigError(
+            f"blocks are auto, or ROWSxCOLUMNS such as 2x3, not {blocks!r}", options=("blocks",)
+        )
+    return int(rows), int(columns)
+
+
+def shape_for(count: int, sides: tuple[float, float]) -> tuple[int, int]:
+    """Rows and columns of at least so many cells that are about square, in a plane of these
+    sides."""
+    columns = max(1, round(math.sqrt(count * sides[0] / max(sides[1], 1e-9 * sides[0]))))
+    columns = min(columns, count)
+    return math.ceil(count / columns), columns
+
+
+def _edges(values: Float64[Tensor, " n"], parts: int) -> list[float]:
+    """Where values are cut into equally many; fewer parts where they do not differ."""
+    if parts == 1 or not len(values):
+        return [-math.inf, math.inf]
+    shares = torch.arange(1, parts, dtype=torch.float64) / parts
+    cuts = sorted(set(torch.quantile(values, shares).tolist()))
+    return [-math.inf, *cuts, math.inf]
+
+
+def _ends(values: Any, infinite: float) -> tuple[float, float]:
+    first, second = (infinite if value is None else float(value) for value in values)
+    return first, second
+
+
+def _three(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z

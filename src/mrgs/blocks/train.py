@@ -1,0 +1,250 @@
+"""Train a scene in blocks: a coarse model, the plan, the blocks one after another, and the joined
+model."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from filelock import FileLock, Timeout
+
+from mrgs.blocks import refinement
+from mrgs.blocks.coverage import Surveyor, only
+from mrgs.blocks.join import JoinedBlocks, join, load_gaussians, save
+from mrgs.blocks.plan import BlockOptions, BlockPlan, config_values, make_plan, read_plan
+from mrgs.blocks.refinement import Refinement, WholeModel
+from mrgs.errors import ConfigError, FolderInUseError
+from mrgs.method.config import TrainConfig, with_steps
+from mrgs.scene import Scene
+from mrgs.system.atomic import write_error
+from mrgs.system.gpu import DeviceName
+from mrgs.training.checkpoint import load_facts
+from mrgs.training.facts import CheckpointFacts, facts_to_resume
+from mrgs.training.newest import load_newest
+from mrgs.training.run_folder import RunFolder
+from mrgs.training.trainer import train
+
+COARSE_STEPS = 0.5
+"""Of the coarse model, as a share of a block's; one for each photo at least."""
+
+WAIT_S = 1.0
+
+Follow = Callable[[str], AbstractContextManager[Mapping[str, Any]]]
+"""From the title of a training to what follows it: ``on_start`` and ``on_step`` of ``train``."""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTraining:
+    """A scene that is trained in blocks, into a folder that several processes may share.
+
+    Whatever was finished before is not done again, so that the same call continues what was ended
+    at any moment.
+
+    Attributes:
+        scene: the whole.
+        folder: of the joined run; blocks are below it.
+        config: of the whole; steps and largest number of Gaussians are those of each block.
+        options: how it is cut.
+        device: where it is trained.
+        plain: run the plain definitions of all operations.
+        follow: is told of each training.
+        say: takes lines for the user.
+    """
+
+    scene: Scene
+    folder: RunFolder
+    config: TrainConfig
+    options: BlockOptions
+    device: DeviceName = "auto"
+    plain: bool = False
+    follow: Follow = field(default=lambda title: nullcontext({}))
+    say: Callable[[str], None] = field(default=lambda line: None)
+
+    @property
+    def coarse_folder(self) -> RunFolder:
+        """The run of the coarse model."""
+        return RunFolder(self._below / "coarse")
+
+    def block_folder(self, number: int) -> RunFolder:
+        """The run of a block, from 1."""
+        return RunFolder(self._below / f"{number:03d}")
+
+    @property
+    def _below(self) -> Path:
+        return self.folder.path / "blocks"
+
+    @cached_property
+    def plan(self) -> BlockPlan:
+        """The plan of the blocks; made, after the coarse model, if it is not there.
+
+        Where another process makes it, this one waits.
+
+        Raises:
+            ConfigError: the scene cannot be cut like this.
+            RunError: the folder holds something else, or blocks made otherwise.
+            MrgsError: as ``train``.
+        """
+        path = self._below / "plan.json"
+        if not self._below.exists():
+            self.folder.require_new()
+        with self._alone():
+            plan = read_plan(path)
+            if plan is not None:
+                plan.require_same(path, self.scene, self.config, self.options)
+                facts_to_resume(load_newest(self.coarse_folder, load_facts), self.scene)
+                return plan
+            self._train(self.coarse_folder, self._coarse_config, "coarse model of the whole")
+            plan = make_plan(
+                self.coarse.model, self.scene, config_values(self.config), self.options, self.say
+            )
+            plan.write(path)
+        return plan
+
+    @cached_property
+    def coarse(self) -> WholeModel:
+        """The coarse model, which must be finished."""
+        return WholeModel.of(self.coarse_folder, self._coarse_config)
+
+    @cached_property
+    def _surveyor(self) -> Surveyor:
+        return Surveyor(self.coarse.model, self.scene, self.plan.plane)
+
+    @property
+    def _coarse_config(self) -> TrainConfig:
+        steps = max(round(COARSE_STEPS * self.config.max_steps), len(self.scene.train))
+        return with_steps(self.config, steps)
+
+    def unfinished(self) -> list[int]:
+        """The blocks that are left to train, from 1."""
+        numbers = range(1, len(self.plan.cells) + 1)
+        return [n for n in numbers if not _is_finished(self.block_folder(n), self.config)]
+
+    def train_block(self, number: int) -> None:
+        """Train a block, or continue it.
+
+        Args:
+            number: from 1.
+
+        Raises:
+            ConfigError: there is no such block.
+            FolderInUseError: another process trains it.
+            MrgsError: as ``train``.
+        """
+        count = len(self.plan.cells)
+        if not 1 <= number <= count:
+            raise ConfigError(
+                f"there is no block {number}: the scene has {count}, from 1", options=("block",)
+            )
+        views = len(self.plan.cells[number - 1].views)
+        block = refinement.block(self.coarse, self.scene, self.plan, number - 1, self.config)
+        title = f"block {number} of {count}, {views} photos"
+        self._train(self.block_folder(number), block.config, title, block)
+
+    def train_all(self) -> bool:
+        """Train all blocks that no other process trains, and join them if all are finished; returns
+        whether they are."""
+        for number in self.unfinished():
+            with suppress(FolderInUseError):  # another process trains it
+                self.train_block(number)
+        return self.join()
+
+    def join(self) -> bool:
+        """Write the joined model if all blocks are finished; returns whether they are."""
+        if self.unfinished():
+            return False
+        with self._alone():
+            if not self.folder.checkpoints():
+                self.folder.start(self.config)
+            numbers = range(1, len(self.plan.cells) + 1)
+            blocks = [self.block_folder(number) for number in numbers]
+            joined = join(self.coarse_folder, blocks, self.plan, self.scene, self.config)
+            more = [facts for number in numbers if (facts := self._close_seam(joined, number))]
+            path = self.folder.checkpoint_file(self.config.max_steps)
+            save(path, joined, self.config, more)
+        return True
+
+    def _close_seam(self, joined: JoinedBlocks, number: int) -> CheckpointFacts | None:
+        """Refine the joined model along the edges of a block, in place; None where no seam is."""
+        if len(self.plan.cells) == 1 or self.plan.overlap == 0:
+            return None
+        seam = refinement.seam(
+            joined.whole, self._surveyor, self.scene, self.plan, number - 1, self.config
+        )
+        if seam is None:
+            return None
+        folder = RunFolder(self._below / f"seam-{number:03d}")
+        gaussians, rows, fixed = joined.whole.model.gaussians, seam.rows, ~seam.inside
+        if folder.checkpoints():
+            found, _, _ = load_gaussians(folder)
+            if len(found["means"]) != len(rows) or not torch.equal(
+                found["means"][fixed], gaussians.means[rows[fixed]]
+            ):
+                shutil.rmtree(folder.path)  # of blocks that have been trained again since
+        self._train(folder, seam.config, f"seam of block {number}, {len(seam.views)} photos", seam)
+        found, facts, _ = load_gaussians(folder)
+        for name, tensor in gaussians.tensors().items():
+            tensor[rows] = found[name]
+        return facts
+
+    def _train(
+        self,
+        folder: RunFolder,
+        config: TrainConfig,
+        title: str,
+        part: Refinement | None = None,
+    ) -> None:
+        """Train a run to its end, from where it is."""
+        if _is_finished(folder, config):
+            return
+        with folder.locked():  # before anything is computed for a block that another one has
+            pass
+        scene = self.scene
+        if part is not None:
+            scene = only(scene, part.part.region, part.views, self._surveyor)
+        with self.follow(title) as hooks:
+            train(
+                scene,
+                folder.path,
+                config,
+                resume=bool(folder.checkpoints()),
+                device=self.device,
+                plain=self.plain,
+                part=None if part is None else part.training_part,
+                **hooks,
+            )
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Within this block no other process plans or joins."""
+        try:
+            self._below.mkdir(parents=True, exist_ok=True)
+            lock = FileLock(self._below / ".lock")
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                self.say("waiting for another process that prepares or joins the blocks")
+                _wait_for(lock)
+        except OSError as error:
+            raise write_error(self._below, error, options=("output",)) from error
+        try:
+            yield
+        finally:
+            lock.release()
+
+
+def _wait_for(lock: FileLock) -> None:
+    while not lock.is_locked:
+        with suppress(Timeout):  # so that Ctrl-C need not wait for the other process
+            lock.acquire(timeout=WAIT_S)
+
+
+def _is_finished(folder: RunFolder, config: TrainConfig) -> bool:
+    if not folder.config_file.is_file() or not folder.checkpoints():
+        return False
+    return load_newest(folder, load_facts).step >= config.max_steps

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import shutil
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from mrgs.blocks.density import Part
+from mrgs.blocks.plan import BlockOptions, read_plan
+from mrgs.blocks.refinement import SEAM_WIDTH
+from mrgs.blocks.train import BlockTraining
+from mrgs.data import load_scene
+from mrgs.errors import ConfigError, FolderInUseError, RunError
+from mrgs.evaluation import evaluate_run
+from mrgs.runs.open import load_run
+from mrgs.training.checkpoint import load_state
+from mrgs.training.run_folder import RunFolder
+from tests.helpers.scenes import write_scene
+from tests.helpers.training import short_config
+
+STEPS = 8
+
+
+class KilledError(Exception):
+    """Ends a training at once, without a checkpoint."""
+
+
+def training(folder: Path, scene: Path, **changes) -> BlockTraining:
+    """Two blocks of the scene of soft balls."""
+    config = short_config("mrgs-plus", max_steps=STEPS, checkpoint_every=4)
+    options = BlockOptions("1x2", 0.1)
+    made = BlockTraining(load_scene(scene), RunFolder(folder), config, options)
+    return replace(made, **changes)
+
+
+def copy_of(joined: Path, folder: Path, *names: str) -> Path:
+    """A folder in which some of the runs of another one are finished."""
+    for name in names:
+        shutil.copytree(joined / "blocks" / name, folder / "blocks" / name)
+    shutil.copy(joined / "blocks/plan.json", folder / "blocks")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="module")
+def joined(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("blocks") / "run"
+    assert training(folder, scene).train_all()
+    return folder
+
+
+def test_blocks_become_a_run_like_any_other(joined, scene):
+    run = load_run(joined)
+    metrics = evaluate_run(run)
+    assert run.facts.step == STEPS
+    assert metrics.truth is None
+    state = load_state(run.folder.newest_checkpoint(), run.config)
+    assert state.step == STEPS
+
+
+def test_each_gaussian_comes_from_the_block_in_whose_cell_it_lies(joined, scene):
+    """Unchanged but along the cut, where all have been refined together."""
+    run, plan = load_run(joined), read_plan(joined / "blocks/plan.json")
+    means = run.model.gaussians.means
+    places = plan.plane.coordinates(means)
+    cut = plan.cells[0].region.high[0]
+    owner = torch.stack([cell.region.contains(places) for cell in plan.cells])
+    at_cut = (places[:, 0] - cut).abs() < SEAM_WIDTH * plan.overlap
+    assert (owner.sum(dim=0) == 1).all()
+    for number, mine in enumerate(owner, start=1):
+        block = load_run(joined / f"blocks/{number:03d}").model.gaussians.means
+        known = set(map(tuple, block.tolist()))
+        found = set(map(tuple, means[mine & ~at_cut].tolist()))
+        assert found
+        assert found <= known
+        assert not set(map(tuple, means[mine & at_cut].tolist())) & known
+
+
+def test_what_lies_outside_of_a_block_stays_as_it_is(joined, scene):
+    """The coarse model's Gaussians beyond the margin are in the block unchanged."""
+    done = training(joined, scene)
+    block = load_run(joined / "blocks/001").model.gaussians
+    region = done.plan.cells[0].region.grown(done.plan.overlap)
+    outside = ~Part(done.plan.plane, region, done.scene.reach).contains(block.means)
+    assert outside.any()
+    coarse = done.coarse.model.gaussians
+    for name, tensor in block.tensors().items():
+        known = set(map(tuple, coarse.tensors()[name].detach().flatten(1).tolist()))
+        assert set(map(tuple, tensor[outside].flatten(1).tolist())) <= known, name
+
+
+def test_a_training_that_was_killed_goes_on(joined, scene, tmp_path):
+    """After a block, within one, and while the blocks are joined; the result is the same to the
+    bit."""
+    folder = copy_of(joined, tmp_path / "run", "coarse", "001")
+
+    def killing(title: str, step: int):
+        @contextmanager
+        def follow(now: str):
+            def on_step(statistics):
+                if now.startswith(title) and statistics.step == step:
+                    raise KilledError
+
+            yield {"on_step": on_step}
+
+        return follow
+
+    for title, step in (("block 2", 7), ("seam of block 2", 1)):
+        with pytest.raises(KilledError):
+            training(folder, scene, follow=killing(title, step)).train_all()
+        assert not RunFolder(folder).checkpoints()
+    assert training(folder, scene).train_all()
+    one, other = (load_run(path).model.gaussians.tensors() for path in (joined, folder))
+    assert all(torch.equal(tensor, other[name]) for name, tensor in one.items())
+
+
+def test_single_blocks_are_trained_for_job_arrays_and_joined_later(scene, tmp_path, joined):
+    """One that another process trains is left to it."""
+    folder = copy_of(joined, tmp_path / "run", "coarse", "001")
+    started = training(folder, scene)
+    with RunFolder(folder / "blocks/002").locked():
+        with pytest.raises(FolderInUseError, match="is in use by another run"):
+            started.train_block(2)
+        assert not started.train_all()
+        assert started.unfinished() == [2]
+    started.train_block(2)
+    assert started.unfinished() == []
+    assert not RunFolder(folder).checkpoints()
+    assert started.train_all()
+    assert load_run(folder).gaussian_count == load_run(joined).gaussian_count
+    with pytest.raises(ConfigError, match="there is no block 3: the scene has 2, from 1"):
+        started.train_block(3)
+
+
+def test_blocks_of_something_else_are_refused(joined, scene, tmp_path):
+    start = training(joined, scene)
+    for changed, message in (
+        ({"config": replace(start.config, max_steps=9)}, r"another max steps \(8, not 9\)"),
+        ({"options": BlockOptions("2x2", 0.1)}, r"another blocks \(1x2, not 2x2\)"),
+        ({"options": BlockOptions("1x2", 0.2)}, r"another overlap \(0.1, not 0.2\)"),
+    ):
+        with pytest.raises(RunError, match=message):
+            replace(start, **changed).train_all()
+    other = load_scene(write_scene(tmp_path / "other"))
+    with pytest.raises(RunError, match="holds blocks made with another scene"):
+        replace(start, scene=other).train_all()
+
+
+def test_a_folder_that_holds_another_run_is_refused(joined, scene, tmp_path):
+    folder = tmp_path / "run"
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "config.yaml").write_text("method: mrgs\n")
+    (folder / "checkpoints/step_000001.safetensors").write_bytes(b"")
+    with pytest.raises(RunError, match="already holds a run"):
+        training(folder, scene).train_all()
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": 2}'])
+def test_a_plan_that_is_none_is_refused(tmp_path, text):
+    path = tmp_path / "plan.json"
+    path.write_text(text)
+    with pytest.raises(RunError, match="choose another folder"):
+        read_plan(path)
+
+
+def test_an_overlap_that_does_not_fit_is_refused(scene, tmp_path):
+    with pytest.raises(ConfigError, match=r"an overlap of 5 scene units does not fit blocks"):
+        training(tmp_path, scene, options=BlockOptions("1x2", 5.0)).train_all()
+
+
+def test_a_scene_that_has_changed_is_refused(joined, scene, tmp_path):
+    start = training(joined, scene)
+    views = start.scene.train
+    changed = replace(start.scene, train=(*views[1:], views[0]))
+    with pytest.raises(RunError, match="has changed since the run began"):
+        replace(start, scene=changed).train_all()
