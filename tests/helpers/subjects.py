@@ -8,7 +8,7 @@ from pathlib import Path
 from mrgs.marks.store import CameraSpread
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Scene
-from mrgs.viewer.opening import board_of
+from mrgs.viewer.opening import board_of, uncertainty_of
 from mrgs.viewer.settings import Mode, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
 
@@ -16,6 +16,7 @@ MODES = {
     "temperature": Mode("image", (THERMAL,)),
     "colour": Mode("image", (RGB,)),
     "depth": Mode("depth"),
+    "uncertainty": Mode("uncertainty", (THERMAL,)),
     "side_by_side": Mode("side_by_side", (RGB, THERMAL)),
     "blend": Mode("blend", (RGB, THERMAL)),
     "split": Mode("split", (RGB, THERMAL)),
@@ -29,4 +30,5 @@ def subject_of(run: Run, scene: Scene | None, folder: Path) -> Subject:
     """A run as the viewer's subject; what it writes goes into the folder."""
     source, modalities = TrainedSource(run.model), shown_modalities(run.model, scene)
     subject = Subject("balls", source, modalities, run.temperature, scene, folder)
-    return replace(subject, board=board_of(subject, CameraSpread.of_run(run)))
+    board = board_of(subject, CameraSpread.of_run(run))
+    return replace(subject, board=board, uncertainty=uncertainty_of(subject, board))

@@ -298,3 +298,19 @@ def test_without_the_scene_there_are_no_photos(small_run, camera, tmp_path):
     assert inspection.view is None
     low, high = inspection.settings.limits[THERMAL]
     assert (low, high) == (small_run.temperature.min_c, small_run.temperature.max_c)
+
+
+def test_uncertainty_is_that_of_the_marks_and_has_no_value_where_no_photo_looked(subject, camera):
+    inspection = Inspection(subject)
+    inspection.settings = Settings(MODES["uncertainty"])
+    drawn = inspection.picture(camera)
+    (shown,) = drawn.images
+    values = shown.images[THERMAL]
+    assert shown.solid.mean() > 0.05
+    assert (values[shown.solid] > 0).all()
+    assert np.isnan(values[~shown.solid]).all()
+    assert drawn.scales.uncertainty.low == 0
+    row, column = np.argwhere(shown.solid)[0]
+    height, width = values.shape
+    text = inspection.hover((column + 0.5) / width, (row + 0.5) / height)
+    assert re.fullmatch(r"± \d+\.\d °C", text)

@@ -9,6 +9,7 @@ from mrgs.marks.mark import Mark, MarkKind, Marks, Place
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.store import MarkStore
+from mrgs.marks.uncertainty import UncertaintyMeter
 
 Listener = Callable[[], None]
 
@@ -42,6 +43,11 @@ class MarkBoard:
     def notes(self) -> tuple[str, ...]:
         """What is assumed of the photos where a surface has an emissivity of its own."""
         return self._meter.capture.notes if self.regions else ()
+
+    @property
+    def uncertainty(self) -> UncertaintyMeter | None:
+        """Of the model's temperatures; None where it is not known."""
+        return self._meter.uncertainty
 
     def listen(self, listener: Listener) -> None:
         """Call a function after each change."""

@@ -355,7 +355,7 @@ class Browser:
                 {
                     "label": mode.label,
                     "slider": mode.has_slider,
-                    "compares": mode.kind not in ("image", "depth"),
+                    "compares": mode.kind not in ("image", "depth", "uncertainty"),
                     "scaled": next(
                         (each.name for each in reversed(mode.modalities) if each.is_metric), None
                     ),

@@ -251,6 +251,10 @@ class Inspection:
         subject = self.subject
         if pane.kind == "photo":
             return self._photo(pane)
+        if pane.kind == "uncertainty":
+            assert subject.uncertainty is not None
+            images: PaneImages = subject.uncertainty(pane.camera)
+            return images
         camera = pane.camera
         compared_with = None
         if pane.kind == "difference":
@@ -324,6 +328,8 @@ class Inspection:
         if not shown.solid[row, column] or not np.isfinite(value):
             return "no surface"
         text = self.subject.format_value(modality, value)
+        if pane.kind == "uncertainty":
+            return f"± {text}"
         return f"+{text}" if pane.kind == "difference" and value > 0 else text
 
     def _place(self, x: float, y: float) -> Place | None:
@@ -431,7 +437,12 @@ def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
         kept = values.get(modality)
         locked = modality in settings.limits
         values[modality] = scale if kept is None or locked else kept._replace(palette=scale.palette)
-    return Scales(values, known.depth or measured.depth, known.difference or measured.difference)
+    return Scales(
+        values,
+        known.depth or measured.depth,
+        known.difference or measured.difference,
+        known.uncertainty or measured.uncertainty,
+    )
 
 
 def _first_readable(modalities: Sequence[Modality]) -> Modality | None:

@@ -11,7 +11,7 @@ import torch
 from mrgs.scene import Camera, Modality, PosedImage, View
 from mrgs.viewer.settings import Mode
 
-PaneKind = Literal["image", "depth", "blend", "split", "photo", "difference"]
+PaneKind = Literal["image", "depth", "blend", "split", "photo", "difference", "uncertainty"]
 
 _GAP_PX = 4
 
@@ -21,8 +21,8 @@ class Pane:
     """One part of the picture.
 
     Attributes:
-        kind: what it shows: an image of the model, its depth, two images through a slider, a photo,
-            or the model minus the photo.
+        kind: what it shows: an image of the model, its depth or uncertainty, two images through a
+            slider, a photo, or the model minus the photo.
         modalities: of the images that it shows; of two, the left or lower one first.
         camera: what it looks through; width and height are those of the pane in the picture.
         left: column of its upper left corner, pixels of the picture.

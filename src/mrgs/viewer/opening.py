@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,14 +19,16 @@ from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
-from mrgs.scene import Camera, Rendering, Scene
+from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.scene.overview import best_view
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import camera_around
+from mrgs.viewer.fields import PaneImages
 from mrgs.viewer.picking import render_surface
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
+from mrgs.viewer.uncertainty import UncertaintyPictures
 from mrgs.viewer.web import Viewer
 
 
@@ -53,7 +56,8 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         note,
         run.camera_response,
     )
-    subject = replace(subject, board=board_of(subject, CameraSpread.of_run(run)))
+    board = board_of(subject, CameraSpread.of_run(run))
+    subject = replace(subject, board=board, uncertainty=uncertainty_of(subject, board))
     camera = start_camera(scene, run.model)
     viewer = Viewer(subject, start_at(camera, scene), host, port)
     viewer.warm_up(camera)
@@ -71,12 +75,19 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         subject.temperature,
         thermal_cameras(subject.scene),
         CaptureSettings.of(subject.scene),
-        _uncertainty_of(subject, draw),
+        _uncertainty_meter(subject, draw),
     )
     return MarkBoard(MarkStore(subject.folder, spread), meter)
 
 
-def _uncertainty_of(subject: Subject, draw: SurfaceRenderer) -> UncertaintyMeter | None:
+def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], PaneImages] | None:
+    """Draws the uncertainty that the board's marks have; None without thermal photos."""
+    if board.uncertainty is None or THERMAL not in subject.modalities:
+        return None
+    return UncertaintyPictures(board.uncertainty, subject.source, subject.temperature).images
+
+
+def _uncertainty_meter(subject: Subject, draw: SurfaceRenderer) -> UncertaintyMeter | None:
     """None without photos, and for a model that still changes."""
     if subject.scene is None or not isinstance(subject.source, TrainedSource):
         return None

@@ -104,16 +104,20 @@ class Scales:
         values: of each one-channel modality.
         depth: from far to near.
         difference: model minus photo, even about zero.
+        uncertainty: from zero.
     """
 
     values: Mapping[Modality, Scale] = field(default_factory=dict)
     depth: Scale | None = None
     difference: Scale | None = None
+    uncertainty: Scale | None = None
 
     def of(self, pane: Pane) -> Scale | None:
         """The scale of a pane's colours; None for a pane of colours alone."""
         if pane.kind == "difference":
             return self.difference
+        if pane.kind == "uncertainty":
+            return self.uncertainty
         if pane.kind == "depth":
             return self.depth
         return None if pane.scaled is None else self.values.get(pane.scaled)
@@ -138,7 +142,7 @@ def measure_scales(
             depth. None if there is none.
     """
     values: dict[Modality, list[np.ndarray]] = {}
-    depth, errors = [], []
+    depth, errors, doubts = [], [], []
     unit = ""
     for pane, shown in zip(panes, images, strict=True):
         modality = pane.scaled
@@ -147,16 +151,21 @@ def measure_scales(
         elif pane.kind == "difference" and modality is not None:
             errors.append(np.abs(shown.images[modality][shown.solid]))
             unit = unit_of(modality, temperature)
+        elif pane.kind == "uncertainty" and modality is not None:
+            doubts.append(shown.images[modality][shown.solid])
+            unit = unit_of(modality, temperature)
         elif modality is not None:
             values.setdefault(modality, []).append(shown.images[modality][shown.solid])
     for modality in settings.limits:
         values.setdefault(modality, [])
     near_far = display_range(np.concatenate(depth)) if depth else None
     largest = display_range(np.concatenate(errors))[1] if errors else None
+    widest = display_range(np.concatenate(doubts))[1] if doubts else None
     return Scales(
         {each: _scale_of(each, seen, settings, temperature) for each, seen in values.items()},
         None if near_far is None else Scale("depth", near_far[1], near_far[0], ""),
         None if largest is None else Scale("error", -largest, largest, unit),
+        None if widest is None else Scale(settings.palette, 0.0, widest, unit),
     )
 
 
@@ -196,10 +205,11 @@ def paint(
         assert images.depth is not None
         assert scales.depth is not None
         return _where_solid(scales.depth.colorize(images.depth), images)
-    if pane.kind == "difference":
+    if pane.kind in ("difference", "uncertainty"):
         (modality,) = pane.modalities
-        assert scales.difference is not None
-        return _where_solid(scales.difference.colorize(images.images[modality]), images)
+        scale = scales.of(pane)
+        assert scale is not None
+        return _where_solid(scale.colorize(images.images[modality]), images)
     painted = [_paint_modality(each, images, scales, settings) for each in pane.modalities]
     if pane.kind in ("blend", "split"):
         below, above = painted

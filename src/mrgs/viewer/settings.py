@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +27,9 @@ from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.limits import starting_limits
 from mrgs.viewer.source import Source
 
-Kind = Literal["image", "depth", "side_by_side", "blend", "split", "photos", "difference"]
+Kind = Literal[
+    "image", "depth", "side_by_side", "blend", "split", "photos", "difference", "uncertainty"
+]
 
 
 class Start(NamedTuple):
@@ -47,8 +49,8 @@ class Mode:
     """A way to show a model.
 
     Attributes:
-        kind: ``image`` and ``difference`` (model minus photo) show one modality; ``side_by_side``,
-            ``blend`` and ``split`` two; ``photos`` shows photos beside the model.
+        kind: ``image``, ``uncertainty`` and ``difference`` (model minus photo) show one modality,
+            ``side_by_side``, ``blend`` and ``split`` two; ``photos`` shows photos beside the model.
         modalities: those that are shown; of two, the left or lower one first.
     """
 
@@ -70,6 +72,8 @@ class Mode:
                 return f"{_capitalised(words[0])} left, {words[1]} right (slider)"
             case "photos":
                 return "Photos beside the model"
+            case "uncertainty":
+                return f"Uncertainty of the {words[0]} (±)"
             case "difference":
                 return f"Difference to the {self.modalities[0].title} photo"
         return "Depth"
@@ -124,6 +128,8 @@ class Subject:
         camera_response: what the captured cameras do to the images; applied where the model is
             compared with photos.
         board: the marks of the run; None where they cannot be kept.
+        uncertainty: that of the temperatures as ``PaneImages`` of a camera; None where it is not
+            known.
     """
 
     name: str
@@ -135,6 +141,7 @@ class Subject:
     note: str = ""
     camera_response: CameraResponse = ideal_cameras
     board: MarkBoard | None = None
+    uncertainty: Callable[[Camera], Any] | None = None
 
     @property
     def scaled(self) -> Modality | None:
@@ -166,6 +173,8 @@ class Subject:
         """The modes that the run's modalities and photos allow, in the panel's order."""
         modes = [Mode("image", (modality,)) for modality in self.modalities]
         modes.append(Mode("depth"))
+        if self.uncertainty is not None:
+            modes.append(Mode("uncertainty", (THERMAL,)))
         below = next((each for each in self.modalities if not each.is_metric), None)
         if below is not None:
             kinds: tuple[Kind, ...] = ("side_by_side", "blend", "split")

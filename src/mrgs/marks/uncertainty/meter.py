@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from mrgs.marks.emissivity import SurfaceSettings
 from mrgs.marks.surface import SurfaceRenderer
@@ -99,8 +99,16 @@ class UncertaintyMeter:
         Raises:
             SceneError: a photo cannot be read.
         """
-        of_photos = self._witnesses.of_points(points).total
+        return self.together(self.of_photos(points), values).astype(np.float32)
+
+    def of_photos(self, points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
+        """The parts of photos and model alone; see ``of_points``."""
+        return self._witnesses.of_points(points).total.astype(np.float32)
+
+    def together(
+        self, of_photos: Float[np.ndarray, "*shape"], values: Float[np.ndarray, "*shape"]
+    ) -> Float[np.ndarray, "*shape"]:
+        """What ``of_photos`` gave, with the parts of camera and settings at these values."""
         if self._budget is None:
-            return of_photos.astype(np.float32)
-        shared = self._budget.shared(values.astype(np.float64))
-        return np.hypot(of_photos, shared).astype(np.float32)
+            return of_photos
+        return np.hypot(of_photos, self._budget.shared(values.astype(np.float64)))
