@@ -14,7 +14,14 @@ from mrgs.marks.measure import MarkMeter
 from mrgs.marks.texts import mark_text
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.marks.uncertainty.budget import Budget
-from mrgs.marks.uncertainty.photo_parts import CONTRAST, DEVIATION, SCATTER, SightingSums
+from mrgs.marks.uncertainty.photo_parts import (
+    CONTRAST,
+    DEVIATION,
+    RESOLUTION,
+    SCATTER,
+    SHIFT_PX,
+    SightingSums,
+)
 from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
 from mrgs.scene.radiometry import ObjectParameters
@@ -47,19 +54,19 @@ def meter_of(budget: Budget | None = None, views: list[View] | None = None) -> M
 def test_what_photos_disagree_by_and_how_sharp_a_place_is():
     found = meter_of().read(BOX).uncertainty
     assert found.photos == pytest.approx(SCATTER * np.std(SHIFTS_C), rel=0.01)
-    pixel_c = 5**0.5 * 5 / camera_before_wall().K[0, 0].item()
-    head_on = CONTRAST * pixel_c / 3**0.5
-    assert head_on < found.model < 1.5 * head_on  # the photos see it at an angle
+    pixel_m = 5 / camera_before_wall().K[0, 0].item()
+    head_on = CONTRAST * SHIFT_PX * pixel_m * (5 / 2) ** 0.5  # 2 and 1 K per metre across and down
+    assert head_on < found.model < 1.7 * head_on  # the photos see it at an angle
     assert found.total == pytest.approx(math.hypot(found.photos, found.model))
     assert found.known == {"photos": found.photos, "model": found.model}
 
 
 def test_a_value_that_differs_from_what_the_photos_cameras_see_is_doubtful():
-    sums = SightingSums(2)
+    sums = SightingSums(2, 0.2)
     for reading in (10.0, 12.0):
-        sums.add(np.array([0]), np.array([[reading, 11.0, 0.0]], np.float32))
+        sums.add(np.array([0]), np.array([[reading, 11.0, 0, 0, 0, 0]], np.float32))
     parts = sums.parts(np.array([11.5, 3.0]))
-    assert parts.photos[0] == pytest.approx(SCATTER)
+    assert parts.photos[0] == pytest.approx(math.hypot(SCATTER, RESOLUTION * 0.2))
     assert parts.model[0] == pytest.approx(0.5 * DEVIATION)
     assert np.isnan(parts.total[1])
     assert sums.parts().model[0] == 0.0
@@ -81,7 +88,7 @@ def test_points_have_the_uncertainty_of_a_map():
     points = np.array([[0.5, 0.0, 0.5]], np.float32)
     (found,) = meter_of(budget).uncertainty.of_points(points, np.array([21.5], np.float32))
     camera = 2 * 2 / 3**0.5
-    assert found == pytest.approx(math.hypot(camera, SCATTER * np.std(SHIFTS_C)), rel=0.02)
+    assert found == pytest.approx(math.hypot(camera, SCATTER * np.std(SHIFTS_C)), rel=0.05)
 
 
 def test_the_data_sheet_is_a_limit_and_cancels_in_differences():

@@ -11,22 +11,28 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int64
 
-SCATTER = 0.7
+SCATTER = 0.75
 """Times the standard deviation of the photos' readings. It is not divided by the root of their
 number: what they disagree by at one place, a reflection or a wrong depth, their mean keeps."""
 
-CONTRAST = 4.5
-"""Times the change of the model within a pixel, over the root of the number of photos: places and
-poses are known to a few pixels, and a camera's blur is undone to a few."""
+CONTRAST = 0.75
+"""Times the change of the model's value when the place is shifted by ``SHIFT_PX``: places and poses
+are not known better, and detail that fine is not resolved."""
+
+SHIFT_PX = 3
 
 DEVIATION = 2.0
 """Times the difference between a value and the mean of what the photos' cameras see there."""
 
-READING, RENDERED, CONTRAST_SQUARED = 0, 1, 2
-"""What a photo shows of a place: what it reads, what the model shows from its camera, and the
-square of how much that changes within a pixel; in the unit of the values."""
+RESOLUTION = 2 / 12**0.5
+"""Times the step between the values of a photo: whatever is within a step is equally likely (GUM
+F.2.2.1), twice its standard deviation."""
 
-CHANNELS = 3
+READING, RENDERED = 0, 1
+SHIFTS = slice(2, 6)
+CHANNELS = 6
+"""What a photo shows of a place: what it reads, what the model shows from its camera, and by how
+much that changes ``SHIFT_PX`` to each of four sides; in the unit of the values."""
 
 
 class PhotoParts(NamedTuple):
@@ -34,9 +40,9 @@ class PhotoParts(NamedTuple):
     photo looked.
 
     Attributes:
-        photos: from what the photos disagree by, [P].
-        model: from how sharp the place is, and how far the value is from what the photos' cameras
-            see in the model, [P].
+        photos: from what the photos disagree by, and the step between their values, [P].
+        model: from how much it changes nearby, and how far the value is from what the photos'
+            cameras see in the model, [P].
     """
 
     photos: Float[np.ndarray, " p"]
@@ -53,9 +59,11 @@ class SightingSums:
 
     Args:
         places: P.
+        step: between the values of a photo, in their unit; 0 if they are not rounded.
     """
 
-    def __init__(self, places: int) -> None:
+    def __init__(self, places: int, step: float = 0.0) -> None:
+        self._step = step
         self.photos = np.zeros(places, np.float32)
         self._readings, self._squares, self._rendered, self._contrast = (
             np.zeros(places, np.float32) for _ in range(4)
@@ -75,13 +83,16 @@ class SightingSums:
         self._readings[rows] += step / self.photos[rows]
         self._squares[rows] += step * (values[:, READING] - self._readings[rows])
         self._rendered[rows] += values[:, RENDERED]
-        self._contrast[rows] += values[:, CONTRAST_SQUARED]
+        self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
 
     def parts(self, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty of values, [P]; of what the photos' cameras see in the model
         if None."""
         count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
         scatter = np.sqrt(np.maximum(self._squares, 0) / count)
-        contrast = np.sqrt(self._contrast) / count
+        contrast = np.sqrt(self._contrast / count)
         away = 0.0 if values is None else values - self._rendered / count
-        return PhotoParts(SCATTER * scatter, np.hypot(CONTRAST * contrast, DEVIATION * away))
+        return PhotoParts(
+            np.hypot(SCATTER * scatter, RESOLUTION * self._step),
+            np.hypot(CONTRAST * contrast, DEVIATION * away),
+        )

@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
+from PIL import Image
 from torch import Tensor
 
 from mrgs.marks.surface import SurfaceRenderer, seen_depth
 from mrgs.marks.uncertainty.photo_parts import (
     CHANNELS,
-    CONTRAST_SQUARED,
     READING,
     RENDERED,
+    SHIFT_PX,
+    SHIFTS,
     PhotoParts,
     SightingSums,
 )
@@ -52,6 +54,7 @@ class PhotoWitnesses:
         self._respond = respond
         self._span = 1.0 if temperature is None else temperature.span_c
         self._least = 0.0 if temperature is None else temperature.min_c
+        self._step = self._span * _step_of(self._views)
         self._maps: dict[int, DepthMap] = {}
 
     def __len__(self) -> int:
@@ -77,7 +80,7 @@ class PhotoWitnesses:
         Raises:
             SceneError: a photo cannot be read.
         """
-        sums = SightingSums(1)
+        sums = SightingSums(1, self._step)
         for index, view in enumerate(self._views):
             if not len(visible(view.images[THERMAL].camera, points).rows):
                 continue
@@ -94,7 +97,7 @@ class PhotoWitnesses:
         Raises:
             SceneError: a photo cannot be read.
         """
-        sums = SightingSums(len(points))
+        sums = SightingSums(len(points), self._step)
         for index in range(len(self)):
             item = self[index]
             shown = item.shown(points)
@@ -115,7 +118,7 @@ class PhotoWitnesses:
         # The photo without the camera's blur and drift, as far as the model knows them.
         image[..., READING] = self._least + self._span * (model + difference)
         image[..., RENDERED] = self._least + self._span * model
-        image[..., CONTRAST_SQUARED] = np.square(self._span) * _slope(model)
+        image[..., SHIFTS] = self._span * _shifted(model)
         return DepthMap(camera, seen_depth(rendering).astype(np.float32), image)
 
 
@@ -138,11 +141,26 @@ def _reduced(image: Float[Tensor, "h w"], size: tuple[int, int]) -> Float[np.nda
     return reduced
 
 
-def _slope(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Square of the gradient, per pixel."""
-    down, across = np.gradient(image)
-    squares: Float[np.ndarray, "h w"] = np.square(down) + np.square(across)
-    return squares
+def _shifted(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 4"]:
+    """By how much the values ``SHIFT_PX`` below, above, to the right and to the left are larger."""
+    wide = np.pad(image, SHIFT_PX, mode="edge")
+    middle, twice = slice(SHIFT_PX, -SHIFT_PX), 2 * SHIFT_PX
+    sides = [
+        wide[twice:, middle], wide[:-twice, middle], wide[middle, twice:], wide[middle, :-twice],
+    ]  # fmt: skip
+    return np.stack(sides, axis=2) - image[..., None]
+
+
+def _step_of(views: Sequence[View]) -> float:
+    """The step between normalised values of the photos, from the bits of the first one's file; 0
+    for numbers that are not rounded, and where it cannot be told."""
+    files = views[0].images[THERMAL].files if views else ()
+    try:
+        with Image.open(files[0]) as image:
+            bits = {"F": 0, "I": 16, "I;16": 16, "I;16B": 16}.get(image.mode, 8)
+    except (IndexError, OSError, ValueError, Image.DecompressionBombError):
+        return 0.0
+    return 1 / (2**bits - 1) if bits else 0.0
 
 
 def _of_mark(values: Float32[np.ndarray, "n c"]) -> Float32[np.ndarray, "1 c"]:
