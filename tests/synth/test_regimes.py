@@ -11,7 +11,7 @@ import torch
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
 from mrgs.scene import RGB, THERMAL, Scene
-from mrgs_synth.regimes import REGIMES, main, make_regime
+from mrgs_synth.regimes import DRIFT_C, REGIMES, main, make_regime
 
 SCENE = Path(__file__).parents[2] / "examples" / "tabletop"
 
@@ -100,6 +100,19 @@ def test_noise_is_thirty_decibels_below_the_range(tmp_path: Path, original: Scen
     assert (pixels(scene, "train", 0) != pixels(made(tmp_path / "b", "noise", 1), "train", 0)).any()
     again = made(tmp_path / "c", "noise")
     np.testing.assert_array_equal(pixels(scene, "train", 0), pixels(again, "train", 0))
+
+
+def test_a_drift_shifts_whole_photos(tmp_path: Path, original: Scene) -> None:
+    scene = made(tmp_path / "out", "drift")
+    assert scene.temperature == original.temperature
+    shifts = []
+    for number in range(0, len(scene.train), 4):
+        difference = pixels(scene, "train", number) - pixels(original, "train", number)
+        celsius = difference * original.temperature.span_c
+        assert np.ptp(celsius) < 1e-3
+        shifts.append(celsius.mean())
+    assert np.abs(shifts).max() <= DRIFT_C + 1e-3
+    assert np.std(shifts) > 0.3 * DRIFT_C
 
 
 @pytest.mark.parametrize(("name", "left"), [("missing-half", 20), ("missing-90", 4)])

@@ -536,15 +536,36 @@ def _export(command: Export) -> None:
 def _report(command: Report) -> None:
     from mrgs.pipeline.expect import expect_report
     from mrgs.report import write_report
+    from mrgs.report.pdf import require_weasyprint, write_pdf
     from mrgs.runs.open import load_run
 
+    if command.pdf:
+        require_weasyprint()
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
+    _state_survey(command)
     target = command.output or command.run / "report.html"
     scene = run.load_scene()
     with counter("report", expect_report(run, scene)) as progress:
-        path = write_report(run, scene, target, progress)
+        path = write_report(run, scene, target, progress, command.language)
     print(f"report: {path}")
+    if command.pdf:
+        print(f"pdf: {write_pdf(path, path.with_suffix('.pdf'))}")
+
+
+def _state_survey(command: Report) -> None:
+    """Keep what the options state in the run's folder; a survey to fill in where there is none."""
+    from mrgs.survey import SURVEY_FILE, read_survey, write_survey
+
+    own = command.run / SURVEY_FILE
+    if command.survey is not None and not command.survey.is_file():
+        raise ConfigError(f"--survey {command.survey}: there is no such file")
+    if command.survey is None and not command.set and own.exists():
+        return
+    survey = read_survey(command.survey or own).stating(command.set, "--set")
+    write_survey(own, survey)
+    if not survey:
+        print(f"survey: fill in {own}, and write the report again")
 
 
 def _run_all(command: RunAll) -> None:

@@ -322,12 +322,24 @@ class Export:
 
 @dataclass(frozen=True)
 class Report:
-    """Write a one-page report: hottest and coldest spots, scores, limits."""
+    """Write a report: survey, marks with their uncertainty, hottest and coldest spots, limits.
+
+    Object, client, weather and conditions come from RUN/survey.yaml, which the first report writes
+    for you to fill in.
+    """
 
     run: RunPath
     """Run folder."""
     output: Maybe[Path] = None
     """Output file; by default RUN/report.html."""
+    survey: Maybe[Path] = None
+    """YAML file with object, client, weather ...; kept as RUN/survey.yaml."""
+    set: tuple[str, ...] = ()
+    """NAME=VALUE of the survey, such as client="Town of X" inside_c=21; kept in RUN/survey.yaml."""
+    language: Literal["en", "de", "fr"] = "en"
+    """Language of the report."""
+    pdf: bool = False
+    """Also write a PDF beside it. Needs mrgs[report]."""
     scene: Maybe[Path] = None
     """Scene folder, if it has moved since training."""
     device: DeviceName = "auto"

@@ -21,7 +21,7 @@ from mrgs.system.strict_yaml import read_yaml, write_yaml
 Preset = Literal["fast", "default", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
-PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True)
+PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True, thermal_drift=True)
 PLUS_OPAQUE = 0.1
 """What ``mrgs-plus`` has and no published method."""
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+from mrgs.report.texts import Texts
 from mrgs.survey import Survey
 
 LEAST_DIFFERENCE_K = 10.0
@@ -107,19 +108,15 @@ def _text(value: float | None, unit: str) -> str:
 _BUILDING = (_difference, _steady, _wind(MOST_WIND_BUILDING_M_S, "at most 5 m/s"), _sun, _dry)
 _PLANT = (_irradiance, _wind(MOST_WIND_PLANT_M_S, "at most 7.8 m/s (4 Beaufort)"), _clouds)
 
-_Row = tuple[str, str]
 
-
-def stated_rows(survey: Survey, names: Sequence[str]) -> list[_Row]:
-    """Label and value of the fields that the survey states, in the order of the names."""
+def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
+    """Label and value of what the survey states, translated."""
     rows = []
-    for name in names:
+    for name, (label, unit) in LABELS.items():
         value = getattr(survey, name)
-        if value is None:
-            continue
-        label, unit = LABELS[name]
-        text = _text(value, unit) if isinstance(value, float) else str(value)
-        rows.append((label, text))
+        if value is not None:
+            text = t.number(_text(value, unit)) if isinstance(value, float) else str(value)
+            rows.append((t(label), text))
     return rows
 
 
@@ -154,7 +151,6 @@ LABELS: Mapping[str, tuple[str, str]] = {
     "camera_serial": ("Serial number", ""),
     "camera_accuracy_c": ("Accuracy in the data sheet", "K"),
     "camera_accuracy_percent": ("Accuracy in the data sheet", "%"),
-    "statement": ("Statement", ""),
     "remarks": ("Remarks", ""),
 }
 """Label in the report and unit of each field."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import NamedTuple
 
 import numpy as np
@@ -13,15 +14,19 @@ from PIL import Image, ImageDraw
 
 from mrgs.marks import MarkReading, open_marks
 from mrgs.marks.mark import Mark
+from mrgs.marks.moisture import temperature_factor
 from mrgs.marks.regions import Regions
-from mrgs.marks.tables import size_text, value_text
+from mrgs.marks.tables import DASH, size_text, total_uncertainty, value_text
+from mrgs.marks.texts import PART_NAMES
+from mrgs.marks.uncertainty import Uncertainty
 from mrgs.pictures.drawing import INK, Scale, draw_text, scale_bar, text_width
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.open import Run
-from mrgs.scene import RGB, THERMAL, Camera, Scene, View
+from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
+from mrgs.survey import Survey
 
 PICTURE_PX = 480
 MARK_SHARE = 0.5
@@ -59,6 +64,9 @@ class ShownMark(NamedTuple):
         name: of the mark.
         kind: of the mark.
         mean: its temperature.
+        around: the uncertainty of the mean; empty if it is not known.
+        parts: of the uncertainty, as ``SHOWN_PARTS``; a dash for those not known.
+        factor: temperature factor of a surface inside; a dash if the air is not known.
         low: the smallest value.
         high: the largest value.
         difference: to the reference, or to the mark that it is compared with.
@@ -76,6 +84,9 @@ class ShownMark(NamedTuple):
     name: str
     kind: str
     mean: str
+    around: str
+    parts: list[str]
+    factor: str
     low: str
     high: str
     difference: str
@@ -90,8 +101,30 @@ class ShownMark(NamedTuple):
     chart: ProfileChart | None
 
 
-def show_marks(run: Run, scene: Scene) -> tuple[list[ShownMark], tuple[str, ...]]:
-    """The marks of a run, and what was assumed for surfaces with an emissivity of their own.
+class ShownMarks(NamedTuple):
+    """The marks of a run.
+
+    Attributes:
+        marks: in their order.
+        assumptions: for surfaces with an emissivity of their own.
+        doubts: what was assumed of the uncertainty.
+    """
+
+    marks: list[ShownMark]
+    assumptions: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+SHOWN_PARTS = tuple(PART_NAMES.values())
+
+
+def show_marks(run: Run, scene: Scene, survey: Survey) -> ShownMarks:
+    """The marks of a run.
+
+    Args:
+        run: that measures them.
+        scene: with the photos.
+        survey: the air inside and outside, for the temperature factor.
 
     Raises:
         RunError: ``marks.json`` holds the marks of another model.
@@ -100,23 +133,32 @@ def show_marks(run: Run, scene: Scene) -> tuple[list[ShownMark], tuple[str, ...]
     marks = open_marks(run, scene)
     known = marks.marks
     if not len(known):
-        return [], ()
+        return ShownMarks([])
     regions = marks.meter.regions(known)
     readings = marks.meter.measure(known, regions)
-    shown = [_shown(reading, known.reference, regions, scene) for reading in readings]
-    return shown, marks.meter.capture.notes if regions else ()
+    shown = [_shown(reading, known.reference, regions, scene, survey) for reading in readings]
+    doubts = () if marks.meter.uncertainty is None else marks.meter.uncertainty.notes
+    return ShownMarks(shown, marks.meter.capture.notes if regions else (), doubts)
 
 
-def _shown(reading: MarkReading, reference: str, regions: Regions, scene: Scene) -> ShownMark:
+def _shown(
+    reading: MarkReading, reference: str, regions: Regions, scene: Scene, survey: Survey
+) -> ShownMark:
     mark, temperature = reading.mark, scene.temperature
     view = _nearest_view(mark, scene)
     return ShownMark(
         mark.name,
         mark.kind,
         value_text(reading.mean, temperature),
+        _around(total_uncertainty(reading), temperature),
+        [
+            value_text(part, temperature)
+            for part in asdict(reading.uncertainty or Uncertainty()).values()
+        ],
+        _factor(reading.mean, survey),
         value_text(reading.low, temperature),
         value_text(reading.high, temperature),
-        value_text(reading.difference, temperature, sign=True),
+        _difference(reading, temperature),
         "" if math.isnan(reading.difference) else mark.against or reference,
         size_text(reading, scene.world),
         "–" if reading.photos is None else str(reading.photos),
@@ -127,6 +169,24 @@ def _shown(reading: MarkReading, reference: str, regions: Regions, scene: Scene)
         [] if view is None else _pictures(reading, view, regions, scene),
         _chart(reading, scene),
     )
+
+
+def _around(value: float, temperature: TemperatureRange | None) -> str:
+    return "" if math.isnan(value) else value_text(value, temperature)
+
+
+def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    text = value_text(reading.difference, temperature, sign=True)
+    around = _around(reading.difference_uncertainty, temperature)
+    return f"{text} ± {around}" if around else text
+
+
+def _factor(mean: float, survey: Survey) -> str:
+    """f_Rsi of a surface inside."""
+    inside, outside = survey.inside_c, survey.outside_c
+    if inside is None or outside is None or not inside > outside or math.isnan(mean):
+        return DASH
+    return f"{temperature_factor(mean, inside, outside):.2f}"
 
 
 def _settings_text(mark: Mark) -> str:

@@ -157,13 +157,30 @@ def _ring(image: Image.Image, x: float, y: float, radius: int = 10) -> None:
         draw.ellipse([x - size, y - size, x + size, y + size], outline=color, width=width)
 
 
+def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
+    """Normalised temperature about a spot: the median of its crop's pixels that show a surface;
+    that of the spot where none does."""
+    camera = view.images[THERMAL].camera
+    left, top, side = _square((camera.width, camera.height), *_pixel(camera, spot))
+    part = slice(top, top + side), slice(left, left + side)
+    values = to_array(rendering[THERMAL].image[..., 0])[part]
+    solid = np.isfinite(to_array(rendering.surface_depth(THERMAL))[part])
+    return float(np.median(values[solid])) if solid.any() else spot.value
+
+
+def _square(size: tuple[int, int], x: float, y: float) -> tuple[int, int, int]:
+    """Left, top and side of the crop about a pixel, shifted into the image."""
+    side = max(8, round(CROP_SHARE * min(size)))
+    left = min(max(round(x - side / 2), 0), size[0] - side)
+    top = min(max(round(y - side / 2), 0), size[1] - side)
+    return left, top, side
+
+
 def _crop(image: Image.Image, camera: Camera, spot: Spot) -> Image.Image:
     """A square about the spot, shifted into the image where it would reach beyond, with a ring
     around the spot."""
     x, y = _pixel(camera, spot)
-    side = max(8, round(CROP_SHARE * min(image.size)))
-    left = min(max(round(x - side / 2), 0), image.width - side)
-    top = min(max(round(y - side / 2), 0), image.height - side)
+    left, top, side = _square(image.size, x, y)
     crop = image.crop((left, top, left + side, top + side)).resize(
         (CROP_PX, CROP_PX), Image.Resampling.BICUBIC
     )

@@ -13,11 +13,12 @@ from mrgs.errors import RunError
 from mrgs.evaluation.figures import REPORTED
 from mrgs.evaluation.report import COLUMNS, heading
 from mrgs.marks.emissivity import records_of
+from mrgs.marks.tables import value_text
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import decimals_of, full_scale, in_unit, unit_label
-from mrgs.report.pictures import Marked, crops, overview, photo_value
+from mrgs.report.pictures import Marked, crops, overview, photo_value, surroundings
 from mrgs.report.spots import Renderer, Spot, find_spots
 from mrgs.runs.open import Run
 from mrgs.scene import (
@@ -29,6 +30,7 @@ from mrgs.scene import (
     in_order,
 )
 from mrgs.scene.radiometry import PhotoRecord
+from mrgs.survey import Survey
 
 PALETTE: PaletteName = "inferno"
 JPEG_QUALITY = 88
@@ -42,6 +44,7 @@ class ShownSpot(NamedTuple):
     Attributes:
         name: H1 is the hottest, C1 the coldest.
         value: temperature, without unit.
+        contrast: its temperature minus that of its surroundings.
         low: 10th percentile over the views.
         high: 90th percentile over the views.
         views: number of views that see it.
@@ -54,6 +57,7 @@ class ShownSpot(NamedTuple):
 
     name: str
     value: str
+    contrast: str
     low: str
     high: str
     views: int
@@ -125,8 +129,9 @@ def _thermal_renderer(run: Run) -> Renderer:
     return lambda camera: run.render({THERMAL: camera})
 
 
-def capture_rows(scene: Scene) -> list[tuple[str, str]]:
-    """Views, image sizes and temperature range of the capture."""
+def capture_rows(scene: Scene, survey: Survey) -> list[tuple[str, str]]:
+    """Views, image sizes and temperature range of the capture, and the thermal camera: as the
+    photos name it, or else the survey."""
     views = _views(scene)
     modalities = in_order((*REPORTED, *scene.modalities))
     shared = all(
@@ -146,14 +151,15 @@ def capture_rows(scene: Scene) -> list[tuple[str, str]]:
             if temperature is None
             else f"{temperature.min_c:.4g} °C to {temperature.max_c:.4g} °C",
         ),
-        *_record_rows(records_of(scene)),
+        *_record_rows(records_of(scene), survey),
     ]
 
 
-def _record_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
+def _record_rows(records: Sequence[PhotoRecord], survey: Survey) -> list[tuple[str, str]]:
     """What the thermal camera noted: itself, the time, and the settings of the temperatures."""
     known = [record.parameters for record in records if record.parameters is not None]
     cameras = {f"{each.camera} {each.serial}".strip() for each in records} - {""}
+    cameras = cameras or {f"{survey.camera or ''} {survey.camera_serial or ''}".strip()} - {""}
     times = sorted(record.taken for record in records if record.taken is not None)
     missing = "not in the scene's files"
     settings = "; ".join(
@@ -249,12 +255,15 @@ def read_contact_sheet(run: Run) -> InlineImage | None:
 
 def _shown(name: str, spot: Spot, views: Sequence[View], run: Run, scale: Scale) -> ShownSpot:
     view = views[spot.view]
-    marked = crops(view, spot, run.render({THERMAL: view.images[THERMAL].camera}), scale)
+    rendering = run.render({THERMAL: view.images[THERMAL].camera})
+    marked = crops(view, spot, rendering, scale)
+    around = surroundings(view, spot, rendering)
     photo = photo_value(view, spot)
     x, y, z = spot.position
     return ShownSpot(
         name,
         _number(spot.value, run.temperature),
+        _difference(spot.value - around, run.temperature),
         _number(spot.low, run.temperature),
         _number(spot.high, run.temperature),
         spot.views,
@@ -286,3 +295,10 @@ def _number(value: float, temperature: TemperatureRange | None) -> str:
     decimals = decimals_of(THERMAL, temperature)
     shown = round(in_unit(THERMAL, value, temperature), decimals) + 0.0  # turns -0.0 into 0.0
     return f"{shown:.{decimals}f}"
+
+
+def _difference(value: float, temperature: TemperatureRange | None) -> str:
+    """A difference of normalised temperatures in K with one decimal and its sign, or unchanged with
+    three."""
+    shown = value if temperature is None else value * temperature.span_c
+    return value_text(shown, temperature, sign=True)

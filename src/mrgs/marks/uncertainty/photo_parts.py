@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int64
 
-SCATTER = 0.75
+SCATTER = 0.7
 """Times the standard deviation of the photos' readings. It is not divided by the root of their
 number: what they disagree by at one place, a reflection or a wrong depth, their mean keeps."""
 
-CONTRAST = 0.75
+CONTRAST = 0.65
 """Times the change of the model's value when the place is shifted by ``SHIFT_PX``: places and poses
 are not known better, and detail that fine is not resolved."""
 

@@ -1,0 +1,44 @@
+"""A report as PDF, with page numbers, by WeasyPrint."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from mrgs.errors import ConfigError
+from mrgs.system.atomic import replacing
+
+
+def require_weasyprint() -> Any:
+    """Import the package weasyprint.
+
+    Raises:
+        ConfigError: it is not installed, or the library Pango that it needs.
+    """
+    try:
+        import weasyprint
+    except (ImportError, OSError) as error:
+        raise ConfigError(
+            f'a PDF needs the package weasyprint: pip install "mrgs[report]", and the library '
+            f"Pango ({str(error).splitlines()[0]:.80}); or print the page from a browser"
+        ) from None
+    return weasyprint
+
+
+def write_pdf(page: Path, path: Path) -> Path:
+    """Write a page of one HTML file as PDF; returns the path.
+
+    What the page does not hold itself is not fetched.
+
+    Raises:
+        ConfigError: weasyprint is not installed.
+        RunError: the file cannot be written.
+    """
+    weasyprint = require_weasyprint()
+    logging.getLogger("weasyprint").setLevel(logging.CRITICAL)  # style sheets are for browsers too
+    fetcher = weasyprint.urls.URLFetcher(allowed_protocols=["data"])
+    text = page.read_text(encoding="utf-8")
+    with replacing(path) as temporary:
+        weasyprint.HTML(string=text, url_fetcher=fetcher).write_pdf(temporary)
+    return path

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import pytest
+
+from mrgs.report.conditions import conditions_of, stated_rows
+from mrgs.report.texts import Texts
+from mrgs.survey import Survey
+
+
+def met(**stated) -> list[bool | None]:
+    return [each.met for each in conditions_of(Survey(**stated))]
+
+
+def test_a_building_needs_ten_kelvin_little_wind_and_no_sun():
+    good = {
+        "standard": "EN 13187", "inside_c": 21.0, "outside_c": 3.0, "outside_low_c": -2.0,
+        "outside_high_c": 8.0, "wind_m_s": 3.0, "hours_without_sun": 9.0,
+    }  # fmt: skip
+    assert met(**good) == [True, True, True, True, None]
+    assert met(**{**good, "outside_high_c": 12.0})[1] is False
+    assert met(**{**good, "outside_high_c": 25.0})[1] is False
+    assert met(**{**good, "inside_c": 12.0, "wind_m_s": 6.0})[::2] == [False, False, None]
+    assert met(standard="EN 13187") == [None] * 5
+
+
+def test_a_plant_needs_sun():
+    plant = {"standard": "IEC TS 62446-3", "irradiance_w_m2": 700.0, "wind_m_s": 4.0}
+    assert met(**plant, cloud_eighths=1.0) == [True, True, True]
+    assert met(**{**plant, "irradiance_w_m2": 500.0, "cloud_eighths": 4.0}) == [False, True, False]
+
+
+def test_without_a_standard_there_are_none():
+    assert conditions_of(Survey(inside_c=21.0)) == []
+
+
+@pytest.mark.parametrize(("language", "row"), [("en", "21.5 °C"), ("de", "21,5 °C")])
+def test_what_is_stated_is_shown_in_its_language(language, row):
+    t = Texts(language)
+    rows = stated_rows(Survey(client="Town", inside_c=21.5), t)
+    assert rows == [(t("Client"), "Town"), (t("Air inside"), row)]

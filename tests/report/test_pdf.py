@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from mrgs.errors import ConfigError
+from mrgs.report.pdf import write_pdf
+
+
+def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
+    pytest.importorskip("weasyprint")
+    secret = tmp_path / "secret.css"
+    secret.write_text("h1 { color: red }", encoding="utf-8")
+    page = tmp_path / "report.html"
+    page.write_text(
+        f"<link rel=stylesheet href='{secret.as_uri()}'><h1>Report</h1><img src='http://a.invalid/b'>",
+        encoding="utf-8",
+    )
+    assert write_pdf(page, tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "report.html", "report.pdf", "secret.css",
+    ]  # fmt: skip
+
+
+def test_without_weasyprint_it_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    with pytest.raises(ConfigError, match=r'pip install "mrgs\[report\]"'):
+        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
