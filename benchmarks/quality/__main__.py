@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     changes = {"": ""} | {path.stem: path.read_text(encoding="utf-8") for path in options.changes}
     names = [*changes] if options.unchanged or not options.changes else [*changes][1:]
     variants = variants_of(options.methods, options.presets, options.commits, names)
-    scenes = [str(scene.resolve()) for scene in options.scenes] or _generated()
+    scenes = [str(scene) for scene in options.scenes] or _generated()
     jobs = jobs_of(variants, scenes, options.seeds)
     curves = _measure(jobs, changes, options)
     text = to_markdown(curves, dict(options.target), _heading(options, scenes))
@@ -131,7 +131,7 @@ def _generated() -> list[str]:
         if not (folder / "transforms.json").exists():
             print(f"generating {folder}", flush=True)
             synthesize(folder, scene="random", seed=seed, width=160, height=120, samples=16)
-        scenes.append(str(folder.resolve()))
+        scenes.append(os.path.relpath(folder))
     return scenes
 
 
@@ -146,7 +146,7 @@ def _train(
     """One training in a process of its own, with the code of its commit."""
     with TemporaryDirectory(dir=scratch) as folder:
         request = {
-            "scene": job.scene,
+            "scene": str(Path(job.scene).resolve()),
             "folder": folder,
             "method": job.variant.method,
             "preset": job.variant.preset,

@@ -42,7 +42,7 @@ class Job:
 
     Attributes:
         variant: how.
-        scene: the scene's folder.
+        scene: the scene's folder, as it was given.
         seed: of its random choices.
     """
 

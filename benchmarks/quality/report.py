@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from benchmarks.quality.plan import SMALLER_IS_BETTER, Curve, Point, Variant, time_until
+from benchmarks.quality.plan import Curve, Point, Variant, time_until
 
 TITLES = {
     "thermal": "thermal PSNR, dB",
@@ -137,8 +137,6 @@ def draw(curves: Sequence[Curve], path: Path) -> None:
                 label=variant.name,
             )
         axes.set(xlabel="processor seconds", ylabel=TITLES[name])
-        if name in SMALLER_IS_BETTER:
-            axes.set_yscale("log")
         axes.grid(which="both", alpha=0.25)
     handles, labels = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=3, frameon=False)
