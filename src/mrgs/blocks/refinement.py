@@ -164,13 +164,15 @@ def _seam_steps(config: TrainConfig) -> int:
 
 def _local(config: TrainConfig, scene: Scene, views: Sequence[int], number: int) -> TrainConfig:
     """The configuration of a part: that of the whole, but that heads and the gains of photos stay
-    as they are, and lengths are those of the part's cameras."""
+    as they are, lengths are those of the part's cameras, and photos have their full resolution
+    from the start, as the model has its shape already."""
     ratio = replace(scene, train=tuple(scene.train[view] for view in views)).extent / scene.extent
     density, optimizer = config.densification, config.optimizer
     return replace(
         config,
         seed=(config.seed + number + 1) % 2**32,
         sh_every=1,
+        coarse_until=0.0,
         optimizer=replace(
             optimizer,
             heads=0.0,

@@ -19,6 +19,7 @@ from mrgs.blocks.coverage import Surveyor, only
 from mrgs.blocks.join import JoinedBlocks, join, load_gaussians, save
 from mrgs.blocks.plan import BlockOptions, BlockPlan, config_values, make_plan, read_plan
 from mrgs.blocks.refinement import Refinement, WholeModel
+from mrgs.blocks.region import parse_grid
 from mrgs.errors import ConfigError, FolderInUseError
 from mrgs.method.config import TrainConfig, with_steps
 from mrgs.scene import Scene
@@ -91,6 +92,9 @@ class BlockTraining:
             MrgsError: as ``train``.
         """
         path = self._below / "plan.json"
+        parse_grid(self.options.blocks)
+        if self.config.batch != 1:
+            raise ConfigError("blocks are trained with one view per step: leave the batch out")
         if not self._below.exists():
             self.folder.require_new()
         with self._alone():

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mrgs.app.cli import main
+from mrgs.runs.open import load_run
+from tests.helpers.scenes import write_scene
+
+SHORT = ("--preset", "fast", "--max-steps", "3", "--max-gaussians", "200")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("scene"))
+
+
+def run(scene: Path, folder: Path, *options: str) -> int:
+    return main(["train", str(scene), "--output", str(folder), *SHORT, *options])
+
+
+def test_blocks_are_trained_one_by_one_and_joined(scene, tmp_path, capsys):
+    blocks = ("--blocks", "1x2", "--overlap", "0.1")
+    assert run(scene, tmp_path, *blocks, "--block", "2") == 0
+    assert "blocks left: 1; they are joined by the same command" in capsys.readouterr().out
+    assert run(scene, tmp_path, *blocks) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^block 1 of 2, \d photos:$", out, re.MULTILINE)
+    assert f"next: mrgs eval {tmp_path}" in out
+    assert load_run(tmp_path).facts.step == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--overlap", "2"), "--overlap and --block need --blocks"),
+        (("--block", "2"), "--overlap and --block need --blocks"),
+        (("--blocks", "two"), "blocks are auto, or ROWSxCOLUMNS such as 2x3"),
+        (("--blocks", "auto", "--tensorboard"), "--tensorboard does not work with --blocks"),
+        (("--blocks", "auto", "--view"), "--view does not work with --blocks"),
+        (("--blocks", "auto", "--batch", "2"), "--batch does not work with --blocks"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(scene, tmp_path, capsys, options, message):
+    assert run(scene, tmp_path / "run", *options) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("mrgs: error: ")
+    assert error.count("\n") == 1
+    assert message in error
+    assert not (tmp_path / "run").exists()
