@@ -267,6 +267,7 @@ def test_without_celsius_values_are_called_normalised(small_run, balls, camera, 
             [
                 MODES["temperature"],
                 Mode("depth"),
+                MODES["uncertainty"],
                 Mode("photos", (THERMAL,)),
                 MODES["difference"],
             ],
