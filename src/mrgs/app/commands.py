@@ -322,7 +322,7 @@ class Export:
 
 @dataclass(frozen=True)
 class Report:
-    """Write a report: survey, marks with their uncertainty, hottest and coldest spots, limits.
+    """Write a report: survey, marks with ±, hottest and coldest spots, limits.
 
     Object, client, weather and conditions come from RUN/survey.yaml, which the first report writes
     for you to fill in.
