@@ -89,8 +89,8 @@ def test_gaussians(name, value, small_scene, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_photos(value, small_scene, tmp_path, monkeypatch):
-    def where(state, view, number, photos, *rest):
-        return {modality.name: pixels.values for modality, pixels in photos.items()}
+    def where(state, views, *rest):
+        return {modality.name: pixels.values for modality, pixels in views[0].photos.items()}
 
     inject(monkeypatch, trainer, where, "thermal", value, False)
     train(small_scene, tmp_path / "run", GAUSSIANS)  # the step is skipped, and no other has it

@@ -6,16 +6,20 @@ import logging
 from pathlib import Path
 from typing import Any
 
+from PIL import ImageFile
+
 from mrgs.errors import ConfigError
 from mrgs.system.atomic import replacing
 
 
 def require_weasyprint() -> Any:
-    """Import the package weasyprint.
+    """Import the package weasyprint, without what it changes in Pillow: photos that are cut off
+    would be read as if they were whole.
 
     Raises:
         ConfigError: it is not installed, or the library Pango that it needs.
     """
+    reads_truncated = ImageFile.LOAD_TRUNCATED_IMAGES
     try:
         import weasyprint
     except (ImportError, OSError) as error:
@@ -23,6 +27,8 @@ def require_weasyprint() -> Any:
             f'a PDF needs the package weasyprint: pip install "mrgs[report]", and the library '
             f"Pango ({str(error).splitlines()[0]:.80}); or print the page from a browser"
         ) from None
+    finally:
+        ImageFile.LOAD_TRUNCATED_IMAGES = reads_truncated
     return weasyprint
 
 
