@@ -5,19 +5,23 @@ from types import SimpleNamespace
 import pytest
 
 from mrgs.data import load_scene
+from mrgs.method.config import make_config
 from mrgs.pipeline.costs import step_cost
 from mrgs.pipeline.time_limit import MARGIN, PILOT_STEPS, Pace, measure_pace, steps_within
 from mrgs.runs.registry import Method, find_method
+from mrgs.training import resolution
 
 
 def test_a_training_that_does_not_grow_takes_its_pace():
-    pace = Pace(loading_s=4.0, step_s=0.1, gaussians=1000, kpx=10.0)
+    pace = Pace(loading_s=4.0, step_s=0.1, gaussians=1000, kpx=10.0, mean_kpx=10.0)
     assert steps_within(64.0, pace, 1000) == int(60 / (MARGIN * 0.1))
     assert steps_within(64.0, pace._replace(gaussians=None), None) == int(60 / (MARGIN * 0.1))
 
 
 def test_growth_leaves_time_for_fewer_steps():
-    pace = Pace(loading_s=0.0, step_s=step_cost(10_000, 100.0), gaussians=10_000, kpx=100.0)
+    pace = Pace(
+        loading_s=0.0, step_s=step_cost(10_000, 100.0), gaussians=10_000, kpx=100.0, mean_kpx=100.0
+    )
     steps = steps_within(60.0, pace, 50_000)
     at_the_cap = 60.0 / (MARGIN * step_cost(50_000, 100.0))
     assert at_the_cap < steps < 1.15 * at_the_cap
@@ -25,7 +29,7 @@ def test_growth_leaves_time_for_fewer_steps():
 
 @pytest.mark.parametrize("seconds", [-5.0, 1.0])
 def test_without_time_there_is_one_step(seconds):
-    assert steps_within(seconds, Pace(4.0, 0.1, 1000, 10.0), 1000) == 1
+    assert steps_within(seconds, Pace(4.0, 0.1, 1000, 10.0, 10.0), 1000) == 1
 
 
 def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene, monkeypatch):
@@ -45,8 +49,32 @@ def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene, 
     method = Method("paced", "", lambda **_: None, train=train)
     pace = measure_pace(method, small_scene, None, device="cpu")
     assert seen["steps"] == PILOT_STEPS
-    assert pace == Pace(loading_s=1, step_s=1, gaussians=7, kpx=2 * 40 * 30 / 1e3)
+    kpx = 2 * 40 * 30 / 1e3
+    assert pace == Pace(loading_s=1, step_s=1, gaussians=7, kpx=kpx, mean_kpx=kpx)
     assert not seen["output"].exists()
+
+
+def test_coarse_photos_leave_time_for_more_steps():
+    pace = Pace(0.0, step_cost(1000, 600.0), gaussians=1000, kpx=600.0, mean_kpx=300.0)
+    steps = steps_within(60.0, pace, 1000)
+    assert steps == int(60.0 / (MARGIN * step_cost(1000, 300.0)))
+
+
+def test_a_pilot_trains_on_photos_of_full_resolution(make_scene, monkeypatch):
+    seen = {}
+
+    def train(scene, output, config, *, on_start, on_step):
+        seen["coarse_until"] = config.coarse_until
+        on_start(load_scene(scene), config)
+        for _ in range(3):
+            on_step(SimpleNamespace(gaussians=7))
+
+    monkeypatch.setattr(resolution, "SMALLEST_PX", 15)
+    config = make_config(preset="fast", max_steps=100)
+    pace = measure_pace(Method("paced", "", lambda **_: None, train=train), make_scene(), config)
+    assert seen["coarse_until"] == 0
+    # Half of the pixels in each direction until step 49 of 100; a quarter would be too few.
+    assert pace.mean_kpx == pytest.approx(pace.kpx * (0.49 / 4 + 0.51))
 
 
 def test_a_pilot_of_a_short_training_ends_with_it(small_scene):

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from mrgs.method.config import TrainConfig
 from mrgs.pipeline.intake import Intake, Size
 from mrgs.pipeline.quality import Quality
 from mrgs.prepare.colmap.pairs import ALIKE, MAX_EXHAUSTIVE, NEIGHBOURS
@@ -86,7 +87,10 @@ class Workload:
             source_px=sum(width * height for width, height in intake.sizes.values()),
             feature_px=min(posed[0] * posed[1], FEATURE_PX),
             kpx=sum(_reduced_px(size, quality.resolution) for size in intake.sizes.values()) / 1e3,
-            mean_kpx=_mean_kpx([*intake.sizes.values()], quality),
+            mean_kpx=mean_kpx(
+                [_reduced(size, quality.resolution) for size in intake.sizes.values()],
+                quality.config(),
+            ),
             start=min(start, quality.max_gaussians),
             gaussians=quality.max_gaussians,
             steps=quality.max_steps,
@@ -115,30 +119,32 @@ class Workload:
 
     @property
     def mean_gaussians(self) -> float:
-        """Over the training: a ramp from the start to the cap, then the cap."""
-        return MATURE * (self.start + self.gaussians) / 2 + (1 - MATURE) * self.gaussians
+        """Over the training, see ``mean_gaussians``."""
+        return mean_gaussians(self.start, self.gaussians)
 
 
 def _reduced_px(size: Size, resolution: int) -> float:
     return size[0] * size[1] * min(1.0, resolution / size[0]) ** 2
 
 
-def _mean_kpx(sizes: Sequence[Size], quality: Quality) -> float:
-    """Thousands of pixels of a view's images, as a mean over the steps."""
-    config = quality.config()
-    scales = [
-        math.sqrt(_reduced_px(size, quality.resolution) / (size[0] * size[1])) for size in sizes
-    ]
-    reduced = [
-        (round(scale * width), round(scale * height))
-        for (width, height), scale in zip(sizes, scales, strict=True)
-    ]
-    steps = range(1, config.max_steps + 1)
-    shares = Counter(config.pixel_size_at(step) for step in steps)
+def _reduced(size: Size, resolution: int) -> Size:
+    width, height = size
+    scale = min(1.0, resolution / width)
+    return round(scale * width), round(scale * height)
+
+
+def mean_gaussians(start: int, most: int) -> float:
+    """Mean number of Gaussians over a training: a ramp from the start to the cap, then the cap."""
+    return MATURE * (start + most) / 2 + (1 - MATURE) * most
+
+
+def mean_kpx(sizes: Sequence[Size], config: TrainConfig) -> float:
+    """Thousands of pixels of images of these sizes, as a mean over the steps of a training."""
+    shares = Counter(config.pixel_size_at(step) for step in range(1, config.max_steps + 1))
     return sum(
-        count / len(steps) * math.prod(coarse_size(*size, pixel_size)) / 1e3
+        count / config.max_steps * math.prod(coarse_size(*size, pixel_size)) / 1e3
         for pixel_size, count in shares.items()
-        for size in reduced
+        for size in sizes
     )
 
 

@@ -3,14 +3,17 @@ steps."""
 
 from __future__ import annotations
 
+import math
 import statistics
 import tempfile
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mrgs.pipeline.costs import MATURE, step_cost
+from mrgs.method.config import TrainConfig
+from mrgs.pipeline.costs import mean_gaussians, mean_kpx, step_cost
 from mrgs.runs.registry import Method
 from mrgs.scene import Scene
 
@@ -31,17 +34,20 @@ class Pace(NamedTuple):
         loading_s: from the call to the first step, without compiling.
         step_s: a step.
         gaussians: N; None for a method without Gaussians.
-        kpx: thousands of pixels of a view's images.
+        kpx: thousands of pixels of a view's images, at their full resolution.
+        mean_kpx: the same as a mean over the steps of the training, of which the first are coarser.
     """
 
     loading_s: float
     step_s: float
     gaussians: int | None
     kpx: float
+    mean_kpx: float
 
 
 def measure_pace(method: Method, scene: str | Path, config: Any, **options: Any) -> Pace:
-    """Train for a few seconds into a folder that is thrown away; this also compiles the kernels.
+    """Train for a few seconds into a folder that is thrown away, on photos of full resolution; this
+    also compiles the kernels.
 
     Args:
         method: to train.
@@ -59,24 +65,29 @@ def measure_pace(method: Method, scene: str | Path, config: Any, **options: Any)
     def on_start(loaded: Scene, _: Any) -> None:
         times[0] = time.perf_counter()
         cameras = [camera for view in loaded.train for camera in view.cameras.values()]
-        found["kpx"] = sum(c.width * c.height for c in cameras) / len(loaded.train) / 1e3
+        sizes, views = [(camera.width, camera.height) for camera in cameras], len(loaded.train)
+        found["kpx"] = found["mean_kpx"] = sum(map(math.prod, sizes)) / views / 1e3
+        if isinstance(config, TrainConfig):
+            found["mean_kpx"] = mean_kpx(sizes, config) / views
 
     def on_step(step: Any) -> bool:
         times.append(time.perf_counter())
         found["gaussians"] = step.gaussians
         return len(times) > PILOT_STEPS and times[-1] - times[1] > PILOT_S
 
+    sharp = replace(config, coarse_until=0.0) if isinstance(config, TrainConfig) else config
     with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
         pilot = Path(folder, "run")
-        method.train(scene, pilot, config, on_start=on_start, on_step=on_step, **options)
+        method.train(scene, pilot, sharp, on_start=on_start, on_step=on_step, **options)
     steps = [after - before for before, after in pairwise(times[len(times) // 3 :])]
-    return Pace(times[0] - called, statistics.median(steps), found["gaussians"], found["kpx"])
+    return Pace(times[0] - called, statistics.median(steps), **found)
 
 
 def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
     """The steps that fit into a time, at least one.
 
-    A step takes longer once there are more Gaussians: as the costs of a pipeline's training say.
+    A step takes longer once there are more Gaussians, and less time while photos are coarse: as the
+    costs of a pipeline's training say.
 
     Args:
         seconds: from the start of the training.
@@ -85,7 +96,6 @@ def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
     """
     growth = 1.0
     if max_gaussians is not None and pace.gaussians:
-        first = step_cost(pace.gaussians, pace.kpx)
-        last = step_cost(max(max_gaussians, pace.gaussians), pace.kpx)
-        growth = (MATURE * (first + last) / 2 + (1 - MATURE) * last) / first
+        mean = mean_gaussians(pace.gaussians, max(max_gaussians, pace.gaussians))
+        growth = step_cost(mean, pace.mean_kpx) / step_cost(pace.gaussians, pace.kpx)
     return max(1, int((seconds - pace.loading_s) / (MARGIN * growth * pace.step_s)))
