@@ -16,6 +16,7 @@ from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
 from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, value_names
 from mrgs.export.surface_points import SurfacePoints, surface_points
+from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel
@@ -35,7 +36,7 @@ class ExportJob:
         scale: colours of the temperatures.
         up: the up direction of the scene's frame, unit length, [3]; None if not known.
         facts: for the sidecar of every file, see ``facts_of``.
-        run: that was baked; None if only the baked model is available.
+        marks: of the run that was baked; None if only the baked model is available.
         loss: PSNR lost by baking, dB; None without a run.
         palette: of the temperatures.
         limits_c: °C of the palette's first and last colour, as the caller gave them.
@@ -48,11 +49,16 @@ class ExportJob:
     scale: ThermalScale
     up: Float64[np.ndarray, "3"] | None
     facts: dict[str, Any]
-    run: Run | None
+    marks: RunMarks | None
     loss: BakingLoss | None
     palette: PaletteName
     limits_c: tuple[float, float] | None
     maps: MapOptions
+
+    @property
+    def run(self) -> Run | None:
+        """The run that was baked; None if only the baked model is available."""
+        return None if self.marks is None else self.marks.run
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
@@ -75,8 +81,8 @@ class ExportJob:
         """Of the temperatures; None without thermal photos."""
         if THERMAL not in self.scene.modalities:
             return None
-        if self.run is not None:
-            return UncertaintyMeter.of_run(self.run, self.scene)
+        if self.marks is not None:
+            return self.marks.meter.uncertainty
         render, temperature = self.baked.render, self.baked.temperature
         return UncertaintyMeter.of(render, ideal_cameras, self.scene, temperature, Survey())
 

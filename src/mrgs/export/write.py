@@ -169,7 +169,8 @@ def _job(
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
-    if run is not None and (marks := open_marks(run, scene)).marks.marks:
-        baked = marks.meter.regions(marks.marks).of_splats(baked)
+    marks = None if run is None else open_marks(run, scene)
+    if marks is not None and (known := marks.marks).marks:
+        baked = marks.meter.regions(known).of_splats(baked)
     facts = facts_of(baked, scene, up, loss)
-    return ExportJob(baked, scene, folder, scale, up, facts, run, loss, palette, limits_c, maps)
+    return ExportJob(baked, scene, folder, scale, up, facts, marks, loss, palette, limits_c, maps)

@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw
 
-from mrgs.marks import MarkReading, open_marks
+from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
 from mrgs.marks.moisture import temperature_factor
 from mrgs.marks.regions import Regions
+from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.tables import DASH, size_text, total_uncertainty, value_text
 from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty import Uncertainty
@@ -24,7 +25,6 @@ from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
-from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
 from mrgs.survey import Survey
 
@@ -106,11 +106,13 @@ class ShownMarks(NamedTuple):
 
     Attributes:
         marks: in their order.
+        places: the marks themselves.
         assumptions: for surfaces with an emissivity of their own.
         doubts: what was assumed of the uncertainty.
     """
 
     marks: list[ShownMark]
+    places: tuple[Mark, ...] = ()
     assumptions: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
@@ -118,11 +120,11 @@ class ShownMarks(NamedTuple):
 SHOWN_PARTS = tuple(PART_NAMES.values())
 
 
-def show_marks(run: Run, scene: Scene, survey: Survey) -> ShownMarks:
+def show_marks(marks: RunMarks, scene: Scene, survey: Survey) -> ShownMarks:
     """The marks of a run.
 
     Args:
-        run: that measures them.
+        marks: of the run.
         scene: with the photos.
         survey: the air inside and outside, for the temperature factor.
 
@@ -130,7 +132,6 @@ def show_marks(run: Run, scene: Scene, survey: Survey) -> ShownMarks:
         RunError: ``marks.json`` holds the marks of another model.
         SceneError: a photo cannot be read.
     """
-    marks = open_marks(run, scene)
     known = marks.marks
     if not len(known):
         return ShownMarks([])
@@ -138,7 +139,7 @@ def show_marks(run: Run, scene: Scene, survey: Survey) -> ShownMarks:
     readings = marks.meter.measure(known, regions)
     shown = [_shown(reading, known.reference, regions, scene, survey) for reading in readings]
     doubts = () if marks.meter.uncertainty is None else marks.meter.uncertainty.notes
-    return ShownMarks(shown, marks.meter.capture.notes if regions else (), doubts)
+    return ShownMarks(shown, known.marks, marks.meter.capture.notes if regions else (), doubts)
 
 
 def _shown(

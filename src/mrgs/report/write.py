@@ -99,8 +99,8 @@ def write_report(
     named = find_named_spots(run, scene) if has_thermal else {}
     begin(1)
     spots = show_spots(named, run, scene) if named else None
-    shown = show_marks(run, scene, survey)
-    plan = draw_plan(scene, open_marks(run, scene).marks.marks) if shown.marks else None
+    shown = show_marks(open_marks(run, scene), scene, survey)
+    plan = draw_plan(scene, shown.places) if shown.marks else None
     begin(2)
     return write_html(
         path,

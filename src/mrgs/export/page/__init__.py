@@ -16,7 +16,7 @@ __all__ = ["export", "write_page"]
 def export(job: ExportJob) -> list[Path]:
     """Write ``page.html`` into the job's folder; returns its path."""
     views = [*job.scene.eval, *job.scene.train]
-    marks, assumptions = ([], ()) if job.run is None else page_marks(job.run, job.scene)
+    marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
     path = write_page(
         job.baked,
         {view.name: view.camera for view in views},

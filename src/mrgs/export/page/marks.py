@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-from mrgs.marks import open_marks
 from mrgs.marks.mark import Place
+from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.texts import label_text, mark_text
-from mrgs.runs.open import Run
-from mrgs.scene import Scene
 
 PageMark: TypeAlias = dict[str, Any]
 """``MarkText``, with the places of the mark and its label in the picture."""
 
 
-def page_marks(run: Run, scene: Scene) -> tuple[list[PageMark], tuple[str, ...]]:
+def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
     """The marks of a run, and what was assumed for surfaces with an emissivity of their own.
 
     Raises:
         RunError: ``marks.json`` holds the marks of another model.
     """
-    marks = open_marks(run, scene)
-    known = marks.marks
+    known, temperature = marks.marks, marks.run.temperature
     if not len(known):
         return [], ()
     shown = []
@@ -29,12 +26,12 @@ def page_marks(run: Run, scene: Scene) -> tuple[list[PageMark], tuple[str, ...]]
         mark = reading.mark
         shown.append(
             {
-                **mark_text(reading, known.reference, run.temperature, marks.world),
+                **mark_text(reading, known.reference, temperature, marks.world),
                 "points": [_rounded(point) for point in mark.points],
                 "closed": mark.is_area,
                 "lowAt": list(reading.low_at) or None,
                 "highAt": list(reading.high_at) or None,
-                "label": label_text(reading, run.temperature),
+                "label": label_text(reading, temperature),
             }
         )
     has_own = any(mark.has_settings for mark in known.marks)
