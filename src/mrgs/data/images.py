@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 from PIL import Image
 from torch import Tensor
 
@@ -110,6 +110,18 @@ def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Te
     if values.shape[2] not in (1, channels):
         raise ValueError(f"has {values.shape[2]} channels where {channels} are expected")
     return values.expand(-1, -1, channels)
+
+
+def eight_bit_levels(values: Float32[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"] | None:
+    """The 8-bit levels of which ``decode`` made these values; None if any of them is none of
+    theirs."""
+    levels = (values * 255).round_().clamp_(0, 255)
+    return levels.to(torch.uint8) if torch.equal(levels / 255, values) else None
+
+
+def of_eight_bit_levels(levels: UInt8[Tensor, "*shape"]) -> Float32[Tensor, "*shape"]:
+    """What ``decode`` makes of 8-bit levels."""
+    return levels.to(torch.float32) / 255
 
 
 def decode_mask(path: Path) -> Bool[Tensor, "h w"]:

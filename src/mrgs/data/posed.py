@@ -11,7 +11,14 @@ from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
 from mrgs.data.files import scene_error
-from mrgs.data.images import ImageInfo, decode, decode_mask, probe, with_channels
+from mrgs.data.images import (
+    ImageInfo,
+    decode,
+    decode_mask,
+    eight_bit_levels,
+    probe,
+    with_channels,
+)
 from mrgs.data.lens import Lens
 from mrgs.data.sources import ImageSource
 from mrgs.data.undistort import pinhole_of, resize, undistort
@@ -116,14 +123,9 @@ def _load(
         valid = mask if valid is None else valid & mask
     values, valid = undistort(values, valid, source.lens)
     values, valid = resize(values, valid, width, height)
-    if keeps_levels and values is not decoded and _has_eight_bits(decoded):
+    if keeps_levels and values is not decoded and eight_bit_levels(decoded) is not None:
         values = (values * 255).round_() / 255
     return Pixels(values.contiguous(), valid)
-
-
-def _has_eight_bits(values: Float32[Tensor, "h w c"]) -> bool:
-    """Whether all values are multiples of 1 / 255, as ``decode`` makes them of 8 bits."""
-    return torch.equal((values * 255).round_() / 255, values)
 
 
 def _check_size(size: tuple[int, int], lens: Lens, path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from mrgs.data.images import eight_bit_levels, of_eight_bit_levels
 from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, Scene
 from mrgs.system.memory import free_memory
 
@@ -17,8 +18,6 @@ SHARE_OF_FREE_MEMORY = 0.4
 """Of what is free when the training starts; the Gaussians and a step need the rest."""
 
 LIMIT_IF_UNKNOWN = 2 * 2**30
-
-_EIGHT_BIT = 255.0
 
 
 class PhotoSource(Protocol):
@@ -107,9 +106,9 @@ class _Stored(NamedTuple):
     def of(cls, pixels: Pixels, exact: bool) -> _Stored:
         """From the pixels; ``exact`` keeps the values as they are."""
         if not exact:
-            levels = (pixels.values * _EIGHT_BIT).round_().clamp_(0, _EIGHT_BIT)
-            if torch.equal(levels / _EIGHT_BIT, pixels.values):
-                return cls(levels.to(torch.uint8), pixels.valid)
+            levels = eight_bit_levels(pixels.values)
+            if levels is not None:
+                return cls(levels, pixels.valid)
         return cls(pixels.values, pixels.valid)
 
     @property
@@ -118,7 +117,7 @@ class _Stored(NamedTuple):
 
     def pixels(self) -> Pixels:
         if self.values.dtype == torch.uint8:
-            return Pixels(self.values.to(torch.float32) / _EIGHT_BIT, self.valid)
+            return Pixels(of_eight_bit_levels(self.values), self.valid)
         return Pixels(self.values, self.valid)
 
 
