@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 from mrgs.comparison.methods import Variant, configure, from_text, read_config, to_text, train_run
-from mrgs.comparison.single import flat
 from mrgs.errors import ConfigError
+from mrgs.system.strict_yaml import flat
 from mrgs.training.run_folder import RunFolder
 from tests.helpers.comparison import tiny_options
 
@@ -12,8 +14,8 @@ from tests.helpers.comparison import tiny_options
 def changes(variant, options):
     """What a variant's configuration has of its own, against the method's."""
     usual, other = (
-        flat(configure(Variant("", variant.method), options, 4)),
-        flat(configure(variant, options, 4)),
+        flat(asdict(configure(Variant("", variant.method), options, 4))),
+        flat(asdict(configure(variant, options, 4))),
     )
     assert usual["seed"] == other["seed"] == 4
     return {name: other[name] for name in usual if usual[name] != other[name]}

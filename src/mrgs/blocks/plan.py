@@ -24,6 +24,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.render import Model
 from mrgs.scene import Scene
 from mrgs.system.atomic import write_text
+from mrgs.system.strict_yaml import flat
 
 FORMAT = 1
 
@@ -109,9 +110,9 @@ class BlockPlan:
             "scene": scene.path,
             "blocks": options.blocks,
             "overlap": options.overlap,
-            **_flat(_plain(asdict(config))),
+            **flat(config_values(config)),
         }
-        found = {"scene": self.scene, **self.options._asdict(), **_flat(self.config)}
+        found = {"scene": self.scene, **self.options._asdict(), **flat(self.config)}
         other = [name for name in wanted if found.get(name) != wanted[name]]
         views = max((view for each in self.cells for view in each.views), default=-1)
         if not other and views >= len(scene.train):
@@ -200,7 +201,7 @@ def read_plan(path: Path) -> BlockPlan | None:
 
 def config_values(config: TrainConfig) -> Mapping[str, Any]:
     """A configuration as JSON gives it back."""
-    values: Mapping[str, Any] = _plain(asdict(config))
+    values: Mapping[str, Any] = json.loads(json.dumps(asdict(config)))
     return values
 
 
@@ -225,18 +226,3 @@ def _from_json(content: Any) -> BlockPlan:
 
 def _first_view(cell: PlannedBlock) -> int:
     return min(cell.views, default=-1)
-
-
-def _plain(values: Any) -> Any:
-    return json.loads(json.dumps(values))
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The entries of nested mappings by their dotted names."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = value
-    return found

@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mrgs.comparison.methods import OnStep, device_of, read_config, train_run
 from mrgs.errors import ConfigError
@@ -14,6 +14,7 @@ from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.figures import REPORTED, figure_names
 from mrgs.runs.open import open_run
 from mrgs.system.gpu import DeviceName
+from mrgs.system.strict_yaml import first_difference, flat
 from mrgs.training.run_folder import RunConfig, RunFolder
 
 
@@ -86,26 +87,13 @@ def require_same_config(folder: Path, config: RunConfig) -> None:
     run = RunFolder(folder)
     if not run.config_file.exists() or not (run.checkpoints() or read_metrics(folder / "eval")):
         return
-    there, here = flat(read_config(run)), flat(config)
-    for name in [*here, *there]:
-        if there.get(name) != here.get(name):
-            raise ConfigError(
-                f"{folder} holds a run with another configuration ({name} is {there.get(name)} "
-                f"there and {here.get(name)} here): choose another folder, or remove this one",
-                options=("output",),
-            )
-
-
-def flat(config: Any) -> dict[str, Any]:
-    """The fields of nested dataclasses by their dotted names."""
-    values: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            values |= {f"{field.name}.{name}": inner for name, inner in flat(value).items()}
-        else:
-            values[field.name] = value
-    return values
+    there, here = (flat(dataclasses.asdict(cast(Any, each))) for each in (read_config(run), config))
+    if (name := first_difference(here, there)) is not None:
+        raise ConfigError(
+            f"{folder} holds a run with another configuration ({name} is {there.get(name)} "
+            f"there and {here.get(name)} here): choose another folder, or remove this one",
+            options=("output",),
+        )
 
 
 def _is_trained(folder: Path, config: RunConfig) -> bool:

@@ -6,6 +6,7 @@ import dataclasses
 import sys
 import types
 import typing
+from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, get_args
 
 import yaml
@@ -19,6 +20,26 @@ Config = TypeVar("Config")
 def write_yaml(config: Any) -> str:
     """A dataclass as YAML, every field written out."""
     return yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The entries of nested mappings, such as ``dataclasses.asdict`` gives, by their dotted
+    names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found
+
+
+def first_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str | None:
+    """The name under which two flat mappings differ first; None if they do not."""
+    for name in [*first, *second]:
+        if first.get(name) != second.get(name):
+            return name
+    return None
 
 
 def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = None) -> Config:

@@ -20,7 +20,7 @@ from mrgs.method.config import TrainConfig, to_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.scene import Scene
-from mrgs.system.strict_yaml import parse_yaml
+from mrgs.system.strict_yaml import first_difference, flat, parse_yaml
 from mrgs.training import checkpoint
 from mrgs.training.facts import CheckpointFacts, differences
 from mrgs.training.run_folder import RunConfig, RunFolder
@@ -113,7 +113,7 @@ class Peers:
         problem = None
         if first != own:
             problem = f"{self._name} is mrgs {own}, the first one is {first}: install one version"
-        elif not resume and (other := _first_difference(parse_yaml(text, ""), config)):
+        elif not resume and (other := self._other_value(text, config)):
             problem = (
                 f"{self._name} was started with another configuration than the first one "
                 f"({other}): run the same command everywhere"
@@ -123,6 +123,12 @@ class Peers:
             self._require_enough_views(config)
             return folder, resume
         return FollowedRun(folder.path, text), resume
+
+    def _other_value(self, text: str, config: TrainConfig) -> str:
+        """The first value in which this process differs from the first one; empty if none does."""
+        theirs, ours = (flat(parse_yaml(each, "")) for each in (text, to_yaml(config)))
+        name = first_difference(theirs, ours)
+        return "" if name is None else f"{name}: {ours.get(name)}, not {theirs.get(name)}"
 
     def _require_enough_views(self, config: TrainConfig) -> None:
         if config.batch < self.processes.count:
@@ -163,21 +169,3 @@ class Peers:
             tensors, facts, header, path, config, self._device, self._strategy, self._terms
         )
         return state, facts
-
-
-def _first_difference(first: Any, own: TrainConfig) -> str:
-    """The first value in which a configuration differs from another one; empty if none does."""
-    theirs, ours = (dict(_flat(each)) for each in (first, parse_yaml(to_yaml(own), "")))
-    for name in [*theirs, *ours]:
-        if theirs.get(name) != ours.get(name):
-            return f"{name}: {ours.get(name)}, not {theirs.get(name)}"
-    return ""
-
-
-def _flat(values: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The entries of nested mappings by their dotted names."""
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
