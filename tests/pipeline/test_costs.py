@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.pipeline.computer import Computer, measure_computer, usable_cores
+from mrgs.pipeline.computer import Computer, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.plan import disk_bytes, memory_bytes, planned_seconds
 from mrgs.pipeline.quality import QUALITIES
 from mrgs.scene import RGB, THERMAL
+from mrgs.system.threads import available_cores
 
 PHOTOS = Intake(
     Path("photos"), "photos", 24, 3, {RGB: (1014, 760), THERMAL: (640, 480)}, "", False, None, 10**7
@@ -89,7 +90,7 @@ def test_time_on_a_computer():
 
 def test_this_computer_is_measured():
     found = measure_computer()
-    assert found.cores == usable_cores()
+    assert found.cores == available_cores()
     assert 0 < found.share <= found.cores
     assert found.speed > 0
 

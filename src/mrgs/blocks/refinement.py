@@ -98,10 +98,7 @@ class Refinement:
     def _initial_state(
         self, strategy: Strategy, scene: Scene, config: TrainConfig, device: torch.device
     ) -> TrainingState:
-        gaussians = self.start.model.gaussians
-        chosen = gaussians.with_tensors(
-            {name: each.detach()[self.rows].clone() for name, each in gaussians.tensors().items()}
-        )
+        chosen = self.start.model.gaussians.rows(self.rows)
         model = Model(chosen, self.start.model.field, neighbours=None, sh_degree=0).to(device)
         terms = configured_terms(config, (), chosen.modalities)
         generator = torch.Generator().manual_seed(config.seed)

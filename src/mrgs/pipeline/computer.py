@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 import torch
 
 from mrgs.system.memory import free_memory
+from mrgs.system.threads import available_cores
 
 REFERENCE_UNIT_S = 0.0018
 """Processor time of a probe's unit on the computer that the costs were measured on: a core of an
@@ -51,7 +51,7 @@ class Computer:
 
 def measure_computer() -> Computer:
     """Measure this computer for a second, beside whatever else runs on it."""
-    cores = usable_cores()
+    cores = available_cores()
     left = torch.linspace(-1, 1, _SIZE * _SIZE).reshape(_SIZE, _SIZE)
     indices = torch.arange(_SIZE * _SIZE).flip(0)
     _work(left, indices)
@@ -69,11 +69,6 @@ def _work(left: torch.Tensor, indices: torch.Tensor) -> None:
     product = left @ left
     values = torch.exp(-product.abs()).reshape(-1)
     torch.zeros_like(values).index_add_(0, indices, values)
-
-
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def free_disk(folder: Path) -> int:

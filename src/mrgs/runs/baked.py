@@ -143,12 +143,14 @@ class BakedModel:
             )
             if surface is None:
                 return blends
-            return Rendering(dict(blends), {surface: self._median_depth(surface, cameras[surface])})
+            return Rendering(dict(blends), {surface: self.median_depth(surface, cameras[surface])})
 
-    def _median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
+    def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
+        """The z-depth at which half of a modality's light is blocked; NaN where less is."""
+        K, viewmat, _ = camera.tensors(self.means.device)
         return median_depth(
             self.means, self.quats, self.scales, self.opacities[modality],
-            camera.viewmat, camera.K, camera.width, camera.height,
+            viewmat, K, camera.width, camera.height,
         )  # fmt: skip
 
     def blend(

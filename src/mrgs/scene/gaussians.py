@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.scene.modality import Modality, known_modalities
@@ -71,6 +71,12 @@ class Gaussians:
         """Copies on a device, without gradients."""
         return self.with_tensors(
             {name: tensor.detach().to(device) for name, tensor in self.tensors().items()}
+        )
+
+    def rows(self, rows: Int64[Tensor, " k"]) -> Gaussians:
+        """Copies of some Gaussians, in this order, without gradients."""
+        return self.with_tensors(
+            {name: tensor.detach()[rows] for name, tensor in self.tensors().items()}
         )
 
     def tensors(self) -> dict[str, Tensor]:

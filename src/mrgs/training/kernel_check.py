@@ -129,11 +129,9 @@ def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> 
         rows = torch.arange(len(model.gaussians), device=model.gaussians.means.device)
     count = min(SAMPLED_GAUSSIANS, len(rows))
     rows = rows[torch.arange(count, device=rows.device) * len(rows) // max(count, 1)]
-    copies = {
-        name: tensor.detach().index_select(0, rows).requires_grad_()
-        for name, tensor in model.gaussians.tensors().items()
-    }
-    gaussians = model.gaussians.with_tensors(copies)
+    gaussians = model.gaussians.rows(rows)
+    for tensor in gaussians.tensors().values():
+        tensor.requires_grad_()
     k = model.field.config.neighbours_k
     return replace(
         model,

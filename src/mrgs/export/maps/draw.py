@@ -18,9 +18,8 @@ from mrgs.export.maps.photos import (
 )
 from mrgs.export.splats import to_float32
 from mrgs.marks.uncertainty import UncertaintyMeter
-from mrgs.rasterizer import median_depth
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene
+from mrgs.scene import RGB, THERMAL, Camera, Scene
 from mrgs.scene.depth_map import DepthMap
 
 MAX_PIXELS = 50_000_000
@@ -127,7 +126,8 @@ def _draw_part(
     colors, points = (np.full(shape, np.nan, np.float32) for shape in ((3, *size), (*size, 3)))
     if not len(splats):
         return colors, points
-    depth = _opaque_depth(splats, camera, scene.modalities[0])
+    # The mean would lose digits from as far away as a map's camera stands.
+    depth = to_float32(splats.median_depth(scene.modalities[0], camera))
     surface = np.isfinite(depth)
     points[surface] = unprojected(camera, depth)[surface]
     if RGB in scene.modalities:
@@ -136,18 +136,3 @@ def _draw_part(
         opaque = blend.image / blend.alpha.clamp_min(0.5)[..., None]
         colors[:, surface] = 255 * to_float32(opaque).clip(0, 1)[surface].T
     return colors, points
-
-
-def _opaque_depth(
-    splats: BakedModel, camera: Camera, modality: Modality
-) -> Float32[np.ndarray, "h w"]:
-    """Median z-depth (scene units) of a modality's surface; NaN where none is seen, [H, W].
-
-    The mean would lose digits from as far away as a map's camera stands.
-    """
-    K, viewmat, _ = camera.tensors(splats.means.device)
-    depth = median_depth(
-        splats.means, splats.quats, splats.scales, splats.opacities[modality],
-        viewmat, K, camera.width, camera.height,
-    )  # fmt: skip
-    return to_float32(depth)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.photo_gain import SAME_PLACE, Viewpoint, viewpoint_distances
+from mrgs.method.camera_model.photo_gain import Viewpoint, only_one_at, viewpoint_distances
 
 PARTS = 4
 """A photo is divided into so many parts across and down."""
@@ -57,9 +57,8 @@ class PhotoDrift(nn.Module):
     def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
         """The offset of the photo taken there; 0, which is the mean, for any other place: a drift
         depends on the time, not on the place."""
-        apart = viewpoint_distances([viewpoint], self._viewpoints)[0]
-        same = (apart < SAME_PLACE).nonzero()[:, 0]
-        return self.offsets()[same[0]] if len(same) == 1 else torch.zeros_like(self.residuals[0])
+        same = only_one_at(viewpoint_distances([viewpoint], self._viewpoints)[0])
+        return torch.zeros_like(self.residuals[0]) if same is None else self.offsets()[same]
 
     def offsets(self) -> Float[Tensor, " p"]:
         """Of all photos, normalised."""

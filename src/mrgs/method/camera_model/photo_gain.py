@@ -113,9 +113,8 @@ def expected_gains(
             that photo's gain.
     """
     distances = viewpoint_distances([viewpoint], viewpoints)
-    same = (distances[0] < SAME_PLACE).nonzero()[:, 0]
-    if len(same) == 1:
-        return gains[same[0]]
+    if (same := only_one_at(distances[0])) is not None:
+        return gains[same]
     if len(viewpoints) <= NEAREST:
         return torch.zeros_like(gains[0])
     predicted = _nearest_means(
@@ -124,6 +123,13 @@ def expected_gains(
     square = predicted.square().sum(dim=0)
     trust = torch.where(square > 0, (predicted * gains).sum(dim=0) / square, 0.0).clamp(0, 1)
     return trust * _nearest_means(gains, distances)[0]
+
+
+def only_one_at(distances: Float[Tensor, " v"]) -> int | None:
+    """The photo that was taken at a viewpoint, by the distances of all photos from it; None if
+    there is none, or several."""
+    same = (distances < SAME_PLACE).nonzero()[:, 0]
+    return int(same[0]) if len(same) == 1 else None
 
 
 def _nearest_means(

@@ -200,14 +200,14 @@ def densify(
     chosen = _within_budget(gradients, config, len(gaussians))
     is_large = sizes > config.clone_below * extent
     cloned, split = (chosen & ~is_large).nonzero()[:, 0], (chosen & is_large).nonzero()[:, 0]
-    added = _concatenate(_rows(gaussians, cloned), _split(_rows(gaussians, split), generator))
+    added = _concatenate(gaussians.rows(cloned), _split(gaussians.rows(split), generator))
     survives = ~_is_superfluous(gaussians, config, extent, prunes_large)
     added_survives = ~_is_superfluous(added, config, extent, prunes_large)
     pruned = int((~survives).sum() + (~added_survives).sum())
     survives[split] = False
     return RowChange(
         keep=survives.nonzero()[:, 0],
-        added=_rows(added, added_survives.nonzero()[:, 0]),
+        added=added.rows(added_survives.nonzero()[:, 0]),
         counts=DensificationCounts(len(cloned), len(split), pruned),
     )
 
@@ -266,12 +266,6 @@ def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float
     w, r = unit[:, :1], unit[:, 1:]
     crossed = torch.linalg.cross(r, vectors)
     return vectors + 2 * (w * crossed + torch.linalg.cross(r, crossed))
-
-
-def _rows(gaussians: Gaussians, rows: Int64[Tensor, " k"]) -> Gaussians:
-    return gaussians.with_tensors(
-        {name: tensor.detach()[rows] for name, tensor in gaussians.tensors().items()}
-    )
 
 
 def _concatenate(first: Gaussians, second: Gaussians) -> Gaussians:

@@ -6,7 +6,8 @@ import statistics
 
 import pycolmap
 
-from mrgs.prepare.colmap.job import ReconstructionJob, Report, threads
+from mrgs.prepare.colmap.job import ReconstructionJob, Report
+from mrgs.system.threads import available_cores
 
 CAMERA = 1
 """Number of the camera in the database."""
@@ -32,7 +33,7 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
     report("features", done, total)
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
-    options.num_threads = min(threads(), MAX_THREADS)
+    options.num_threads = min(available_cores(), MAX_THREADS)
     options.max_image_size = MAX_IMAGE_SIDE_PX
     options.sift.max_num_features = MAX_FEATURES
     if job.faint:  # few features, so each must be found again from afar: slower, and worth it

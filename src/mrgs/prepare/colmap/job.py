@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,8 +47,3 @@ def read_job(folder: Path) -> ReconstructionJob:
     content = json.loads((folder / JOB_FILE).read_text(encoding="utf-8"))
     files = tuple(image["file"] for image in content["images"])
     return ReconstructionJob(folder, files, content["stretch"])
-
-
-def threads() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
