@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
@@ -12,6 +11,7 @@ from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.config import MAX_DEGREE, TrainConfig
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import THERMAL, Modality, Scene
+from mrgs.system.memory import peak_resident
 from mrgs.training.photos import kept_bytes, kept_limit
 
 Result = TypeVar("Result")
@@ -97,12 +97,7 @@ def peak_memory_bytes(device: torch.device | None = None) -> int:
     if not known."""
     if device is not None and device.type == "cuda":
         return torch.cuda.max_memory_allocated(device)
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
+    return peak_resident()
 
 
 def retried_when_full(action: Callable[[], Result], undo: Callable[[], None]) -> Result:
