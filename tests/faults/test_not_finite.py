@@ -48,9 +48,22 @@ def inject(
     monkeypatch.setattr(module, "training_step", training_step)
 
 
-def saved(run: Path) -> list[int]:
+@pytest.fixture
+def at_5(gaussians_run: RunFolder) -> RunFolder:
+    """The run of Gaussians as it was after step 5; to fit a model again would take a second."""
+    gaussians_run.newest_checkpoint().unlink()
+    assert saved(gaussians_run) == [5]
+    return gaussians_run
+
+
+def go_on(scene: Path, run: RunFolder) -> None:
+    """Train to step 10."""
+    train(scene, run.path, GAUSSIANS, resume=True)
+
+
+def saved(run: RunFolder) -> list[int]:
     """Steps of the checkpoints, all of whose tensors are finite."""
-    paths = RunFolder(run).checkpoints()
+    paths = run.checkpoints()
     for path in paths:
         assert [
             name
@@ -76,25 +89,24 @@ def saved(run: Path) -> list[int]:
         ("strategy.gradient_sum", math.nan),
     ],
 )
-def test_gaussians(name, value, small_scene, tmp_path, monkeypatch):
+def test_gaussians(name, value, small_scene, at_5, monkeypatch):
     where = lambda state, *rest: tensors_of(state)  # noqa: E731
     inject(monkeypatch, trainer, where, name, value, name.endswith("weight"))
-    run = tmp_path / "run"
     with pytest.raises(TrainingError) as caught:
-        train(small_scene, run, GAUSSIANS)
-    assert f"the last good checkpoint is {run}/checkpoints/step_000005" in str(caught.value)
+        go_on(small_scene, at_5)
+    assert f"the last good checkpoint is {at_5.checkpoint_file(5)}" in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert saved(run) == [5]
+    assert saved(at_5) == [5]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_photos(value, small_scene, tmp_path, monkeypatch):
+def test_photos(value, small_scene, at_5, monkeypatch):
     def where(state, views, *rest):
         return {modality.name: pixels.values for modality, pixels in views[0].photos.items()}
 
     inject(monkeypatch, trainer, where, "thermal", value, False)
-    train(small_scene, tmp_path / "run", GAUSSIANS)  # the step is skipped, and no other has it
-    assert saved(tmp_path / "run") == [5, 10]
+    go_on(small_scene, at_5)  # the step is skipped, and no other has it
+    assert saved(at_5) == [5, 10]
 
 
 @pytest.mark.parametrize(
@@ -112,23 +124,23 @@ def test_radiance_fields(name, value, small_scene, tmp_path, monkeypatch):
     inject(monkeypatch, nerf_trainer, where, name, value, True)
     with pytest.raises(TrainingError, match=r"the last good checkpoint is .*step_000005"):
         train_thermonerf(small_scene, tmp_path / "run", NERF)
-    assert saved(tmp_path / "run") == [5]
+    assert saved(RunFolder(tmp_path / "run")) == [5]
 
 
-def test_what_shows_in_no_gradient_is_found_before_it_is_saved(small_scene, tmp_path, monkeypatch):
+def test_what_shows_in_no_gradient_is_found_before_it_is_saved(small_scene, at_5, monkeypatch):
     """A moment of infinity stops its parameter, and the loss stays finite."""
     name = "gaussians.adam.means.exp_avg_sq"
     inject(monkeypatch, trainer, lambda state, *_: tensors_of(state), name, math.inf, True)
     with pytest.raises(NotFiniteError) as caught:
-        train(small_scene, tmp_path / "run", GAUSSIANS)
-    kept = tmp_path / "run/checkpoints/step_000005.safetensors"
+        go_on(small_scene, at_5)
     assert str(caught.value) == (
         f"{name} holds values that are not finite after step 10; the last good checkpoint is "
-        f"{kept}. Resume with a smaller learning rate, or check the scene's poses and images"
+        f"{at_5.checkpoint_file(5)}. Resume with a smaller learning rate, or check the scene's "
+        "poses and images"
     )
 
 
-def test_gradients_whose_squares_overflow_are_skipped(small_scene, tmp_path, monkeypatch):
+def test_gradients_whose_squares_overflow_are_skipped(small_scene, at_5, monkeypatch):
     """Adam would keep an infinite square for good."""
 
     def training_step(state, *rest):
@@ -140,6 +152,6 @@ def test_gradients_whose_squares_overflow_are_skipped(small_scene, tmp_path, mon
 
     original = trainer.training_step
     monkeypatch.setattr(trainer, "training_step", training_step)
-    folder = train(small_scene, tmp_path / "run", GAUSSIANS)
-    assert '"step": 9, "skipped"' in folder.log_file.read_text()
-    assert saved(folder.path) == [5, 10]
+    go_on(small_scene, at_5)
+    assert '"step": 9, "skipped"' in at_5.log_file.read_text()
+    assert saved(at_5) == [5, 10]
