@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def main() -> int:
             continue
         began = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="mrgs-faults-") as folder:
-            tally = attack(Path(folder))
+            tally = _tried(attack, Path(folder))
         rows.append((title, tally, time.monotonic() - began))
         print(f"{title}: {tally.tried} tried, {len(tally.failures)} failed", flush=True)
         for failure in tally.failures:
@@ -90,6 +91,15 @@ def main() -> int:
         counts = f"{tally.tried:,} | {tally.tried - failed:,} | {failed:,} | {seconds / 60:.1f}"
         print(f"| {title} | {counts} | {tally.figure} |")
     return int(any(tally.failures for _, tally, _ in rows))
+
+
+def _tried(attack: Attack, folder: Path) -> Tally:
+    """What an attack finds; one that fails itself must not end the others."""
+    try:
+        return attack(folder)
+    except Exception as error:
+        traceback.print_exc()
+        return Tally(1, [f"the attack itself: {error!r}"])
 
 
 def _full_disks(folder: Path) -> Tally:
@@ -110,7 +120,9 @@ def _pytest(path: Path) -> Tally:
     )  # fmt: skip
     passed = re.search(r"(\d+) passed", found.stdout)
     failures = re.findall(r"^(?:FAILED|ERROR) (.*)$", found.stdout, re.MULTILINE)
-    return Tally(int(passed[1]) if passed else len(failures), failures)
+    if found.returncode != 0 and not failures:
+        failures = [f"pytest ended with status {found.returncode}: {found.stdout[-200:]!r}"]
+    return Tally((int(passed[1]) if passed else 0) + len(failures), failures)
 
 
 if __name__ == "__main__":

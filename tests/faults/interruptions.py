@@ -31,7 +31,7 @@ def trainings(folder: Path, signals: Sequence[str]) -> Tally:
         output = folder / f"train_{name}_{len(list(folder.iterdir()))}"
         process = start("train", scene, "--output", output, *SMALL, *STEPS)
         wait_until(lambda output=output: logged_step(output) >= 10, process)
-        os.kill(process.pid, getattr(signal, f"SIG{name}"))
+        process.send_signal(getattr(signal, f"SIG{name}"))
         found = ended(process)
         saved = list((output / "checkpoints").glob("step_*"))
         expected = 128 + getattr(signal, f"SIG{name}")
@@ -40,16 +40,18 @@ def trainings(folder: Path, signals: Sequence[str]) -> Tally:
     return tally
 
 
-def imports(folder: Path, delays_s: Sequence[float]) -> Tally:
-    """Ctrl-C while the program is loaded is one line."""
+def imports(folder: Path, moments_s: Sequence[float]) -> Tally:
+    """Ctrl-C while the program is loaded, after some processor seconds, is one line."""
     tally, scene = Tally(), small_scene(folder / "scene")
-    for delay in delays_s:
-        process = start("train", scene, "--output", folder / "early", *SMALL, *STEPS)
-        time.sleep(delay)
+    for moment in moments_s:
+        output = folder / f"after {moment} s"
+        process = start("train", scene, "--output", output, *SMALL, *STEPS)
+        wait_until(lambda moment=moment, at=process.pid: _processor_s(at) >= moment, process)
         process.send_signal(signal.SIGINT)
         found = ended(process)
         holds = found.is_clean and found.status == 130
-        tally.judge(f"Ctrl-C after {delay} s", holds and "mrgs: stopped" in found.err, found)
+        said = "mrgs: stopped" in found.err or "resume with" in found.out
+        tally.judge(f"Ctrl-C after {moment} s", holds and said, found)
     return tally
 
 
@@ -65,7 +67,7 @@ def comparisons(folder: Path, signals: Sequence[str]) -> Tally:
             return any(logged_step(path.parent) >= 10 for path in output.rglob("log.jsonl"))
 
         wait_until(is_training, process)
-        os.kill(process.pid, getattr(signal, f"SIG{name}"))
+        process.send_signal(getattr(signal, f"SIG{name}"))
         found = ended(process)
         end = time.monotonic() + 60
         while (left := _processes_of(output)) and time.monotonic() < end:
@@ -85,7 +87,7 @@ def preparations(folder: Path, delays_s: Sequence[float], number: int = signal.S
         process = start("prepare", options[0], made, *options[1:])
         wait_until(lambda made=made: made.exists(), process)
         time.sleep(delay)
-        os.kill(process.pid, number)
+        process.send_signal(number)
         first, again = ended(process), run("prepare", options[0], made, *options[1:])
         left = [path.name for path in made.rglob(".mrgs-*")]
         holds = again.status == 0 and not left and (first.is_clean or number == signal.SIGKILL)
@@ -125,3 +127,9 @@ def _processes_of(folder: Path) -> list[str]:
         if b"mrgs.comparison.child" in command and os.fsencode(folder) in command:
             found.append(path.parent.name)
     return found
+
+
+def _processor_s(pid: int) -> float:
+    """Processor time that a process has taken, which does not depend on what else is running."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

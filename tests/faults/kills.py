@@ -10,14 +10,20 @@ import sys
 import time
 from pathlib import Path
 
-import torch
-from safetensors.torch import load_file
-
 from mrgs.system.atomic import remove_abandoned
-from tests.faults.program import SMALL, environment, run, small_scene, start, wait_until
+from tests.faults.program import (
+    SMALL,
+    ended,
+    environment,
+    is_run_left_alone,
+    newest_step,
+    small_scene,
+    start,
+    stopped_after_saving,
+    wait_until,
+)
 from tests.faults.tally import Tally
 
-STEPS = 60
 SAVE_OFTEN = "checkpoint_every: 3\n"
 
 WRITE = """
@@ -34,27 +40,26 @@ with replacing(Path(sys.argv[1])) as temporary:
 
 
 def trainings(folder: Path, count: int, seed: int = 0) -> Tally:
-    """A training that is killed again and again ends like one that is not."""
+    """A training that is killed again and again is, bit by bit, one that is left alone."""
     tally, scene, rng = Tally(), small_scene(folder / "scene"), random.Random(seed)
-    config = folder / "often.yaml"
+    config, output = folder / "often.yaml", folder / "killed"
     config.write_text(SAVE_OFTEN)
-    options = (*SMALL, "--max-steps", STEPS, "--config", config)
-    run("train", scene, "--output", folder / "whole", *options)
-    output = folder / "killed"
+    options = ("train", scene, *SMALL, "--max-steps", 100_000, "--config", config)
+    resume = ("train", scene, "--resume", "--output", output)
     for number in range(count):
-        saved = list((output / "checkpoints").glob("step_*"))
-        going_on = ("--resume",) if saved else options
-        process = start("train", scene, "--output", output, *going_on)
-        wait_until(lambda saved=saved: _newest(output) != _newest_of(saved), process)
+        before = newest_step(output)
+        process = start(*resume) if before else start(*options, "--output", output)
+        wait_until(lambda before=before: newest_step(output) > before, process)
         time.sleep(rng.uniform(0, 0.2))
         process.send_signal(signal.SIGKILL)
-        process.communicate()
-        tally.judge(f"kill {number}", bool(_newest(output)), "no checkpoint is left")
-    run("train", scene, "--output", output, "--resume")
-    ends = [load_file(_newest(path)) for path in (folder / "whole", output)]
-    same = all(torch.equal(ends[0][name], ends[1][name]) for name in ends[0])
-    tally.judge("the same end", same, "tensors differ")
+        found = ended(process)
+        holds = found.status == -signal.SIGKILL and newest_step(output) > before
+        tally.judge(f"kill {number}", holds, f"{found}, no step after {before} was kept")
+    last = stopped_after_saving(start(*resume), output)
+    is_same = is_run_left_alone(output, scene, folder / "whole")
+    tally.judge("the same bits", is_same, f"tensors differ; {last}")
     tally.judge("nothing left", not list(output.rglob(".mrgs-*")), list(output.rglob(".mrgs-*")))
+    tally.figure = f"{newest_step(output):,} steps"
     return tally
 
 
@@ -82,11 +87,3 @@ def _writing(path: Path) -> subprocess.Popen[str]:
     assert process.stdout is not None
     process.stdout.readline()
     return process
-
-
-def _newest(output: Path) -> str:
-    return _newest_of(list((output / "checkpoints").glob("step_*.safetensors")))
-
-
-def _newest_of(saved: list[Path]) -> str:
-    return str(max(saved)) if saved else ""

@@ -6,18 +6,19 @@ import os
 import random
 import re
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
+from typing import Any
 
-import torch
-from safetensors.torch import load_file
-
-from mrgs.method.config import from_yaml
-from mrgs.training import train
-from mrgs.training.run_folder import RunFolder
-from tests.faults.program import ended, environment, small_scene, wait_until
+from tests.faults.program import (
+    Started,
+    ended,
+    is_run_left_alone,
+    newest_step,
+    small_scene,
+    stopped_after_saving,
+    wait_until,
+)
 from tests.faults.tally import Tally
 
 EVERY = 10
@@ -26,19 +27,13 @@ BEYOND_S = 1.0
 """A kill comes this long after a checkpoint at most."""
 
 
-def start_torchrun(
-    count: int, *arguments: object, restarts: int = 0, shell: str = 'exec "$@"'
-) -> subprocess.Popen[str]:
-    """Start the program in several processes by torchrun."""
+def start_torchrun(count: int, *arguments: object, restarts: int = 0, **options: Any) -> Started:
+    """Start the program in several processes by torchrun; the options are those of ``Started``."""
     torchrun = (
         "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}",
         f"--max-restarts={restarts}", "-m", "mrgs",
     )  # fmt: skip
-    return subprocess.Popen(
-        ["sh", "-c", shell, "sh", sys.executable, *torchrun, *map(str, arguments)],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        errors="replace", env=environment(),
-    )  # fmt: skip
+    return Started([*torchrun, *arguments], **options)
 
 
 def kills(folder: Path, count: int, processes: int = 2, seed: int = 0) -> Tally:
@@ -50,24 +45,25 @@ def kills(folder: Path, count: int, processes: int = 2, seed: int = 0) -> Tally:
     arguments = ("train", scene, *options, "--output", output)
     command = start_torchrun(processes, *arguments, restarts=count)
     for number in range(count):
-        before = newest(output)
-        wait_until(lambda before=before: newest(output) > before, command, 600)
+        before = newest_step(output)
+        wait_until(lambda before=before: newest_step(output) > before, command)
         time.sleep(rng.uniform(0, BEYOND_S))
-        workers, saved, rank = workers_of(command.pid), newest(output), rng.randrange(processes)
+        workers, saved = workers_of(command.pid), newest_step(output)
+        if len(workers) < processes:
+            tally.judge(f"kill {number}", False, f"{len(workers)} processes; {ended(command)}")
+            return tally
+        rank = rng.randrange(processes)
         os.kill(workers[rank], signal.SIGKILL)
         wait_until(lambda past=set(workers): not past & set(workers_of(command.pid)), command, 100)
-        tally.judge(f"kill {number} of process {rank}", newest(output) >= saved > before, saved)
-    before = newest(output)
-    wait_until(lambda: newest(output) > before, command, 600)
-    command.send_signal(signal.SIGTERM)
-    found, step = ended(command), newest(output)
+        tally.judge(
+            f"kill {number} of process {rank}", newest_step(output) >= saved > before, saved
+        )
+    found = stopped_after_saving(command, output)
     tally.judge("a last checkpoint", "checkpoint saved" in found.out, found)
-    whole = train(scene, folder / "whole", RunFolder(output).read_config(from_yaml), stop_at=step)
-    ends = [load_file(path) for path in (whole.newest_checkpoint(), _checkpoint(output, step))]
-    same = all(torch.equal(ends[0][name], ends[1][name]) for name in ends[0])
-    tally.judge("the same bits", same, "tensors differ")
+    is_same = is_run_left_alone(output, scene, folder / "whole")
+    tally.judge("the same bits", is_same, "tensors differ")
     tally.judge("nothing left", not list(output.rglob(".mrgs-*")), list(output.rglob(".mrgs-*")))
-    tally.figure = f"{processes} processes, {step:,} steps"
+    tally.figure = f"{processes} processes, {newest_step(output):,} steps"
     return tally
 
 
@@ -79,8 +75,8 @@ def stops(folder: Path, signals: tuple[str, ...] = ("INT", "TERM")) -> Tally:
     for name in signals:
         output = folder / f"stopped_{name}"
         command = start_torchrun(2, "train", *options, "--output", output)
-        wait_until(lambda output=output: newest(output) > 0, command, 600)
-        os.kill(command.pid, getattr(signal, f"SIG{name}"))
+        wait_until(lambda output=output: newest_step(output) > 0, command)
+        command.send_signal(getattr(signal, f"SIG{name}"))
         found = ended(command)
         said = found.out.count("checkpoint saved; resume with: mrgs train")
         tally.judge(f"SIG{name}", said == 1, found)
@@ -115,18 +111,8 @@ def workers_of(torchrun: int) -> list[int]:
     return [found[rank] for rank in sorted(found)]
 
 
-def newest(output: Path) -> int:
-    """The step of a run's newest checkpoint; 0 without one."""
-    names = [path.stem for path in (output / "checkpoints").glob("step_*.safetensors")]
-    return max((int(name.removeprefix("step_")) for name in names), default=0)
-
-
 def _options(folder: Path) -> tuple[object, ...]:
     scene, config = small_scene(folder / "scene"), folder / "often.yaml"
     config.write_text(CONFIG)
     small = ("--preset", "fast", "--max-gaussians", 60, "--max-steps", 100_000)
     return scene, *small, "--config", config
-
-
-def _checkpoint(output: Path, step: int) -> Path:
-    return output / "checkpoints" / f"step_{step:06d}.safetensors"

@@ -8,14 +8,24 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
+import torch
+from safetensors.torch import load_file
+
+from mrgs.method.config import from_yaml
+from mrgs.training import train
+from mrgs.training.run_folder import RunFolder
 from tests.helpers.scenes import write_scene
 
 SOURCE = Path(__file__).parents[2] / "src"
+PATIENCE_S = 900.0
+"""A machine with other work may take minutes to compile the kernels."""
+
 SMALL = ("--preset", "fast", "--max-gaussians", 100)
 
 
@@ -50,31 +60,57 @@ def environment(**changes: str) -> dict[str, str]:
     return {**os.environ, **threads, "PYTHONPATH": path.rstrip(os.pathsep), **changes}
 
 
-def start(*arguments: object, shell: str = 'exec "$@"', **options: Any) -> subprocess.Popen[str]:
-    """Start the program.
+class Started(subprocess.Popen[str]):
+    """A process started by a script of the shell. What it prints goes into files: a pipe that
+    nobody reads stops a long training after 64 KiB.
 
     Args:
-        arguments: of the program.
+        command: to start.
         shell: script that starts its arguments, such as one that closes a stream first.
+        variables: of the environment, to change.
         options: of ``Popen``.
     """
-    command = [sys.executable, "-m", "mrgs", *map(str, arguments)]
-    return subprocess.Popen(
-        ["sh", "-c", shell, "sh", *command],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        errors="replace", env=environment(**options.pop("variables", {})),
-        preexec_fn=_as_in_a_terminal, **options,
-    )  # fmt: skip
+
+    def __init__(
+        self,
+        command: Sequence[object],
+        shell: str = 'exec "$@"',
+        variables: Mapping[str, str] | None = None,
+        **options: Any,
+    ) -> None:
+        self._printed = [
+            TemporaryFile("w+", errors="replace")  # noqa: SIM115
+            for _ in range(2)
+        ]
+        super().__init__(
+            ["sh", "-c", shell, "sh", sys.executable, *map(str, command)],
+            stdin=subprocess.DEVNULL, stdout=self._printed[0], stderr=self._printed[1],
+            env=environment(**(variables or {})), preexec_fn=_as_in_a_terminal, **options,
+        )  # fmt: skip
+
+    def take_printed(self) -> list[str]:
+        """What was printed on both outputs; to be called once, after the end."""
+        texts = []
+        for file in self._printed:
+            with file:
+                file.seek(0)
+                texts.append(file.read())
+        return texts
 
 
-def ended(process: subprocess.Popen[str], timeout_s: float = 300) -> Ended:
+def start(*arguments: object, **options: Any) -> Started:
+    """Start the program with arguments of its own; the options are those of ``Started``."""
+    return Started(["-m", "mrgs", *arguments], **options)
+
+
+def ended(process: Started, timeout_s: float = PATIENCE_S) -> Ended:
     """Wait for the end of a process; one that takes too long is killed."""
     try:
-        out, err = process.communicate(timeout=timeout_s)
+        process.wait(timeout_s)
     except subprocess.TimeoutExpired:
         process.kill()
-        out, err = process.communicate()
-    return Ended(process.returncode, out, err)
+        process.wait()
+    return Ended(process.returncode, *process.take_printed())
 
 
 def run(*arguments: object, **options: Any) -> Ended:
@@ -82,9 +118,7 @@ def run(*arguments: object, **options: Any) -> Ended:
     return ended(start(*arguments, **options))
 
 
-def wait_until(
-    test: Callable[[], bool], process: subprocess.Popen[str], seconds: float = 300
-) -> bool:
+def wait_until(test: Callable[[], bool], process: Started, seconds: float = PATIENCE_S) -> bool:
     """Wait for something that a process brings about; False if it has ended, or never does."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -103,6 +137,37 @@ def logged_step(run_folder: Path) -> int:
         return max(json.loads(line)["step"] for line in lines)
     except (OSError, ValueError):
         return 0
+
+
+def newest_step(run_folder: Path) -> int:
+    """The step of a run's newest checkpoint; 0 without one."""
+    names = [path.stem for path in (run_folder / "checkpoints").glob("step_*.safetensors")]
+    return max((int(name.removeprefix("step_")) for name in names), default=0)
+
+
+def stopped_after_saving(process: Started, run_folder: Path) -> Ended:
+    """Ask a training to stop once it has written a further checkpoint."""
+    before = newest_step(run_folder)
+    wait_until(lambda: newest_step(run_folder) > before, process)
+    process.send_signal(signal.SIGTERM)
+    return ended(process)
+
+
+def is_run_left_alone(run_folder: Path, scene: Path, whole: Path) -> bool:
+    """Whether a run's newest checkpoint has the bits of a training that nothing interrupts.
+
+    Args:
+        run_folder: of a method of Gaussians.
+        scene: that it was trained on.
+        whole: folder for the training without interruptions.
+    """
+    found = RunFolder(run_folder)
+    config, step = found.read_config(from_yaml), newest_step(run_folder)
+    expected = train(scene, whole, config, stop_at=step).newest_checkpoint()
+    ends = [load_file(path) for path in (expected, found.newest_checkpoint())]
+    return ends[0].keys() == ends[1].keys() and all(
+        torch.equal(tensor, ends[1][name]) for name, tensor in ends[0].items()
+    )
 
 
 def small_scene(folder: Path) -> Path:
