@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 from mrgs.data import load_scene
 from mrgs.export.cameras import write_cameras
 from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
+from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
 
@@ -121,6 +123,27 @@ def test_a_third_modality_reads_back(tmp_path, original):
         values = one.images[NEAR_INFRARED].load().values
         expected = other.images[THERMAL].load().values
         torch.testing.assert_close(values, expected, atol=1e-5, rtol=0)
+
+
+def test_what_the_camera_noted_reads_back(tmp_path, original):
+    record = PhotoRecord(
+        "FLIR radiometric JPEG",
+        "FLIR T640",
+        "55903123",
+        datetime(2026, 1, 12, 6, 31, 7),
+        ObjectParameters(0.93, 12.5, -8.0, 1.5, 0.62),
+        Planck(17_096.453, 0.0465, 1428.5, 1.0, -125.0),
+    )
+    first = original.train[0]
+    noted = replace(first, images={
+        modality: replace(image, record=record if modality == THERMAL else None)
+        for modality, image in first.images.items()
+    })  # fmt: skip
+    write_cameras(tmp_path / "out", replace(original, train=(noted, *original.train[1:])))
+    found = load_scene(tmp_path / "out").train
+    assert found[0].images[THERMAL].record == record
+    assert found[0].images[RGB].record is None
+    assert found[1].images[THERMAL].record is None
 
 
 def test_masks_are_kept(tmp_path, original):

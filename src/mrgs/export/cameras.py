@@ -20,6 +20,7 @@ from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
     BOUNDS,
     POINTS,
+    RECORD,
     TRANSFORMS,
     frame_json,
     pinhole_lens,
@@ -48,10 +49,11 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
 
     RGB photos are ``images/NAME.png``, thermal photos with known °C ``thermal/NAME.tiff``
     (float32) with ``temperature_bounds.json``, all others ``MODALITY/NAME.png`` with 16 bits.
-    Images with invalid pixels have masks. In ``transforms.json``
-    poses are camera to world with OpenGL axes, in ``images.txt`` world to camera with OpenCV axes.
-    COLMAP's names are relative to ``images/``; where one view has several cameras, all are
-    registered and the names are relative to the folder.
+    Images with invalid pixels have masks. What a camera noted beside a photo (emissivity, reflected
+    temperature, distance, humidity, serial number, time, calibration) is ``MODALITY_record`` of its
+    frame in ``transforms.json``. There poses are camera to world with OpenGL axes, in
+    ``images.txt`` world to camera with OpenCV axes. COLMAP's names are relative to ``images/``;
+    where one view has several cameras, all are registered and the names are relative to the folder.
 
     Raises:
         RunError: a file cannot be written.
@@ -91,7 +93,7 @@ def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
     first, *others = view.images
     apart = [each for each in others if not view.shares_camera(first, each)]
     camera, cameras = view.camera, view.cameras
-    return frame_json(
+    frame = frame_json(
         camera.viewmat,
         _image_path(view, first, has_celsius),
         {each: _image_path(view, each, has_celsius) for each in others},
@@ -99,6 +101,12 @@ def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
         viewmats={each: cameras[each].viewmat for each in apart},
         lenses={each: pinhole_lens(cameras[each]) for each in apart},
     )
+    records = {modality: image.record for modality, image in view.images.items()}
+    return frame | {
+        f"{modality}_{RECORD}": record.to_json()
+        for modality, record in records.items()
+        if record is not None
+    }
 
 
 def _image_path(view: View, modality: Modality, has_celsius: bool) -> str:
