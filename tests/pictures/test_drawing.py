@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.pictures.drawing import Scale, draw_text, fit_text, scale_bar, text_width
+from mrgs.pictures.drawing import (
+    Scale,
+    draw_text,
+    drawable,
+    fit_text,
+    scale_bar,
+    text_width,
+)
 from mrgs.pictures.palette import palette_table
 
 IRON = Scale("iron", 10.0, 30.0, "°C")
@@ -52,3 +59,8 @@ def test_dashes_that_the_font_lacks_are_drawn_as_hyphens() -> None:
         images.append(np.asarray(image))
     np.testing.assert_array_equal(*images)
     assert images[0].min() < 255
+
+
+def test_letters_that_the_font_lacks_are_written_with_others() -> None:
+    assert drawable("Türsturz groß, côté − 3 °C ± 1") == "Tuersturz gross, cote - 3 °C ± 1"
+    assert drawable("m² 中") == "m2 ?"

@@ -1,8 +1,9 @@
 """Text and scale bars on Pillow images, in the one font that comes with Pillow (it knows ASCII, °,
-± and ·)."""
+± and ·: letters of other languages are written with those)."""
 
 from __future__ import annotations
 
+import unicodedata
 from functools import cache
 from typing import Literal, NamedTuple
 
@@ -17,7 +18,13 @@ MUTED = (104, 111, 124)
 HAIRLINE = (222, 225, 230)
 PAPER = (255, 255, 255)
 
-_REPLACED = str.maketrans({"–": "-", "—": "-", "−": "-", "×": "x", "∞": "inf"})
+_KNOWN = "°±·"
+"""Beyond ASCII."""
+
+_REPLACED = str.maketrans(
+    {"–": "-", "—": "-", "−": "-", "×": "x", "∞": "inf", "ß": "ss", "œ": "oe", "Œ": "Oe"}
+    | {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "æ": "ae", "ø": "o"}
+)
 
 
 class Scale(NamedTuple):
@@ -56,7 +63,7 @@ def draw_text(
 ) -> None:
     """Draw one line; ``anchor`` as in Pillow ("ls": position is the left end of the baseline)."""
     draw = ImageDraw.Draw(image)
-    text = text.translate(_REPLACED)
+    text = drawable(text)
     for shift in (0.0, 0.5) if bold else (0.0,):
         draw.text(
             (position[0] + shift, position[1]), text, font=_font(size), fill=color, anchor=anchor
@@ -65,7 +72,15 @@ def draw_text(
 
 def text_width(text: str, size: int) -> float:
     """Width of a line in pixels."""
-    return _font(size).getlength(text.translate(_REPLACED))
+    return _font(size).getlength(drawable(text))
+
+
+def drawable(text: str) -> str:
+    """The text in letters that the font has: without accents, and with ? for what it cannot
+    write."""
+    plain = unicodedata.normalize("NFKD", text.translate(_REPLACED))
+    letters = (each for each in plain if not unicodedata.combining(each))
+    return "".join(each if each.isascii() or each in _KNOWN else "?" for each in letters)
 
 
 def fit_text(text: str, size: int, width: float | int) -> str:
