@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from mrgs import open_marks
 from mrgs.app.cli import main
 from mrgs.runs.open import load_run
 from mrgs.training import make_config
@@ -56,6 +58,24 @@ def test_marks_are_added_listed_exported_and_undone(run, tmp_path, capsys):
     assert load_run(run).folder.path == run
 
 
+def test_proposals_are_listed_accepted_and_dropped(run, capsys):
+    assert main(["measure", str(run), "--spot", f"{VIEW}:20,15"]) == 0
+    marks = open_marks(load_run(run))
+    found = [replace(marks.marks.marks[0], name=name) for name in ("H1", "C1")]
+    marks.store.edit(lambda known: replace(known, proposals=tuple(found)))
+    capsys.readouterr()
+    assert main(["measure", str(run)]) == 0
+    *_, heading, hot, cold, hint = lines(capsys)
+    assert [line.split()[0] for line in (heading, hot, cold)] == ["Proposed", "H1", "C1"]
+    assert hint == "judge what the report proposes: --accept H1, or --drop H1"
+    judged = ["--accept", "H1", "--severity", "2", "--note", "leak", "--drop", "C1"]
+    assert main(["measure", str(run), *judged]) == 0
+    assert lines(capsys)[-1].split()[0] == "H1"
+    known = marks.marks
+    assert (known.named("H1").severity, known.named("H1").note) == ("2", "leak")
+    assert [mark.name for mark in known.dropped] == ["C1"]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -67,6 +87,12 @@ def test_marks_are_added_listed_exported_and_undone(run, tmp_path, capsys):
         (["--spot", "nowhere:1,2"], f"there is no view 'nowhere'; the first is {VIEW[:11]}"),
         (["--spot", f"{VIEW}:99,2"], "pixel 99, 2 lies outside the image of 40 × 30"),
         (["--mark", "S1", "--note", "damp"], "there is no mark 'S1': the marks are none"),
+        (
+            ["--accept", "H1"],
+            "there is no proposal 'H1': the proposals are none; mrgs report finds",
+        ),
+        (["--drop", "C1"], "there is no proposal 'C1'"),
+        (["--accept", "H1", "--spot", f"{VIEW}:1,2"], "give either --accept or --spot"),
         (["--undo"], "there is nothing to undo: the marks have not been changed"),
     ],
 )

@@ -52,7 +52,9 @@ def test_it_says_what_was_understood_how_far_it_is_and_what_to_open(small_scene,
     names = [line.split()[4] for line in stages]
     assert names == ["check", "train", "score", "render", "report", "page", "exports"]
     assert re.search(r"^exports: mesh \| 0:\d\d left$", printed.out, re.MULTILINE)
-    assert re.search(r"^report: pictures of the spots \| 0:\d\d left$", printed.out, re.MULTILINE)
+    assert re.search(
+        r"^report: measurements and pictures \| 0:\d\d left$", printed.out, re.MULTILINE
+    )
     opened = lines.index("open:")
     assert lines[opened + 1] == f"  {output / 'fast' / 'report.html'}"
     assert lines[-1] == f"explore: mrgs view {output / 'fast'}"

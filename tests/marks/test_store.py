@@ -31,8 +31,30 @@ def test_what_is_saved_is_read_again(store):
     assert MarkStore(store.folder, SPREAD).read() == saved == Marks((SPOT,))
     text = store.file.read_text(encoding="utf-8")
     assert "über der Tür" in text
-    assert json.loads(text)["version"] == 1
+    assert json.loads(text)["version"] == 2
     assert store.stamp is not None
+
+
+def test_proposals_and_what_was_dropped_are_kept_and_undone(store):
+    add(store, "S1")
+    found = tuple(replace(SPOT, name=name) for name in ("H1", "H2"))
+    store.edit(lambda marks: replace(marks, proposals=found))
+    store.edit(lambda marks: marks.accepting("H1", severity="2", note="leak"))
+    judged = store.edit(lambda marks: marks.dropping("H2"))
+    assert [mark.name for mark in judged.marks] == ["S1", "H1"]
+    assert judged.named("H1") == replace(found[0], severity="2", note="leak")
+    assert (judged.proposals, judged.dropped) == ((), found[1:])
+    assert MarkStore(store.folder, SPREAD).read() == judged
+    assert store.undo().proposals == found[1:]
+    assert store.undo().proposals == found
+
+
+def test_files_without_proposals_are_read(store):
+    add(store, "S1")
+    document = json.loads(store.file.read_text(encoding="utf-8"))
+    old = {name: document[name] for name in ("program", "cameras", "reference", "marks")}
+    store.file.write_text(json.dumps({**old, "version": 1}), encoding="utf-8")
+    assert store.read() == Marks((SPOT,))
 
 
 def test_every_change_is_undone_in_turn_by_any_process(store):
@@ -139,7 +161,7 @@ def test_another_machine_rounds_differently(store):
 def test_a_newer_file_is_left_alone(store):
     add(store, "S1")
     document = json.loads(store.file.read_text())
-    store.file.write_text(json.dumps({**document, "version": 2}))
+    store.file.write_text(json.dumps({**document, "version": 3}))
     with pytest.raises(RunError, match="was written by a newer version of mrgs: update mrgs"):
         store.read()
     assert store.file.exists()

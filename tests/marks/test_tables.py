@@ -33,7 +33,7 @@ def readings() -> list[MarkReading]:
 def test_people_read_rounded_numbers_with_units(readings):
     rows = text_rows(readings, RANGE, METRES)
     assert rows[0][:8] == ("S1", "spot", "21.2", "–", "21.1", "21.4", "+1.2", "⌀ 0.100 m")
-    assert rows[0][8:] == ("–", "=HYPERLINK(1) leak, maybe")
+    assert rows[0][8:] == ("–", "–", "=HYPERLINK(1) leak, maybe")
     assert rows[1][6:8] == ("–", "2.00 m")
     assert rows[2][7] == "1.00 m²"
     assert size_text(readings[1], WorldFrame()) == "2.00 scene units"

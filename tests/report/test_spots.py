@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,23 @@ import torch
 
 from mrgs.report.spots import find_spots
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Reach, TemperatureRange, View
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Camera,
+    Pixels,
+    PosedImage,
+    Reach,
+    Rendering,
+    TemperatureRange,
+    View,
+)
 
 HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
 """Places on the plane z = 0."""
 
 WARM = 0.5
+SHEET = [((0.02 * x, 0.02 * y, 0.3), 1.0) for x in range(-8, 9) for y in range(-8, 9)]
 
 
 def camera_at(angle: float) -> Camera:
@@ -80,7 +92,7 @@ def test_what_lies_far_behind_the_scene_is_no_spot():
     ball = Reach(torch.tensor([*HOT, 0.0]).double(), 0.11)
     hottest, coldest = find_spots(views(), plane().render, ball=ball)
     assert hottest[0].value == pytest.approx(0.9, abs=0.01)
-    assert coldest[0].value > 0.4
+    assert all(spot.value > 0.4 for spot in coldest)
     for spot in (*hottest, *coldest):
         assert not ball.is_background(torch.from_numpy(spot.position))
 
@@ -126,3 +138,33 @@ def test_nothing_is_found_where_nothing_is_seen():
         {THERMAL: torch.tensor([0.5])}, {}, torch.tensor([0.5]), None,
     ).render) == ([], [])  # fmt: skip
     assert find_spots(views(thermal=False), plane().render) == ([], [])
+
+
+def test_what_was_judged_is_not_found_again():
+    judged = [np.array([*HOT, 0.0]), np.array([*COLD, 0.0])]
+    assert find_spots(views(), plane().render, judged=judged[:1])[0] == []
+    assert find_spots(views(), plane().render, judged=judged) == ([], [])
+
+
+def test_mist_that_most_views_look_through_is_no_spot():
+    """Three of twelve views see a warm sheet, which for the others is transparent."""
+    all_views = views(12)
+
+    def render(camera: Camera) -> Rendering:
+        here = [torch.allclose(camera.viewmat, each.images[THERMAL].camera.viewmat)
+                for each in all_views[:3]]  # fmt: skip
+        return (plane(SHEET) if any(here) else plane()).render(camera)
+
+    hottest, _ = find_spots(all_views, render)
+    assert hottest[0].value == pytest.approx(0.9, abs=0.01)
+
+
+def test_part_of_something_large_and_cold_is_no_spot():
+    """As the sky about a roof: a third of the picture is colder than the cold patch."""
+    model = plane()
+    means, scales = model.means * torch.tensor([2.5, 2.5, 1.0]), model.scales * 2.5
+    temperatures = torch.where(means[:, 0] > 0.8, 0.02, model.temperatures)
+    model = replace(model, means=means, scales=scales, temperatures=temperatures)
+    _, coldest = find_spots(views(), model.render)
+    assert coldest[0].value == pytest.approx(0.1, abs=0.02)
+    assert np.hypot(*(coldest[0].position[:2] - 2.5 * np.array(COLD))) < 0.3

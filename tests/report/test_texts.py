@@ -3,28 +3,41 @@
 from __future__ import annotations
 
 import re
+from datetime import date
 from importlib.resources import files
+from typing import get_args
 
 import pytest
 
+from mrgs.evaluation.report import COLUMNS
+from mrgs.marks.emissivity import CaptureSettings
+from mrgs.marks.measure import NO_PHOTO, NO_SURFACE, NO_THERMAL
 from mrgs.marks.texts import PART_NAMES
+from mrgs.marks.uncertainty.budget import Budget
 from mrgs.report.conditions import LABELS, conditions_of
+from mrgs.report.sections import _SETTINGS
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
-from mrgs.survey import Survey
+from mrgs.survey import Side, Survey
 
 TRANSLATED = [language for language in LANGUAGES if language != "en"]
 
 
 def said() -> set[str]:
     """The sentences of the template, and those that reach it from the code."""
-    template = files("mrgs").joinpath("report/report.html").read_text(encoding="utf-8")
+    sources = [
+        files("mrgs").joinpath(f"report/{name}").read_text(encoding="utf-8")
+        for name in ("report.html", "sections.py", "write.py")
+    ]
     conditions = [
         row
         for name in ("EN 13187", "IEC TS 62446-3")
         for row in conditions_of(Survey(standard=name))
     ]
     return {
-        *re.findall(r't\("([^"]+)"', template),
+        *re.findall(r'\bt\("([^"]+)"', "".join(sources)),
+        *(label for _, label, _ in _SETTINGS),
+        *(title for title, _ in COLUMNS.values()),
+        *get_args(Side),
         *(label for label, _ in LABELS.values()),
         *(text for row in conditions for text in (row.what, row.asked)),
         *PART_NAMES.values(),
@@ -41,6 +54,32 @@ def test_every_sentence_is_translated_with_its_values(language):
 
 def test_numbers_are_written_as_the_language_does():
     assert Texts("de").number("−3.5") == "−3,5"
-    assert Texts().number("−3.5") == "−3.5"
+    assert Texts("de").number("T_refl -3.5 °C, 12.01.") == "T_refl −3,5 °C, 12,01."
+    assert Texts().number("-3.5") == "−3.5"
+    assert [Texts(each).count(12_345) for each in LANGUAGES] == ["12,345", "12.345", "12\u202f345"]
+    assert Texts("de").date(date(2026, 1, 12)) == "12.01.2026"
     assert Texts("fr")("{low} to {high}", low=1, high=2) == "1 à 2"
     assert Texts("de")("not a sentence of the report") == "not a sentence of the report"
+
+
+def test_sentences_are_known_by_the_words_between_their_values():
+    english = (
+        "The camera's constants are not known: its signal is taken as that of black bodies at "
+        "9.5 µm."
+    )
+    assert Texts("de")(english).endswith("schwarzen Strahlern bei 9,5 µm angenommen.")
+    assert Texts()(english) == english
+    assert Texts("de")("3.17 scene units²") == "3,17 Szeneneinheiten²"
+
+
+def test_what_marks_may_say_is_translated():
+    said = [
+        *CaptureSettings.of(None).notes,
+        *Budget.of(None, Survey()).notes,
+        NO_SURFACE,
+        NO_PHOTO,
+        NO_THERMAL,
+    ]
+    for language in TRANSLATED:
+        t = Texts(language)
+        assert not [each for each in said if t(each) == each]

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -14,6 +16,8 @@ from mrgs import open_marks
 from mrgs.errors import RunError
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
+from mrgs.report.proposals import propose, views_of
+from mrgs.report.spots import find_spots
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import THERMAL
 from mrgs.training import make_config, train
@@ -37,6 +41,8 @@ def trained(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture
 def run(trained: Path) -> Run:
     """The run, made solid (60 steps leave mist), without what a test before left in its folder."""
+    for path in trained.glob("*marks*"):
+        path.unlink()
     for path in (trained / "eval").glob("*"):
         path.unlink()
     (trained / "eval").mkdir(exist_ok=True)
@@ -75,14 +81,14 @@ class Page(HTMLParser):
 def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     for words in (
-        "Hottest and coldest spots", "H1", "C1", "position x, y, z",
+        "Anomalies found by the program", "H1", "position x, y, z",
         "6 training, 2 evaluation", "8, 40 × 30 pixels", "10 °C to 30 °C",
         "not in the scene's files",
         "60 of 60", "Emissivity", "Reflections", "not covered by photos",
         "The thermal photo reads",
     ):  # fmt: skip
         assert words in page.text
-    spots = [float(value) for value in re.findall(r"[HC]\d: (-?\d+\.\d) °C", page.text)]
+    spots = [float(value) for value in re.findall(r"[HC]\d (\d+\.\d) ± \d+\.\d °C", page.text)]
     assert spots
     assert all(5 < value < 35 for value in spots)
 
@@ -105,8 +111,8 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS), encoding="utf-8")
     Image.new("RGB", (64, 32), (200, 10, 10)).save(run.folder.path / "eval" / "contact_sheet.png")
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
-    assert "Thermal PSNR, dB 41.24" in page.text
-    assert "RGB SSIM 0.8400" in page.text
+    assert "Thermal, PSNR, dB 41.24" in page.text
+    assert "RGB, SSIM 0.8400" in page.text
     assert "LPIPS" not in page.text
     assert "mrgs eval" not in page.text
 
@@ -158,7 +164,7 @@ def test_a_scene_without_celsius_has_relative_values(run, tmp_path):
     scene = replace(run.load_scene(), temperature=None)
     text = Page(write_report(unknown, scene, tmp_path / "report.html")).text
     assert "There are no °C" in text
-    assert re.search(r"H1: \d\.\d{3}", text)
+    assert re.search(r"H1 \d\.\d{3}", text)
 
 
 def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, tmp_path):
@@ -190,7 +196,7 @@ def test_a_model_without_surfaces_has_no_spots(trained, tmp_path):
     with torch.no_grad():
         run.model.gaussians.opacity_logits[THERMAL].fill_(-4)
     assert (
-        "No surface is seen by enough views"
+        "Nothing stands out on surfaces that enough views see"
         in Page(write_report(run, run.load_scene(), tmp_path / "r.html")).text
     )
 
@@ -210,24 +216,69 @@ def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
 
 def test_the_report_lists_the_marks_with_pictures_and_profile(run: Run, tmp_path: Path):
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
-    try:
-        marks.spot(camera, (20, 15), note="near the <middle>")
-        marks.line(camera, [(15, 15), (25, 15)])
-        marks.box(camera, (16, 12), (24, 18), emissivity=0.8, reflected_c=-5.0)
-        marks.refer_to("S1")
-        readings = marks.measure()
-        path = write_report(run, run.load_scene(), tmp_path / "report.html")
-    finally:
-        for file in run.folder.path.glob("*marks*"):
-            file.unlink()
+    marks.spot(camera, (20, 15), note="near the <middle>", severity="3")
+    marks.line(camera, [(15, 15), (25, 15)])
+    marks.box(camera, (16, 12), (24, 18), emissivity=0.8, reflected_c=-5.0)
+    marks.refer_to("S1")
+    readings = marks.measure()
+    path = write_report(run, run.load_scene(), tmp_path / "report.html")
     page = Page(path)
     text = " ".join(page.words)
     assert "Measurements" in text
     for reading in readings:
         assert f"{reading.mean:.1f}" in text
     assert "near the <middle>" in text
-    assert "ε 0.8, T refl. −5 °C" in text
+    assert "severity: 3" in text
+    assert "ε 0.8, T_refl −5 °C" in text
     assert "temperatures are taken as apparent ones" in text
     assert "svg" in page.tags
     html = path.read_text(encoding="utf-8")
-    assert html.count(', thermal"') == html.count(', photo"') == 3
+    for name in ("S1", "L1", "B1"):
+        for picture in ("thermal", "photo", "plan"):
+            assert html.count(f'alt="{name}, {picture}"') == 1
+
+
+def test_proposals_are_kept_until_they_are_judged(run: Run, tmp_path: Path):
+    marks, scene = open_marks(run), run.load_scene()
+
+    def report() -> str:
+        return Page(write_report(run, scene, tmp_path / "report.html")).text
+
+    text, proposed = report(), marks.marks.proposals
+    names = [mark.name for mark in proposed]
+    assert len(names) >= 2
+    assert f"mrgs measure --accept {names[0]}" in text
+    report()
+    assert marks.marks.proposals == proposed  # the same places have the same names
+    accepted, dropped = names[:2]
+    marks.drop(dropped)
+    marks.accept(accepted, severity="2", note="judged")
+    text, known = report(), marks.marks
+    assert "severity: 2" in text
+    assert [mark.name for mark in known.marks] == [accepted]
+    assert [mark.name for mark in known.dropped] == [dropped]
+    judged = [mark.points[0] for mark in (*known.marks, *known.dropped)]
+    for mark in known.proposals:
+        assert mark.name not in (accepted, dropped)
+        assert min(math.dist(mark.points[0], place) for place in judged) > mark.radius
+    marks.undo()
+
+
+def test_proposals_in_a_region_have_its_emissivity(run: Run):
+    marks, scene = open_marks(run), run.load_scene()
+    found = propose(marks, scene, marks.meter.regions(marks.marks))
+    name, before = next(iter(found.items()))
+    camera = views_of(scene)[before.view].images[THERMAL].camera
+    x, y = camera.project(torch.from_numpy(before.position))[0].tolist()
+    marks.box(camera, (x - 2, y - 2), (x + 2, y + 2), emissivity=0.5, reflected_c=0.0)
+    regions = marks.meter.regions(marks.marks)
+    place = before.position[None]
+    settings = regions.settings_at(place)
+    assert settings is not None
+    apparent = scene.temperature.to_celsius(before.value)
+    (expected,) = marks.meter.capture.corrected(np.array([apparent]), settings)
+    (after, *_), _ = find_spots(views_of(scene), regions.render, ball=scene.reach)
+    assert scene.temperature.to_celsius(after.value) == pytest.approx(expected, abs=0.1 * expected)
+    assert expected > apparent + 5
+    reading = next(each for each in marks.measure_proposals() if each.mark.name == name)
+    assert reading.mean == pytest.approx(expected, abs=0.2 * expected)

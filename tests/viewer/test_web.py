@@ -320,10 +320,13 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         assert label.startswith("S1  ")
         (outline,) = pane["outlines"]
         assert len(outline["corners"]) == 4
-        change = {"type": "change_mark", "mark": "B1", "name": "Ball", "note": "warm"}
+        change = {
+            "type": "change_mark", "mark": "B1", "name": "Ball", "note": "warm", "severity": "2",
+        }  # fmt: skip
         await connection.send(json.dumps({**change, "emissivity": 0.9, "reflected_c": 15}))
         changed = (await answer(connection, "marks"))["of"][1]
         assert (changed["name"], changed["note"], changed["emissivity"]) == ("Ball", "warm", 0.9)
+        assert changed["severity"] == "2"
         await connection.send('{"type": "refer_to", "mark": "S1"}')
         assert (await answer(connection, "marks"))["of"][1]["difference"].startswith("ΔT ")
         await connection.send('{"type": "delete_mark", "mark": "Ball"}')

@@ -322,7 +322,7 @@ class Export:
 
 @dataclass(frozen=True)
 class Report:
-    """Write a report: survey, marks with ±, hottest and coldest spots, limits.
+    """Write a report: survey, marks with ±, proposed anomalies, limits.
 
     Object, client, weather and conditions come from RUN/survey.yaml, which the first report writes
     for you to fill in.
@@ -351,7 +351,8 @@ class Measure:
     """Measure marks on a run's surfaces: spots, lines, boxes, polygons.
 
     Without further options, lists the marks in RUN/marks.json with their temperatures, differences
-    and sizes. Places are pixels of a view's thermal image: VIEW:X,Y, then X,Y of the same view.
+    and sizes, and the anomalies that mrgs report proposes. Places are pixels of a view's thermal
+    image: VIEW:X,Y, then X,Y of the same view.
     """
 
     run: RunPath
@@ -365,11 +366,13 @@ class Measure:
     polygon: Several[str] = ()
     """Add a polygon: VIEW:X,Y X,Y X,Y, or more corners."""
     mark: Maybe[str] = None
-    """Mark that the next five options change; by default the one that is added."""
+    """Mark that the next six options change; by default the ones that are added or accepted."""
     name: Maybe[str] = None
     """Name of the mark."""
     note: Maybe[str] = None
     """Note of the mark."""
+    severity: Maybe[str] = None
+    """How grave the finding is: a class of IEC TS 62446-3 (1, 2, 3), or words."""
     against: Maybe[str] = None
     """Mark that is subtracted in its temperature difference; '' for the reference."""
     emissivity: Maybe[float] = None
@@ -378,6 +381,10 @@ class Measure:
     """Reflected apparent temperature there, °C."""
     reference: Maybe[str] = None
     """Mark that all temperature differences refer to; '' for none."""
+    accept: Several[str] = ()
+    """Anomalies proposed by mrgs report that become marks, such as H1 C2."""
+    drop: Several[str] = ()
+    """Proposed anomalies that are none; the report does not propose them again."""
     delete: Maybe[str] = None
     """Mark to delete."""
     undo: bool = False

@@ -9,7 +9,7 @@ from typing import Any
 from mrgs.app.commands import Measure
 from mrgs.app.terminal import note_unfinished
 from mrgs.errors import ConfigError
-from mrgs.marks import RunMarks, open_marks
+from mrgs.marks import MarkReading, RunMarks, open_marks
 from mrgs.marks.mark import KINDS, MarkKind
 from mrgs.marks.tables import HEADINGS, text_rows, write_csv, write_geojson
 from mrgs.pictures.values import unit_of
@@ -34,6 +34,8 @@ def measure(command: Measure) -> None:
         marks.undo()
     if command.delete is not None:
         marks.remove(command.delete)
+    for name in command.drop:
+        marks.drop(name)
     _change(command, marks, added)
     if command.reference is not None:
         marks.refer_to(command.reference)
@@ -43,9 +45,11 @@ def measure(command: Measure) -> None:
 def _check(command: Measure, added: Sequence[MarkKind]) -> None:
     if len(added) > 1:
         raise ConfigError(f"one mark at a time: give only one of --{' and --'.join(added)}")
-    if added and command.mark is not None:
-        raise ConfigError("--mark changes a mark that is there: leave it out to add one")
-    if _changes(command) and not added and command.mark is None:
+    if (added or command.accept) and command.mark is not None:
+        raise ConfigError("--mark changes a mark that is there: leave it out to add or accept one")
+    if added and command.accept:
+        raise ConfigError(f"give either --accept or --{added[0]}")
+    if _changes(command) and not added and not command.accept and command.mark is None:
         raise ConfigError("say which mark to change with --mark, or add one")
 
 
@@ -54,6 +58,7 @@ def _changes(command: Measure) -> dict[str, Any]:
     given = {
         "name": command.name,
         "note": command.note,
+        "severity": command.severity,
         "against": command.against,
         "emissivity": command.emissivity,
         "reflected_c": command.reflected,
@@ -71,6 +76,8 @@ def _change(command: Measure, marks: RunMarks, added: Sequence[MarkKind]) -> Non
             marks.box(camera, pixels[0], pixels[1], **changes)
         else:
             marks.add(kind, camera, pixels, **changes)
+    for name in command.accept:
+        marks.accept(name, **changes)
     if command.mark is not None:
         marks.change(command.mark, **changes)
 
@@ -95,13 +102,15 @@ def _places(
 
 def _show(command: Measure, marks: RunMarks) -> None:
     readings, temperature = marks.measure(), marks.run.temperature
-    if not readings:
-        print("no marks yet: add one with --spot VIEW:X,Y, or in mrgs view")
+    if readings:
+        _print_table(readings, marks, "Mark")
     else:
-        unit = unit_of(THERMAL, temperature)
-        headings = [f"{name}, {unit}" if name == "Mean" else name for name in HEADINGS]
-        for row in _aligned([tuple(headings), *text_rows(readings, temperature, marks.world)]):
-            print(row)
+        print("no marks yet: add one with --spot VIEW:X,Y, or in mrgs view")
+    if proposals := marks.measure_proposals():
+        print()
+        _print_table(proposals, marks, "Proposed")
+        first = proposals[0].mark.name
+        print(f"judge what the report proposes: --accept {first}, or --drop {first}")
     if command.csv is not None:
         for path in write_csv(command.csv, readings, temperature, marks.world):
             print(f"csv: {path}")
@@ -110,10 +119,18 @@ def _show(command: Measure, marks: RunMarks) -> None:
         print(f"geojson: {path}")
 
 
+def _print_table(readings: Sequence[MarkReading], marks: RunMarks, title: str) -> None:
+    temperature = marks.run.temperature
+    named = {"Mark": title, "Mean": f"Mean, {unit_of(THERMAL, temperature)}"}
+    headings = tuple(named.get(name, name) for name in HEADINGS)
+    for row in _aligned([headings, *text_rows(readings, temperature, marks.world)]):
+        print(row)
+
+
 def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Rows with columns of equal width: texts to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    left = {0, 1, len(widths) - 1}
+    left = {0, 1, len(widths) - 2, len(widths) - 1}
     return [
         "  ".join(
             cell.ljust(width) if i in left else cell.rjust(width)

@@ -67,7 +67,7 @@ def _follow(
 def what_to_open(results: PipelineResults) -> str:
     """The last lines: the files to look at, and the command to go on with."""
     files = {
-        results.report: "hottest and coldest spots, scores, limits of the measurement",
+        results.report: "measurements, proposed anomalies, scores, limits",
         results.page: "the model in your browser: colour, temperature under the cursor",
         results.contact_sheet: "photos beside renderings of the same views",
         results.scene_page: "pairs, cameras and temperatures as they were understood",

@@ -25,6 +25,7 @@ POINTS: Mapping[MarkKind, tuple[int, int]] = {
 
 MOST_MARKS = 500
 LONGEST_NAME = 40
+LONGEST_SEVERITY = 40
 LONGEST_NOTE = 2_000
 FARTHEST = 1e9
 """Scene units."""
@@ -32,7 +33,12 @@ FARTHEST = 1e9
 EMISSIVITY = (0.01, 1.0)
 REFLECTED_C = (-200.0, 3500.0)
 
-_TEXTS = {"name": LONGEST_NAME, "note": LONGEST_NOTE, "against": LONGEST_NAME}
+_TEXTS = {
+    "name": LONGEST_NAME,
+    "note": LONGEST_NOTE,
+    "severity": LONGEST_SEVERITY,
+    "against": LONGEST_NAME,
+}
 """Fields that are texts, and their greatest lengths."""
 
 Place: TypeAlias = tuple[float, float, float]
@@ -52,6 +58,7 @@ class Mark:
             does not belong to it.
         radius: of a spot's disc, scene units; 0 for the other kinds.
         note: the user's words.
+        severity: how grave the finding is: a class of IEC TS 62446-3 (1, 2, 3), or words.
         emissivity: of the surface in a box or polygon; None keeps that of the photos.
         reflected_c: reflected apparent temperature there, °C; None keeps that of the photos.
         against: name of the mark whose mean is subtracted in ΔT; empty for the reference.
@@ -66,6 +73,7 @@ class Mark:
     eye: Place
     radius: float = 0.0
     note: str = ""
+    severity: str = ""
     emissivity: float | None = None
     reflected_c: float | None = None
     against: str = ""
@@ -147,8 +155,12 @@ class Marks:
     """All marks of a run, in the order in which they were made.
 
     Attributes:
-        marks: their names differ.
+        marks: that the user has drawn or accepted.
         reference: name of the mark that ΔT refers to; empty for none.
+        proposals: anomalies that the report has found and nobody has judged yet.
+        dropped: proposals that were judged to be none; what lies there is not proposed again.
+
+    The names of all of them differ.
 
     Raises:
         ConfigError: two marks of the same name, a reference that is none of them, or too many.
@@ -156,10 +168,12 @@ class Marks:
 
     marks: tuple[Mark, ...] = ()
     reference: str = ""
+    proposals: tuple[Mark, ...] = ()
+    dropped: tuple[Mark, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [mark.name for mark in self.marks]
-        if len(names) > MOST_MARKS:
+        names = [mark.name for mark in (*self.marks, *self.proposals, *self.dropped)]
+        if len(self.marks) > MOST_MARKS or len(names) > 2 * MOST_MARKS:
             raise ConfigError(f"more than {MOST_MARKS} marks: delete some")
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ConfigError(f"two marks are named {shown(twice[0])}: choose another name")
@@ -187,9 +201,13 @@ class Marks:
 
     def free_name(self, kind: MarkKind) -> str:
         """The first of S1, S2 ... that is not taken; L, B, P for the other kinds."""
-        taken = {mark.name for mark in self.marks}
-        names = (f"{kind[0].upper()}{number}" for number in range(1, len(taken) + 2))
-        return next(name for name in names if name not in taken)
+        return self.free_names(kind[0].upper(), 1)[0]
+
+    def free_names(self, letter: str, count: int) -> list[str]:
+        """The first ``count`` of a letter with 1, 2, 3 ... that nothing is named yet."""
+        taken = {mark.name for mark in (*self.marks, *self.proposals, *self.dropped)}
+        names = (f"{letter}{number}" for number in range(1, len(taken) + count + 1))
+        return [name for name in names if name not in taken][:count]
 
     def adding(self, mark: Mark) -> Marks:
         """These and another one."""
@@ -207,7 +225,8 @@ class Marks:
             for mark in self.marks
             if mark.name != name
         )
-        return Marks(kept, "" if self.reference == name else self.reference)
+        reference = "" if self.reference == name else self.reference
+        return replace(self, marks=kept, reference=reference)
 
     def changing(self, name: str, /, **changes: Any) -> Marks:
         """These with other fields of one; what refers to it follows a new name.
@@ -218,10 +237,41 @@ class Marks:
         changed = replace(self.named(name), **changes)
         marks = [changed if mark.name == name else mark for mark in self.marks]
         follow = {name: changed.name}
-        return Marks(
-            tuple(replace(each, against=follow.get(each.against, each.against)) for each in marks),
-            follow.get(self.reference, self.reference),
+        return replace(
+            self,
+            marks=tuple(
+                replace(each, against=follow.get(each.against, each.against)) for each in marks
+            ),
+            reference=follow.get(self.reference, self.reference),
         )
+
+    def accepting(self, name: str, /, **changes: Any) -> Marks:
+        """These with a proposal as a mark, with other fields where they are given.
+
+        Raises:
+            ConfigError: there is no such proposal, or a value cannot be.
+        """
+        accepted = replace(self._proposed(name), **changes)
+        return replace(self, marks=(*self.marks, accepted), proposals=self._proposals_without(name))
+
+    def dropping(self, name: str) -> Marks:
+        """These with a proposal dropped for good.
+
+        Raises:
+            ConfigError: there is no such proposal.
+        """
+        dropped = (*self.dropped, self._proposed(name))
+        return replace(self, proposals=self._proposals_without(name), dropped=dropped)
+
+    def _proposed(self, name: str) -> Mark:
+        for mark in self.proposals:
+            if mark.name == name:
+                return mark
+        known = ", ".join(mark.name for mark in self.proposals) or "none; mrgs report finds them"
+        raise ConfigError(f"there is no proposal {shown(name)}: the proposals are {known}")
+
+    def _proposals_without(self, name: str) -> tuple[Mark, ...]:
+        return tuple(mark for mark in self.proposals if mark.name != name)
 
 
 def _place(value: Any) -> Place:

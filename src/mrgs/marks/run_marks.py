@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -136,9 +137,22 @@ class RunMarks:
         """Delete a mark; errors as for ``change``."""
         self.store.edit(lambda marks: marks.without(name))
 
+    def accept(self, name: str, /, **changes: Any) -> Mark:
+        """Make a proposal of the report a mark, with other fields where they are given; returns it.
+
+        Raises:
+            ConfigError: there is no such proposal, or a value cannot be.
+            RunError: the file cannot be written.
+        """
+        return self.store.edit(lambda marks: marks.accepting(name, **changes)).marks[-1]
+
+    def drop(self, name: str) -> None:
+        """Drop a proposal of the report for good; errors as for ``accept``."""
+        self.store.edit(lambda marks: marks.dropping(name))
+
     def refer_to(self, name: str) -> None:
         """Let ΔT of all marks refer to one of them, to none if empty; errors as for ``change``."""
-        self.store.edit(lambda marks: Marks(marks.marks, name))
+        self.store.edit(lambda marks: replace(marks, reference=name))
 
     def undo(self) -> None:
         """Take the last change back.
@@ -152,6 +166,11 @@ class RunMarks:
     def measure(self) -> list[MarkReading]:
         """Measure all marks in the model as it is now."""
         return self.meter.measure(self.marks)
+
+    def measure_proposals(self) -> list[MarkReading]:
+        """Measure the proposals of the report, in the same way."""
+        marks = self.marks
+        return self.meter.measure(Marks(marks.proposals), self.meter.regions(marks))
 
 
 def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:

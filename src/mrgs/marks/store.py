@@ -23,7 +23,9 @@ from mrgs.system.atomic import write_error, write_text
 from mrgs.system.limits import shown
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
-VERSION = 1
+VERSION = 2
+"""2 has proposals and severities; files of version 1 are read too."""
+
 STEPS_KEPT = 50
 LARGEST_BYTES = 32 * 2**20
 PATIENCE_S = 10.0
@@ -237,10 +239,14 @@ class MarkStore:
             lock.release()
 
 
+_LISTS = ("marks", "proposals", "dropped")
+"""Fields of ``Marks`` that are lists of marks."""
+
+
 def _content(marks: Marks) -> dict[str, Any]:
     return {
         "reference": marks.reference,
-        "marks": [mark.to_json() for mark in marks.marks],
+        **{name: [mark.to_json() for mark in getattr(marks, name)] for name in _LISTS},
     }
 
 
@@ -252,10 +258,15 @@ def _marks_of(document: Any) -> Marks:
     """
     if not isinstance(document, dict) or not isinstance(document.get("marks"), list):
         raise ConfigError("it has no list of marks")
+    lists = {name: document.get(name, []) for name in _LISTS}
+    for name, values in lists.items():
+        if not isinstance(values, list):
+            raise ConfigError(f"its {name} are {shown(values)}, not a list")
     reference = document.get("reference", "")
     if not isinstance(reference, str):
         raise ConfigError(f"the reference is {shown(reference)}, not a name")
-    return Marks(tuple(map(Mark.from_json, document["marks"])), reference)
+    found = {name: tuple(map(Mark.from_json, values)) for name, values in lists.items()}
+    return Marks(reference=reference, **found)
 
 
 def _states_of(document: Any) -> list[Marks]:

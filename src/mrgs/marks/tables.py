@@ -21,7 +21,7 @@ from mrgs.prepare.earth import geodetic
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
 
-HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Note")
+HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Severity", "Note")
 DASH = "–"
 
 
@@ -82,6 +82,7 @@ def text_rows(
             number(reading.difference, sign=True),
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
+            reading.mark.severity or DASH,
             "; ".join(filter(None, (reading.problem, " ".join(reading.mark.note.split())))),
         )
         for reading in readings
@@ -114,6 +115,7 @@ def facts_of_reading(
     return {
         "name": mark.name,
         "kind": mark.kind,
+        "severity": mark.severity,
         **{name: _known(value) for name, value in numbers.items()},
         "photos": reading.photos,
         "emissivity": mark.emissivity,

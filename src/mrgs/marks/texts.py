@@ -33,6 +33,7 @@ class MarkText(TypedDict):
     lines: list[str]
     profile: list[tuple[float, float | None]]
     note: str
+    severity: str
     area: bool
     emissivity: float | None
     reflected_c: float | None
@@ -90,6 +91,7 @@ def mark_text(
         "lines": _lines(reading, temperature, world),
         "profile": _profile(reading),
         "note": mark.note,
+        "severity": mark.severity,
         "area": mark.is_area,
         "emissivity": mark.emissivity,
         "reflected_c": mark.reflected_c,

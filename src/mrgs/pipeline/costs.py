@@ -159,8 +159,8 @@ def stage_costs(work: Workload) -> dict[str, Cost]:
         "render": Cost({"rendering": (work.held_out or views) * (render + 0.5e-3 * work.kpx)}, 0.2),
         "report": Cost(
             {
-                "hottest and coldest spots": 1.0 + views * (2 * render + 0.1e-3 * work.kpx),
-                "pictures of the spots": 2.0,
+                "anomalies": 1.0 + views * (2 * render + 0.1e-3 * work.kpx),
+                "measurements and pictures": 4.0,
                 "scores and page": 1.0,
             },
             0.4,

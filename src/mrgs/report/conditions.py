@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from datetime import date
+from typing import NamedTuple, get_args
 
 from mrgs.report.texts import Texts
-from mrgs.survey import Survey
+from mrgs.survey import Side, Survey
 
 LEAST_DIFFERENCE_K = 10.0
 MOST_WIND_BUILDING_M_S = 5.0
@@ -115,9 +116,17 @@ def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
     for name, (label, unit) in LABELS.items():
         value = getattr(survey, name)
         if value is not None:
-            text = t.number(_text(value, unit)) if isinstance(value, float) else str(value)
-            rows.append((t(label), text))
+            rows.append((t(label), _stated(value, unit, t)))
     return rows
+
+
+def _stated(value: object, unit: str, t: Texts) -> str:
+    if isinstance(value, float):
+        return t.number(_text(value, unit))
+    if isinstance(value, date):
+        return t.date(value)
+    text = str(value)
+    return t(text) if text in get_args(Side) else text
 
 
 LABELS: Mapping[str, tuple[str, str]] = {
@@ -132,6 +141,7 @@ LABELS: Mapping[str, tuple[str, str]] = {
     "construction": ("Construction", ""),
     "parts_observed": ("Parts observed", ""),
     "orientation": ("Orientation", ""),
+    "side": ("Photographed from", ""),
     "date": ("Date", ""),
     "time": ("Time", ""),
     "weather": ("Weather", ""),

@@ -1,5 +1,5 @@
 """The marks of a run, for the report: a table, and of each mark the thermal rendering and the photo
-with the mark drawn in."""
+with the mark drawn in, and its place on the plan."""
 
 from __future__ import annotations
 
@@ -9,35 +9,20 @@ from dataclasses import asdict
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from PIL import Image, ImageDraw
 
 from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
 from mrgs.marks.moisture import temperature_factor
 from mrgs.marks.regions import Regions
-from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.tables import DASH, size_text, total_uncertainty, value_text
 from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty import Uncertainty
-from mrgs.pictures.drawing import INK, Scale, draw_text, scale_bar, text_width
-from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
-from mrgs.pictures.palette import display_range
-from mrgs.pictures.values import in_unit, unit_label
-from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
+from mrgs.report.mark_pictures import mark_pictures, nearest_view
+from mrgs.report.plan import Plan
+from mrgs.scene import Scene, TemperatureRange
 from mrgs.survey import Survey
 
-PICTURE_PX = 480
-MARK_SHARE = 0.5
-"""Share of a picture's side that a mark takes up at most."""
-
-LEAST_SHARE = 0.3
-"""Side of a picture as a share of the photo's shorter side, at least: what lies about a mark tells
-where it is."""
-
-LABEL_PX = 15
-WHITE, BLACK, LOW, HIGH = (255, 255, 255), (0, 0, 0), (70, 150, 255), (255, 70, 60)
 CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 46
 
 
@@ -63,6 +48,7 @@ class ShownMark(NamedTuple):
     Attributes:
         name: of the mark.
         kind: of the mark.
+        severity: as the user states it.
         mean: its temperature.
         around: the uncertainty of the mean; empty if it is not known.
         parts: of the uncertainty, as ``SHOWN_PARTS``; a dash for those not known.
@@ -78,11 +64,13 @@ class ShownMark(NamedTuple):
         problem: why it has no temperature.
         view: name of the view in the pictures; empty without pictures.
         pictures: the thermal rendering, then the photo.
+        plan: where it is.
         chart: of a line; else None.
     """
 
     name: str
     kind: str
+    severity: str
     mean: str
     around: str
     parts: list[str]
@@ -98,58 +86,51 @@ class ShownMark(NamedTuple):
     problem: str
     view: str
     pictures: list[InlineImage]
+    plan: InlineImage
     chart: ProfileChart | None
-
-
-class ShownMarks(NamedTuple):
-    """The marks of a run.
-
-    Attributes:
-        marks: in their order.
-        places: the marks themselves.
-        assumptions: for surfaces with an emissivity of their own.
-        doubts: what was assumed of the uncertainty.
-    """
-
-    marks: list[ShownMark]
-    places: tuple[Mark, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
 
 SHOWN_PARTS = tuple(PART_NAMES.values())
 
 
-def show_marks(marks: RunMarks, scene: Scene, survey: Survey) -> ShownMarks:
-    """The marks of a run.
+def show_marks(
+    readings: Sequence[MarkReading],
+    reference: str,
+    regions: Regions,
+    scene: Scene,
+    survey: Survey,
+    plan: Plan,
+) -> list[ShownMark]:
+    """Measured marks.
 
     Args:
-        marks: of the run.
+        readings: of the marks.
+        reference: name of the mark that all differences refer to; empty for none.
+        regions: surfaces with an emissivity of their own.
         scene: with the photos.
         survey: the air inside and outside, for the temperature factor.
+        plan: to show the places of the marks on.
 
     Raises:
-        RunError: ``marks.json`` holds the marks of another model.
         SceneError: a photo cannot be read.
     """
-    known = marks.marks
-    if not len(known):
-        return ShownMarks([])
-    regions = marks.meter.regions(known)
-    readings = marks.meter.measure(known, regions)
-    shown = [_shown(reading, known.reference, regions, scene, survey) for reading in readings]
-    doubts = () if marks.meter.uncertainty is None else marks.meter.uncertainty.notes
-    return ShownMarks(shown, known.marks, marks.meter.capture.notes if regions else (), doubts)
+    return [_shown(reading, reference, regions, scene, survey, plan) for reading in readings]
 
 
 def _shown(
-    reading: MarkReading, reference: str, regions: Regions, scene: Scene, survey: Survey
+    reading: MarkReading,
+    reference: str,
+    regions: Regions,
+    scene: Scene,
+    survey: Survey,
+    plan: Plan,
 ) -> ShownMark:
     mark, temperature = reading.mark, scene.temperature
-    view = _nearest_view(mark, scene)
+    view = nearest_view(mark, scene)
     return ShownMark(
         mark.name,
         mark.kind,
+        mark.severity,
         value_text(reading.mean, temperature),
         _around(total_uncertainty(reading), temperature),
         [
@@ -167,7 +148,8 @@ def _shown(
         mark.note,
         reading.problem,
         "" if view is None else view.name,
-        [] if view is None else _pictures(reading, view, regions, scene),
+        [] if view is None else mark_pictures(reading, view, regions, scene),
+        inline_image(plan.small(mark), f"{mark.name}, plan", quality=85),
         _chart(reading, scene),
     )
 
@@ -183,9 +165,15 @@ def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> s
 
 
 def _factor(mean: float, survey: Survey) -> str:
-    """f_Rsi of a surface inside."""
+    """f_Rsi, which is defined for surfaces inside only."""
     inside, outside = survey.inside_c, survey.outside_c
-    if inside is None or outside is None or not inside > outside or math.isnan(mean):
+    if (
+        survey.side != "inside"
+        or inside is None
+        or outside is None
+        or not inside > outside
+        or math.isnan(mean)
+    ):
         return DASH
     return f"{temperature_factor(mean, inside, outside):.2f}"
 
@@ -196,126 +184,8 @@ def _settings_text(mark: Mark) -> str:
     if mark.emissivity is not None:
         texts.append(f"ε {mark.emissivity:g}")
     if mark.reflected_c is not None:
-        texts.append(f"T refl. {mark.reflected_c:g} °C".replace("-", "−"))
+        texts.append(f"T_refl {mark.reflected_c:g} °C".replace("-", "−"))
     return ", ".join(texts)
-
-
-def _nearest_view(mark: Mark, scene: Scene) -> View | None:
-    """The thermal view from nearest to where the mark was drawn that has all of it in its image."""
-    points, eye = torch.tensor(mark.points).double(), torch.tensor(mark.eye).double()
-    views = [view for view in (*scene.train, *scene.eval) if THERMAL in view.images]
-    seen = [
-        view
-        for view in views
-        if bool(view.images[THERMAL].camera.contains(_project(view, points)).all())
-    ]
-    distance = [(view.images[THERMAL].camera.position - eye).norm().item() for view in seen]
-    return seen[int(np.argmin(distance))] if seen else None
-
-
-def _project(view: View, points: torch.Tensor) -> torch.Tensor:
-    return view.images[THERMAL].camera.project(points)[0]
-
-
-def _pictures(
-    reading: MarkReading, view: View, regions: Regions, scene: Scene
-) -> list[InlineImage]:
-    """The thermal rendering with its scale, and the photo, both about the mark."""
-    name = reading.mark.name
-    camera = _about(reading.mark, view.images[THERMAL].camera)
-    values = to_array(regions.render(camera)[THERMAL].image[..., 0])
-    values = in_unit(THERMAL, values, scene.temperature)
-    scale = Scale("inferno", *display_range(values), unit_label(THERMAL, scene.temperature))
-    thermal = Image.fromarray(scale.colorize(values))
-    _draw(thermal, reading, camera)
-    bar = scale_bar(scale, PICTURE_PX - 16, "horizontal")
-    whole = Image.new("RGB", (PICTURE_PX, PICTURE_PX + bar.height + 8), WHITE)
-    whole.paste(thermal, (0, 0))
-    whole.paste(bar, (8, PICTURE_PX + 8))
-    pictures = [inline_image(whole, f"{name}, thermal", quality=90)]
-    if RGB in view.images:
-        photo_camera = _about(reading.mark, view.images[RGB].camera)
-        photo = _cropped(view, photo_camera)
-        _draw(photo, reading, photo_camera)
-        pictures.append(inline_image(photo, f"{name}, photo", quality=88))
-    return pictures
-
-
-def _about(mark: Mark, camera: Camera) -> Camera:
-    """The square part of a camera's image about a mark, ``PICTURE_PX`` wide."""
-    pixels, _ = camera.project(torch.tensor(mark.points).double())
-    low, high = pixels.min(dim=0).values, pixels.max(dim=0).values
-    side = max(
-        (high - low).max().item() / MARK_SHARE, LEAST_SHARE * min(camera.width, camera.height)
-    )
-    left, top = (
-        _shifted(middle - 0.5 * side, side, size)
-        for middle, size in zip(
-            (0.5 * (low + high)).tolist(), (camera.width, camera.height), strict=True
-        )
-    )
-    zoom = PICTURE_PX / side
-    K = camera.K.clone()
-    K[0, 2] -= left
-    K[1, 2] -= top
-    K[:2] *= zoom
-    return Camera(K, camera.viewmat, PICTURE_PX, PICTURE_PX)
-
-
-def _shifted(start: float, side: float, size: int) -> float:
-    """Where a stretch begins after it was moved into an image, if that can hold it."""
-    return min(max(start, 0.0), size - side) if side <= size else 0.5 * (size - side)
-
-
-def _cropped(view: View, wanted: Camera) -> Image.Image:
-    """The part of a view's photo that another camera at its place shows; white beyond it."""
-    photo = view.images[RGB]
-    whole = Image.fromarray(to_picture(RGB, photo.load().values, None, "grey"))
-    zoom = wanted.K[0, 0].item() / photo.camera.K[0, 0].item()
-    left, top = (photo.camera.K[:2, 2] - wanted.K[:2, 2] / zoom).tolist()
-    side = PICTURE_PX / zoom
-    return whole.transform(
-        (PICTURE_PX, PICTURE_PX),
-        Image.Transform.EXTENT,
-        (left, top, left + side, top + side),
-        Image.Resampling.BICUBIC,
-        fillcolor=WHITE,
-    )
-
-
-def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
-    """The mark with its name and extremes over a picture of a camera."""
-    mark, draw = reading.mark, ImageDraw.Draw(image)
-    pixels, _ = camera.project(torch.tensor(mark.points).double())
-    corners = [(x, y) for x, y in pixels.tolist()]
-    x, y = min(corners, key=lambda corner: corner[1])
-    for color, width in ((BLACK, 4), (WHITE, 2)):
-        if mark.kind == "spot":
-            draw.line([(x - 11, y), (x + 11, y)], fill=color, width=width)
-            draw.line([(x, y - 11), (x, y + 11)], fill=color, width=width)
-        else:
-            path = [*corners, corners[0]] if mark.is_area else corners
-            draw.line(path, fill=color, width=width, joint="curve")
-    if mark.kind != "spot":
-        _dot(draw, reading.low_at, camera, LOW)
-        _dot(draw, reading.high_at, camera, HIGH)
-    wide = text_width(mark.name, LABEL_PX) + 12
-    left = min(max(x + 8, 2), image.width - wide - 2)
-    top = min(max(y - LABEL_PX - 16, 2), image.height - LABEL_PX - 10)
-    draw.rounded_rectangle((left, top, left + wide, top + LABEL_PX + 8), 4, fill=INK)
-    middle = (left + wide / 2, top + (LABEL_PX + 8) / 2)
-    draw_text(image, middle, mark.name, LABEL_PX, WHITE, anchor="mm")
-
-
-def _dot(
-    draw: ImageDraw.ImageDraw,
-    place: Sequence[float],
-    camera: Camera,
-    color: tuple[int, int, int],
-) -> None:
-    if place:
-        x, y = camera.project(torch.tensor(place).double())[0].tolist()
-        draw.ellipse((x - 5, y - 5, x + 5, y + 5), fill=color, outline=WHITE, width=2)
 
 
 def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:

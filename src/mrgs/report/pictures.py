@@ -1,8 +1,7 @@
-"""The report's pictures: a view with the spots marked, and a crop of each spot."""
+"""The report's overview: the views that see the marks, with their names."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -10,75 +9,99 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw
 
-from mrgs.pictures.drawing import INK, Scale, draw_text, text_width
+from mrgs.marks.mark import Mark
+from mrgs.pictures.drawing import INK, Scale, draw_text, scale_bar, text_width
 from mrgs.pictures.files import to_array, to_picture
-from mrgs.report.spots import Renderer, Spot
-from mrgs.scene import THERMAL, Camera, Modality, Rendering, View, in_order
+from mrgs.pictures.palette import display_range
+from mrgs.pictures.values import in_unit, unit_label
+from mrgs.report.spots import SAME_DEPTH, Renderer, Spot, square_about
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
-OVERVIEW_PX = 720
+OVERVIEW_PX = 900
 OVERVIEW_CANDIDATES = 24
 """Number of views that are tried for the overview."""
 
-LABEL_PX = 18
-CROP_PX = 260
-CROP_SHARE = 0.4
-"""Side of a crop, as a share of the image's shorter side."""
-
-SAME_DEPTH = 0.05
-"""A view sees a spot if its rendered depth there differs by less than this share."""
+MOST_OVERVIEWS = 3
+LABEL_PX = 24
+TAIL_PERCENT = 0.2
+"""Of the surfaces' temperatures at each end that may lie beyond the colours of an overview."""
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
-class Marked(NamedTuple):
-    """Pictures of one view.
+class Overview(NamedTuple):
+    """A view with the marks that it sees.
 
     Attributes:
-        view: its index.
-        pictures: the thermal rendering through the palette, and the photo of every other modality
-            that the view has; RGB first.
+        view: its name.
+        seen: names of the marks.
+        pictures: the photo of every modality but thermal, RGB first; then the thermal rendering
+            above its scale.
     """
 
-    view: int
-    pictures: dict[Modality, Image.Image]
+    view: str
+    seen: list[str]
+    pictures: list[Image.Image]
 
 
-def overview(
-    views: Sequence[View], spots: Mapping[str, Spot], render: Renderer, scale: Scale
-) -> Marked:
-    """Photos and thermal rendering of the view that sees the most spots, with their names.
+def overviews(scene: Scene, marks: Mapping[str, Mark], render: Renderer) -> list[Overview]:
+    """The views that together see most marks, the one that sees most first; at most
+    ``MOST_OVERVIEWS``.
 
     Args:
-        views: of the capture; at most ``OVERVIEW_CANDIDATES`` of those with a thermal image are
-            tried.
-        spots: by the name that marks them.
+        scene: with the photos.
+        marks: by name.
         render: renders the thermal image of a camera.
-        scale: colours of the normalised temperatures 0 to 1.
+
+    Raises:
+        SceneError: a photo cannot be read.
     """
-    thermal_views = [index for index, view in enumerate(views) if THERMAL in view.images]
-    step = -(-len(thermal_views) // OVERVIEW_CANDIDATES)
-    candidates = thermal_views[::step]
-    index, seen = max(
-        ((index, _seen(views[index], spots, render)) for index in candidates),
-        key=lambda pair: len(pair[1]),
-    )
-    view = views[index]
-    cameras, pictures = view.cameras, {}
-    for modality, picture in _pictures(view, render(cameras[THERMAL]), scale).items():
-        pictures[modality] = _enlarged(picture, OVERVIEW_PX)
-        for name in seen:
-            _mark(pictures[modality], cameras[modality], spots[name], name)
-    return Marked(index, pictures)
+    views = [view for view in (*scene.train, *scene.eval) if THERMAL in view.images]
+    candidates = views[:: -(-len(views) // OVERVIEW_CANDIDATES)] if views else []
+    seen = [_seen(view, marks, render) for view in candidates]
+    left, chosen = set(marks), []
+    for _ in range(MOST_OVERVIEWS):
+        best = max(range(len(seen)), key=lambda i: len(left & set(seen[i])), default=None)
+        if best is None or not left & set(seen[best]):
+            break
+        shown = {name: marks[name] for name in seen[best] if name in left}
+        chosen.append(_overview(candidates[best], shown, scene, render))
+        left -= set(shown)
+    return chosen
 
 
-def crops(view: View, spot: Spot, rendering: Rendering, scale: Scale) -> Marked:
-    """Crops around a spot from the photos and the thermal rendering of the view that shows it
-    best."""
-    pictures = {
-        modality: _crop(picture, view.images[modality].camera, spot)
-        for modality, picture in _pictures(view, rendering, scale).items()
-    }
-    return Marked(spot.view, pictures)
+def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Renderer) -> Overview:
+    pictures = []
+    for modality in sorted(in_order(view.images), key=lambda each: each == THERMAL):
+        camera = view.images[modality].camera
+        if modality == THERMAL:
+            picture, scale = _thermal(render(camera), camera, scene)
+        else:
+            pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
+            picture = Image.fromarray(pixels)
+        picture = _enlarged(picture, OVERVIEW_PX)
+        for name, mark in marks.items():
+            _mark(picture, camera, mark, name)
+        pictures.append(picture if modality != THERMAL else _above(picture, scale))
+    return Overview(view.name, list(marks), pictures)
+
+
+def _thermal(rendering: Rendering, camera: Camera, scene: Scene) -> tuple[Image.Image, Scale]:
+    """The thermal image in colours that its surfaces use up; the sky may lie beyond them."""
+    values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
+    surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
+    limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
+    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature))
+    return Image.fromarray(scale.colorize(values)), scale
+
+
+def _above(picture: Image.Image, scale: Scale) -> Image.Image:
+    """A picture with its scale below."""
+    bar = scale_bar(scale, picture.width, "horizontal", LABEL_PX)
+    whole = Image.new("RGB", (picture.width, picture.height + bar.height + 10), WHITE)
+    whole.paste(picture, (0, 0))
+    whole.paste(bar, (0, picture.height + 10))
+    return whole
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
@@ -96,13 +119,14 @@ def photo_value(view: View, spot: Spot) -> float | None:
     return float(np.nanmean(patch)) if patch.size and np.isfinite(patch).any() else None
 
 
-def _seen(view: View, spots: Mapping[str, Spot], render: Renderer) -> list[str]:
-    """Names of the spots that the view's thermal camera sees: inside the image and not hidden."""
+def _seen(view: View, marks: Mapping[str, Mark], render: Renderer) -> list[str]:
+    """Names of the marks whose middle the view's thermal camera sees: in the image and not
+    hidden."""
     camera = view.images[THERMAL].camera
     surface = render(camera).surface_depth(THERMAL)
     seen = []
-    for name, spot in spots.items():
-        pixel, depth = camera.project(torch.from_numpy(spot.position))
+    for name, mark in marks.items():
+        pixel, depth = camera.project(torch.from_numpy(np.mean(mark.points, axis=0)))
         if camera.contains(pixel):
             column, row = pixel.int().tolist()
             if abs(surface[row, column] - depth) <= SAME_DEPTH * depth:  # false for NaN
@@ -116,73 +140,46 @@ def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
     return column, row
 
 
-def _pictures(view: View, rendering: Rendering, scale: Scale) -> dict[Modality, Image.Image]:
-    """The thermal rendering through the palette, and the view's other photos; RGB first."""
-    pictures = {}
-    for modality in in_order(view.images):
-        if modality == THERMAL:
-            values = to_array(rendering[THERMAL].image[..., 0])
-            pixels = scale.colorize(scale.low + values * (scale.high - scale.low))
-        else:
-            photo = view.images[modality].load()
-            pixels = to_picture(modality, photo.values, None, scale.palette)
-        pictures[modality] = Image.fromarray(pixels)
-    return pictures
-
-
 def _enlarged(image: Image.Image, width: int) -> Image.Image:
     return image.resize(
         (width, max(1, round(image.height * width / image.width))), Image.Resampling.LANCZOS
     )
 
 
-def _mark(image: Image.Image, camera: Camera, spot: Spot, name: str) -> None:
-    """A ring around the spot, and its name beside it."""
-    x, y = _pixel(camera, spot)
-    if math.isnan(x):
+def _mark(image: Image.Image, camera: Camera, mark: Mark, name: str) -> None:
+    """A ring around a spot or the outline of another mark, and its name beside it."""
+    pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
+    if not np.isfinite(pixels).all():
         return
-    x, y = x * image.width / camera.width, y * image.height / camera.height
-    _ring(image, x, y)
-    side = -1 if x > image.width - 60 else 1
-    width = text_width(name, LABEL_PX)
-    middle = x + side * (20 + width / 2)
-    box = [middle - width / 2 - 5, y - 12, middle + width / 2 + 5, y + 12]
-    ImageDraw.Draw(image).rectangle(box, fill=INK)
-    draw_text(image, (middle, y), name, LABEL_PX, WHITE, anchor="mm")
+    corners = [tuple(each) for each in pixels * (image.width / camera.width)]
+    if mark.kind == "spot":
+        _ring(image, *corners[0])
+    else:
+        _outline(image, [*corners, corners[0]] if mark.is_area else corners)
+    x, y = max(corners)
+    wide = text_width(name, LABEL_PX) + 12
+    left = x + 18 if x + 18 + wide < image.width else min(corners)[0] - 18 - wide
+    ImageDraw.Draw(image).rounded_rectangle((left, y - 16, left + wide, y + 16), 4, fill=INK)
+    draw_text(image, (left + wide / 2, y), name, LABEL_PX, WHITE, anchor="mm")
 
 
-def _ring(image: Image.Image, x: float, y: float, radius: int = 10) -> None:
+def _ring(image: Image.Image, x: float, y: float, radius: int = 13) -> None:
     draw = ImageDraw.Draw(image)
-    for size, color, width in ((radius + 1, BLACK, 4), (radius, WHITE, 2)):
+    for size, color, width in ((radius + 1, BLACK, 5), (radius, WHITE, 3)):
         draw.ellipse([x - size, y - size, x + size, y + size], outline=color, width=width)
 
 
+def _outline(image: Image.Image, corners: Sequence[tuple[float, ...]]) -> None:
+    draw = ImageDraw.Draw(image)
+    for color, width in ((BLACK, 6), (WHITE, 3)):
+        draw.line([*corners], fill=color, width=width, joint="curve")
+
+
 def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
-    """Normalised temperature about a spot: the median of its crop's pixels that show a surface;
+    """Normalised temperature about a spot: the median of the pixels about it that show a surface;
     that of the spot where none does."""
     camera = view.images[THERMAL].camera
-    left, top, side = _square((camera.width, camera.height), *_pixel(camera, spot))
-    part = slice(top, top + side), slice(left, left + side)
+    part = square_about((camera.width, camera.height), *_pixel(camera, spot))
     values = to_array(rendering[THERMAL].image[..., 0])[part]
     solid = np.isfinite(to_array(rendering.surface_depth(THERMAL))[part])
     return float(np.median(values[solid])) if solid.any() else spot.value
-
-
-def _square(size: tuple[int, int], x: float, y: float) -> tuple[int, int, int]:
-    """Left, top and side of the crop about a pixel, shifted into the image."""
-    side = max(8, round(CROP_SHARE * min(size)))
-    left = min(max(round(x - side / 2), 0), size[0] - side)
-    top = min(max(round(y - side / 2), 0), size[1] - side)
-    return left, top, side
-
-
-def _crop(image: Image.Image, camera: Camera, spot: Spot) -> Image.Image:
-    """A square about the spot, shifted into the image where it would reach beyond, with a ring
-    around the spot."""
-    x, y = _pixel(camera, spot)
-    left, top, side = _square(image.size, x, y)
-    crop = image.crop((left, top, left + side, top + side)).resize(
-        (CROP_PX, CROP_PX), Image.Resampling.BICUBIC
-    )
-    _ring(crop, (x - left) * CROP_PX / side, (y - top) * CROP_PX / side)
-    return crop

@@ -1,50 +1,177 @@
-"""Where the marks are, seen from above."""
+"""Where the marks are: seen from above, or where all cameras face one side, from the front."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float64
-from markupsafe import Markup, escape
+from jaxtyping import Float32, Float64
+from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
+from mrgs.pictures.drawing import INK, MUTED, draw_text, text_width
 from mrgs.scene import Scene
 
-WIDTH, HEIGHT, MARGIN = 720, 420, 24
-FONT = 'font-size="13" font-weight="600" fill="#1d2126"'
-MOST_POINTS = 4000
-TRIMMED_PERCENT = 1.0
+WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
+SMALL_WIDTH_PX = 420
+LABEL_PX, SMALL_RADIUS_PX = 24, 22
+MOST_POINTS = 20_000
+TRIMMED_PERCENT = 4.0
 """Of the start points on each side: what strays far off does not shrink the plan."""
 
+FACES_ONE_SIDE = 0.7
+"""Length of the mean of the cameras' level directions above which they look at one side."""
 
-def draw_plan(scene: Scene, marks: Sequence[Mark]) -> Markup:
-    """The start points, the cameras and the marks, looking down the scene's z axis, as SVG."""
-    points = scene.points.positions.double().numpy()
-    points = points[:: max(1, len(points) // MOST_POINTS), :2]
-    cameras = np.array([each.position.numpy()[:2] for each in scene.train_cameras])
-    places = np.array([np.mean(mark.points, axis=0)[:2] for mark in marks])
-    low, high = np.percentile(points, [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)
-    low = np.minimum(low, np.concatenate([cameras, places]).min(axis=0))
-    high = np.maximum(high, np.concatenate([cameras, places]).max(axis=0))
-    scale = float(
-        min((WIDTH - 2 * MARGIN) / (high - low)[0], (HEIGHT - 2 * MARGIN) / (high - low)[1])
-    )
-    inside = ((points >= low) & (points <= high)).all(axis=1)
+FADED = 0.45
+"""Share of white in the colours of the surfaces, so that the marks stand out."""
 
-    def on_page(at: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        middle = at - (low + high) / 2
-        return np.stack([WIDTH / 2 + scale * middle[:, 0], HEIGHT / 2 - scale * middle[:, 1]], 1)
+PAPER, MARK, RIM, CAMERA = (255, 255, 255), (200, 70, 0), (255, 255, 255), (31, 95, 168)
+PLACES = [(1, -1), (1, 1), (-1, -1), (-1, 1), (1, -3), (1, 3), (-1, -3), (-1, 3)]
+"""Where a label is tried, beside its mark: the side, and half heights of a label down."""
 
-    dots = "".join(f"M{x:.0f} {y:.0f}h1" for x, y in on_page(points[inside]))
-    shapes = [f'<path d="{dots}" stroke="#aab1ba" stroke-width="1.5" fill="none"/>']
-    shapes += [
-        f'<path d="M{x:.1f} {y - 5:.1f}l4.5 8h-9z" fill="#1f5fa8"/>' for x, y in on_page(cameras)
-    ]
-    for mark, (x, y) in zip(marks, on_page(places), strict=True):
-        shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#c2560a" stroke="#fff"/>')
-        anchor = "end" if x > WIDTH - 80 else "start"
-        at = x - 8 if anchor == "end" else x + 8
-        place = f'x="{at:.1f}" y="{y - 6:.1f}" text-anchor="{anchor}"'
-        shapes.append(f"<text {place} {FONT}>{escape(mark.name)}</text>")
-    return Markup(f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img">{"".join(shapes)}</svg>')
+
+class Plan:
+    """The start points of a scene in their colours, on which marks are drawn.
+
+    Args:
+        scene: with its cameras.
+        marks: that the plan must reach.
+
+    Attributes:
+        from_the_front: whether it is an elevation, along the cameras' mean level direction; else it
+            is seen from above, along the scene's z axis.
+    """
+
+    def __init__(self, scene: Scene, marks: Sequence[Mark]) -> None:
+        forward = np.stack([camera.forward.numpy() for camera in scene.train_cameras])
+        level = forward.mean(axis=0) * (1, 1, 0)
+        self.from_the_front = bool(np.linalg.norm(level) > FACES_ONE_SIDE)
+        self._metric, self._north = scene.world.metric, scene.world.north
+        self._axes = _axes(level if self.from_the_front else None)
+        points, colors = scene.points.positions.double().numpy(), scene.points.colors.numpy()
+        step = max(1, len(points) // MOST_POINTS)
+        flat = points[::step] @ self._axes.T
+        cameras = np.stack([camera.position.numpy() for camera in scene.train_cameras])
+        self._cameras = np.empty((0, 2)) if self.from_the_front else (cameras @ self._axes.T)[:, :2]
+        low, high = np.percentile(flat[:, :2], [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)
+        reached = [self._flat(mark) for mark in marks]
+        reached += [self._cameras] if len(self._cameras) else []
+        self._low = np.min([low, *(each.min(axis=0) for each in reached)], axis=0)
+        self._high = np.max([high, *(each.max(axis=0) for each in reached)], axis=0)
+        size = np.array([WIDTH_PX, HEIGHT_PX]) - 2 * MARGIN_PX
+        self._scale = float((size / np.maximum(self._high - self._low, 1e-9)).min())
+        self._ground = self._draw_ground(flat, colors[::step])
+
+    def whole(self, marks: Mapping[str, Mark]) -> Image.Image:
+        """The plan with all marks under their names."""
+        image = self._ground.copy()
+        for mark in marks.values():
+            self._draw(image, mark, LABEL_PX / 4)
+        taken: list[tuple[float, ...]] = []
+        for name, mark in marks.items():
+            x, y = self._pixels(self._flat(mark)).mean(axis=0)
+            taken.append(_label(image, x, y, name, taken))
+        self._draw_scale(image)
+        return image
+
+    def small(self, mark: Mark) -> Image.Image:
+        """The plan with one mark, for beside its pictures."""
+        image = self._ground.copy()
+        self._draw(image, mark, SMALL_RADIUS_PX)
+        return image.resize(
+            (SMALL_WIDTH_PX, round(image.height * SMALL_WIDTH_PX / image.width)),
+            Image.Resampling.LANCZOS,
+        )
+
+    def _draw_ground(
+        self, flat: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"]
+    ) -> Image.Image:
+        """The surfaces, the farthest first, and the cameras."""
+        image = Image.new("RGB", (WIDTH_PX, self._height), PAPER)
+        draw = ImageDraw.Draw(image)
+        inside = ((flat[:, :2] >= self._low) & (flat[:, :2] <= self._high)).all(axis=1)
+        order = np.flatnonzero(inside)[np.argsort(flat[inside, 2])]
+        shades = (255 * (FADED + (1 - FADED) * colors[order])).astype(int)
+        for (x, y), shade in zip(self._pixels(flat[order, :2]), shades.tolist(), strict=True):
+            draw.rectangle((x - 2, y - 2, x + 2, y + 2), fill=tuple(shade))
+        for x, y in self._pixels(self._cameras):
+            draw.polygon([(x, y - 10), (x + 9, y + 6), (x - 9, y + 6)], fill=CAMERA, outline=RIM)
+        return image
+
+    def _draw(self, image: Image.Image, mark: Mark, radius: float) -> None:
+        """A dot for a spot, the outline of the other kinds."""
+        draw, corners = ImageDraw.Draw(image), [*map(tuple, self._pixels(self._flat(mark)))]
+        if mark.is_area:
+            corners.append(corners[0])
+        for color, wider in ((RIM, 4), (MARK, 0)):
+            if mark.kind != "spot":
+                draw.line(corners, fill=color, width=round(radius) + wider, joint="curve")
+        x, y = np.mean(self._pixels(self._flat(mark)), axis=0)
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, RIM, 2)
+
+    def _draw_scale(self, image: Image.Image) -> None:
+        """A bar of a round length in m, and an arrow to the north, where the scene has them."""
+        draw, bottom = ImageDraw.Draw(image), image.height - 14
+        if self._metric:
+            length = _round_length(0.2 * WIDTH_PX / self._scale)
+            end = MARGIN_PX + length * self._scale
+            draw.line((MARGIN_PX, bottom, end, bottom), fill=INK, width=4)
+            draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, MUTED)
+        if self._north and not self.from_the_front:
+            x, y = WIDTH_PX - MARGIN_PX, MARGIN_PX
+            draw.polygon([(x, y - 30), (x + 11, y + 6), (x, y - 3), (x - 11, y + 6)], fill=INK)
+            draw_text(image, (x, y + 28), "N", 22, INK, anchor="ms")
+
+    @property
+    def _height(self) -> int:
+        return round((self._high - self._low)[1] * self._scale) + 2 * MARGIN_PX
+
+    def _flat(self, mark: Mark) -> Float64[np.ndarray, "n 2"]:
+        return (np.array(mark.points) @ self._axes.T)[:, :2]
+
+    def _pixels(self, flat: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+        """Pixels of places in the plan's plane."""
+        middle = flat - (self._low + self._high) / 2
+        return np.array([WIDTH_PX, self._height]) / 2 + self._scale * middle * (1, -1)
+
+
+def _axes(level: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
+    """Rows: to the right, up, and towards the onlooker, who looks level, or down if None."""
+    if level is None:
+        return np.eye(3)
+    towards, up = -level / np.linalg.norm(level), np.array([0.0, 0.0, 1.0])
+    return np.stack([np.cross(up, towards), up, towards])
+
+
+def _label(
+    image: Image.Image, x: float, y: float, name: str, taken: Sequence[tuple[float, ...]]
+) -> tuple[float, ...]:
+    """Write a name beside a place where no other stands, if there is such a place; returns the box
+    that it takes up."""
+    wide, half = text_width(name, LABEL_PX) + 12, LABEL_PX / 2 + 4
+
+    def box_at(side: int, down: int) -> tuple[float, ...]:
+        left = x + 12 if side > 0 else x - 12 - wide
+        left = min(max(left, 0), image.width - wide)
+        middle = min(max(y + down * half, half), image.height - half)
+        return left, middle - half, left + wide, middle + half
+
+    boxes = [box_at(*place) for place in PLACES]
+    free = [box for box in boxes if not any(_overlap(box, other) for other in taken)]
+    left, top, right, bottom = box = (free or boxes)[0]
+    draw = ImageDraw.Draw(image)
+    draw.line((x, y, min(max(x, left), right), (top + bottom) / 2), fill=INK, width=2)
+    draw.rounded_rectangle(box, 4, fill=INK)
+    draw_text(image, ((left + right) / 2, (top + bottom) / 2), name, LABEL_PX, PAPER, anchor="mm")
+    return box
+
+
+def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
+    return all(one[i] < other[i + 2] and other[i] < one[i + 2] for i in (0, 1))
+
+
+def _round_length(length: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is no longer."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return max(each * power for each in (1, 2, 5) if each * power <= length * (1 + 1e-9))

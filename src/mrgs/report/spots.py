@@ -8,23 +8,30 @@ thermographer reads them from photos:
 1. Every view's thermal camera is rendered. Pixels that show a surface (accumulated alpha at least
   0.9) whose depth
    does not jump within 3×3 pixels become points in the scene.
+  So do pixels beside an outline, and those near the sky: they blend what lies on both sides.
 2. The points are gathered in cubes of the size of 3×3 pixels, the usual spot of a spot meter. A
   view's value of a cube
    is the mean of its points there.
 3. Cubes that fewer than three views see (all of them, where there are fewer) are left out. The
   value of the others is
    the median over the views: a reflection that few views catch does not count.
-4. The extreme cubes are taken one by one, each at least 15 cube edges from those before it.
+4. Cubes that more views see through than see are left out: mist between the surfaces, and the
+  outlines of things before the sky.
+5. The extreme cubes are taken one by one, each at least 15 cube edges from those before it and from
+  places that were judged before. One is left out that no view has away from its border, that does
+  not differ from its surroundings, or that is part of something as extreme that is large and
+  reaches the border of the picture: the sky.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
+from scipy.ndimage import label
 
 from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, evenly_spaced
 
@@ -36,12 +43,34 @@ SURFACE_ALPHA = 0.9
 DEPTH_JUMP = 0.1
 """Relative difference of depth within 3×3 pixels above which a pixel counts as an edge."""
 
+OUTLINE_SHARE, SKY_SHARE = 0.006, 0.025
+"""Pixels that lie nearer to an outline, or to pixels without a surface, than these shares of the
+image's width do not count."""
+
 CUBE_PX = 3
 MIN_POINTS = 3
 """Of one view in a cube; fewer are a sliver seen at a grazing angle."""
 
+SURROUNDINGS_SHARE = 0.4
+"""Side of what counts as the surroundings of a spot, as a share of the image's shorter side."""
+
+LARGE_SHARE = 0.04
+"""Of a picture, above which something that reaches its border is no anomaly."""
+
+LEFT_OUT_SHARE = 0.2
+"""Of the separation: what lies nearer to a cube that was left out is not looked at."""
+
+LEAST_CONTRAST = 0.01
+"""Of the recorded range, by which a spot differs from the middle of its surroundings at least."""
+
+AS_EXTREME = 0.1
+"""What differs from a spot by less than this share of the range about it is as extreme."""
+
 MIN_VIEWS = 3
 SEPARATION_CUBES = 15
+
+SAME_DEPTH = 0.05
+"""A view sees a place if its rendered depth there differs by less than this share."""
 
 Renderer = Callable[[Camera], Rendering]
 """Renders the thermal image of a camera."""
@@ -67,6 +96,20 @@ class Spot(NamedTuple):
     view: int
 
 
+class _Image(NamedTuple):
+    """A rendered view.
+
+    Attributes:
+        camera: of the pixels.
+        depth: z-depth of the surface, scene units, NaN where there is none, [H, W].
+        values: normalised temperatures, [H, W].
+    """
+
+    camera: Camera
+    depth: Float[np.ndarray, "h w"]
+    values: Float[np.ndarray, "h w"]
+
+
 class _Points(NamedTuple):
     """Surface points of all views.
 
@@ -76,6 +119,7 @@ class _Points(NamedTuple):
         views: index of the view of each, [P].
         central: whether the pixel is away from the image's border, [P].
         footprint: median distance between neighbouring pixels on the surfaces, scene units.
+        images: what was rendered of each view, by its index.
     """
 
     positions: Float[np.ndarray, "p 3"]
@@ -83,6 +127,7 @@ class _Points(NamedTuple):
     views: Int64[np.ndarray, " p"]
     central: Bool[np.ndarray, " p"]
     footprint: float
+    images: dict[int, _Image]
 
 
 class _Sightings(NamedTuple):
@@ -118,7 +163,11 @@ class _Cube(NamedTuple):
 
 
 def find_spots(
-    views: Sequence[View], render: Renderer, count: int = 3, ball: Reach | None = None
+    views: Sequence[View],
+    render: Renderer,
+    count: int = 3,
+    ball: Reach | None = None,
+    judged: Sequence[Float[np.ndarray, "3"]] = (),
 ) -> tuple[list[Spot], list[Spot]]:
     """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
 
@@ -127,6 +176,7 @@ def find_spots(
         render: renders the thermal image of a camera.
         count: largest number of spots in each list.
         ball: how far the scene reaches; the sky beyond it is no spot. None if there is none.
+        judged: places, world coordinates, about which nothing is to be found again.
     """
     thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
     chosen = [thermal[place] for place in evenly_spaced(len(thermal), VIEWS)]
@@ -135,8 +185,11 @@ def find_spots(
         return [], []
     sightings, edge = _sightings(points)
     cubes = _agreed(sightings, min(MIN_VIEWS, len(chosen)))
+    cubes = _solid(cubes, sightings, points.images.values())
+    distance = SEPARATION_CUBES * edge
     hottest, coldest = (
-        _apart(row, sightings, count, SEPARATION_CUBES * edge) for row in (cubes[::-1], cubes)
+        _apart(row, sign, sightings, points.images, count, distance, judged)
+        for row, sign in ((cubes[::-1], 1), (cubes, -1))
     )
     return hottest, coldest
 
@@ -145,30 +198,50 @@ def _survey(
     views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: Reach | None
 ) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
-    parts = []
+    parts, images = [], {}
     for index in chosen:
         camera = views[index].images[THERMAL].camera
         camera = camera.with_width(min(WIDTH_PX, camera.width))
         rendering = render(camera)
-        surface = rendering.surface_depth(THERMAL, SURFACE_ALPHA, DEPTH_JUMP).double()
-        depth_map = (surface if ball is None else ball.without_background(camera, surface)).numpy()
+        image = rendering[THERMAL].image[..., 0].numpy()
+        images[index] = _Image(camera, rendering.surface_depth(THERMAL).double().numpy(), image)
+        depth_map = _inner_depth(rendering, camera, ball).numpy()
         rows, columns = np.nonzero(np.isfinite(depth_map))
-        values = rendering[THERMAL].image[..., 0].numpy()[rows, columns]
-        depth = depth_map[rows, columns]
+        values, distance = image[rows, columns], depth_map[rows, columns]
         border = 0.1 * min(camera.width, camera.height)
         central = (np.minimum(columns, camera.width - columns) > border) & (
             np.minimum(rows, camera.height - rows) > border
         )
-        footprint = depth / camera.K[0, 0].item()
+        footprint = distance / camera.K[0, 0].item()
         pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
-        positions = camera.unproject(pixels, torch.from_numpy(depth)).numpy()
+        positions = camera.unproject(pixels, torch.from_numpy(distance)).numpy()
         parts.append((positions, values, np.full(len(rows), index), central, footprint))
     if not sum(len(part[0]) for part in parts):
         return None
     positions, values, owners, central, footprints = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
-    return _Points(positions, values, owners, central, float(np.median(footprints)))
+    middle = float(np.median(footprints))
+    return _Points(positions, values, owners, central, middle, images)
+
+
+def _inner_depth(
+    rendering: Rendering, camera: Camera, ball: Reach | None
+) -> Float[torch.Tensor, "h w"]:
+    """z-depth of the surfaces, NaN beside outlines and near the sky."""
+    solid = rendering.surface_depth(THERMAL, SURFACE_ALPHA).double()
+    surface = rendering.surface_depth(THERMAL, SURFACE_ALPHA, DEPTH_JUMP).double()
+    if ball is not None:
+        solid, surface = (ball.without_background(camera, each) for each in (solid, surface))
+    outlines = _widened(surface.isnan(), round(OUTLINE_SHARE * camera.width))
+    left_out = outlines | _widened(solid.isnan(), round(SKY_SHARE * camera.width))
+    return torch.where(left_out, torch.nan, surface)
+
+
+def _widened(mask: Bool[torch.Tensor, "h w"], pixels: int) -> Bool[torch.Tensor, "h w"]:
+    """A mask with what lies within so many pixels of it."""
+    grown = torch.nn.functional.max_pool2d(mask[None].float(), 2 * pixels + 1, 1, pixels)
+    return grown[0] > 0
 
 
 def _sightings(points: _Points) -> tuple[_Sightings, float]:
@@ -206,17 +279,52 @@ def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
     ]
 
 
+def _solid(
+    cubes: list[_Cube],
+    sightings: _Sightings,
+    images: Iterable[_Image],
+) -> list[_Cube]:
+    """Step 4: the cubes that at least as many views see as see through them."""
+    if not cubes:
+        return []
+    places = torch.from_numpy(sightings.positions[[cube.rows[0] for cube in cubes]])
+    seen, passed = np.zeros(len(cubes), int), np.zeros(len(cubes), int)
+    for camera, depth, _ in images:
+        pixels, distance = camera.project(places)
+        inside = np.flatnonzero(camera.contains(pixels).numpy())
+        columns, rows = pixels.numpy()[inside].astype(np.int64).T
+        share = depth[rows, columns] / distance.numpy()[inside]
+        seen[inside] += np.abs(share - 1) <= SAME_DEPTH
+        passed[inside] += np.isnan(share) | (share > 1 + SAME_DEPTH)
+    return [cubes[index] for index in np.flatnonzero(seen >= passed)]
+
+
 def _apart(
-    cubes: Iterable[_Cube], sightings: _Sightings, count: int, distance: float
+    cubes: Iterable[_Cube],
+    sign: int,
+    sightings: _Sightings,
+    images: Mapping[int, _Image],
+    count: int,
+    distance: float,
+    judged: Sequence[Float[np.ndarray, "3"]],
 ) -> list[Spot]:
-    """Step 4: the first cubes of the list that keep the distance from each other."""
+    """Step 5: the first cubes of the list that keep the distance from each other and from places
+    that were judged; hot ones where the sign is 1, cold ones where it is −1."""
     kept: list[Spot] = []
+    left_out = np.empty((0, 3))
     for cube in cubes:
         position = np.median(sightings.positions[cube.rows], axis=0)
-        if any(np.linalg.norm(position - other.position) < distance for other in kept):
+        others = [*judged, *(spot.position for spot in kept)]
+        if any(np.linalg.norm(position - other) < distance for other in others):
+            continue
+        if (np.linalg.norm(left_out - position, axis=1) < LEFT_OUT_SHARE * distance).any():
+            continue
+        best = cube.rows[np.argmax(sightings.points[cube.rows])]
+        image = images[int(sightings.views[best])]
+        if not sightings.points[best] or not _is_local(image, position, cube.median, sign):
+            left_out = np.concatenate([left_out, position[None]])
             continue
         low, high = np.quantile(cube.values, [0.1, 0.9])
-        best = cube.rows[np.argmax(sightings.points[cube.rows])]
         kept.append(
             Spot(
                 position,
@@ -230,3 +338,26 @@ def _apart(
         if len(kept) == count:
             break
     return kept
+
+
+def _is_local(image: _Image, position: Float[np.ndarray, "3"], value: float, sign: int) -> bool:
+    """Whether a place stands out of the picture, rather than being part of something large that
+    reaches the picture's border."""
+    x, y = image.camera.project(torch.from_numpy(position))[0].tolist()
+    about = image.values[square_about((image.camera.width, image.camera.height), x, y)]
+    low, middle, high = np.percentile(about, [2, 50, 98])
+    if not sign * (value - middle) > max(AS_EXTREME * (high - low), LEAST_CONTRAST):
+        return False
+    parts, _ = label(sign * (image.values - value) >= -AS_EXTREME * (high - low))
+    own = parts == parts[int(y), int(x)]
+    reaches = own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any()
+    return not (parts[int(y), int(x)] and reaches and own.mean() > LARGE_SHARE)
+
+
+def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slice]:
+    """Rows and columns of the surroundings of a pixel in an image of a width and a height, shifted
+    into the image."""
+    side = max(8, round(SURROUNDINGS_SHARE * min(size)))
+    left = min(max(round(x - side / 2), 0), size[0] - side)
+    top = min(max(round(y - side / 2), 0), size[1] - side)
+    return slice(top, top + side), slice(left, left + side)

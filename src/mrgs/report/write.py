@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
-from mrgs.marks import open_marks
+from mrgs.marks import Marks, RunMarks, open_marks
 from mrgs.marks.emissivity import records_of
+from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
-from mrgs.pictures.html import PAGE_STYLE, write_html
+from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
 from mrgs.report.conditions import conditions_of, stated_rows
-from mrgs.report.marks import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, SHOWN_PARTS, show_marks
-from mrgs.report.pdf import require_weasyprint, write_pdf
-from mrgs.report.plan import draw_plan
-from mrgs.report.sections import (
-    capture_rows,
-    find_named_spots,
-    read_contact_sheet,
-    read_scores,
-    show_spots,
-    training_rows,
+from mrgs.report.marks import (
+    CHART_HEIGHT,
+    CHART_LEFT,
+    CHART_WIDTH,
+    SHOWN_PARTS,
+    ShownMark,
+    show_marks,
 )
+from mrgs.report.pdf import require_weasyprint, write_pdf
+from mrgs.report.pictures import Overview, overviews
+from mrgs.report.plan import Plan
+from mrgs.report.proposals import ShownProposal, propose, show_proposals
+from mrgs.report.sections import capture_rows, read_contact_sheet, read_scores, training_rows
+from mrgs.report.spots import Spot
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
@@ -31,7 +35,45 @@ from mrgs.survey import SURVEY_FILE, Survey, read_survey
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
 
-PARTS = ("hottest and coldest spots", "pictures of the spots", "scores and page")
+PARTS = ("anomalies", "measurements and pictures", "scores and page")
+
+
+class ShownOverview(NamedTuple):
+    """A view in which marks are shown.
+
+    Attributes:
+        view: its name.
+        pictures: its photo, and its thermal rendering above the scale.
+    """
+
+    view: str
+    pictures: list[InlineImage]
+
+    @classmethod
+    def of(cls, overview: Overview) -> ShownOverview:
+        """An overview for a page."""
+        text = ", ".join(overview.seen)
+        return cls(
+            overview.view, [inline_image(each, text, quality=88) for each in overview.pictures]
+        )
+
+
+class Findings(NamedTuple):
+    """What was measured and what was found.
+
+    Attributes:
+        marks: of the run.
+        proposals: anomalies that nobody has judged.
+        overviews: the views that see them.
+        plan: with all of them; None without any.
+        from_the_front: whether the plan is an elevation.
+    """
+
+    marks: Sequence[ShownMark] = ()
+    proposals: Sequence[ShownProposal] = ()
+    overviews: Sequence[ShownOverview] = ()
+    plan: InlineImage | None = None
+    from_the_front: bool = False
 
 
 def report_run(
@@ -69,10 +111,13 @@ def write_report(
     """Write a page about the run for a thermographer; returns its path.
 
     It holds what ``survey.yaml`` in the run's folder states, the marks of the run with their
-    uncertainties, the hottest and the coldest spots with their positions and pictures, the data of
-    the capture, the limits of the measurement, and in an appendix scores, the contact sheet of
+    uncertainties, pictures and places on a plan, the anomalies that are proposed, the data of the
+    capture, the limits of the measurement, and in an appendix scores, the contact sheet of
     ``RUN/eval`` (or how to get them) and the training. The page needs no script and nothing from
     the network; its style sheet also fits printing on A4.
+
+    The hottest and the coldest spots are proposed as anomalies, and kept in ``marks.json`` until
+    they are accepted (``RunMarks.accept``), which makes them marks, or dropped.
 
     Args:
         run: what ``load_run`` returns.
@@ -96,49 +141,76 @@ def write_report(
     survey = read_survey(run.folder.path / SURVEY_FILE)
     has_thermal = THERMAL in scene.modalities
     begin(0)
-    named = find_named_spots(run, scene) if has_thermal else {}
+    marks = open_marks(run, scene)
+    regions = marks.meter.regions(marks.marks)
+    spots = propose(marks, scene, regions) if has_thermal else {}
     begin(1)
-    spots = show_spots(named, run, scene) if named else None
-    shown = show_marks(open_marks(run, scene), scene, survey)
-    plan = draw_plan(scene, shown.places) if shown.marks else None
+    findings = _findings(marks, regions, spots, scene, survey)
     begin(2)
+    every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
     return write_html(
         path,
         "report/report.html",
         title=survey.title or t("Thermal report: {name}", name=scene.name),
-        subtitle=_subtitle(run, survey),
+        subtitle=_subtitle(survey, t),
         language=language,
         t=t,
+        survey=survey,
         stated=stated_rows(survey, t),
         conditions=conditions_of(survey),
-        standard=survey.standard,
-        statement=survey.statement,
         styles=[PAGE_STYLE, "report/report.css"],
         run_folder=run.folder.path,
         step=run.facts.step,
         has_thermal=has_thermal,
         temperature=scene.temperature,
-        spots=spots,
-        marks=shown.marks,
-        assumptions=shown.assumptions,
-        doubts=shown.doubts,
-        parts_of_uncertainty=SHOWN_PARTS if any(mark.around for mark in shown.marks) else (),
-        has_factor=any(mark.factor != DASH for mark in shown.marks),
-        plan=plan,
+        findings=findings,
+        judged=bool(findings.marks or marks.marks.dropped),
+        assumptions=marks.meter.capture.notes if regions else (),
+        doubts=() if marks.meter.uncertainty is None else marks.meter.uncertainty.notes,
+        parts_of_uncertainty=SHOWN_PARTS if any(mark.around for mark in every) else (),
+        every=every,
+        has_factor=any(mark.factor != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
-        capture=[(t(name), t(value)) for name, value in capture_rows(scene, survey)],
+        capture=capture_rows(scene, survey, t),
         settings_known=any(record.parameters for record in records_of(scene)),
-        notes=scene.notes,
-        scores=read_scores(run),
+        notes=[t(note) for note in scene.notes],
+        scores=read_scores(run, t),
         contact_sheet=read_contact_sheet(run),
-        training=[(t(name), value) for name, value in training_rows(run)],
+        training=training_rows(run, t),
     )
 
 
-def _subtitle(run: Run, survey: Survey) -> str:
-    """Who reports, and what the page was made from."""
-    who = ", ".join(each for each in (survey.inspector, survey.company) if each)
-    made = f"{date.today().isoformat()} · {run.folder.path.resolve().name} · {run.config.method}"
-    return f"{who} · {made}" if who else made
+def _findings(
+    marks: RunMarks,
+    regions: Regions,
+    spots: Mapping[str, Spot],
+    scene: Scene,
+    survey: Survey,
+) -> Findings:
+    known = marks.marks
+    readings = marks.meter.measure(known, regions)
+    proposed = marks.meter.measure(Marks(known.proposals if spots else ()), regions)
+    if not readings and not proposed:
+        return Findings()
+    named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
+    plan = Plan(scene, list(named.values()))
+    shown, candidates = (
+        show_marks(each, reference, regions, scene, survey, plan)
+        for each, reference in ((readings, known.reference), (proposed, ""))
+    )
+    views = overviews(scene, named, regions.render) if spots else []
+    return Findings(
+        shown,
+        show_proposals(spots, candidates, marks.run, scene, regions),
+        [ShownOverview.of(each) for each in views],
+        inline_image(plan.whole(named), "plan", png=True),
+        plan.from_the_front,
+    )
+
+
+def _subtitle(survey: Survey, t: Texts) -> str:
+    """Who reports, and when."""
+    who = [each for each in (survey.inspector, survey.company) if each]
+    return " · ".join([*([", ".join(who)] if who else []), t.date(date.today())])

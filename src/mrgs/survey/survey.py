@@ -23,6 +23,7 @@ LARGEST_FILE = 100_000
 """Bytes."""
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
+Side = Literal["inside", "outside"]
 STANDARDS: tuple[Standard, ...] = get_args(Standard)
 
 
@@ -43,6 +44,7 @@ class Survey:
         construction: of the building, or the type of the modules.
         parts_observed: of the object.
         orientation: that the inspected side faces.
+        side: whether the building was photographed from inside or outside.
         date: of the photos.
         time: of the photos, such as "06:30 to 07:10".
         weather: in words.
@@ -85,6 +87,7 @@ class Survey:
     construction: str | None = None
     parts_observed: str | None = None
     orientation: str | None = None
+    side: Side | None = None
     date: datetime.date | None = None
     time: str | None = None
     weather: str | None = None
@@ -212,7 +215,7 @@ def _value_of(text: str, kind: str, source: str) -> Any:
     """The value of an assignment: as it is for a text."""
     if not text.strip():
         return None
-    if kind.startswith(("str", "Standard")):
+    if kind.startswith(("str", "Standard", "Side")):
         return text
     value = parse_yaml(text, source)
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -26,12 +26,14 @@ class MarkBoard:
     Attributes:
         marks: as they were measured.
         readings: one for each.
+        proposals: of the report, measured in the same way.
         regions: surfaces with an emissivity of their own.
     """
 
     def __init__(self, store: MarkStore, meter: MarkMeter) -> None:
         self.marks = Marks()
         self.readings: list[MarkReading] = []
+        self.proposals: list[MarkReading] = []
         self.regions: Regions = meter.regions(self.marks)
         self._store = store
         self._meter = meter
@@ -98,6 +100,7 @@ class MarkBoard:
         self._stamp = self._store.stamp
         self.regions = self._meter.regions(marks)
         self.readings = self._meter.measure(marks, self.regions)
+        self.proposals = self._meter.measure(Marks(marks.proposals), self.regions)
         self.marks = marks
         with self._lock:
             listeners = list(self._listeners)

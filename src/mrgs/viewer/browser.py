@@ -11,6 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from mrgs.viewer.messages import (
     DeleteMark,
     GoToPhoto,
     Hover,
+    Judge,
     Look,
     ReadPoint,
     ReferTo,
@@ -57,7 +59,7 @@ FEWEST_PIXELS = 240
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
 SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
 
-_CHANGED_FIELDS = ("name", "note", "emissivity", "reflected_c")
+_CHANGED_FIELDS = ("name", "note", "severity", "emissivity", "reflected_c")
 
 _log = logging.getLogger(__name__)
 
@@ -123,7 +125,7 @@ class Browser:
                 self._tell("hover", text=self.inspection.hover(message.x, message.y))
             case Choose():
                 self._choose(message)
-            case AddMark() | ChangeMark() | DeleteMark() | ReferTo():
+            case AddMark() | ChangeMark() | DeleteMark() | Judge() | ReferTo():
                 self._do(("mark", id(message)), lambda: self._edit_marks(message))
             case ReadPoint():
                 self._do("read", lambda: self._read(message.x, message.y))
@@ -157,7 +159,7 @@ class Browser:
             raise ConfigError("marks need the scene: open the run with it")
         return self._subject.board
 
-    def _edit_marks(self, message: AddMark | ChangeMark | DeleteMark | ReferTo) -> None:
+    def _edit_marks(self, message: AddMark | ChangeMark | DeleteMark | Judge | ReferTo) -> None:
         """Add or change a mark, save it, and measure; then every browser is told."""
         match message:
             case AddMark():
@@ -168,8 +170,11 @@ class Browser:
                 self._board.edit(lambda marks: marks.changing(message.mark, **fields))
             case DeleteMark():
                 self._board.edit(lambda marks: marks.without(message.mark))
+            case Judge():
+                judge = Marks.accepting if message.accept else Marks.dropping
+                self._board.edit(lambda marks: judge(marks, message.mark))
             case ReferTo():
-                self._board.edit(lambda marks: Marks(marks.marks, message.mark))
+                self._board.edit(lambda marks: replace(marks, reference=message.mark))
 
     def _do(self, name: Hashable, job: Callable[[], None]) -> None:
         """Have a job done by the worker; what it raises is told to the user."""
@@ -265,7 +270,7 @@ class Browser:
             "free": pane.photo is None,
             "title": pane.title,
             "scale": None if scale is None else scale._asdict(),
-            "marks": seen_marks(pane, shown, self.inspection.marks()),
+            "marks": seen_marks(pane, shown, self.inspection.marks() + self.inspection.proposals()),
             "outlines": [
                 outline._asdict()
                 for outline in seen_outlines(pane, shown, self.inspection.outlines())
@@ -317,8 +322,11 @@ class Browser:
         scene, temperature = self._subject.scene, self._subject.temperature
         world = WorldFrame() if scene is None else scene.world
         reference = board.marks.reference
-        shown = [mark_text(each, reference, temperature, world) for each in board.readings]
-        self._tell("marks", of=shown, notes=board.notes)
+        marks, proposals = (
+            [mark_text(each, reference, temperature, world) for each in readings]
+            for readings in (board.readings, board.proposals)
+        )
+        self._tell("marks", of=marks, proposals=proposals, notes=board.notes)
         self._redraw()
 
     def _path_changed(self) -> None:

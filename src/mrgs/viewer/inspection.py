@@ -185,6 +185,14 @@ class Inspection:
             labels.append(PointLabel(point.reading.position, self._value_text(point) or "point"))
         return labels
 
+    def proposals(self) -> list[PointLabel]:
+        """The anomalies that the report proposes."""
+        board, temperature = self.subject.board, self.subject.temperature
+        return [
+            PointLabel(np.array(reading.mark.points[0]), f"{label_text(reading, temperature)} ?")
+            for reading in (() if board is None else board.proposals)
+        ]
+
     def outlines(self) -> list[Outline]:
         """The lines and the areas."""
         return [

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import torch
 
-from mrgs.marks.mark import LONGEST_NAME, LONGEST_NOTE, MarkKind
+from mrgs.marks.mark import LONGEST_NAME, LONGEST_NOTE, LONGEST_SEVERITY, MarkKind
 from mrgs.pictures.palette import PaletteName
 from mrgs.scene import Camera
 from mrgs.scene.rotations import rigid_transform
@@ -111,6 +111,7 @@ Corners: TypeAlias = Annotated[
 ]
 Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 Note: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_NOTE)]
+Severity: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_SEVERITY)]
 
 
 class AddMark(BrowserMessage, tag="add_mark"):
@@ -131,6 +132,7 @@ class ChangeMark(BrowserMessage, tag="change_mark"):
     mark: Name
     name: Name
     note: Note
+    severity: Severity
     emissivity: Number | None
     reflected_c: Number | None
 
@@ -139,6 +141,18 @@ class DeleteMark(BrowserMessage, tag="delete_mark"):
     """Delete a mark."""
 
     mark: Name
+
+
+class Judge(BrowserMessage, tag="judge"):
+    """Make a proposal of the report a mark, or drop it.
+
+    Attributes:
+        mark: its name.
+        accept: whether it becomes a mark.
+    """
+
+    mark: Name
+    accept: bool
 
 
 class ReferTo(BrowserMessage, tag="refer_to"):
@@ -179,6 +193,7 @@ AnyMessage: TypeAlias = (
     | AddMark
     | ChangeMark
     | DeleteMark
+    | Judge
     | ReferTo
     | GoToPhoto
     | Act

@@ -117,7 +117,7 @@ class Page {
       note: ({ text }) => this.noted(text),
       hover: ({ text }) => this.showTip(text),
       point: ({ of }) => this.showPoint(of),
-      marks: ({ of, notes }) => this.marksChanged(of, notes),
+      marks: ({ of, proposals, notes }) => this.marksChanged(of, proposals, notes),
       limits: ({ of }) => this.limitsChanged(of),
       status: ({ text, failed }) => this.say(text, failed),
       keyframes: ({ text }) => { element("keyframes").textContent = text; },
@@ -312,10 +312,12 @@ class Page {
     this.showRange();
   }
 
-  marksChanged(marks, notes) {
+  marksChanged(marks, proposals, notes) {
     const send = (type, facts) => this.connection.send(type, facts);
     const open = new Set([...element("mark-list").querySelectorAll("details[open]")].map((each) => each.dataset.name));
     element("mark-list").replaceChildren(...marks.map((mark) => markRow(mark, open.has(mark.name), send)));
+    element("proposal-list").replaceChildren(...proposals.map((mark) => proposalRow(mark, send)));
+    element("proposals").hidden = !proposals.length;
     element("mark-notes").textContent = notes.join(" ");
     element("no-reference").hidden = !marks.some((mark) => mark.reference);
   }

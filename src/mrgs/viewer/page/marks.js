@@ -106,13 +106,15 @@ function markRow(mark, open, send) {
   form.append(make("div", mark.lines.join("\n"), "lines muted"));
   if (mark.profile.length) form.append(profileChart(mark.profile));
   const fields = { name: field(form, "Name", "text", mark.name), note: field(form, "Note", "text", mark.note) };
+  fields.severity = field(form, "Severity", "text", mark.severity, { maxLength: 40, placeholder: "class 1 to 3, or words" });
+  fields.severity.setAttribute("list", "severities");
   if (mark.area) {
     fields.emissivity = field(form, "Emissivity", "number", mark.emissivity, { min: 0.01, max: 1, step: 0.01, placeholder: "as photos" });
     fields.reflected_c = field(form, "Reflected, °C", "number", mark.reflected_c, { step: "any", placeholder: "as photos" });
   }
   const number = (input) => (input && Number.isFinite(input.valueAsNumber) ? input.valueAsNumber : null);
   const save = () => send("change_mark", {
-    mark: mark.name, name: fields.name.value, note: fields.note.value,
+    mark: mark.name, name: fields.name.value, note: fields.note.value, severity: fields.severity.value,
     emissivity: number(fields.emissivity), reflected_c: number(fields.reflected_c),
   });
   for (const input of Object.values(fields)) input.addEventListener("change", () => form.reportValidity() && save());
@@ -121,6 +123,15 @@ function markRow(mark, open, send) {
   buttons.append(button("Reference", () => send("refer_to", { mark: mark.name })), button("Delete", () => send("delete_mark", { mark: mark.name })));
   form.append(buttons);
   row.append(summary, form);
+  return row;
+}
+
+// A proposal of the report, to be judged; its details are a tooltip.
+function proposalRow(mark, send) {
+  const row = make("div", "", "proposal");
+  row.title = mark.lines.join("\n");
+  const judge = (text, accept) => button(text, () => send("judge", { mark: mark.name, accept }));
+  row.append(make("b", mark.name), make("span", mark.value), judge("Accept", true), judge("Drop", false));
   return row;
 }
 
