@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -31,8 +32,12 @@ TEMPERATURE_SCALE = 1.0
 fitted to these, and t_i starts as the rest."""
 
 CPU_RATES = {
-    "means": 4.8e-4,
+    "means": 9.6e-4,
     "means_final": 4.8e-6,
+    "quats": 4e-3,
+    "log_scales": 2e-2,
+    "sh_dc": 1e-2,
+    "sh_rest": 5e-4,
     "temperature_dc": 1e-2,
     "temperature_rest": 5e-4,
     "heads": 1.5e-3,
@@ -292,17 +297,18 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
 
 def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:
     """The same number of views in steps of several: what is counted in steps shrinks as the batch
-    grows, and learning rates grow with it (docs/decisions)."""
+    grows, and learning rates grow with its square root (docs/decisions)."""
     if batch < 1:
         raise ConfigError(f"batch must be at least 1, not {batch}", options=("batch",))
     config = with_steps(config, max(1, round(config.max_steps / batch)))
+    faster = math.sqrt(batch)
     return replace(
         config,
         batch=batch,
         neighbours_every=max(1, round(config.neighbours_every / batch)),
         checkpoint_every=max(1, round(config.checkpoint_every / batch)),
-        optimizer=config.optimizer.faster(batch),
-        image_model=config.image_model.faster(batch),
+        optimizer=config.optimizer.faster(faster),
+        image_model=config.image_model.faster(faster),
         densification=config.densification.with_batch(batch),
     )
 
