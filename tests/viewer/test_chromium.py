@@ -6,6 +6,7 @@ import base64
 import io
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +210,27 @@ def test_marks_are_drawn_with_the_mouse_listed_changed_and_undone(open_page, vie
     page.click("[data-kind=spot]")
     page.keyboard.press("Escape")
     assert page.locator("#selector").is_hidden()
+
+
+def test_proposals_are_accepted_and_dropped(open_page, viewer, tmp_path):
+    page = open_page()
+    page.click("[data-kind=spot]")
+    box = page.locator("#view").bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    wait_until(lambda: page.locator("#mark-list details").count() == 1, "the spot is listed", page)
+    board = viewer.browsers[0].inspection.subject.board
+    spot = board.marks.marks[0]
+    found = tuple(replace(spot, name=name) for name in ("H1", "C1"))
+    board.edit(lambda marks: replace(marks, proposals=found))
+    rows = page.locator("#proposal-list .proposal")
+    wait_until(lambda: rows.count() == 2, "the proposals are listed", page)
+    screenshot(page, "viewer_proposals.png", tmp_path)
+    rows.first.get_by_role("button", name="Accept").click()
+    wait_until(lambda: rows.count() == 1, "one is accepted", page)
+    rows.first.get_by_role("button", name="Drop").click()
+    wait_until(lambda: page.locator("#proposals").is_hidden(), "none is left", page)
+    assert [mark.name for mark in board.marks.marks] == [spot.name, "H1"]
+    assert [mark.name for mark in board.marks.dropped] == ["C1"]
 
 
 def test_a_photo_can_be_gone_to(open_page, viewer, balls, tmp_path):
