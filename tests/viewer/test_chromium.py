@@ -224,6 +224,7 @@ def test_proposals_are_accepted_and_dropped(open_page, viewer, tmp_path):
     board.edit(lambda marks: replace(marks, proposals=found))
     rows = page.locator("#proposal-list .proposal")
     wait_until(lambda: rows.count() == 2, "the proposals are listed", page)
+    page.locator("#proposals").scroll_into_view_if_needed()
     screenshot(page, "viewer_proposals.png", tmp_path)
     rows.first.get_by_role("button", name="Accept").click()
     wait_until(lambda: rows.count() == 1, "one is accepted", page)
