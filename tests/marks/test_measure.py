@@ -9,11 +9,14 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
+from mrgs.field import FieldConfig, RadianceField
 from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.run_marks import picked_places
 from mrgs.marks.surface import outline_area, see, steady_depth
-from mrgs.scene import RGB, THERMAL, Blend, Rendering
+from mrgs.render import Model, render
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
+from tests.helpers.gaussians import random_gaussians
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
 EYE = (1.0, -5.0, 0.5)
@@ -36,6 +39,28 @@ def test_a_spot_is_the_mean_of_its_disc(meter):
     assert np.isnan(reading.length)
     assert np.isnan(reading.area)
     assert reading.problem == ""
+
+
+def test_a_spot_reads_what_a_photo_from_its_eye_shows():
+    gaussians = random_gaussians(60, seed=5)
+    gaussians.means = 0.6 * gaussians.means
+    gaussians.log_scales = 0.3 * gaussians.log_scales - 1.2
+    gaussians.opacity_logits = {each: torch.full((60, 1), 4.0) for each in (RGB, THERMAL)}
+    model = Model(gaussians, RadianceField(FieldConfig(residuals=False)), None, sh_degree=0)
+    camera = Camera.from_fov(161, 121, 50.0).look_at(EYE, [0.0, 0.0, 0.0])
+
+    def render_surface(camera):
+        with torch.no_grad():
+            return render(model, {THERMAL: camera}, with_median_depth=True)[0]
+
+    seen = render_surface(camera)
+    middle = seen[THERMAL].image[59:62, 79:82, 0].double().mean()
+    depth = seen.surface_depth(THERMAL)[60, 80].double()
+    place = camera.unproject(torch.tensor([80.5, 60.5]).double(), depth)
+    radius = 1.5 * float(depth / camera.K[0, 0])
+    mark = Mark("S1", "spot", (tuple(place.tolist()),), EYE, radius=radius)
+    reading = MarkMeter(render_surface, RANGE).read(mark)
+    assert reading.mean == pytest.approx(RANGE.to_celsius(middle).item(), abs=0.3)
 
 
 def test_a_line_has_a_profile_along_its_pieces(meter):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,6 +26,12 @@ SPOT_PX = 12
 """Diameter of a spot in the image that it is measured in."""
 
 MARGIN_PX = 3
+
+FIELD_OF_VIEW = math.radians(50)
+WIDEST_PX = 640
+"""The image that a mark is measured in shows as much about it as a photo does, up to so many
+pixels: in a narrow one, the large Gaussians whose centres lie outside are drawn otherwise than in
+the photos' views, which the model is fitted to."""
 WIDEST_SLOPE = 5.0
 """Tangent of the largest angle between the middle of a mark and its corners, seen from the eye."""
 
@@ -106,8 +113,8 @@ def celsius_or_value(rendering: Rendering) -> Float[np.ndarray, "h w"] | None:
 
 
 def measuring_camera(mark: Mark) -> Camera:
-    """The camera that a mark is measured with: at its eye, towards its middle, and just wide
-    enough.
+    """The camera that a mark is measured with: at its eye, towards its middle, and about as wide
+    as a photo.
 
     Raises:
         ConfigError: the mark lies around its eye, so that no camera sees all of it.
@@ -125,8 +132,9 @@ def measuring_camera(mark: Mark) -> Camera:
         reach = mark.radius / np.linalg.norm(points[0] - eye)
     else:
         pixels = AREA_PX
-    size = pixels + 2 * MARGIN_PX
     focal = 0.5 * pixels / max(float(reach), 1e-9)
+    around = min(round(2 * focal * math.tan(FIELD_OF_VIEW / 2)), WIDEST_PX)
+    size = max(pixels + 2 * MARGIN_PX, around)
     K = [[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]]
     return Camera(K, camera.viewmat, size, size)
 
