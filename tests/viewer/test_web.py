@@ -266,6 +266,7 @@ def test_nothing_is_drawn_unless_somebody_asks(viewer, monkeypatch):
         assert browser.inspection.drawn is None
         assert not viewer.busy
 
+    wait_until(lambda: not viewer.busy, "it has warmed up")
     browse(viewer, visit)
 
 
