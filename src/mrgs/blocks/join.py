@@ -71,7 +71,7 @@ def join(
 def save(
     path: Path, joined: JoinedBlocks, config: TrainConfig, more: Sequence[CheckpointFacts]
 ) -> None:
-    """Write the checkpoint of a joined model, with neighbours found anew.
+    """Write the checkpoint of a joined model, with its neighbours searched again.
 
     Args:
         path: of the checkpoint.
