@@ -101,11 +101,10 @@ def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
         viewmats={each: cameras[each].viewmat for each in apart},
         lenses={each: pinhole_lens(cameras[each]) for each in apart},
     )
-    records = {modality: image.record for modality, image in view.images.items()}
     return frame | {
-        f"{modality}_{RECORD}": record.to_json()
-        for modality, record in records.items()
-        if record is not None
+        f"{modality}_{RECORD}": image.record.to_json()
+        for modality, image in view.images.items()
+        if image.record is not None
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import unicodedata
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -25,6 +25,10 @@ _REPLACED = str.maketrans(
     {"–": "-", "—": "-", "−": "-", "×": "x", "∞": "inf", "ß": "ss", "œ": "oe", "Œ": "Oe"}
     | {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "æ": "ae", "ø": "o"}
 )
+
+
+Box: TypeAlias = tuple[float, float, float, float]
+"""Left, top, right and bottom, in pixels."""
 
 
 class Scale(NamedTuple):
@@ -70,6 +74,14 @@ def draw_text(
         )
 
 
+def draw_plate(image: Image.Image, box: Box, text: str, size: int) -> None:
+    """Draw one line in white on a dark plate."""
+    left, top, right, bottom = box
+    ImageDraw.Draw(image).rounded_rectangle(box, 4, fill=INK)
+    middle = ((left + right) / 2, (top + bottom) / 2)
+    draw_text(image, middle, text, size, PAPER, anchor="mm")
+
+
 def text_width(text: str, size: int) -> float:
     """Width of a line in pixels."""
     return _font(size).getlength(drawable(text))
@@ -101,6 +113,15 @@ def scale_bar(
     A vertical bar has its warm end on top. The image is as small as its content, on white.
     """
     return (_horizontal_bar if direction == "horizontal" else _vertical_bar)(scale, length, size)
+
+
+def above_scale(picture: Image.Image, scale: Scale, size: int, gap: int) -> Image.Image:
+    """A picture with its scale so many pixels below, on white."""
+    bar = scale_bar(scale, picture.width, "horizontal", size)
+    whole = blank((picture.width, picture.height + bar.height + gap))
+    whole.paste(picture, (0, 0))
+    whole.paste(bar, (0, picture.height + gap))
+    return whole
 
 
 def _horizontal_bar(scale: Scale, length: int, size: int) -> Image.Image:

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
-from mrgs.pictures.drawing import INK, Scale, draw_text, scale_bar, text_width
+from mrgs.pictures.drawing import Scale, above_scale, draw_plate, text_width
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import display_range
@@ -25,7 +25,7 @@ MARK_SHARE = 0.5
 LEAST_SHARE = 0.4
 """Of the photo's width that a picture shows at least: what lies about a mark tells where it is."""
 
-LABEL_PX, BAR_TEXT_PX = 22, 24
+LABEL_PX, BAR_TEXT_PX, SCALE_GAP_PX = 22, 24, 8
 WHITE, BLACK, LOW, HIGH = (255, 255, 255), (0, 0, 0), (70, 150, 255), (255, 70, 60)
 
 
@@ -61,10 +61,7 @@ def mark_pictures(
     scale = Scale("inferno", *display_range(values), unit_label(THERMAL, scene.temperature))
     thermal = Image.fromarray(scale.colorize(values))
     _draw(thermal, reading, camera)
-    bar = scale_bar(scale, WIDTH_PX, "horizontal", BAR_TEXT_PX)
-    whole = Image.new("RGB", (WIDTH_PX, thermal.height + bar.height + 8), WHITE)
-    whole.paste(thermal, (0, 0))
-    whole.paste(bar, (0, thermal.height + 8))
+    whole = above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
     pictures = [inline_image(whole, f"{name}, thermal", quality=90)]
     if RGB in view.images:
         photo_camera = _about(reading.mark, view.images[RGB].camera)
@@ -128,9 +125,7 @@ def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
     wide = text_width(mark.name, LABEL_PX) + 14
     left = min(max(x + 10, 2), image.width - wide - 2)
     top = min(max(y - LABEL_PX - 22, 2), image.height - LABEL_PX - 12)
-    draw.rounded_rectangle((left, top, left + wide, top + LABEL_PX + 10), 4, fill=INK)
-    middle = (left + wide / 2, top + (LABEL_PX + 10) / 2)
-    draw_text(image, middle, mark.name, LABEL_PX, WHITE, anchor="mm")
+    draw_plate(image, (left, top, left + wide, top + LABEL_PX + 10), mark.name, LABEL_PX)
 
 
 def _dot(

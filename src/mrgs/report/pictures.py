@@ -10,7 +10,7 @@ import torch
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, Scale, draw_text, scale_bar, text_width
+from mrgs.pictures.drawing import Scale, above_scale, draw_plate, text_width
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
@@ -22,7 +22,7 @@ OVERVIEW_CANDIDATES = 24
 """Number of views that are tried for the overview."""
 
 MOST_OVERVIEWS = 3
-LABEL_PX = 24
+LABEL_PX, SCALE_GAP_PX = 24, 10
 TAIL_PERCENT = 0.2
 """Of the surfaces' temperatures at each end that may lie beyond the colours of an overview."""
 
@@ -82,7 +82,9 @@ def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Rende
         picture = _enlarged(picture, OVERVIEW_PX)
         for name, mark in marks.items():
             _mark(picture, camera, mark, name)
-        pictures.append(picture if modality != THERMAL else _above(picture, scale))
+        pictures.append(
+            picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
+        )
     return Overview(view.name, list(marks), pictures)
 
 
@@ -93,15 +95,6 @@ def _thermal(rendering: Rendering, camera: Camera, scene: Scene) -> tuple[Image.
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
     scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature))
     return Image.fromarray(scale.colorize(values)), scale
-
-
-def _above(picture: Image.Image, scale: Scale) -> Image.Image:
-    """A picture with its scale below."""
-    bar = scale_bar(scale, picture.width, "horizontal", LABEL_PX)
-    whole = Image.new("RGB", (picture.width, picture.height + bar.height + 10), WHITE)
-    whole.paste(picture, (0, 0))
-    whole.paste(bar, (0, picture.height + 10))
-    return whole
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
@@ -159,8 +152,7 @@ def _mark(image: Image.Image, camera: Camera, mark: Mark, name: str) -> None:
     x, y = max(corners)
     wide = text_width(name, LABEL_PX) + 12
     left = x + 18 if x + 18 + wide < image.width else min(corners)[0] - 18 - wide
-    ImageDraw.Draw(image).rounded_rectangle((left, y - 16, left + wide, y + 16), 4, fill=INK)
-    draw_text(image, (left + wide / 2, y), name, LABEL_PX, WHITE, anchor="mm")
+    draw_plate(image, (left, y - 16, left + wide, y + 16), name, LABEL_PX)
 
 
 def _ring(image: Image.Image, x: float, y: float, radius: int = 13) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,7 +9,8 @@ from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, MUTED, draw_text, text_width
+from mrgs.pictures.drawing import INK, MUTED, Box, draw_plate, draw_text, text_width
+from mrgs.pictures.palette import round_down
 from mrgs.scene import Scene
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
@@ -68,7 +68,7 @@ class Plan:
         image = self._ground.copy()
         for mark in marks.values():
             self._draw(image, mark, LABEL_PX / 4)
-        taken: list[tuple[float, ...]] = []
+        taken: list[Box] = []
         for name, mark in marks.items():
             x, y = self._pixels(self._flat(mark)).mean(axis=0)
             taken.append(_label(image, x, y, name, taken))
@@ -114,7 +114,7 @@ class Plan:
         """A bar of a round length in m, and an arrow to the north, where the scene has them."""
         draw, bottom = ImageDraw.Draw(image), image.height - 14
         if self._metric:
-            length = _round_length(0.2 * WIDTH_PX / self._scale)
+            length = round_down(0.2 * WIDTH_PX / self._scale)
             end = MARGIN_PX + length * self._scale
             draw.line((MARGIN_PX, bottom, end, bottom), fill=INK, width=4)
             draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, MUTED)
@@ -144,14 +144,12 @@ def _axes(level: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
     return np.stack([np.cross(up, towards), up, towards])
 
 
-def _label(
-    image: Image.Image, x: float, y: float, name: str, taken: Sequence[tuple[float, ...]]
-) -> tuple[float, ...]:
+def _label(image: Image.Image, x: float, y: float, name: str, taken: Sequence[Box]) -> Box:
     """Write a name beside a place where no other stands, if there is such a place; returns the box
     that it takes up."""
     wide, half = text_width(name, LABEL_PX) + 12, LABEL_PX / 2 + 4
 
-    def box_at(side: int, down: int) -> tuple[float, ...]:
+    def box_at(side: int, down: int) -> Box:
         left = x + 12 if side > 0 else x - 12 - wide
         left = min(max(left, 0), image.width - wide)
         middle = min(max(y + down * half, half), image.height - half)
@@ -160,18 +158,11 @@ def _label(
     boxes = [box_at(*place) for place in PLACES]
     free = [box for box in boxes if not any(_overlap(box, other) for other in taken)]
     left, top, right, bottom = box = (free or boxes)[0]
-    draw = ImageDraw.Draw(image)
-    draw.line((x, y, min(max(x, left), right), (top + bottom) / 2), fill=INK, width=2)
-    draw.rounded_rectangle(box, 4, fill=INK)
-    draw_text(image, ((left + right) / 2, (top + bottom) / 2), name, LABEL_PX, PAPER, anchor="mm")
+    end = (min(max(x, left), right), (top + bottom) / 2)
+    ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
+    draw_plate(image, box, name, LABEL_PX)
     return box
 
 
 def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
     return all(one[i] < other[i + 2] and other[i] < one[i + 2] for i in (0, 1))
-
-
-def _round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is no longer."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return max(each * power for each in (1, 2, 5) if each * power <= length * (1 + 1e-9))

@@ -6,15 +6,13 @@ before one camera can be of any temperature. So the spots are read from renderin
 thermographer reads them from photos:
 
 1. Every view's thermal camera is rendered. Pixels that show a surface (accumulated alpha at least
-  0.9) whose depth
-   does not jump within 3×3 pixels become points in the scene.
-  So do pixels beside an outline, and those near the sky: they blend what lies on both sides.
+  0.9) whose depth does not jump within 3×3 pixels become points in the scene; not so those beside
+  an outline and near the sky, which blend what lies on both sides.
 2. The points are gathered in cubes of the size of 3×3 pixels, the usual spot of a spot meter. A
-  view's value of a cube
-   is the mean of its points there.
+  view's value of a cube is the mean of its points there.
 3. Cubes that fewer than three views see (all of them, where there are fewer) are left out. The
-  value of the others is
-   the median over the views: a reflection that few views catch does not count.
+  value of the others is the median over the views: a reflection that few views catch does not
+  count.
 4. Cubes that more views see through than see are left out: mist between the surfaces, and the
   outlines of things before the sky.
 5. The extreme cubes are taken one by one, each at least 15 cube edges from those before it and from

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from mrgs.data.lens import Lens
+from mrgs.pictures.palette import round_down
 from mrgs.prepare.page.cameras import lens_text
 from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
 from mrgs.prepare.page.previews import Preview, PreviewImage, views_text
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
-from mrgs.prepare.page.world import orbit_facts, plans, round_length, world_of
+from mrgs.prepare.page.world import orbit_facts, plans, world_of
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
 
 
@@ -129,7 +130,7 @@ def test_a_drawing_from_above_has_north_up():
 
 @pytest.mark.parametrize(("most", "length"), [(1.0, 1), (4.9, 2), (0.0999, 0.05), (730, 500)])
 def test_scale_bars_have_round_lengths(most, length):
-    assert round_length(most) == pytest.approx(length)
+    assert round_down(most) == pytest.approx(length)
 
 
 def test_a_camera_alone_can_be_drawn():

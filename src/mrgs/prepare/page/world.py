@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32
 from markupsafe import Markup
 
 from mrgs.pictures.html import render
+from mrgs.pictures.palette import round_down
 from mrgs.scene import Camera, PointCloud
 from mrgs.scene.view import evenly_spaced
 
@@ -199,19 +200,13 @@ def _dots(
 
 def _scale_bar(world: World, scale: float) -> tuple[float, str]:
     """A round length in pixels of the drawing, and its label."""
-    length = round_length(_BAR_SHARE * _PLAN_PX / scale)
+    length = round_down(_BAR_SHARE * _PLAN_PX / scale)
     label = (
         f"{length:g} m"
         if world.metric
         else f"{length:g} unit{'' if length == 1 else 's'}, scale not known"
     )
     return length * scale, label
-
-
-def round_length(most: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not larger."""
-    power = 10.0 ** np.floor(np.log10(most))
-    return float(max(factor * power for factor in (1, 2, 5) if factor * power <= most * (1 + 1e-9)))
 
 
 def _box(
