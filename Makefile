@@ -16,7 +16,7 @@ test: $(VENV)/.dev-installed
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40
 
-# Attacks for hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes about one.
+# Attacks for two hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes one.
 faults: $(VENV)/.dev-installed
 	$(BIN)/python -W ignore -m tests.faults $(ARGS)
 

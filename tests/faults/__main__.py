@@ -17,6 +17,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.faults import (
@@ -37,7 +38,7 @@ HERE = Path(__file__).parent
 Attack = Callable[[Path], Tally]
 
 
-def attacks(soak_hours: float) -> Iterator[tuple[str, Attack]]:
+def attacks() -> Iterator[tuple[str, Attack]]:
     """Title and attack, in the order of the table."""
     rng = random.Random(0)
     moments = [round(rng.uniform(0, 6), 2) for _ in range(30)]
@@ -64,8 +65,6 @@ def attacks(soak_hours: float) -> Iterator[tuple[str, Attack]]:
     for path in sorted(HERE.glob("test_*.py")):
         if path.name != "test_short.py":
             yield path.stem.removeprefix("test_").replace("_", " "), lambda at, p=path: _pytest(p)
-    if soak_hours > 0:
-        yield f"soak of {soak_hours:g} h", lambda at: soak.training(at, soak_hours * 3600)
 
 
 def main() -> int:
@@ -74,17 +73,12 @@ def main() -> int:
     parser.add_argument("--soak-hours", type=float, default=2.0, help="0 leaves the soak out")
     parser.add_argument("--only", default="", help="part of the titles of the attacks to run")
     options = parser.parse_args()
-    rows = []
-    for title, attack in attacks(options.soak_hours):
-        if options.only not in title:
-            continue
-        began = time.monotonic()
-        with tempfile.TemporaryDirectory(prefix="mrgs-faults-") as folder:
-            tally = _tried(attack, Path(folder))
-        rows.append((title, tally, time.monotonic() - began))
-        print(f"{title}: {tally.tried} tried, {len(tally.failures)} failed", flush=True)
-        for failure in tally.failures:
-            print(f"  {failure}", flush=True)
+    hours = options.soak_hours
+    soaking = (f"soak of {hours:g} h", lambda at: soak.training(at, hours * 3600))
+    with ThreadPoolExecutor(1) as beside:  # the soak needs one core, and only time
+        soaked = [beside.submit(_tried, *soaking)] if options.only in soaking[0] and hours else []
+        rows = [_tried(*attack) for attack in attacks() if options.only in attack[0]]
+        rows += [each.result() for each in soaked]
     print("\n| attack | tried | held | failed | minutes | |\n|---|---:|---:|---:|---:|---|")
     for title, tally, seconds in rows:
         failed = len(tally.failures)
@@ -93,13 +87,19 @@ def main() -> int:
     return int(any(tally.failures for _, tally, _ in rows))
 
 
-def _tried(attack: Attack, folder: Path) -> Tally:
-    """What an attack finds; one that fails itself must not end the others."""
-    try:
-        return attack(folder)
-    except Exception as error:
-        traceback.print_exc()
-        return Tally(1, [f"the attack itself: {error!r}"])
+def _tried(title: str, attack: Attack) -> tuple[str, Tally, float]:
+    """Title, what an attack finds, and its seconds; one that fails itself must not end others."""
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="mrgs-faults-") as folder:
+        try:
+            tally = attack(Path(folder))
+        except Exception as error:
+            traceback.print_exc()
+            tally = Tally(1, [f"the attack itself: {error!r}"])
+    print(f"{title}: {tally.tried} tried, {len(tally.failures)} failed", flush=True)
+    for failure in tally.failures:
+        print(f"  {failure}", flush=True)
+    return title, tally, time.monotonic() - began
 
 
 def _full_disks(folder: Path) -> Tally:
