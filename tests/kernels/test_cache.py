@@ -16,31 +16,31 @@ MODULES = {
     "constants": "SCALE = 2.0\n",
     "base": """
 from mrgs.kernels.constants import SCALE
-from mrgs.kernels.jit import kernel
+from mrgs.kernels.jit import strict_kernel
 from mrgs.rasterizer import contract
 
 
-@kernel
+@strict_kernel
 def scaled(x):
     return SCALE * x + contract.OFFSET
 """,
     "above": """
 from mrgs.kernels.base import scaled
-from mrgs.kernels.jit import kernel
+from mrgs.kernels.jit import strict_kernel
 
 
-@kernel
+@strict_kernel
 def twice(x):
     return 2.0 * scaled(x)
 """,
     "other": """
-from mrgs.kernels.jit import kernel
+from mrgs.kernels.jit import strict_kernel
 
 
 from mrgs.rasterizer.sizes import HALF as H
 
 
-@kernel()
+@strict_kernel()
 def squared(x):
     return x * x * H / LATER
 

@@ -1,6 +1,9 @@
 """How the Numba kernels are compiled: on first call and kept on disk; division by zero gives inf.
 
-Three arithmetics, each with a parallel variant:
+Python calls kernels, and kernels call inner functions. These are compiled without what Python would
+need to call them, which takes a fifth of all compiling.
+
+Three arithmetics, each for parallel kernels, kernels and inner functions:
 
 - ``strict``: as IEEE 754 has it, operation by operation.
 - without a prefix: a multiplication and an addition may become one operation (contract).
@@ -15,27 +18,42 @@ from functools import partial
 from typing import Any
 
 from numba import njit
+from numba.core.registry import CPUDispatcher
 from numba.extending import is_jitted
 
 from mrgs.kernels.cache import keep_on_disk
+
+
+class InnerFunction(CPUDispatcher):
+    """A compiled function that has no entry for Python; without this class, a call would crash."""
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Raise TypeError."""
+        raise TypeError(f"{self.py_func.__qualname__} can only be called by a kernel")
 
 
 def _compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """``njit`` with kernels on disk; without a function, the decorator."""
     if function is None:
         return partial(_compiled, **options)
-    dispatcher = njit(error_model="numpy", **options)(function)
+    dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     if is_jitted(dispatcher):  # not so with NUMBA_DISABLE_JIT
+        if options.get("no_cpython_wrapper", False):
+            dispatcher.__class__ = InnerFunction
         keep_on_disk(dispatcher)
     return dispatcher
 
 
+_inner = partial(_compiled, no_cpython_wrapper=True)
+
 strict_kernel = _compiled
 strict_parallel_kernel = partial(_compiled, parallel=True)
-strict_inlined_kernel = partial(_compiled, forceinline=True)
+strict_inner_function = _inner
+strict_inlined_function = partial(_inner, forceinline=True)
 
-kernel = partial(_compiled, fastmath={"contract"})
-parallel_kernel = partial(kernel, parallel=True)
+parallel_kernel = partial(_compiled, fastmath={"contract"}, parallel=True)
+inner_function = partial(_inner, fastmath={"contract"})
 
 reordering_kernel = partial(_compiled, fastmath={"contract", "reassoc"})
 reordering_parallel_kernel = partial(reordering_kernel, parallel=True)
+reordering_inner_function = partial(_inner, fastmath={"contract", "reassoc"})

@@ -19,30 +19,30 @@ from mrgs.system.child import Child
 CHILD = ("-m", "mrgs.training.compile_child")
 
 _RASTERIZER = {
-    "rasterize.cpu.projection.project": 2.9,
-    "rasterize.cpu.projection.project_backward": 2.8,
-    "rasterize.cpu.tiles._count": 1.3,
-    "rasterize.cpu.tiles.depth_order": 0.7,
-    "rasterize.cpu.tiles._fill": 0.8,
+    "rasterize.cpu.projection.project": 2.0,
+    "rasterize.cpu.projection.project_backward": 1.9,
+    "rasterize.cpu.tiles._count": 1.1,
+    "rasterize.cpu.tiles.depth_order": 0.6,
+    "rasterize.cpu.tiles._fill": 0.6,
     "rasterize.cpu.tiles.gather_splats": 0.4,
-    "rasterize.cpu.blend.blend": 4.2,
-    "rasterize.cpu.blend_backward.blend_backward": 4.2,
+    "rasterize.cpu.blend.blend": 3.0,
+    "rasterize.cpu.blend_backward.blend_backward": 2.9,
 }
-_HARMONICS = {"harmonics.cpu._forward": 1.5, "harmonics.cpu._backward": 2.0}
-_COLOR_HEAD = {"color_head.cpu._forward": 3.2, "color_head.cpu._backward": 4.9}
-_THERMAL_HEAD = {"heat.thermal_head._forward": 5.3, "heat.thermal_head._backward": 6.0}
+_HARMONICS = {"harmonics.cpu._forward": 1.2, "harmonics.cpu._backward": 1.3}
+_COLOR_HEAD = {"color_head.cpu._forward": 2.6, "color_head.cpu._backward": 4.2}
+_THERMAL_HEAD = {"heat.thermal_head._forward": 4.1, "heat.thermal_head._backward": 5.4}
 _EXCHANGE = {
     "heat.exchange._forward": 0.5,
     "heat.exchange._with_neighbours": 0.6,
-    "heat.exchange._backward_anchors": 0.8,
-    "heat.exchange._backward_neighbours": 0.7,
+    "heat.exchange._backward_anchors": 0.4,
+    "heat.exchange._backward_neighbours": 0.6,
 }
-_COMPARISON = {"ssim.compare_cpu.compare": 7.5}
-_SMOOTHNESS = {"variation.cpu.sum_differences": 2.4}
-_BLUR = {"blur.separable.filter_plane": 1.6}
+_COMPARISON = {"ssim.compare_cpu.compare": 5.7}
+_SMOOTHNESS = {"variation.cpu.sum_differences": 1.8}
+_BLUR = {"blur.separable.filter_plane": 1.0}
 _CONVOLUTION = {
-    "convolution.correlate.correlate": 1.0,
-    "convolution.correlate.weights_gradient": 0.8,
+    "convolution.correlate.correlate": 0.7,
+    "convolution.correlate.weights_gradient": 0.6,
 }
 """The compiled functions, and the processor seconds that each takes on a core of 3 GHz."""
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import prange
 
 from mrgs.kernels.address import address
-from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.jit import inner_function, parallel_kernel
 
 
 @parallel_kernel()
@@ -19,7 +19,7 @@ def filter_plane(padded, down, across, result):
         _filter_line(address(line, 0), across, address(result, row * width), width)
 
 
-@kernel()
+@inner_function()
 def _add_rows(padded, first, weights, line, count):
     for k in range(weights.size):
         weight, values = weights[k], address(padded, (first + k) * padded.shape[1])
@@ -27,7 +27,7 @@ def _add_rows(padded, first, weights, line, count):
             line[i] += weight * values[i]
 
 
-@kernel()
+@inner_function()
 def _filter_line(line, weights, result, count):
     for i in range(count):
         result[i] = weights[0] * line[i]

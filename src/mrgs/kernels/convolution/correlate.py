@@ -5,7 +5,7 @@ from __future__ import annotations
 from numba import prange
 
 from mrgs.kernels.address import address
-from mrgs.kernels.jit import kernel, parallel_kernel, reordering_kernel
+from mrgs.kernels.jit import inner_function, parallel_kernel, reordering_inner_function
 
 
 @parallel_kernel()
@@ -16,7 +16,7 @@ def correlate(padded, weights, result):
         _correlate_row(padded, row, weights, address(result, row * width), width)
 
 
-@kernel()
+@inner_function()
 def _correlate_row(padded, row, weights, result, count):
     stride = padded.shape[1]
     a, b, c = (
@@ -44,7 +44,7 @@ def weights_gradient(padded, gradient, sums):
             sums[row, tap] = _dot(address(gradient, row * width), values, width)
 
 
-@reordering_kernel()
+@reordering_inner_function()
 def _dot(a, b, count):
     total = 0.0
     for i in range(count):

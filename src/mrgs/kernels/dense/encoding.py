@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mrgs.kernels.jit import reordering_kernel
+from mrgs.kernels.jit import reordering_inner_function, reordering_kernel
 
 # sin(πt) / t on [-1/2, 1/2] as a polynomial in t², fitted at the Chebyshev nodes: error 3e-11
 # before rounding.
@@ -58,7 +58,7 @@ def encode_backward(encoded, grad, row, start, frequencies, grad_x):
         factor *= _TWO
 
 
-@reordering_kernel
+@reordering_inner_function
 def _sine_and_cosine(half_turns):
     """sin(πy) and cos(πy) within 3e-7, however large y is: y − round(y) is exact where the product
     πy is not."""
@@ -68,7 +68,7 @@ def _sine_and_cosine(half_turns):
     return sign * _sine(t), sign * _sine(_HALF - abs(t))
 
 
-@reordering_kernel
+@reordering_inner_function
 def _sine(t):
     s = t * t
     return t * (

@@ -17,7 +17,7 @@ from mrgs.kernels.dense.product import (
     panels,
     rounded_up,
 )
-from mrgs.kernels.jit import reordering_kernel
+from mrgs.kernels.jit import reordering_inner_function
 
 SHARES = 32
 """Parts that the rows are cut into, each with sums of its own, so that no sum depends on the number
@@ -89,20 +89,20 @@ def slots(rows: int, keep: bool) -> int:
     return -(-rows // BLOCK_ROWS) if keep else SHARES
 
 
-@reordering_kernel
+@reordering_inner_function
 def blocks_of(share, rows):
     """First block of this share and of the next; ``rows`` is their number over all shares."""
     blocks = (rows + BLOCK_ROWS - 1) // BLOCK_ROWS
     return share * blocks // SHARES, (share + 1) * blocks // SHARES
 
 
-@reordering_kernel
+@reordering_inner_function
 def linear(inputs, layer, out):
     """out = inputs · weightᵀ + bias."""
     multiply(inputs, layer.forward, layer.bias, out)
 
 
-@reordering_kernel
+@reordering_inner_function
 def linear_backward(grad, inputs, layer, sums, share, grad_inputs):
     """Add to the share's sums, and set the gradient of the inputs."""
     add_product(grad, inputs, sums.weight[share])
@@ -113,7 +113,7 @@ def linear_backward(grad, inputs, layer, sums, share, grad_inputs):
     multiply(grad, layer.back, layer.no_bias, grad_inputs)
 
 
-@reordering_kernel
+@reordering_inner_function
 def read_in_order(kept, values):
     """Copy a block: the products read it across its rows, which is slow until it is in the
     cache."""
@@ -122,7 +122,7 @@ def read_in_order(kept, values):
             values[row, column] = kept[row, column]
 
 
-@reordering_kernel
+@reordering_inner_function
 def rectify(values):
     """ReLU, in place; NaN stays."""
     for row in range(values.shape[0]):
@@ -131,7 +131,7 @@ def rectify(values):
                 values[row, column] = 0
 
 
-@reordering_kernel
+@reordering_inner_function
 def rectify_backward(grad, values):
     """Drop the gradient where the rectified values are 0, in place."""
     for row in range(grad.shape[0]):

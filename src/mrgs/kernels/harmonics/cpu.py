@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
 from mrgs.kernels.dense.layers import SHARES
-from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
 from mrgs.kernels.require import require
 from mrgs.kernels.rows import listed
 
@@ -133,7 +133,7 @@ def _backward(means, dc, rest, camera, rows, bands, floor, grad, grad_means, gra
             add_direction_gradient(x, y, z, inverse, toward, grad_means, row)
 
 
-@reordering_kernel
+@reordering_inner_function
 def _value(dc, rest, row, channel, basis, bands):
     """Σ coefficients × basis + ½. Takes whole arrays: handing on a slice costs an atomic count of
     references."""
@@ -143,7 +143,7 @@ def _value(dc, rest, row, channel, basis, bands):
     return total
 
 
-@reordering_kernel
+@reordering_inner_function
 def direction(means, camera, row):
     """The unit vector from the camera to a Gaussian, and 1 / distance."""
     x, y, z = means[row, 0] - camera[0], means[row, 1] - camera[1], means[row, 2] - camera[2]
@@ -151,7 +151,7 @@ def direction(means, camera, row):
     return x * inverse, y * inverse, z * inverse, inverse
 
 
-@reordering_kernel
+@reordering_inner_function
 def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
     """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the Gaussian's
     mean."""
@@ -161,7 +161,7 @@ def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
     grad_means[row, 2] += inverse * (grad[2] - along * z)
 
 
-@reordering_kernel
+@reordering_inner_function
 def _set_basis(x, y, z, bands, basis):
     """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; only ``bands`` of
     them are set."""
@@ -182,7 +182,7 @@ def _set_basis(x, y, z, bands, basis):
         basis[14] = -_C3_ORDER3 * x * (xx - _THREE * yy)
 
 
-@reordering_kernel
+@reordering_inner_function
 def _basis_gradient(x, y, z, weights, bands):
     """∂/∂(x, y, z) of Σ weights × basis; weights beyond ``bands`` are 0."""
     gx, gy, gz = -_C1 * weights[2], -_C1 * weights[0], _C1 * weights[1]
@@ -198,7 +198,7 @@ def _basis_gradient(x, y, z, weights, bands):
     return gx, gy, gz
 
 
-@reordering_kernel
+@reordering_inner_function
 def _basis_gradient_of_degree_three(x, y, z, weights):
     xx, yy, zz = x * x, y * y, z * z
     w0, w1, w2 = -_C3_ORDER3 * weights[8], _C3_ORDER2 * weights[9], -_C3_ORDER1 * weights[10]

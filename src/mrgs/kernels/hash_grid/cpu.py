@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.baselines.thermonerf.hash_grid import CHANNELS, PRIMES
-from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require
 
 _SHARES = 4
@@ -76,7 +76,7 @@ class _Encode(torch.autograd.Function):
         return None, grad_table, None, None
 
 
-@kernel
+@inner_function
 def _locate(points, first, rows, resolution, size, entries, weights):
     """Entries and trilinear weights of the eight corners around each point of a block, both [8,
     block]."""
@@ -123,7 +123,7 @@ def _forward(points, table, resolutions, offsets, features):
         )
 
 
-@kernel
+@inner_function
 def _forward_level(points, table, resolution, first, end, features):
     entries, weights = np.empty((8, _BLOCK), np.uint32), np.empty((8, _BLOCK), points.dtype)
     zero = points.dtype.type(0)
@@ -155,7 +155,7 @@ def _backward(points, resolutions, offsets, grad, grad_table):
         )
 
 
-@kernel
+@inner_function
 def _backward_level(points, resolution, grad, grad_table):
     entries, weights = np.empty((8, _BLOCK), np.uint32), np.empty((8, _BLOCK), points.dtype)
     for start in range(0, len(points), _BLOCK):

@@ -12,7 +12,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.dense.layers import SHARES
-from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.jit import (
+    reordering_inner_function,
+    reordering_kernel,
+    reordering_parallel_kernel,
+)
 from mrgs.kernels.require import require, require_indices
 
 
@@ -145,7 +149,7 @@ def _backward_neighbours(places, opacity, grad, grad_projected, parts):
         _add_to_range(places, opacity, grad, grad_projected, first, end)
 
 
-@reordering_kernel
+@reordering_inner_function
 def _add_to_range(places, opacity, grad, grad_projected, first, end):
     rows, neighbours, weights = places
     count = neighbours.shape[1]

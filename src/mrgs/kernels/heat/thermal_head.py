@@ -34,7 +34,7 @@ from mrgs.kernels.dense.layers import (
     total,
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
-from mrgs.kernels.jit import reordering_kernel, reordering_parallel_kernel
+from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
 from mrgs.kernels.require import require, require_indices, require_layers
 
 _SH = 48
@@ -189,7 +189,7 @@ def _forward(
         )
 
 
-@reordering_kernel
+@reordering_inner_function
 def _forward_share(
     share, gaussians, positions, rows, frequencies, network, hidden, keep, projected
 ):
@@ -208,7 +208,7 @@ def _forward_share(
                 projected[here[place], channel] = outputs[place, channel]
 
 
-@reordering_kernel
+@reordering_inner_function
 def _scratch(network):
     """SH, SH' and e_orth ⊕ PE_p of a block."""
     inputs = rounded_up(network.first.forward.shape[1], TILE_COLUMNS)
@@ -219,7 +219,7 @@ def _scratch(network):
     )
 
 
-@reordering_kernel
+@reordering_inner_function
 def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, directions, inputs):
     """e_orth ⊕ PE_p of a block, and on the way SH and SH' = φ_SH(SH)."""
     width = gaussians.embedding.shape[1]
@@ -242,7 +242,7 @@ def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, direction
     encode(points, frequencies, inputs[:, width:])
 
 
-@reordering_kernel
+@reordering_inner_function
 def _share_along(embedding, row, directions, place):
     """(e_m · SH') / (‖SH'‖² + 1e-8) of Eq. 7, and 1 / (‖SH'‖² + 1e-8)."""
     dot, squared_norm = np.float32(0), np.float32(0)
@@ -269,7 +269,7 @@ def _backward(
         )  # fmt: skip
 
 
-@reordering_kernel
+@reordering_inner_function
 def _backward_share(
     share, gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients
 ):
@@ -300,7 +300,7 @@ def _backward_share(
                 gradients.sh_rest[row, coefficient] = g_sh[place, 3 + coefficient]
 
 
-@reordering_kernel
+@reordering_inner_function
 def _reject_backward(embedding, rows, directions, grad, grad_embedding):
     """The gradient of Eq. 7: at e_orth in ``grad``, which becomes that at SH'."""
     two = np.float32(2)

@@ -24,7 +24,7 @@ from mrgs.kernels.dense.layers import (
     total,
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
-from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require, require_layers
 
 
@@ -82,7 +82,7 @@ class _Perceptron(torch.autograd.Function):
         return grad_inputs, *total(hidden_sums, weights[0]), *total(output_sums, weights[2])
 
 
-@kernel
+@inner_function
 def _copy_rows(source, start, block):
     """A block of rows into the columns of a wider array; rows behind the last are zero."""
     rows = min(BLOCK_ROWS, source.shape[0] - start)
@@ -93,7 +93,7 @@ def _copy_rows(source, start, block):
     return rows
 
 
-@kernel
+@inner_function
 def _write_rows(block, rows, start, out):
     """The first rows and columns of a block to their place."""
     for row in range(rows):
@@ -107,7 +107,7 @@ def _forward(inputs, hidden_layer, output_layer, outputs):
         _forward_share(np.int64(share), inputs, hidden_layer, output_layer, outputs)
 
 
-@kernel
+@inner_function
 def _forward_share(share, inputs, hidden_layer, output_layer, outputs):
     x = np.zeros((BLOCK_ROWS, inputs.shape[1]), np.float32)
     h = np.empty((BLOCK_ROWS, hidden_layer.bias.size), np.float32)
@@ -137,7 +137,7 @@ def _backward(inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums
         )
 
 
-@kernel
+@inner_function
 def _backward_share(
     share, inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums, grad_inputs
 ):

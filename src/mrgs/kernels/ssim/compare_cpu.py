@@ -20,7 +20,7 @@ import numpy as np
 from numba import prange
 
 from mrgs.kernels.address import address, moved
-from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.jit import inner_function, parallel_kernel
 
 RADIUS = 5
 TAPS = 2 * RADIUS + 1
@@ -76,7 +76,7 @@ def compare(comparison):
         )  # prange counts in uint64, and uint64 less int64 is float64 in Numba
 
 
-@kernel()
+@inner_function()
 def _walk_strip(comparison, strip):
     height, width = comparison.x.shape
     first, last = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, height)
@@ -95,7 +95,7 @@ def _walk_strip(comparison, strip):
             _store_gradients(comparison, row - 2 * RADIUS, derivatives, block)
 
 
-@kernel()
+@inner_function()
 def _enter_moments(comparison, row, rows, ring):
     """One row of x, y, x² + y² and x y, filtered along it, enters the ring."""
     height, width = comparison.x.shape
@@ -119,7 +119,7 @@ def _enter_moments(comparison, row, rows, ring):
     _filter_along(rows, comparison.channels, comparison.window, ring, row % TAPS, width)
 
 
-@kernel()
+@inner_function()
 def _copy_counted(source, weights, result, count):
     zero = weights[0] - weights[0]
     for i in range(count):
@@ -127,7 +127,7 @@ def _copy_counted(source, weights, result, count):
         result[i] = value if weights[i] != zero else zero
 
 
-@kernel()
+@inner_function()
 def _enter_derivatives(comparison, row, moments, block, rows, ring):
     """One row's derivatives by the moments, filtered along it, enter the ring; ``rows`` keeps its 1
     − SSIM."""
@@ -148,7 +148,7 @@ def _enter_derivatives(comparison, row, moments, block, rows, ring):
     _filter_along(rows, comparison.channels, comparison.window, ring, row % TAPS, width)
 
 
-@kernel()
+@inner_function()
 def _differentiate_ssim(block, weights, count, scalars):
     """Moments to 1 − SSIM and the derivatives of weights dssim (1 − SSIM), each in the place of its
     moment.
@@ -178,7 +178,7 @@ def _differentiate_ssim(block, weights, count, scalars):
         block[ERROR + i] = one - luminance * structure
 
 
-@kernel()
+@inner_function()
 def _add_errors(comparison, row, rows, strip):
     """The row's part of the sum, column by column."""
     width = comparison.x.shape[1]
@@ -197,7 +197,7 @@ def _add_errors(comparison, row, rows, strip):
         _copy(errors, address(comparison.errors, at), width)
 
 
-@kernel()
+@inner_function()
 def _store_gradients(comparison, row, derivatives, block):
     """The gradients of one row from its derivatives, filtered across, and L1's own."""
     width = comparison.x.shape[1]
@@ -231,7 +231,7 @@ def _store_gradients(comparison, row, derivatives, block):
             )
 
 
-@kernel()
+@inner_function()
 def _gradient(x, y, weights, block, mean, count, scalars, result):
     """By x; ``mean`` says where the block has w ∗ ∂L/∂μ_x."""
     l1 = scalars[1]
@@ -243,7 +243,7 @@ def _gradient(x, y, weights, block, mean, count, scalars, result):
         result[i] = gradient if weights[i] != zero else zero
 
 
-@kernel()
+@inner_function()
 def _filter_along(rows, channels, window, ring, slot, width):
     """The window along each of as many padded rows as the ring holds, into its ``slot``."""
     for k in range(ring.shape[0]):
@@ -254,7 +254,7 @@ def _filter_along(rows, channels, window, ring, slot, width):
         _weigh(row, 0, channels, window, result, width)
 
 
-@kernel()
+@inner_function()
 def _filter_across(ring, row, start, count, width, window, block):
     """The window across the eleven rows about ``row``, ``count`` values from ``start`` on."""
     for k in range(ring.shape[0]):
@@ -262,7 +262,7 @@ def _filter_across(ring, row, start, count, width, window, block):
         _weigh(values, row - RADIUS, width, window, result, count)
 
 
-@kernel()
+@inner_function()
 def _weigh(values, first, spacing, window, result, count):
     """The window over eleven runs of values, of which the k-th starts after (first + k) mod 11
     times the spacing.
@@ -282,18 +282,18 @@ def _weigh(values, first, spacing, window, result, count):
         result[i] += d * (d0[i] + d1[i]) + e * (e0[i] + e1[i]) + f * f0[i]
 
 
-@kernel()
+@inner_function()
 def _run(values, tap, spacing):
     return moved(values, tap % TAPS * spacing)
 
 
-@kernel()
+@inner_function()
 def _copy(source, result, count):
     for i in range(count):
         result[i] = source[i]
 
 
-@kernel()
+@inner_function()
 def _clear_slot(ring, slot, width):
     zero = ring.dtype.type(0)
     for k in range(ring.shape[0]):

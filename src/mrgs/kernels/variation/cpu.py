@@ -16,7 +16,7 @@ from numba import prange
 from torch import Tensor
 
 from mrgs.kernels.address import address, moved
-from mrgs.kernels.jit import kernel, parallel_kernel
+from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.known_gradient import with_gradients
 from mrgs.kernels.require import require
 from mrgs.kernels.variation.pairs import valid_pairs
@@ -76,7 +76,7 @@ def sum_differences(image, channels, row_weights, column_weights, scales, gradie
         )
 
 
-@kernel()
+@inner_function()
 def _walk_strip(image, channels, row_weights, column_weights, scales, gradient, sums, strip):
     """A row counts the differences within it and those to the next row."""
     height, width = image.shape
@@ -97,7 +97,7 @@ def _walk_strip(image, channels, row_weights, column_weights, scales, gradient, 
             )
 
 
-@kernel()
+@inner_function()
 def _step_to_next_row(image, row, channels, weights, scales, buffers):
     """The steps between two rows, into one of the two last buffers; the other holds those from the
     row before."""
@@ -111,7 +111,7 @@ def _step_to_next_row(image, row, channels, weights, scales, buffers):
             leaving[i] = 0
 
 
-@kernel()
+@inner_function()
 def _finish_row(image, row, channels, weights, scales, buffers, gradient, totals):
     """The steps within a row, the gradient from all four steps, and the row's part of the sum."""
     height, width = image.shape
@@ -132,7 +132,7 @@ def _finish_row(image, row, channels, weights, scales, buffers, gradient, totals
         result[i] = before[i] - behind[i] + above[i] - below[i]
 
 
-@kernel()
+@inner_function()
 def _spread(weights, row, scale, channels, factors, count):
     """Each pixel's weight, times the scale, for each of its channels."""
     if weights.size == 0:
@@ -144,7 +144,7 @@ def _spread(weights, row, scale, channels, factors, count):
             factors[pixel * channels + channel] = scale * weights[row, pixel]
 
 
-@kernel()
+@inner_function()
 def _step(pixels, distance, factors, count, steps):
     """The factor of each difference over a distance, with the difference's sign."""
     others, zero = moved(pixels, distance), factors[0] - factors[0]
@@ -153,7 +153,7 @@ def _step(pixels, distance, factors, count, steps):
         steps[i] = factors[i] if difference > zero else (-factors[i] if difference < zero else zero)
 
 
-@kernel()
+@inner_function()
 def _add(pixels, distance, steps, count, totals):
     """Factor times |difference|, which is the step times the difference."""
     others = moved(pixels, distance)

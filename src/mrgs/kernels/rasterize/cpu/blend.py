@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import prange
 
-from mrgs.kernels.jit import strict_inlined_kernel, strict_kernel, strict_parallel_kernel
+from mrgs.kernels.jit import strict_inlined_function, strict_inner_function, strict_parallel_kernel
 from mrgs.kernels.rasterize.cpu.simd import (
     LANES,
     any_lane,
@@ -64,7 +64,7 @@ TILE_FLOATS = 8 * TILE_PIXELS
 """Offsets of the layers within a tile, and the size of all."""
 
 
-@strict_kernel()
+@strict_inner_function()
 def interleaved(index, tiles):
     """A permutation of the tiles that spreads neighbours over the threads."""
     step = tiles // TILE_STRIDE + 1
@@ -73,7 +73,7 @@ def interleaved(index, tiles):
     return index * step % tiles
 
 
-@strict_kernel()
+@strict_inner_function()
 def open_transmittance(planes, layer, x0, y0, width, height):
     """T = 1 on the pixels of the image, 0 on those of the tile that lie outside: they never
     blend."""
@@ -82,7 +82,7 @@ def open_transmittance(planes, layer, x0, y0, width, height):
             write(planes, layer + TRANSMITTANCE + row * TILE_WIDTH + column, ONE)
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def vector_range(splats, record, y0):
     """First and last vector of the tile whose rows of pixel centres the splat's ellipse can
     reach."""
@@ -92,7 +92,7 @@ def vector_range(splats, record, y0):
     return max(first, 0) // VECTOR_ROWS, min(last, TILE_HEIGHT - 1) // VECTOR_ROWS
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def log2_gaussian(splats, record, dx, dy):
     """log2 of the projected Gaussian G' at sixteen pixels."""
     across = dx - broadcast(read(splats, record + splat.SHEAR)) * dy
@@ -100,7 +100,7 @@ def log2_gaussian(splats, record, dx, dy):
     return broadcast(read(splats, record + splat.ACROSS)) * across * across + along
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def contribution(planes, at, splats, record, layer, gaussian):
     """What one layer of a splat contributes to a vector of pixels; the transmittance behind it is
     stored.
@@ -125,12 +125,12 @@ def contribution(planes, at, splats, record, layer, gaussian):
     return unclamped, alpha, blends, weight, transmittance
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def _accumulate(planes, at, weight, value):
     store(planes, at, load(planes, at) + weight * broadcast(value))
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def _blend_layer(planes, at, splats, record, layer, channels, gaussian):
     """Blend one layer of a splat into a vector of pixels; their transmittance behind it.
 
@@ -152,7 +152,7 @@ def _blend_layer(planes, at, splats, record, layer, channels, gaussian):
     return transmittance
 
 
-@strict_kernel()
+@strict_inner_function()
 def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
     """Walk the tile's list front to back; leave when no pixel of either layer lets light
     through."""
@@ -188,7 +188,7 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
             break
 
 
-@strict_kernel()
+@strict_inner_function()
 def _write_layer(
     planes, layer, channels, background, x0, y0, width, height, image, depth, transmittances
 ):

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mrgs.kernels.jit import strict_inlined_kernel, strict_kernel, strict_parallel_kernel
+from mrgs.kernels.jit import strict_inlined_function, strict_inner_function, strict_parallel_kernel
 from mrgs.kernels.rasterize.cpu.blend import (
     ALL_VECTORS,
     ALPHA_MAX,
@@ -59,7 +59,7 @@ _BEHIND_SCALAR = 3 * TILE_PIXELS
 TILE_FLOATS = 10 * TILE_PIXELS
 
 
-@strict_kernel()
+@strict_inner_function()
 def _read_layer(
     planes, layer, behind, channels, x0, y0, width, height, image, depth, transmittance,
     grad_image, grad_depth, grad_transmittance,
@@ -81,7 +81,7 @@ def _read_layer(
             write(planes, at + behind, total)
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussian, sums):
     """One layer of a splat in a row: α ∂L/∂α at its pixels, the row's transmittance behind it, and
     the new sums.
@@ -121,7 +121,7 @@ def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussia
     return grad_alpha, transmittance, (sum_alpha + grad_alpha, sum_depth, sum_0, sum_1, sum_2)
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def _add_geometry(moments, grad_exponent, dx, dy):
     """Moments of α ∂L/∂α over the pixels' offsets from μ', in the order GRAD_DX to GRAD_DYDY."""
     grad_dx, grad_dy = grad_exponent * dx, grad_exponent * dy
@@ -134,7 +134,7 @@ def _add_geometry(moments, grad_exponent, dx, dy):
     )
 
 
-@strict_kernel()
+@strict_inner_function()
 def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads):
     """The walk of ``blend._blend_tile`` again, summing the moments of every splat of the list."""
     nearly_opaque = broadcast(TRANSMITTANCE_MIN)

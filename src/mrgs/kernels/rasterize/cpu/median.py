@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from mrgs.kernels.jit import strict_inlined_kernel, strict_kernel, strict_parallel_kernel
+from mrgs.kernels.jit import strict_inlined_function, strict_inner_function, strict_parallel_kernel
 from mrgs.kernels.rasterize.cpu.blend import (
     ALL_VECTORS,
     HALF,
@@ -44,7 +44,7 @@ _TILE_FLOATS = 2 * TILE_PIXELS
 """Behind a tile's plane of T stands that of its median depths, NaN until they are found."""
 
 
-@strict_inlined_kernel()
+@strict_inlined_function()
 def _pass_half(planes, at, splats, record, gaussian):
     """Let a splat take its share of T in a vector of pixels, and note the median where T falls to
     one half; whether it is still above that anywhere."""
@@ -57,7 +57,7 @@ def _pass_half(planes, at, splats, record, gaussian):
     return any_lane(half < behind)
 
 
-@strict_kernel()
+@strict_inner_function()
 def _walk_tile(planes, splats, tile_splats, first, last, x0, y0):
     """The walk of ``blend._blend_tile`` again; left when every pixel has its median."""
     centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import prange
 
-from mrgs.kernels.jit import strict_kernel, strict_parallel_kernel
+from mrgs.kernels.jit import strict_inner_function, strict_parallel_kernel
 from mrgs.kernels.rasterize.cpu.simd import pointer, prefetch, read
 from mrgs.rasterizer import contract, splat
 
@@ -33,7 +33,7 @@ LARGEST_PX = 1e9
 """Gaussians that reach farther are left out, with those whose place or size is not a number."""
 
 
-@strict_kernel()
+@strict_inner_function()
 def _rotation(quats, i):
     """Rotation matrix (three rows) of the normalised quaternion i, and the quaternion's length."""
     w, x, y, z = float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
@@ -45,7 +45,7 @@ def _rotation(quats, i):
     return (row0, row1, row2), length
 
 
-@strict_kernel()
+@strict_inner_function()
 def _to_camera(means, viewmat, i):
     """Centre i in camera coordinates."""
     x, y, z = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
@@ -56,14 +56,14 @@ def _to_camera(means, viewmat, i):
     )
 
 
-@strict_kernel()
+@strict_inner_function()
 def _clamped_slope(slope, focal, centre, size):
     """x/z (or y/z), clamped to the widened image: outside it the linearisation J would explode."""
     margin = MARGIN * 0.5 * size / focal
     return min(max(slope, -centre / focal - margin), (size - centre) / focal + margin)
 
 
-@strict_kernel()
+@strict_inner_function()
 def _jacobian_times_rotation(point, u, v, viewmat, fx, fy):
     """The 2×3 matrix M = J R_w, with the clamped slopes u, v in J."""
     inverse_z = 1.0 / point[2]
@@ -80,7 +80,7 @@ def _jacobian_times_rotation(point, u, v, viewmat, fx, fy):
     return row0, row1
 
 
-@strict_kernel()
+@strict_inner_function()
 def _row_times_matrix(row, rows):
     """A row vector times a 3×3 matrix that is given by its rows."""
     return (
@@ -90,18 +90,18 @@ def _row_times_matrix(row, rows):
     )
 
 
-@strict_kernel()
+@strict_inner_function()
 def _scaled(row, scales, i):
     """A row vector with its entries multiplied by the scales of Gaussian i."""
     return (row[0] * scales[i, 0], row[1] * scales[i, 1], row[2] * scales[i, 2])
 
 
-@strict_kernel()
+@strict_inner_function()
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@strict_kernel()
+@strict_inner_function()
 def _covariance(n0, n1):
     """Σ' = N Nᵀ + 0.3 I: its entries xx, xy, yy."""
     return _dot(n0, n0) + DILATION, _dot(n0, n1), _dot(n1, n1) + DILATION
@@ -165,7 +165,7 @@ def project(
         splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
 
 
-@strict_kernel()
+@strict_inner_function()
 def _screen_gradients(xx, xy, yy, g):
     """∂L/∂μ' and ∂L/∂Σ' from the moments ``g`` of v = α ∂L/∂α = ∂L/∂(ln G').
 
@@ -184,7 +184,7 @@ def _screen_gradients(xx, xy, yy, g):
     return grad_mean, (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
 
 
-@strict_kernel()
+@strict_inner_function()
 def _quaternion_gradient(quats, i, length, g):
     """∂L/∂quaternion from ∂L/∂R (three rows ``g``), through the normalisation."""
     w, x, y, z = (
@@ -221,7 +221,7 @@ def _quaternion_gradient(quats, i, length, g):
     )
 
 
-@strict_kernel()
+@strict_inner_function()
 def _camera_point_gradient(
     point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, grad_depth
 ):
@@ -247,13 +247,13 @@ def _camera_point_gradient(
     return gx, gy, gz
 
 
-@strict_kernel()
+@strict_inner_function()
 def _combination(a, x, b, y):
     """a x + b y of two vectors."""
     return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
 
 
-@strict_kernel()
+@strict_inner_function()
 def _geometry_gradient(
     i, g, means, quats, scales, viewmat, K, width, height,
     grad_means, grad_quats, grad_scales, grad_means2d,
@@ -304,7 +304,7 @@ def _geometry_gradient(
         grad_means[i, k] = viewmat[0, k] * px + viewmat[1, k] * py + viewmat[2, k] * pz
 
 
-@strict_kernel()
+@strict_inner_function()
 def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
     """Add up the moments of one Gaussian's pairs, always in the same order, in double precision."""
     total[:] = 0.0

@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from mrgs.errors import MrgsError
-from mrgs.kernels.jit import strict_kernel, strict_parallel_kernel
+from mrgs.kernels.jit import strict_inner_function, strict_kernel, strict_parallel_kernel
 from mrgs.kernels.rasterize.cpu.simd import load, pointer, prefetch, store
 from mrgs.rasterizer import splat
 
@@ -84,7 +84,7 @@ def gather_splats(splats, order):
     return gathered
 
 
-@strict_kernel()
+@strict_inner_function()
 def _tile_rows(record, tiles_y):
     """First and last row of tiles that the splat reaches (first > last if none)."""
     top = record[splat.MEAN_Y] - record[splat.EXTENT_Y] - _SLACK_PX
@@ -94,13 +94,13 @@ def _tile_rows(record, tiles_y):
     return int(first) // TILE_HEIGHT, (int(last) // TILE_HEIGHT if last >= first else -1)
 
 
-@strict_kernel()
+@strict_inner_function()
 def _half_width_at(record, dy):
     relative = dy / record[splat.EXTENT_Y]
     return record[splat.HALF_WIDTH] * math.sqrt(max(0.0, 1.0 - relative * relative))
 
 
-@strict_kernel()
+@strict_inner_function()
 def _tile_columns(record, tile_row, tiles_x):
     """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if
     none).

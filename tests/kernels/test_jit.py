@@ -1,0 +1,14 @@
+"""Which compiled functions Python can call."""
+
+from __future__ import annotations
+
+import pytest
+from numba.extending import is_jitted
+
+from mrgs.kernels.blur import separable
+
+
+@pytest.mark.skipif(not is_jitted(separable._add_rows), reason="nothing is compiled")
+def test_an_inner_function_is_called_by_kernels_alone():
+    with pytest.raises(TypeError, match="_add_rows can only be called by a kernel"):
+        separable._add_rows()
