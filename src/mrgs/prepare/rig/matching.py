@@ -132,11 +132,12 @@ def whole_displacement(thermal: Masked, photo: Masked, reach: int) -> tuple[int,
     for down in steps:
         for right in steps:
             part = (
+                ...,
                 slice(reach + down, reach + down + height),
                 slice(reach + right, reach + right + width),
             )
             norm = (there_energy[part] * here_seen).sum() * (here_energy * there_seen[part]).sum()
-            score = float((there[(slice(None), *part)] * here).sum() / (norm + 1e-9).sqrt())
+            score = float((there[part] * here).sum() / (norm + 1e-9).sqrt())
             if score > best:
                 best, place = score, (right, down)
     return place
@@ -167,11 +168,9 @@ def _scores(
     scores = torch.empty(side, side, len(rows), len(columns))
     for i in range(side):
         for j in range(side):
-            part = (slice(i, i + height), slice(j, j + width))
+            part = (..., slice(i, i + height), slice(j, j + width))
             norm = pooled(there_energy[part] * here_seen) * pooled(here_energy * there_seen[part])
-            scores[i, j] = (
-                pooled((there[(slice(None), *part)] * here).sum(dim=0)) / (norm + 1e-9).sqrt()
-            )
+            scores[i, j] = pooled((there[part] * here).sum(dim=0)) / (norm + 1e-9).sqrt()
     share = pooled(here_seen) / pooled(torch.ones_like(here_seen))
     return scores.numpy(), share.numpy(), columns, rows
 
