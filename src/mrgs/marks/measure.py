@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,19 +23,15 @@ from mrgs.marks.surface import (
     outline_mask,
     pixels_of,
     see,
-    seen_depth,
 )
+from mrgs.marks.survey import PhotoSurvey
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
-from mrgs.scene.depth_map import DepthMap, surveying_cameras
 
 PROFILE_SAMPLES = 200
-SURVEY_WIDTH_PX = 160
-"""Width of the images that tell which photos see a place."""
-
 CHECKED_POINTS = 64
-"""Of a mark, for the same."""
+"""Of a mark, to tell which photos see it."""
 
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
@@ -108,6 +103,9 @@ class MarkMeter:
         cameras: of the thermal photos; empty if they are not known.
         capture: what the temperatures of the photos were computed with.
         uncertainty: says how far they may be from the truth; None if the photos are not known.
+
+    Attributes:
+        survey: what the cameras see of the model.
     """
 
     def __init__(
@@ -120,9 +118,10 @@ class MarkMeter:
     ) -> None:
         self.capture = capture or CaptureSettings()
         self.uncertainty = uncertainty
+        self.survey = PhotoSurvey(render, cameras)
         self._render = render
         self._temperature = temperature
-        self._cameras = cameras
+        self._photos = len(cameras)
 
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own."""
@@ -186,7 +185,7 @@ class MarkMeter:
 
     def _with_photos(self, reading: MarkReading, places: Float[np.ndarray, "n 3"]) -> MarkReading:
         """With the number of photos that see it; without a temperature where none does."""
-        if not self._cameras or not len(places):
+        if not self._photos or not len(places):
             return reading
         photos = self._photos_of(places)
         if photos or reading.problem:
@@ -202,19 +201,9 @@ class MarkMeter:
         surveyed, their share of all."""
         step = -(-len(places) // CHECKED_POINTS)
         points = places[::step].astype(np.float32)
-        shown = [len(item.shown(points).rows) for item in self._survey]
+        shown = [len(item.shown(points).rows) for item in self.survey]
         seen = sum(count >= 0.5 * len(points) for count in shown)
-        return -(-seen * len(self._cameras) // len(self._survey))
-
-    @cached_property
-    def _survey(self) -> list[DepthMap]:
-        """Small depth images of the photos' cameras, rendered once."""
-        maps = []
-        for camera in surveying_cameras(self._cameras):
-            small = camera.with_width(min(camera.width, SURVEY_WIDTH_PX))
-            depth = seen_depth(self._render(small)).astype(np.float32)
-            maps.append(DepthMap(small, depth, depth[..., None]))
-        return maps
+        return -(-seen * self._photos // len(self.survey))
 
 
 def _read_pixels(

@@ -13,6 +13,7 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
+from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SeenSurface, see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
@@ -48,6 +49,7 @@ class RunMarks:
             CaptureSettings.of(self.scene),
             None if self.scene is None else UncertaintyMeter.of_run(run, self.scene),
         )
+        self._stereo = stereo_of(self.meter, self.scene)
 
     @property
     def marks(self) -> Marks:
@@ -111,7 +113,7 @@ class RunMarks:
     ) -> Mark:
         """Add a mark of any kind through pixels of a camera's image; see ``spot``."""
         surface = see(self.run.render, camera)
-        places = picked_places(surface, pixels)
+        places = picked_places(surface, pixels, self._stereo)
         if kind == "spot":
             more.setdefault("radius", spot_radius(places[0], camera, self.scene))
 
@@ -184,11 +186,19 @@ def box_corners(corner: Sequence[float], opposite: Sequence[float]) -> list[tupl
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
-def picked_places(surface: SeenSurface, pixels: Sequence[Sequence[float]]) -> tuple[Place, ...]:
+def picked_places(
+    surface: SeenSurface, pixels: Sequence[Sequence[float]], stereo: PhotoStereo | None = None
+) -> tuple[Place, ...]:
     """The places of the surface at pixels (x, y) of an image.
+
+    Args:
+        surface: that is seen.
+        pixels: x to the right and y down.
+        stereo: finds the depth that the photos agree on; None for that of the model.
 
     Raises:
         ConfigError: a pixel lies outside the image, or shows no surface.
+        SceneError: a photo cannot be read.
     """
     camera, places = surface.camera, []
     for x, y in pixels:
@@ -199,6 +209,8 @@ def picked_places(surface: SeenSurface, pixels: Sequence[Sequence[float]]) -> tu
         depth = steady_depth(surface, x, y)
         if not np.isfinite(depth):
             raise ConfigError(f"no surface at pixel {x:g}, {y:g}: choose a place on the model")
+        if stereo is not None:
+            depth = stereo.depth(camera, x, y, depth)
         pixel = torch.tensor([x, y], dtype=torch.float64)
         places.append(camera.unproject(pixel, pixel.new_tensor(depth)).tolist())
     return places_of(places)
@@ -226,6 +238,12 @@ def eye_of(camera: Camera) -> Place:
 def thermal_cameras(scene: Scene | None) -> list[Camera]:
     """The cameras of a scene's thermal training photos; none without a scene."""
     return [] if scene is None else [photo.camera for photo in scene.train_photos(THERMAL)]
+
+
+def stereo_of(meter: MarkMeter, scene: Scene | None) -> PhotoStereo | None:
+    """Finds depths by a scene's photos; None without thermal ones."""
+    views = [] if scene is None else [view for view in scene.train if THERMAL in view.images]
+    return PhotoStereo(meter.survey, views) if views else None
 
 
 def _scene_if_there(run: Run) -> Scene | None:

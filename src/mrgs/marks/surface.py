@@ -43,7 +43,11 @@ PICK_SHARE = 0.02
 """Half width of the pixels that a picked place is steadied with, as a share of the image's."""
 
 SAME_SURFACE = 0.03
-"""Pixels whose depth differs by less than this share are of the surface that was picked."""
+"""Pixels whose depth differs by less than this share are of one surface."""
+
+STILL_THERE = 0.08
+"""A surface whose depth differs by less than this share is the one that was marked: models lie off
+their object, and a mark may be older than the model."""
 
 ROBUST_STEPS = 8
 TUKEY = 6.0
@@ -167,14 +171,19 @@ def outline_mask(camera: Camera, points: Sequence[Place]) -> Bool[np.ndarray, "h
 
 
 def disc_mask(surface: SeenSurface, mark: Mark) -> Bool[np.ndarray, "h w"]:
-    """The pixels within a spot's radius of its middle that show its surface, [H, W]."""
+    """The pixels within a spot's radius of its middle that show its surface, [H, W]; none where the
+    model no longer has it."""
     camera = surface.camera
     pixel, depth = camera.project(torch.tensor(mark.points[0], dtype=torch.float64))
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     reach_px = mark.radius * camera.K[0, 0].item() / depth.item()
     inside = np.hypot(columns - pixel[0].item(), rows - pixel[1].item()) <= reach_px
+    inside &= np.abs(surface.depth - depth.item()) < STILL_THERE * depth.item()
+    if not inside.any():
+        return inside
+    middle = np.median(surface.depth[inside])
     mask: Bool[np.ndarray, "h w"] = inside & (
-        np.abs(surface.depth - depth.item()) < SAME_SURFACE * depth.item()
+        np.abs(surface.depth - middle) < SAME_SURFACE * middle
     )
     return mask
 
@@ -225,10 +234,17 @@ def _plane_depth(
     for _ in range(ROBUST_STEPS):
         root = np.sqrt(weights)
         plane = np.linalg.lstsq(rays * root[:, None], inverse * root, rcond=None)[0]
-        left = np.abs(inverse - rays @ plane)
-        scale = max(float(np.median(left)), 1e-12 * float(inverse.max()))
-        weights = np.square(np.maximum(1 - np.square(left / (TUKEY * scale)), 0.0))
+        weights = tukey_weights(np.abs(inverse - rays @ plane), 1e-12 * float(inverse.max()))
     return float(1 / max(float(wanted @ plane), 1e-12))
+
+
+def tukey_weights(left: Float[np.ndarray, " n"], least: float = 1e-12) -> Float[np.ndarray, " n"]:
+    """Tukey's biweights of absolute residuals; their median counts as no less than ``least``."""
+    scale = max(float(np.median(left)), least)
+    weights: Float[np.ndarray, " n"] = np.square(
+        np.maximum(1 - np.square(left / (TUKEY * scale)), 0.0)
+    )
+    return weights
 
 
 def _rays(

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.regions import Regions
+from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import MarkStore
 from mrgs.marks.uncertainty import UncertaintyMeter
 
@@ -22,18 +23,23 @@ class MarkBoard:
     Args:
         store: keeps the marks in the run's folder.
         meter: measures them in the model.
+        stereo: finds depths by the photos; None to take those of the model.
 
     Attributes:
         marks: as they were measured.
         readings: one for each.
         proposals: of the report, measured in the same way.
         regions: surfaces with an emissivity of their own.
+        stereo: as given.
     """
 
-    def __init__(self, store: MarkStore, meter: MarkMeter) -> None:
+    def __init__(
+        self, store: MarkStore, meter: MarkMeter, stereo: PhotoStereo | None = None
+    ) -> None:
         self.marks = Marks()
         self.readings: list[MarkReading] = []
         self.proposals: list[MarkReading] = []
+        self.stereo = stereo
         self.regions: Regions = meter.regions(self.marks)
         self._store = store
         self._meter = meter

@@ -221,6 +221,7 @@ class Inspection:
 
         Raises:
             ConfigError: a place lies outside the picture, or shows no surface.
+            SceneError: a photo cannot be read.
             RunError: the mark cannot be saved.
         """
         board, subject = self.subject.board, self.subject
@@ -239,7 +240,7 @@ class Inspection:
         surface = subject.source.run(
             lambda model: see(lambda each: render_surface(model, each, subject), camera)
         )
-        picked = picked_places(surface, pixels)
+        picked = picked_places(surface, pixels, board.stereo)
         radius = spot_radius(picked[0], camera, subject.scene) if kind == "spot" else 0.0
         board.add(kind, picked, eye_of(camera), radius)
         self.point = None

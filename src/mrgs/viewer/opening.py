@@ -12,7 +12,7 @@ from filelock import FileLock, Timeout
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
-from mrgs.marks.run_marks import thermal_cameras
+from mrgs.marks.run_marks import stereo_of, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SurfaceRenderer
 from mrgs.marks.uncertainty import UncertaintyMeter
@@ -77,7 +77,9 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         CaptureSettings.of(subject.scene),
         _uncertainty_meter(subject, draw),
     )
-    return MarkBoard(MarkStore(subject.folder, spread), meter)
+    changes = not isinstance(subject.source, TrainedSource)  # its depths would be of another step
+    stereo = None if changes else stereo_of(meter, subject.scene)
+    return MarkBoard(MarkStore(subject.folder, spread), meter, stereo)
 
 
 def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], PaneImages] | None:
