@@ -141,7 +141,7 @@ def test_nothing_is_found_where_nothing_is_seen():
 
 
 def test_what_was_judged_is_not_found_again():
-    judged = [np.array([*HOT, 0.0]), np.array([*COLD, 0.0])]
+    judged = [np.array([[*HOT, 0.0]]), np.array([[*COLD, 0.0]])]
     assert find_spots(views(), plane().render, judged=judged[:1])[0] == []
     assert find_spots(views(), plane().render, judged=judged) == ([], [])
 

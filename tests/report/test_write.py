@@ -14,6 +14,9 @@ from PIL import Image
 
 from mrgs import open_marks
 from mrgs.errors import RunError
+from mrgs.marks import Mark, Marks
+from mrgs.marks.regions import Regions
+from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
 from mrgs.report.proposals import propose, views_of
@@ -57,6 +60,23 @@ def run(trained: Path) -> Run:
     return replace(run, model=replace(run.model, gaussians=solid))
 
 
+class Doubting(UncertaintyMeter):
+    """Knows every temperature to within some kelvin."""
+
+    def __init__(self, kelvin: float) -> None:
+        self.notes = ()
+        self.kelvin = kelvin
+
+    def of_mark(self, points, value, surface=None) -> Uncertainty:
+        return Uncertainty(photos=self.kelvin, camera=100.0)
+
+
+@pytest.fixture
+def certain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Temperatures that are known well, which 60 steps do not give."""
+    monkeypatch.setattr(UncertaintyMeter, "of_run", lambda run, scene: Doubting(0.001))
+
+
 class Page(HTMLParser):
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -78,6 +98,7 @@ class Page(HTMLParser):
         self.words.append(data)
 
 
+@pytest.mark.usefixtures("certain")
 def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     for words in (
@@ -159,6 +180,7 @@ def test_names_from_files_are_escaped(run, tmp_path):
     assert page.text.count("alert(1)") >= 3
 
 
+@pytest.mark.usefixtures("certain")
 def test_a_scene_without_celsius_has_relative_values(run, tmp_path):
     unknown = replace(run, facts=run.facts._replace(temperature=None))
     scene = replace(run.load_scene(), temperature=None)
@@ -238,6 +260,7 @@ def test_the_report_lists_the_marks_with_pictures_and_profile(run: Run, tmp_path
             assert html.count(f'alt="{name}, {picture}"') == 1
 
 
+@pytest.mark.usefixtures("certain")
 def test_proposals_are_kept_until_they_are_judged(run: Run, tmp_path: Path):
     marks, scene = open_marks(run), run.load_scene()
 
@@ -267,7 +290,7 @@ def test_proposals_are_kept_until_they_are_judged(run: Run, tmp_path: Path):
 def test_proposals_in_a_region_have_its_emissivity(run: Run):
     marks, scene = open_marks(run), run.load_scene()
     found = propose(marks, scene, marks.meter.regions(marks.marks))
-    name, before = next(iter(found.items()))
+    name, (before, _, _) = next(iter(found.anomalies.items()))
     camera = views_of(scene)[before.view].images[THERMAL].camera
     x, y = camera.project(torch.from_numpy(before.position))[0].tolist()
     marks.box(camera, (x - 2, y - 2), (x + 2, y + 2), emissivity=0.5, reflected_c=0.0)
@@ -282,3 +305,48 @@ def test_proposals_in_a_region_have_its_emissivity(run: Run):
     assert expected > apparent + 5
     reading = next(each for each in marks.measure_proposals() if each.mark.name == name)
     assert reading.mean == pytest.approx(expected, abs=0.2 * expected)
+
+
+def test_what_is_uncertain_by_more_than_it_differs_is_held_back(run: Run):
+    marks, scene = open_marks(run), run.load_scene()
+    regions = marks.meter.regions(marks.marks)
+    marks.meter.uncertainty = Doubting(0.0)
+    certain = propose(marks, scene, regions)
+    assert len(certain.anomalies) >= 2
+    assert certain.held_back == 0
+    limit = min(abs(each.contrast) for each in certain.anomalies.values())
+    marks.meter.uncertainty = Doubting(limit)
+    found = propose(marks, scene, regions)
+    assert found.held_back >= 1
+    assert all(abs(each.contrast) > limit for each in found.anomalies.values())
+    marks.meter.uncertainty = Doubting(100.0)
+    nothing = propose(marks, scene, regions)
+    assert nothing.anomalies == {}
+    assert nothing.held_back >= 2
+    assert marks.marks.proposals == ()
+
+
+def test_a_large_area_says_nothing_of_the_places_in_it(run: Run):
+    marks, scene = open_marks(run), run.load_scene()
+    found = propose(marks, scene, Regions(Marks(), run.render, None, marks.meter.capture))
+    name, (spot, reading, _) = next(iter(found.anomalies.items()))
+    middle, radius = np.array(reading.mark.points[0]), reading.mark.radius
+    square = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+
+    def proposed(half: float) -> tuple[str, ...]:
+        points = tuple(map(tuple, (middle + half * square).tolist()))
+        box = Mark("Wall", "box", points, reading.mark.eye)
+        marks.store.edit(lambda _: Marks((box,)))
+        return tuple(propose(marks, scene, marks.meter.regions(Marks())).anomalies)
+
+    assert name in proposed(half=100 * radius)
+    assert spot.position.tolist() not in [
+        list(mark.points[0]) for mark in marks.marks.proposals if proposed(half=radius)
+    ]
+
+
+def test_the_report_says_how_many_are_held_back(run: Run, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(UncertaintyMeter, "of_run", lambda run, scene: Doubting(100.0))
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    assert re.search(r"Zurückgehalten, .* gemeinsam haben\): \d+\.", text)
+    assert "H1" not in text

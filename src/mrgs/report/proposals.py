@@ -1,5 +1,5 @@
-"""The anomalies that the report proposes: the hottest and the coldest spots, kept in the run until
-they are accepted or dropped."""
+"""The anomalies that the report proposes: the hottest and the coldest spots that differ from their
+surroundings by more than the uncertainty, kept in the run until they are accepted or dropped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mrgs.marks import Marks, RunMarks
+from mrgs.marks import MarkReading, Marks, RunMarks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import eye_of, spot_radius
@@ -21,8 +21,49 @@ from mrgs.report.spots import Spot, find_spots
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, TemperatureRange, View
 
+PROPOSED = 3
+"""At most so many hot and so many cold places."""
+
+CANDIDATES = 6
+"""Of each that are measured to find them."""
+
 SAME_PLACE = 10.0
 """A spot that lies nearer to an earlier proposal than so many of its radii keeps its name."""
+
+
+class Anomaly(NamedTuple):
+    """A spot that was measured.
+
+    Attributes:
+        spot: that was found.
+        reading: of the spot as a mark.
+        contrast: its temperature minus that of its surroundings, in the unit of the reading.
+    """
+
+    spot: Spot
+    reading: MarkReading
+    contrast: float
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the contrast is more than its uncertainty, where that is known. The camera's
+        limit of error is no part of it: the surroundings share it."""
+        if self.reading.problem:
+            return False
+        uncertainty = self.reading.uncertainty
+        return uncertainty is None or abs(self.contrast) > uncertainty.of_differences
+
+
+class Proposals(NamedTuple):
+    """What the report proposes.
+
+    Attributes:
+        anomalies: by name, the hottest first.
+        held_back: how many were as hot or as cold, but do not stand out of their uncertainty.
+    """
+
+    anomalies: Mapping[str, Anomaly]
+    held_back: int
 
 
 class ShownProposal(NamedTuple):
@@ -49,12 +90,12 @@ class ShownProposal(NamedTuple):
     at_end: bool
 
 
-def propose(marks: RunMarks, scene: Scene, regions: Regions) -> dict[str, Spot]:
-    """Find the hottest and the coldest spots, and keep them in the run as its proposals; returns
-    them by name, the hottest first.
+def propose(marks: RunMarks, scene: Scene, regions: Regions) -> Proposals:
+    """Find the hottest and the coldest spots that stand out, and keep them in the run as its
+    proposals.
 
-    Where a mark was made, or a proposal dropped, none is made again. A spot that was proposed
-    before keeps its name.
+    Where a mark was made, or a proposal dropped, none is made again; not so in a large area, which
+    says nothing of a place in it. A spot that was proposed before keeps its name.
 
     Args:
         marks: of the run.
@@ -62,34 +103,63 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions) -> dict[str, Spot]:
         regions: surfaces with an emissivity of their own, for which temperatures are corrected.
 
     Raises:
+        SceneError: a photo cannot be read.
         RunError: the marks cannot be read or saved.
     """
-    views, known = views_of(scene), marks.marks
-    judged = [np.mean(mark.points, axis=0) for mark in (*known.marks, *known.dropped)]
-    found = find_spots(views, regions.render, ball=scene.reach, judged=judged)
-    named: dict[str, Spot] = {}
+    known = marks.marks
+    judged = [np.array(mark.points) for mark in (*known.marks, *known.dropped)]
+    found = find_spots(views_of(scene), regions.render, CANDIDATES, scene.reach, judged)
+    chosen = [_standing_out(spots, marks, scene, regions) for spots in found]
+    named: dict[str, Anomaly] = {}
 
     def change(now: Marks) -> Marks:
         named.clear()
-        for letter, spots in zip("HC", found, strict=True):
-            named.update(_named(letter, spots, now))
-        proposals = tuple(_mark(name, spot, views, scene) for name, spot in named.items())
-        return replace(now, proposals=proposals)
+        for letter, (anomalies, _) in zip("HC", chosen, strict=True):
+            named.update(_named(letter, anomalies, now))
+        return replace(now, proposals=tuple(each.reading.mark for each in named.values()))
 
     marks.store.edit(change)
-    return named
+    return Proposals(named, sum(held_back for _, held_back in chosen))
 
 
-def _named(letter: str, spots: Sequence[Spot], marks: Marks) -> dict[str, Spot]:
-    """Spots by their names: those of proposals at the same places, else the next that are free."""
-    free = iter(marks.free_names(letter, len(spots)))
+def _standing_out(
+    spots: Sequence[Spot], marks: RunMarks, scene: Scene, regions: Regions
+) -> tuple[list[Anomaly], int]:
+    """The first spots that stand out, and how many before them do not."""
+    kept: list[Anomaly] = []
+    for number, spot in enumerate(spots):
+        if len(kept) == PROPOSED:
+            return kept, number - PROPOSED
+        anomaly = _measured(spot, marks, scene, regions)
+        if anomaly.stands_out:
+            kept.append(anomaly)
+    return kept, len(spots) - len(kept)
+
+
+def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> Anomaly:
+    """A spot as a mark without a name of its own, seen from the view that shows it best."""
+    view = views_of(scene)[spot.view]
+    camera = view.images[THERMAL].camera
+    points = places_of([spot.position.tolist()])
+    mark = Mark("?", "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
+    contrast = spot.value - surroundings(view, spot, regions.render(camera))
+    span = 1.0 if scene.temperature is None else scene.temperature.span_c
+    return Anomaly(spot, marks.meter.read(mark, regions), span * contrast)
+
+
+def _named(letter: str, anomalies: Sequence[Anomaly], marks: Marks) -> dict[str, Anomaly]:
+    """Anomalies by their names: those of proposals at the same places, else the next that are
+    free."""
+    free = iter(marks.free_names(letter, len(anomalies)))
     left = [mark for mark in marks.proposals if mark.name.startswith(letter)]
     named = {}
-    for spot in spots:
-        same = next((mark for mark in left if _is_at(mark, spot)), None)
+    for anomaly in anomalies:
+        same = next((mark for mark in left if _is_at(mark, anomaly.spot)), None)
         if same is not None:
             left.remove(same)
-        named[next(free) if same is None else same.name] = spot
+        name = next(free) if same is None else same.name
+        reading = replace(anomaly.reading, mark=replace(anomaly.reading.mark, name=name))
+        named[name] = anomaly._replace(reading=reading)
     return named
 
 
@@ -98,44 +168,30 @@ def _is_at(mark: Mark, spot: Spot) -> bool:
     return bool(distance < SAME_PLACE * mark.radius)
 
 
-def _mark(name: str, spot: Spot, views: Sequence[View], scene: Scene) -> Mark:
-    """A spot as a mark, seen from the view that shows it best."""
-    camera = views[spot.view].images[THERMAL].camera
-    points = places_of([spot.position.tolist()])
-    return Mark(name, "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
-
-
 def show_proposals(
-    spots: Mapping[str, Spot], shown: Sequence[ShownMark], run: Run, scene: Scene, regions: Regions
+    anomalies: Mapping[str, Anomaly], shown: Sequence[ShownMark], run: Run, scene: Scene
 ) -> list[ShownProposal]:
     """Proposals as the report shows them.
 
     Args:
-        spots: by name.
+        anomalies: by name.
         shown: the same as marks.
         run: that they were found in.
         scene: with the photos.
-        regions: surfaces with an emissivity of their own.
 
     Raises:
         SceneError: a photo cannot be read.
     """
-    return [_shown(spots[mark.name], mark, run, scene, regions) for mark in shown]
+    return [_shown(anomalies[mark.name], mark, run, scene) for mark in shown]
 
 
-def _shown(spot: Spot, mark: ShownMark, run: Run, scene: Scene, regions: Regions) -> ShownProposal:
-    view, temperature = views_of(scene)[spot.view], scene.temperature
-    rendering = regions.render(view.images[THERMAL].camera)
-    contrast = spot.value - surroundings(view, spot, rendering)
-    photo = photo_value(view, spot)
+def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> ShownProposal:
+    spot, temperature = anomaly.spot, scene.temperature
+    photo = photo_value(views_of(scene)[spot.view], spot)
     x, y, z = spot.position
     return ShownProposal(
         mark,
-        value_text(
-            contrast if temperature is None else contrast * temperature.span_c,
-            temperature,
-            sign=True,
-        ),
+        value_text(anomaly.contrast, temperature, sign=True),
         _text(spot.low, temperature),
         _text(spot.high, temperature),
         spot.views,

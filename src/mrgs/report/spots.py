@@ -16,7 +16,8 @@ thermographer reads them from photos:
 4. Cubes that more views see through than see are left out: mist between the surfaces, and the
   outlines of things before the sky.
 5. The extreme cubes are taken one by one, each at least 15 cube edges from those before it and from
-  places that were judged before. One is left out that no view has away from its border, that does
+  a point of each mark that was judged before, so that a large area does not count as judged. One is
+  left out that no view has away from its border, that does
   not differ from its surroundings, or that is part of something as extreme that is large and
   reaches the border of the picture: the sky.
 """
@@ -165,7 +166,7 @@ def find_spots(
     render: Renderer,
     count: int = 3,
     ball: Reach | None = None,
-    judged: Sequence[Float[np.ndarray, "3"]] = (),
+    judged: Sequence[Float[np.ndarray, "_ 3"]] = (),
 ) -> tuple[list[Spot], list[Spot]]:
     """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
 
@@ -174,7 +175,8 @@ def find_spots(
         render: renders the thermal image of a camera.
         count: largest number of spots in each list.
         ball: how far the scene reaches; the sky beyond it is no spot. None if there is none.
-        judged: places, world coordinates, about which nothing is to be found again.
+        judged: points of each mark that was judged, world coordinates, [N, 3] each: nothing is
+            found again near to all of them.
     """
     thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
     chosen = [thermal[place] for place in evenly_spaced(len(thermal), VIEWS)]
@@ -304,16 +306,16 @@ def _apart(
     images: Mapping[int, _Image],
     count: int,
     distance: float,
-    judged: Sequence[Float[np.ndarray, "3"]],
+    judged: Sequence[Float[np.ndarray, "_ 3"]],
 ) -> list[Spot]:
-    """Step 5: the first cubes of the list that keep the distance from each other and from places
+    """Step 5: the first cubes of the list that keep the distance from each other and from the marks
     that were judged; hot ones where the sign is 1, cold ones where it is −1."""
     kept: list[Spot] = []
     left_out = np.empty((0, 3))
     for cube in cubes:
         position = np.median(sightings.positions[cube.rows], axis=0)
-        others = [*judged, *(spot.position for spot in kept)]
-        if any(np.linalg.norm(position - other) < distance for other in others):
+        others = [*judged, *(spot.position[None] for spot in kept)]
+        if any((np.linalg.norm(other - position, axis=1) < distance).all() for other in others):
             continue
         if (np.linalg.norm(left_out - position, axis=1) < LEFT_OUT_SHARE * distance).any():
             continue

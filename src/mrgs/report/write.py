@@ -7,7 +7,7 @@ from datetime import date
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
-from mrgs.marks import Marks, RunMarks, open_marks
+from mrgs.marks import RunMarks, open_marks
 from mrgs.marks.emissivity import records_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
@@ -24,9 +24,8 @@ from mrgs.report.marks import (
 from mrgs.report.pdf import require_weasyprint, write_pdf
 from mrgs.report.pictures import Overview, overviews
 from mrgs.report.plan import Plan
-from mrgs.report.proposals import ShownProposal, propose, show_proposals
+from mrgs.report.proposals import Anomaly, Proposals, ShownProposal, propose, show_proposals
 from mrgs.report.sections import capture_rows, read_contact_sheet, read_scores, training_rows
-from mrgs.report.spots import Spot
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
@@ -143,9 +142,9 @@ def write_report(
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)
-    spots = propose(marks, scene, regions) if has_thermal else {}
+    found = propose(marks, scene, regions) if has_thermal else Proposals({}, 0)
     begin(1)
-    findings = _findings(marks, regions, spots, scene, survey)
+    findings = _findings(marks, regions, found.anomalies, scene, survey)
     begin(2)
     every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
     return write_html(
@@ -164,6 +163,7 @@ def write_report(
         has_thermal=has_thermal,
         temperature=scene.temperature,
         findings=findings,
+        held_back=found.held_back,
         judged=bool(findings.marks or marks.marks.dropped),
         assumptions=marks.meter.capture.notes if regions else (),
         doubts=() if marks.meter.uncertainty is None else marks.meter.uncertainty.notes,
@@ -185,13 +185,13 @@ def write_report(
 def _findings(
     marks: RunMarks,
     regions: Regions,
-    spots: Mapping[str, Spot],
+    anomalies: Mapping[str, Anomaly],
     scene: Scene,
     survey: Survey,
 ) -> Findings:
     known = marks.marks
     readings = marks.meter.measure(known, regions)
-    proposed = marks.meter.measure(Marks(known.proposals if spots else ()), regions)
+    proposed = [anomaly.reading for anomaly in anomalies.values()]
     if not readings and not proposed:
         return Findings()
     named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
@@ -200,10 +200,10 @@ def _findings(
         show_marks(each, reference, regions, scene, survey, plan)
         for each, reference in ((readings, known.reference), (proposed, ""))
     )
-    views = overviews(scene, named, regions.render) if spots else []
+    views = overviews(scene, named, regions.render)
     return Findings(
         shown,
-        show_proposals(spots, candidates, marks.run, scene, regions),
+        show_proposals(anomalies, candidates, marks.run, scene),
         [ShownOverview.of(each) for each in views],
         inline_image(plan.whole(named), "plan", png=True),
         plan.from_the_front,
