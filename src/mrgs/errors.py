@@ -9,12 +9,14 @@ class MrgsError(Exception):
     """An error that the user can fix; the command line prints it as one line and exits with code 2.
 
     Attributes:
+        message: as given.
         options: parameters of the Python API that are at fault or that help, such as
             ``thermal_fov_deg``; the command line shows its flags for them.
     """
 
     def __init__(self, message: str, *, options: tuple[str, ...] = ()) -> None:
         super().__init__(message)
+        self.message = message
         self.options = options
 
 

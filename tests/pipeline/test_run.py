@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
+from mrgs import load_run, open_marks
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, SceneError
+from mrgs.marks import Mark, Marks
 from mrgs.pipeline import Monitor, PipelinePlan, PlannedStage, run_pipeline
 from mrgs.pipeline import run as run_module
 from mrgs.pipeline import stages as stages_module
@@ -21,6 +23,7 @@ from mrgs.prepare import Preparation, PrepareOptions, StageReport
 from tests.helpers.photos import photo
 from tests.helpers.scenes import write_scene
 
+SPOT = Mark("H1", "spot", ((0.0, 0.0, 0.0),), (0.0, 3.0, 0.0), radius=0.1)
 STAGES = ["check", "train", "score", "render", "report", "page", "exports"]
 
 
@@ -122,6 +125,26 @@ def test_a_result_that_is_gone_is_made_again_and_nothing_else(own, small_scene):
     watcher = Watcher()
     run_pipeline(small_scene, own, quality="fast", monitor=watcher)
     assert watcher.ran == ["report"]
+
+
+def test_what_is_stated_or_marked_later_is_reported(own, small_scene):
+    def run_again() -> list[str]:
+        watcher = Watcher()
+        run_pipeline(small_scene, own, quality="fast", monitor=watcher)
+        return watcher.ran
+
+    (own / "fast" / "survey.yaml").write_text("client: somebody\n", encoding="utf-8")
+    assert run_again() == ["report", "page", "exports"]
+    assert "somebody" in (own / "fast" / "report.html").read_text(encoding="utf-8")
+    assert run_again() == []
+    marks = open_marks(load_run(own / "fast"))
+    marks.store.edit(lambda _: Marks(proposals=(SPOT,)))
+    assert run_again() == []
+    marks.accept("H1")
+    assert run_again() == ["report", "page", "exports"]
+    (own / "fast" / "marks.json").write_text("[", encoding="utf-8")
+    with pytest.warns(MrgsWarning, match="is damaged"):
+        assert run_again() == ["report", "page", "exports"]
 
 
 def test_another_quality_keeps_the_first_one(own, small_scene):

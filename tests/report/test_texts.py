@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from datetime import date
 from importlib.resources import files
+from pathlib import Path
 from typing import get_args
 
 import pytest
 
+import mrgs
 from mrgs.evaluation.report import COLUMNS
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import NO_PHOTO, NO_SURFACE, NO_THERMAL
@@ -18,6 +21,7 @@ from mrgs.report.conditions import LABELS, conditions_of
 from mrgs.report.sections import _SETTINGS
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
 from mrgs.survey import Side, Survey
+from mrgs.system.message import Message
 
 TRANSLATED = [language for language in LANGUAGES if language != "en"]
 
@@ -62,14 +66,31 @@ def test_numbers_are_written_as_the_language_does():
     assert Texts("de")("not a sentence of the report") == "not a sentence of the report"
 
 
-def test_sentences_are_known_by_the_words_between_their_values():
-    english = (
-        "The camera's constants are not known: its signal is taken as that of black bodies at "
-        "9.5 µm."
-    )
-    assert Texts("de")(english).endswith("schwarzen Strahlern bei 9,5 µm angenommen.")
-    assert Texts()(english) == english
-    assert Texts("de")("3.17 scene units²") == "3,17 Szeneneinheiten²"
+def test_a_message_is_said_with_its_values():
+    english = Message("{size} scene units²", size="3.17")
+    assert english == "3.17 scene units²"
+    assert [Texts(each)(english) for each in LANGUAGES] == [
+        "3.17 scene units²", "3,17 Szeneneinheiten²", "3,17 unités de scène²",
+    ]  # fmt: skip
+    unknown = Message("{name} is no sentence of the report", name="{S1}")
+    assert Texts("de")(unknown) == unknown == "{S1} is no sentence of the report"
+
+
+def templates() -> set[str]:
+    """The messages of the whole program, as far as they are written out."""
+    trees = [
+        ast.parse(path.read_text(encoding="utf-8")) for path in Path(mrgs.__path__[0]).rglob("*.py")
+    ]
+    calls = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    named = [call for call in calls if getattr(call.func, "id", "") == "Message"]
+    firsts = [call.args[0] for call in named]
+    return {first.value for first in firsts if isinstance(first, ast.Constant)}
+
+
+def test_every_message_is_translated():
+    assert len(templates()) >= 8
+    for language in TRANSLATED:
+        assert templates() - catalogue(language).keys() == set()
 
 
 def test_what_marks_may_say_is_translated():

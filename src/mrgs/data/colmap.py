@@ -18,6 +18,7 @@ from mrgs.data.points import point_cloud
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource
 from mrgs.data.thermal import BOUNDS_FILES
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.system.message import Message
 
 FOLDERS = {RGB: ("rgb", "images"), THERMAL: ("thermal",)}
 """Possible folders of each modality's images; the first that exists is used."""
@@ -71,7 +72,11 @@ def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
     found = _match(registered, images, file)
     keys = sorted({key for _, key in found})
     if left_out := len({key for each in images for key in each.files}) - len(keys):
-        notes.decide(f"{left_out} images were not registered by COLMAP; left out.")
+        notes.decide(
+            Message(
+                "{number} images were not registered by COLMAP; left out.", number=f"{left_out}"
+            )
+        )
     views = [_view(key, found, images, finder) for key in keys]
     return SceneSource(root, file, views, point_cloud(*read_points3d(model), notes), notes)
 

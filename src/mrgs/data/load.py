@@ -21,6 +21,7 @@ from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 from mrgs.system.collector import collector_paused
+from mrgs.system.message import Message
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -141,8 +142,12 @@ def _measured_range(source: SceneSource, splits: Sequence[Split]) -> Temperature
         )
     temperature = bounds_of_images(paths)
     source.notes.decide(
-        "There is no temperature_bounds.json: the training images' range is used, "
-        f"{temperature.min_c:g} °C to {temperature.max_c:g} °C."
+        Message(
+            "There is no temperature_bounds.json: the training images' range is used, {low} °C to "
+            "{high} °C.",
+            low=f"{temperature.min_c:g}",
+            high=f"{temperature.max_c:g}",
+        )
     )
     return temperature
 

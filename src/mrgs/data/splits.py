@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from mrgs.data.sources import FilenameLists, ReadingNotes
+from mrgs.system.message import Message
 
 Split = Literal["train", "eval", "unused"]
 
@@ -37,7 +38,10 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes
     if len(keys) == 1:
         return ["train"]
     notes.decide(
-        f"No split is given: every {EVAL_EVERY}th view, in the order of the names, is held out."
+        Message(
+            "No split is given: every {number}th view, in the order of the names, is held out.",
+            number=f"{EVAL_EVERY}",
+        )
     )
     held_out = set(sorted(range(len(keys)), key=lambda index: keys[index])[::EVAL_EVERY])
     return ["eval" if index in held_out else "train" for index in range(len(keys))]

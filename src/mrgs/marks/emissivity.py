@@ -14,6 +14,7 @@ from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark
 from mrgs.scene import THERMAL, Scene
 from mrgs.scene.radiometry import PhotoRecord, Planck
+from mrgs.system.message import Message
 
 SECOND_RADIATION_CONSTANT_UM_K = 14_387.77
 TYPICAL_WAVELENGTH_UM = 10.0
@@ -70,7 +71,10 @@ class CaptureSettings:
         reflected = self.surface.reflected_c if mark.reflected_c is None else mark.reflected_c
         if emissivity < 1 and reflected is None:
             raise ConfigError(
-                f"{mark.name}: the photos do not say the reflected temperature; give it too"
+                Message(
+                    "{name}: the photos do not say the reflected temperature; give it too",
+                    name=mark.name,
+                )
             )
         return SurfaceSettings(emissivity, reflected)
 
@@ -142,6 +146,9 @@ def _law_of(records: list[PhotoRecord]) -> tuple[Planck, list[str]]:
     if laws:
         return laws.most_common(1)[0][0], []
     return TYPICAL_LAW, [
-        f"The camera's constants are not known: its signal is taken as that of black bodies at "
-        f"{TYPICAL_WAVELENGTH_UM:g} µm."
+        Message(
+            "The camera's constants are not known: its signal is taken as that of black bodies at "
+            "{wavelength} µm.",
+            wavelength=f"{TYPICAL_WAVELENGTH_UM:g}",
+        )
     ]

@@ -150,7 +150,7 @@ class MarkMeter:
                 raise ConfigError(problem)
             seen = see(self._render, measuring_camera(mark))
         except ConfigError as error:
-            return MarkReading(mark, problem=str(error))
+            return MarkReading(mark, problem=error.message)
         surface = replace(seen, rendering=regions.applied_to(seen.rendering, seen.camera))
         values = self._values(surface)
         if mark.kind == "line":

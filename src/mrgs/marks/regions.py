@@ -22,6 +22,7 @@ from mrgs.marks.surface import (
 )
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
+from mrgs.system.message import Message
 
 REGION_DEPTH = 0.08
 """A point belongs to a region if its distance from the eye differs from that of the surface by less
@@ -86,11 +87,11 @@ class Regions:
 
     def _problem(self, mark: Mark) -> str:
         if self._temperature is None:
-            return f"{mark.name}: without °C there is no emissivity to correct"
+            return Message("{name}: without °C there is no emissivity to correct", name=mark.name)
         try:
             self._capture.of_mark(mark)
         except ConfigError as error:
-            return str(error)
+            return error.message
         return ""
 
     def __bool__(self) -> bool:

@@ -239,6 +239,18 @@ class MarkStore:
             lock.release()
 
 
+def judged_content(folder: Path) -> str:
+    """What a user has marked and judged in a run, as a text that changes whenever that does; not so
+    with the proposals, which the report writes itself. A damaged file is its own content."""
+    path = folder / FILE
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else "{}"
+    try:
+        content = json.loads(text)
+        return json.dumps([content.get(name) or None for name in ("reference", "marks", "dropped")])
+    except (ValueError, RecursionError, AttributeError):
+        return text
+
+
 _LISTS = ("marks", "proposals", "dropped")
 """Fields of ``Marks`` that are lists of marks."""
 

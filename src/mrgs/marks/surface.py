@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark, Place
 from mrgs.scene import THERMAL, Camera, Rendering, metric_first
+from mrgs.system.message import Message
 
 SurfaceRenderer = Callable[[Camera], Rendering]
 """Renders all modalities of a model from a camera, with the depths of their surfaces."""
@@ -129,7 +130,11 @@ def measuring_camera(mark: Mark) -> Camera:
     in_camera = (points - eye) @ camera.viewmat[:3, :3].numpy().T
     slopes = np.abs(in_camera[:, :2] / np.maximum(in_camera[:, 2:], 1e-12))
     if not in_camera[:, 2].min() > 0 or not slopes.max() <= WIDEST_SLOPE:
-        raise ConfigError(f"{mark.name} is too wide to be seen at once: draw it from farther away")
+        raise ConfigError(
+            Message(
+                "{name} is too wide to be seen at once: draw it from farther away", name=mark.name
+            )
+        )
     reach = slopes.max()
     if mark.kind == "spot":
         pixels = SPOT_PX

@@ -20,6 +20,7 @@ from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.prepare.earth import geodetic
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
+from mrgs.system.message import Message
 
 HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Severity", "Note")
 DASH = "–"
@@ -29,11 +30,11 @@ def size_text(reading: MarkReading, world: WorldFrame) -> str:
     """Length, area or diameter with its unit, in three digits."""
     unit = world.length_unit
     if not math.isnan(reading.length):
-        return f"{_digits(reading.length)} {unit}"
+        return Message(f"{{size}} {unit}", size=_digits(reading.length))
     if not math.isnan(reading.area):
-        return f"{_digits(reading.area)} {unit}²"
+        return Message(f"{{size}} {unit}²", size=_digits(reading.area))
     if reading.mark.kind == "spot":
-        return f"⌀ {_digits(2 * reading.mark.radius)} {unit}"
+        return Message(f"{{size}} {unit}", size=f"⌀ {_digits(2 * reading.mark.radius)}")
     return DASH
 
 

@@ -13,6 +13,7 @@ from mrgs.check import check_scene
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
+from mrgs.marks.store import judged_content
 from mrgs.method.config import to_yaml
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.ledger import Ledger, file_stamp, folder_stamps
@@ -24,6 +25,7 @@ from mrgs.report import write_report
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
+from mrgs.survey import SURVEY_FILE
 from mrgs.system.gpu import DeviceName
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunFolder
@@ -105,8 +107,8 @@ class Job:
             Stage(f"{own}/score", self._made_from_model, self._score),
             Stage(f"{own}/render", self._made_from_model, self._render),
             Stage(f"{own}/report", self._made_from_scores, self._report),
-            Stage(f"{own}/page", self._made_from_model, self._page),
-            Stage(f"{own}/exports", self._made_from_model, self._exports),
+            Stage(f"{own}/page", self._made_from_measured, self._page),
+            Stage(f"{own}/exports", self._made_from_measured, self._exports),
         )
 
     def _made_from_source(self) -> str:
@@ -131,7 +133,13 @@ class Job:
     def _made_from_scores(self) -> str:
         scores = self.model / "eval" / "metrics.json"
         stamps = [file_stamp(scores, self.model)] if scores.is_file() else []
-        return fingerprint(self._made_from_model(), stamps)
+        return fingerprint(self._made_from_measured(), stamps)
+
+    def _made_from_measured(self) -> str:
+        """The model, and what the user has stated and marked in its folder."""
+        survey = self.model / SURVEY_FILE
+        stated = survey.read_bytes().hex() if survey.is_file() else ""
+        return fingerprint(self._made_from_model(), stated, judged_content(self.model))
 
     @staticmethod
     def _stamps_of(folder: Path) -> tuple[Any, ...]:

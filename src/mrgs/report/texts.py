@@ -9,16 +9,14 @@ from functools import cache
 from importlib.resources import files
 from typing import Literal, get_args
 
+from mrgs.system.message import Message
+
 Language = Literal["en", "de", "fr"]
 LANGUAGES: tuple[Language, ...] = get_args(Language)
 
 DECIMAL_COMMA: tuple[Language, ...] = ("de", "fr")
 THOUSANDS: dict[Language, str] = {"en": ",", "de": ".", "fr": "\u202f"}
 DATES: dict[Language, str] = {"en": "%Y-%m-%d", "de": "%d.%m.%Y", "fr": "%d/%m/%Y"}
-
-
-FEWEST_LETTERS = 12
-"""Beside the values of a sentence, for it to be known by them."""
 
 
 class Texts:
@@ -34,22 +32,12 @@ class Texts:
         self._sentences = {} if language == "en" else catalogue(language)
 
     def __call__(self, english: str, **values: object) -> str:
-        """A sentence, with values in place of ``{name}``.
-
-        One that holds its values already is found by the words between them.
-        """
-        key = " ".join(english.split())
-        if not values and key not in self._sentences:
-            return self._by_pattern(key) or english
-        sentence = self._sentences.get(key, english)
+        """A sentence, with values in place of ``{name}``; a ``Message`` has its own."""
+        if isinstance(english, Message):
+            own = {name: self.number(text) for name, text in english.values.items()}
+            english, values = english.template, {**own, **values}
+        sentence = self._sentences.get(" ".join(english.split()), english)
         return sentence.format(**values) if values else sentence
-
-    def _by_pattern(self, english: str) -> str | None:
-        for pattern, key in patterns(self.language):
-            if found := pattern.fullmatch(english):
-                values = {name: self.number(text) for name, text in found.groupdict().items()}
-                return self._sentences[key].format(**values)
-        return None
 
     def number(self, text: str) -> str:
         """A formatted number as the language writes it, with a proper minus sign."""
@@ -73,15 +61,3 @@ def catalogue(language: Language) -> dict[str, str]:
     path = files("mrgs").joinpath(f"report/languages/{language}.json")
     sentences: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
     return sentences
-
-
-@cache
-def patterns(language: Language) -> list[tuple[re.Pattern[str], str]]:
-    """English sentences with values, and what finds them when their values are filled in."""
-    if language == "en":
-        return []
-    return [
-        (re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>.+?)", re.escape(key))), key)
-        for key in catalogue(language)
-        if "{" in key and len(re.sub(r"{\w+}", "", key)) >= FEWEST_LETTERS
-    ]

@@ -19,6 +19,7 @@ from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings, records_of
 from mrgs.scene import Scene
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import Survey
+from mrgs.system.message import Message
 
 COVERAGE = 2.0
 """Times the standard uncertainty: an interval that holds the truth in 95 of 100 cases."""
@@ -111,8 +112,13 @@ class Budget:
         chosen = [b if a is None else a for a, b in zip(stated, usual, strict=True)]
         if known and None in stated:
             notes.append(
-                f"Assumed as standard uncertainties: emissivity ± {chosen[0]:g}, reflected "
-                f"temperature ± {chosen[1]:g} K, distance ± {chosen[2]:g} %."
+                Message(
+                    "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
+                    "temperature ± {reflected} K, distance ± {distance} %.",
+                    emissivity=f"{chosen[0]:g}",
+                    reflected=f"{chosen[1]:g}",
+                    distance=f"{chosen[2]:g}",
+                )
             )
         parameters = _median_of(known) if known else None
         emissivity, reflected, distance = chosen
@@ -238,7 +244,11 @@ def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | N
         return (stated[0] or 0.0, stated[1] or 0.0), []
     if has_camera:
         return (USUAL_ACCURACY, USUAL_ACCURACY), [
-            f"The camera's accuracy is taken as ± {USUAL_ACCURACY:g} °C or {USUAL_ACCURACY:g} % of "
-            f"the reading, whichever is more."
+            Message(
+                "The camera's accuracy is taken as ± {kelvin} °C or {percent} % of the reading, "
+                "whichever is more.",
+                kelvin=f"{USUAL_ACCURACY:g}",
+                percent=f"{USUAL_ACCURACY:g}",
+            )
         ]
     return None, ["The accuracy of the thermal camera is not known, and not included."]
