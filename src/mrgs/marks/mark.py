@@ -193,11 +193,7 @@ class Marks:
         Raises:
             ConfigError: there is none.
         """
-        for mark in self.marks:
-            if mark.name == name:
-                return mark
-        known = ", ".join(mark.name for mark in self.marks) or "none"
-        raise ConfigError(f"there is no mark {shown(name)}: the marks are {known}")
+        return _named(self.marks, name, "mark", "none")
 
     def free_name(self, kind: MarkKind) -> str:
         """The first of S1, S2 ... that is not taken; L, B, P for the other kinds."""
@@ -264,14 +260,18 @@ class Marks:
         return replace(self, proposals=self._proposals_without(name), dropped=dropped)
 
     def _proposed(self, name: str) -> Mark:
-        for mark in self.proposals:
-            if mark.name == name:
-                return mark
-        known = ", ".join(mark.name for mark in self.proposals) or "none; mrgs report finds them"
-        raise ConfigError(f"there is no proposal {shown(name)}: the proposals are {known}")
+        return _named(self.proposals, name, "proposal", "none; mrgs report finds them")
 
     def _proposals_without(self, name: str) -> tuple[Mark, ...]:
         return tuple(mark for mark in self.proposals if mark.name != name)
+
+
+def _named(marks: Sequence[Mark], name: str, what: str, none: str) -> Mark:
+    for mark in marks:
+        if mark.name == name:
+            return mark
+    known = ", ".join(mark.name for mark in marks) or none
+    raise ConfigError(f"there is no {what} {shown(name)}: the {what}s are {known}")
 
 
 def _place(value: Any) -> Place:

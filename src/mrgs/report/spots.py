@@ -47,6 +47,9 @@ OUTLINE_SHARE, SKY_SHARE = 0.006, 0.025
 image's width do not count."""
 
 CUBE_PX = 3
+CELL_BITS = 21
+"""Of a number of a cube for each axis; what lies farther off counts as one cube."""
+
 MIN_POINTS = 3
 """Of one view in a cube; fewer are a sliver seen at a grazing angle."""
 
@@ -133,7 +136,7 @@ class _Sightings(NamedTuple):
     """The S values that views have in cubes, sorted by cube.
 
     Attributes:
-        cubes: index of the cube, 0 to C − 1, [S].
+        cubes: number of the cube, [S].
         views: [S].
         values: mean of the view's points in the cube, [S].
         positions: their mean, [S, 3].
@@ -247,10 +250,9 @@ def _widened(mask: Bool[torch.Tensor, "h w"], pixels: int) -> Bool[torch.Tensor,
 def _sightings(points: _Points) -> tuple[_Sightings, float]:
     """Step 2, and the edge of the cubes in scene units."""
     edge = CUBE_PX * points.footprint
-    cells = np.floor(points.positions / edge).astype(np.int64)
-    _, cubes = np.unique(cells, axis=0, return_inverse=True)
-    order = np.lexsort((points.views, cubes.reshape(-1)))
-    cubes, views = cubes.reshape(-1)[order], points.views[order]
+    cubes = _cube_numbers(points.positions, edge)
+    order = np.lexsort((points.views, cubes))
+    cubes, views = cubes[order], points.views[order]
     starts = np.flatnonzero(np.r_[True, (np.diff(cubes) != 0) | (np.diff(views) != 0)])
     number = np.diff(np.r_[starts, len(order)])
     values = np.add.reduceat(points.values[order].astype(np.float64), starts) / number
@@ -259,6 +261,13 @@ def _sightings(points: _Points) -> tuple[_Sightings, float]:
     enough = number >= MIN_POINTS
     sightings = (cubes[starts], views[starts], values, positions, np.where(central, number, 0))
     return _Sightings(*(column[enough] for column in sightings)), edge
+
+
+def _cube_numbers(positions: Float[np.ndarray, "p 3"], edge: float) -> Int64[np.ndarray, " p"]:
+    """A number for the cube of each position, in the order of x, y, z."""
+    cells = np.floor(positions / edge)
+    x, y, z = np.minimum(cells - cells.min(axis=0), 2**CELL_BITS - 1).astype(np.int64).T
+    return (x << 2 * CELL_BITS) | (y << CELL_BITS) | z
 
 
 def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
@@ -300,7 +309,7 @@ def _solid(
 
 
 def _apart(
-    cubes: Iterable[_Cube],
+    cubes: Sequence[_Cube],
     sign: int,
     sightings: _Sightings,
     images: Mapping[int, _Image],
@@ -311,19 +320,21 @@ def _apart(
     """Step 5: the first cubes of the list that keep the distance from each other and from the marks
     that were judged; hot ones where the sign is 1, cold ones where it is −1."""
     kept: list[Spot] = []
-    left_out = np.empty((0, 3))
-    for cube in cubes:
+    places = sightings.positions[[cube.rows[0] for cube in cubes]]
+    free = np.ones(len(cubes), dtype=bool)
+    for mark in judged:
+        free &= np.linalg.norm(places[:, None] - mark, axis=2).max(axis=1, initial=0) >= distance
+    for index, cube in enumerate(cubes):
+        if not free[index]:
+            continue
         position = np.median(sightings.positions[cube.rows], axis=0)
-        others = [*judged, *(spot.position[None] for spot in kept)]
-        if any((np.linalg.norm(other - position, axis=1) < distance).all() for other in others):
-            continue
-        if (np.linalg.norm(left_out - position, axis=1) < LEFT_OUT_SHARE * distance).any():
-            continue
+        away = np.linalg.norm(places - position, axis=1)
         best = cube.rows[np.argmax(sightings.points[cube.rows])]
         image = images[int(sightings.views[best])]
         if not sightings.points[best] or not _is_local(image, position, cube.median, sign):
-            left_out = np.concatenate([left_out, position[None]])
+            free &= away >= LEFT_OUT_SHARE * distance
             continue
+        free &= away >= distance
         low, high = np.quantile(cube.values, [0.1, 0.9])
         kept.append(
             Spot(
