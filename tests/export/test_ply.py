@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mrgs.data.ply import read_ply as read_points
-from mrgs.data.ply import table, write_ply
+from mrgs.data.ply import write_ply
 from mrgs.errors import RunError
 from mrgs.export.ply import logit, write_combined_ply, write_splat_ply
 from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats
@@ -92,11 +92,10 @@ def test_the_program_s_own_reader_opens_it(tmp_path):
 
 
 def test_faces_are_lists(tmp_path):
-    rows = table({"x": np.zeros(3, np.float32)})
+    columns = {"x": np.zeros(3, np.float32)}
     faces = np.array([[0, 1, 2], [2, 1, 0]], np.int32)
-    np.testing.assert_array_equal(
-        read_ply(write_ply(tmp_path / "m.ply", {"vertex": rows, "face": faces}))[1]["face"], faces
-    )
+    path = write_ply(tmp_path / "m.ply", {"vertex": columns, "face": faces})
+    np.testing.assert_array_equal(read_ply(path)[1]["face"], faces)
 
 
 def test_a_folder_in_the_way_is_named(tmp_path):

@@ -26,3 +26,25 @@ def test_the_peak_is_not_that_of_the_process_that_started_this_one():
 
 def test_free_memory_is_some_of_the_machines():
     assert 2**20 < free_memory() < 2**50
+
+
+def test_large_arrays_go_back_to_the_system_at_once():
+    # Freed large arrays raise glibc's limit, so that later ones lie between small ones on the heap.
+    script = """
+import sys
+from mrgs.system.memory import _bytes_after, _STATUS, release_when_freed
+release_when_freed()
+bytearray(8 << 20)
+kept, large = [], []
+for _ in range(20):
+    large.append(bytearray(b"1") * (4 << 20))
+    kept.append(bytearray(b"1") * 60_000)
+full = _bytes_after("VmRSS:", _STATUS)
+del large
+print(full - _bytes_after("VmRSS:", _STATUS))
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(mrgs.__file__).parents[1], capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert int(found.stdout) > 75 * 2**20

@@ -16,6 +16,7 @@ from mrgs.method.losses.term import SceneScale
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import load_facts, load_model, load_state, save
+from mrgs.training.checkpoint_file import read_file
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.state import TrainingState
 from tests.helpers.checkpoints import header_of, rewrite, rewrite_without_digests
@@ -88,6 +89,18 @@ def test_the_model_comes_back(state, path, config):
     assert model.sh_degree == 2
     for name, tensor in state.model.gaussians.tensors().items():
         assert torch.equal(model.gaussians.tensors()[name], tensor)
+
+
+def test_only_what_is_needed_is_kept_but_all_is_checked(state, path):
+    tensors, _ = read_file(path, lambda name: name == "gaussians.means")
+    assert list(tensors) == ["gaussians.means"]
+    assert torch.equal(tensors["gaussians.means"], state.model.gaussians.means)
+    content = bytearray(path.read_bytes())
+    found = content.index(tensors_of(state)["gaussians.adam.means.exp_avg"].numpy().tobytes())
+    content[found] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(DamagedCheckpointError, match="do not match their digest"):
+        read_file(path, lambda name: name == "gaussians.means")
 
 
 def test_no_known_temperatures_stay_unknown(state, path):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from mrgs.data.ply import table, write_ply
+from mrgs.data.ply import write_ply
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
 from mrgs_synth.colors import to_srgb
@@ -180,4 +180,4 @@ def _write_mesh(path: Path, mesh: Mesh) -> None:
     values = np.concatenate([mesh.vertices, mesh.normals, mesh.uv], axis=1).astype(np.float32)
     names = ("x", "y", "z", "nx", "ny", "nz", "u", "v")
     columns = {name: values[:, i] for i, name in enumerate(names)}
-    write_ply(path, {"vertex": table(columns), "face": mesh.faces})
+    write_ply(path, {"vertex": columns, "face": mesh.faces})

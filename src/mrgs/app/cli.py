@@ -512,7 +512,9 @@ def _export(command: Export) -> None:
     from mrgs.export import export
     from mrgs.pipeline.expect import expect_export
     from mrgs.runs.open import load_run
+    from mrgs.system.memory import release_when_freed
 
+    release_when_freed()
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     folder = command.output or command.run / "export"

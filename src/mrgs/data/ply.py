@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from mrgs.data.files import read_bytes, scene_error, shown
 from mrgs.errors import SceneError
 from mrgs.system.atomic import replacing
+from mrgs.system.pieces import pieces
 
 MAX_HEADER_BYTES = 64 * 1024
 
@@ -48,13 +50,19 @@ class _Element:
         return np.dtype(list(self.properties.items()))
 
 
-def write_ply(path: Path, elements: Mapping[str, np.ndarray], comments: Sequence[str] = ()) -> Path:
+Columns: TypeAlias = Mapping[str, np.ndarray]
+"""Scalar properties by name, of equal length."""
+
+
+def write_ply(
+    path: Path, elements: Mapping[str, Columns | np.ndarray], comments: Sequence[str] = ()
+) -> Path:
     """Write a binary PLY file; returns the path.
 
     Args:
         path: of the file.
-        elements: rows by the element's name. A structured array gives scalar properties; a plain
-            [N, K] array of int32 is written as lists of K ``vertex_indices``.
+        elements: by name: columns, or a plain [N, K] array of int32, which is written as lists of K
+            ``vertex_indices``.
         comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.
 
     Raises:
@@ -65,24 +73,14 @@ def write_ply(path: Path, elements: Mapping[str, np.ndarray], comments: Sequence
         "format binary_little_endian 1.0",
         *(f"comment {_ascii(line)}" for line in comments),
     ]
-    for name, rows in elements.items():
-        header += [f"element {name} {len(rows)}", *_properties(rows)]
+    for name, element in elements.items():
+        header += [f"element {name} {_count(element)}", *_properties(element)]
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
-        for rows in elements.values():
-            file.write(
-                np.ascontiguousarray(rows if rows.dtype.names else _lists(rows)).view(np.uint8).data
-            )
+        for element in elements.values():
+            for rows in pieces(_count(element)):
+                file.write(_records(element, rows).view(np.uint8).data)
     return path
-
-
-def table(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Columns of equal length as one structured array, little-endian."""
-    kinds = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
-    rows = np.empty(len(next(iter(columns.values()))), dtype=kinds)
-    for name, column in columns.items():
-        rows[name] = column
-    return rows
 
 
 def write_points(
@@ -95,7 +93,7 @@ def write_points(
     """
     columns = {axis: positions[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
     columns |= {name: colors[:, i] for i, name in enumerate(_COLOR_NAMES[0])}
-    return write_ply(path, {"vertex": table(columns)})
+    return write_ply(path, {"vertex": columns})
 
 
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
@@ -220,17 +218,33 @@ def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:
     return np.clip(np.nan_to_num(colors, nan=0.5), 0.0, 1.0)
 
 
-def _properties(rows: np.ndarray) -> list[str]:
-    if rows.dtype.names is None:
+def _count(element: Columns | np.ndarray) -> int:
+    return len(element) if isinstance(element, np.ndarray) else len(next(iter(element.values())))
+
+
+def _properties(element: Columns | np.ndarray) -> list[str]:
+    if isinstance(element, np.ndarray):
         return ["property list uchar int vertex_indices"]
-    return [f"property {_PLY_TYPES[rows.dtype[name].str[1:]]} {name}" for name in rows.dtype.names]
+    return [
+        f"property {_PLY_TYPES[column.dtype.str[1:]]} {name}" for name, column in element.items()
+    ]
 
 
-def _lists(rows: np.ndarray) -> np.ndarray:
-    lists = np.empty(len(rows), dtype=[("count", "u1"), ("indices", "<i4", rows.shape[1:])])
-    lists["count"] = rows.shape[1]
-    lists["indices"] = rows
-    return lists
+def _records(element: Columns | np.ndarray, rows: slice) -> np.ndarray:
+    """Some rows of an element as the file holds them."""
+    columns: Columns
+    if isinstance(element, np.ndarray):
+        indices = element[rows]
+        columns = {"count": np.full(len(indices), indices.shape[1], "u1"), "indices": indices}
+    else:
+        columns = {name: column[rows] for name, column in element.items()}
+    kinds = [
+        (name, column.dtype.newbyteorder("<"), column.shape[1:]) for name, column in columns.items()
+    ]
+    records = np.empty(_count(columns), dtype=kinds)
+    for name, column in columns.items():
+        records[name] = column
+    return records
 
 
 def _ascii(line: str) -> str:

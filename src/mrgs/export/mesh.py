@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse.csgraph
 from jaxtyping import Float, Float32, Int32, UInt8
 
-from mrgs.data.ply import table, write_ply
+from mrgs.data.ply import write_ply
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
 from mrgs.export.job import ExportJob, described
@@ -85,7 +85,7 @@ def write_mesh_ply(path: Path, mesh: ThermalMesh, comments: Sequence[str] = ()) 
     """
     columns: dict[str, np.ndarray] = {axis: mesh.vertices[:, i] for i, axis in enumerate("xyz")}
     columns |= mesh.columns
-    return write_ply(path, {"vertex": table(columns), "face": mesh.faces}, comments)
+    return write_ply(path, {"vertex": columns, "face": mesh.faces}, comments)
 
 
 def _without_specks(

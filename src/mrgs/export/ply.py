@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
-from mrgs.data.ply import table, write_ply
+from mrgs.data.ply import write_ply
 from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
 from mrgs.export.splats import SplatArrays, base_values, shaded_splats, to_float32, value_names
@@ -39,7 +39,7 @@ def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = (
     Raises:
         RunError: the file cannot be written.
     """
-    return write_ply(path, {"vertex": table(splat_columns(splats))}, comments)
+    return write_ply(path, {"vertex": splat_columns(splats)}, comments)
 
 
 def write_combined_ply(path: Path, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
@@ -58,7 +58,7 @@ def write_combined_ply(path: Path, baked: BakedModel, comments: Sequence[str] = 
             columns[f"opacity_{modality}"] = logit(to_float32(baked.opacities[modality]))
             values = base_values(baked, modality)
             columns |= dict(zip(value_names(baked, modality), values.T, strict=True))
-    return write_ply(path, {"vertex": table(columns)}, comments)
+    return write_ply(path, {"vertex": columns}, comments)
 
 
 def splat_columns(splats: SplatArrays) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mrgs.data.ply import table, write_ply
+from mrgs.data.ply import write_ply
 from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_points import SurfacePoints
@@ -28,4 +28,4 @@ def write_points_ply(path: Path, points: SurfacePoints, comments: Sequence[str] 
     """
     columns: dict[str, np.ndarray] = {axis: points.positions[:, i] for i, axis in enumerate("xyz")}
     columns |= {**points.columns, "opacity": points.opacities}
-    return write_ply(path, {"vertex": table(columns)}, comments)
+    return write_ply(path, {"vertex": columns}, comments)

@@ -16,6 +16,7 @@ from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Modality, evenly_spaced
+from mrgs.system.pieces import pieces
 
 MEAN_OVER = 32
 """Cameras over which a colour without direction is averaged."""
@@ -109,12 +110,16 @@ def require_exportable(baked: BakedModel) -> None:
     """
     if len(baked) == 0:
         raise RunError("the model has no splats, so there is nothing to export: retrain it")
-    broken = torch.zeros(len(baked), dtype=torch.bool)
-    for tensor in baked.tensors().values():
-        broken |= ~tensor.reshape(len(baked), -1).isfinite().all(dim=1).cpu()
-    if broken.any():
+    broken = 0
+    for rows in pieces(len(baked)):
+        parts = [
+            tensor[rows].reshape(rows.stop - rows.start, -1) for tensor in baked.tensors().values()
+        ]
+        finite = torch.stack([part.isfinite().all(dim=1) for part in parts]).all(dim=0)
+        broken += int((~finite).sum())
+    if broken:
         raise RunError(
-            f"{int(broken.sum())} of {len(baked)} splats hold NaN or infinity, so the model "
+            f"{broken} of {len(baked)} splats hold NaN or infinity, so the model "
             f"cannot be exported: "
             "retrain it, or go on from an older checkpoint"
         )

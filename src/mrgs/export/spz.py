@@ -12,6 +12,7 @@ from __future__ import annotations
 import gzip
 import math
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from mrgs.export.job import ExportJob, described
 from mrgs.export.ply import log_of
 from mrgs.export.splats import SplatArrays, to_bytes
 from mrgs.system.atomic import replacing
+from mrgs.system.pieces import pieces
 
 MAGIC = 0x5053474E
 VERSION = 3
@@ -72,13 +74,14 @@ def write_spz(path: Path, splats: SplatArrays) -> Path:
     header = struct.pack(
         "<IIIBBBB", MAGIC, VERSION, len(splats), splats.sh_degree, bits, NO_FLAGS, 0
     )
-    parts = [
-        _fixed_point(splats.means * _TURN, bits),
-        to_bytes(splats.opacities),
-        _byte(splats.sh[:, 0] * (COLOR_SCALE * 255) + 127.5),
-        _byte((log_of(splats.scales) + 10) * 16),
-        _smallest_three(splats.quats * _TURN_QUAT),
-        _byte(splats.sh[:, 1:] * _TURN_SH[: splats.sh.shape[1] - 1, None] * 128 + 128),
+    turn_sh = _TURN_SH[: splats.sh.shape[1] - 1, None]
+    parts: list[Callable[[slice], np.ndarray]] = [
+        lambda rows: _fixed_point(splats.means[rows] * _TURN, bits),
+        lambda rows: to_bytes(splats.opacities[rows]),
+        lambda rows: _byte(splats.sh[rows, 0] * (COLOR_SCALE * 255) + 127.5),
+        lambda rows: _byte((log_of(splats.scales[rows]) + 10) * 16),
+        lambda rows: _smallest_three(splats.quats[rows] * _TURN_QUAT),
+        lambda rows: _byte(splats.sh[rows, 1:] * turn_sh * 128 + 128),
     ]
     # Without a time or a name in its header the same model gives the same bytes.
     with (
@@ -88,7 +91,8 @@ def write_spz(path: Path, splats: SplatArrays) -> Path:
     ):
         file.write(header)
         for part in parts:
-            file.write(np.ascontiguousarray(part).data)
+            for rows in pieces(len(splats)):
+                file.write(np.ascontiguousarray(part(rows)).data)
     return path
 
 

@@ -27,6 +27,7 @@ from mrgs.scene import (
     TemperatureRange,
     evenly_spaced,
 )
+from mrgs.system.pieces import pieces
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
@@ -122,8 +123,12 @@ class BakedModel:
         temperatures of thermal."""
         if modality == THERMAL:
             return self.temperatures[:, None]
-        sh = self.sh[modality]
-        return shade(self.means, sh[:, :1], sh[:, 1:], position.to(self.means), MAX_DEGREE)
+        sh, position = self.sh[modality], position.to(self.means)
+        parts = [
+            shade(self.means[rows], sh[rows, :1], sh[rows, 1:], position, MAX_DEGREE)
+            for rows in pieces(len(self))
+        ]
+        return torch.cat(parts)
 
     def render(
         self, cameras: Camera | Mapping[Modality, Camera], surface: Modality | None = None
@@ -225,7 +230,7 @@ def _harmonics(
     model: Model, modality: Modality, positions: Float[Tensor, "m 3"]
 ) -> Float[Tensor, "n b c"]:
     """A modality's coefficients of the degrees in use, with the colour residual ĉ folded in."""
-    sh = model.gaussians.sh(modality).clone()
+    sh = model.gaussians.sh(modality).detach()  # a copy
     sh[:, (model.sh_degree + 1) ** 2 :] = 0
     if modality != RGB or not model.field.config.residuals:
         return sh

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.view import evenly_spaced
+from mrgs.system.pieces import pieces
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -114,10 +115,19 @@ def carry_over(
 
 def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:
     """The points inside a camera's image."""
-    pixels, depth = camera.project(torch.from_numpy(positions))
+    found = [_visible(camera, positions, rows) for rows in pieces(len(positions))]
+    rows, columns, lines, z = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return PointsInImage(rows, (lines, columns), z)
+
+
+def _visible(
+    camera: Camera, positions: Float32[np.ndarray, "n 3"], piece: slice
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of some of the points those inside the image: their places, columns, rows and z-depths."""
+    pixels, depth = camera.project(torch.from_numpy(positions[piece]))
     rows = camera.contains(pixels).nonzero()[:, 0]
     column, row = pixels[rows].long().unbind(dim=1)
-    return PointsInImage(rows.numpy(), (row.numpy(), column.numpy()), depth[rows].numpy())
+    return (rows + piece.start).numpy(), column.numpy(), row.numpy(), depth[rows].numpy()
 
 
 def surveying_cameras(cameras: Sequence[Camera]) -> list[Camera]:

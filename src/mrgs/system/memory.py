@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 _MEMINFO = Path("/proc/meminfo")
 _STATUS = Path("/proc/self/status")
+
+_MMAP_THRESHOLD = -3
+"""glibc's M_MMAP_THRESHOLD."""
+
+_LARGE_BYTES = 2**20
 
 
 def free_memory() -> int | None:
@@ -26,6 +33,18 @@ def peak_resident() -> int:
         return 0
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return used if sys.platform == "darwin" else used * 1024
+
+
+def release_when_freed() -> None:
+    """From now on, let large arrays of this process go back to the system as soon as they are
+    freed; does nothing where the C library cannot.
+
+    Else they leave gaps that other arrays do not fit into: several hundred MB where arrays have a
+    row for each of millions of Gaussians. For programs that make few large arrays: each of them
+    costs a call of the system.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def _bytes_after(name: str, file: Path) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -93,14 +93,20 @@ def write(
     write_file(path, tensors, {**facts.to_json(), "skipped_in_a_row": skipped_in_a_row})
 
 
-def read(path: Path) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
+def read(
+    path: Path, needed: Callable[[str], bool] = lambda name: True
+) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
     """Tensors, facts and header of a checkpoint of any method.
+
+    Args:
+        path: the checkpoint.
+        needed: whether the tensor of a name is to be returned; all are checked.
 
     Raises:
         DamagedCheckpointError: it is not what was written, or not finite.
         RunError: it cannot be read, or is of another format.
     """
-    tensors, header = read_file(path)
+    tensors, header = read_file(path, needed)
     return tensors, _facts(path, header), header
 
 
@@ -121,7 +127,7 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
         DamagedCheckpointError: it is not what was written, or not finite.
         RunError: it cannot be read, is of another format, or not of this configuration.
     """
-    tensors, facts, _ = read(path)
+    tensors, facts, _ = read(path, _renders)
     try:
         model = _model(tensors, config, facts)
         image_model = ImageModel(config.image_model, facts.capture)
@@ -224,6 +230,13 @@ def unfit(path: Path, error: Exception) -> RunError:
     return RunError(
         f"{path} does not fit the run's config.yaml ({reason:.120}): restore the configuration it "
         f"was trained with"
+    )
+
+
+def _renders(name: str) -> bool:
+    """Whether a model is rendered with the tensor of a name: all but those that training needs."""
+    return name.startswith(("gaussians.", "field.", "image_model.", "neighbours")) and not (
+        name.startswith("gaussians.adam.")
     )
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -59,21 +60,39 @@ def read_header(path: Path) -> dict[str, Any]:
         DamagedCheckpointError: not a checkpoint, or another header than was written.
         RunError: the file cannot be read, or is of another format.
     """
-    return _read(path, with_tensors=False)[1]
+    return _header_and_names(path)[0]
 
 
-def read_file(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_file(
+    path: Path, needed: Callable[[str], bool] = lambda name: True
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors by name, and the header.
+
+    All tensors are read and checked, one after the other, so that those that are not needed take
+    little memory.
+
+    Args:
+        path: the file.
+        needed: whether the tensor of a name is to be returned.
 
     Raises:
         DamagedCheckpointError: not a checkpoint, not what was written, or not finite.
         RunError: the file cannot be read, or is of another format.
     """
-    tensors, header = _read(path, with_tensors=True)
-    if header["format"] != WITHOUT_DIGESTS and header.get(_TENSORS_DIGEST) != _digest_of(tensors):
+    header, names = _header_and_names(path)
+    digest = hashlib.sha256()
+    tensors: dict[str, Tensor] = {}
+    broken = None
+    for name in sorted(names):
+        tensor = _read_tensor(path, name)
+        _add_to(digest, name, tensor)
+        broken = broken or first_not_finite({name: tensor})
+        if needed(name):
+            tensors[name] = tensor
+    if header["format"] != WITHOUT_DIGESTS and header.get(_TENSORS_DIGEST) != digest.hexdigest():
         raise DamagedCheckpointError(path, "its tensors do not match their digest")
-    if (name := first_not_finite(tensors)) is not None:
-        raise DamagedCheckpointError(path, f"{name} holds values that are not finite")
+    if broken is not None:
+        raise DamagedCheckpointError(path, f"{broken} holds values that are not finite")
     return tensors, header
 
 
@@ -90,22 +109,37 @@ def first_not_finite(tensors: Mapping[str, Tensor]) -> str | None:
     return None
 
 
-def _read(path: Path, with_tensors: bool) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def _header_and_names(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """The header, and the names of the tensors."""
     _require_readable(path)
+    with _opened(path) as file:
+        return _parsed_header(path, file.metadata() or {}), list(file.keys())
+
+
+def _read_tensor(path: Path, name: str) -> Tensor:
+    """A tensor, in memory of its own: a mapped file that someone cuts off would end the process."""
+    # Pages of the file count as the process's memory until it is closed.
+    with _opened(path) as file:
+        return file.get_tensor(name).clone()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A checkpoint, mapped.
+
+    Raises:
+        DamagedCheckpointError: it is of another kind, or cut off.
+        RunError: it cannot be read.
+    """
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            header = _parsed_header(path, metadata)
-            names = file.keys() if with_tensors else ()
-            # In memory of their own: a mapped file that someone cuts off would end the process.
-            tensors = {name: file.get_tensor(name).clone() for name in names}
+            yield file
     except RunError:
         raise
     except OSError as error:
         raise _unreadable(path, error) from error
     except Exception as error:  # a reader may raise anything on a file of something else
         raise DamagedCheckpointError(path, "it cannot be parsed") from error
-    return tensors, header
 
 
 def _parsed_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
@@ -156,8 +190,12 @@ def _digest_of(tensors: Mapping[str, Tensor]) -> str:
     """SHA-256 over names, types, shapes and contents of tensors in the host's memory."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
-        tensor = tensors[name]
-        digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}\n".encode())
-        if tensor.numel() > 0:
-            digest.update(tensor.flatten().view(torch.uint8).numpy().data)
+        _add_to(digest, name, tensors[name])
     return digest.hexdigest()
+
+
+def _add_to(digest: Any, name: str, tensor: Tensor) -> None:
+    """Let a tensor count in a digest."""
+    digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}\n".encode())
+    if tensor.numel() > 0:
+        digest.update(tensor.flatten().view(torch.uint8).numpy().data)

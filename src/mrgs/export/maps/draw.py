@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -90,8 +90,10 @@ def draw_map(
             options=("pixel_size_m",),
         )
     means = to_float32(baked.means)
-    rows = np.flatnonzero(grid.inside(means.astype(np.float64)) & on_seen_surface(maps, means))
-    splats = baked.subset(torch.from_numpy(rows).to(baked.means.device))
+    drawn = torch.from_numpy(grid.inside(means.astype(np.float64)) & on_seen_surface(maps, means))
+    # All others become transparent: a copy of the splats to draw would take more memory.
+    opacities = {each: opacity * drawn for each, opacity in baked.opacities.items()}
+    splats = replace(baked, opacities=opacities)
     bands = np.full((len(BANDS), grid.height, grid.width), np.nan, np.float32)
     points = np.full((grid.height, grid.width, 3), np.nan, np.float32)
     for part, camera in _parts(grid):
@@ -124,8 +126,6 @@ def _draw_part(
     """Colours, 0 to 255, and points of the surface; NaN where there is none."""
     size = camera.height, camera.width
     colors, points = (np.full(shape, np.nan, np.float32) for shape in ((3, *size), (*size, 3)))
-    if not len(splats):
-        return colors, points
     # The mean would lose digits from as far away as a map's camera stands.
     depth = to_float32(splats.median_depth(scene.modalities[0], camera))
     surface = np.isfinite(depth)

@@ -22,6 +22,7 @@ from mrgs.marks.uncertainty.photo_parts import (
 )
 from mrgs.scene import THERMAL, CameraResponse, Rendering, TemperatureRange, View, evenly_spaced
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
+from mrgs.system.pieces import pieces
 
 WIDTH_PX = 320
 """Wider photos are reduced to this width."""
@@ -97,6 +98,10 @@ class PhotoWitnesses:
         Raises:
             SceneError: a photo cannot be read.
         """
+        found = [self._of_piece(points[rows]) for rows in pieces(len(points))]
+        return PhotoParts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+    def _of_piece(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
         sums = SightingSums(len(points), self._step)
         for index in range(len(self)):
             item = self[index]
