@@ -18,7 +18,7 @@ import jinja2
 from markupsafe import Markup
 from PIL import Image
 
-from mrgs.system.atomic import write_text
+from mrgs.system.atomic import write_texts
 
 PAGE_STYLE = "pictures/templates/page.css"
 """Style sheet of all pages that are read like a document."""
@@ -87,19 +87,28 @@ class Page(NamedTuple):
     policy: str
 
 
-def make_page(
-    template: str,
+def make_page(template: str, **values: Any) -> Page:
+    """A page whose policy allows its own script and style, and nothing else.
+
+    Args:
+        template: extends ``pictures/templates/base.html``.
+        values: see ``_filled``.
+    """
+    values = _filled(**values)
+    return Page(render(template, **values), values["policy"])
+
+
+def _filled(
     *,
     title: str,
     styles: Sequence[str],
     scripts: Sequence[str] = (),
     sources: Sequence[str] = (),
     **values: Any,
-) -> Page:
-    """A page whose policy allows its own script and style, and nothing else.
+) -> dict[str, Any]:
+    """The values for a page's template, with its scripts, styles and policy.
 
     Args:
-        template: extends ``pictures/templates/base.html``.
         title: plain text.
         styles: paths of style sheets inside the package ``mrgs``.
         scripts: paths of scripts inside the package ``mrgs``, run as one.
@@ -112,16 +121,13 @@ def make_page(
     directives += [f"script-src {policy_hash(script)}"] if script else []
     directives += [f"style-src {policy_hash(style)}"]
     policy = "; ".join(directives)
-    html = render(
-        template,
-        title=title,
-        version=version("mrgs"),
-        policy=Markup(policy),
-        style=Markup(style),
-        script=Markup(script),
+    own = {"policy": policy, "style": style, "script": script}
+    return {
+        "title": title,
+        "version": version("mrgs"),
+        **{name: Markup(text) for name, text in own.items()},
         **values,
-    )
-    return Page(html, policy)
+    }
 
 
 def write_html(path: Path, template: str, **values: Any) -> Path:
@@ -129,7 +135,8 @@ def write_html(path: Path, template: str, **values: Any) -> Path:
 
     Args:
         path: ends with .html.
-        template: and all further arguments: see ``make_page``.
+        template: and all further arguments: see ``make_page``. What the template loops over may be
+            an iterator: the file is written as it goes.
         values: of these.
 
     Returns:
@@ -138,7 +145,7 @@ def write_html(path: Path, template: str, **values: Any) -> Path:
     Raises:
         RunError: the file cannot be written.
     """
-    return write_text(path, make_page(template, **values).html)
+    return write_texts(path, _environment().get_template(template).generate(_filled(**values)))
 
 
 @cache

@@ -7,7 +7,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -63,8 +63,16 @@ def write_text(path: Path, text: str) -> Path:
     Raises:
         WriteError: the file cannot be written.
     """
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+    return write_texts(path, [text])
+
+
+def write_texts(path: Path, texts: Iterable[str]) -> Path:
+    """Write texts one behind the other into one file; see ``write_text``."""
+    with (
+        replacing(path) as temporary,
+        open(temporary, "w", encoding="utf-8", errors="backslashreplace") as file,
+    ):
+        file.writelines(texts)
     return path
 
 

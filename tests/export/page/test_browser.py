@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.export.page import write_page
+from mrgs.export.page import parts, write_page
 from mrgs.export.page.marks import PageMark
 from mrgs.pictures.palette import colorize
 from mrgs.runs.baked import BakedModel
@@ -140,6 +140,32 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
         assert told_c == pytest.approx(celsius[y, x], abs=0.2)
         assert told_depth == pytest.approx(depth[y, x], abs=0.01)
     page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "export_page.png")
+
+
+def test_a_page_in_parts_ends_with_the_picture_of_a_whole_one(open_page, monkeypatch):
+    def shown(page: Any) -> np.ndarray:
+        page.click("[data-modality=rgb]")
+        page.wait_for_selector(SETTLED)
+        return picture(page)
+
+    window = {"width": 800, "height": 420}
+    whole = open_page(viewport=window)
+    expected, reading = shown(whole), read(whole, 300, 200)
+    monkeypatch.setattr(parts, "PART", 150)
+    page = open_page(viewport=window)
+    assert psnr(shown(page), expected) > 40
+    assert read(page, 300, 200) == pytest.approx(reading, rel=0.01)
+    assert page.locator("#progress").is_hidden()
+
+
+def test_a_page_that_breaks_off_says_so(open_page, baked, cameras, tmp_path, monkeypatch):
+    monkeypatch.setattr(parts, "PART", 150)
+    path = tmp_path / "cut.html"
+    text = write_page(baked, cameras, "t", path).read_text(encoding="utf-8")
+    path.write_text(text[: text.rindex('<script type="application/json" class="part">')])
+    page = open_page()
+    page.goto(path.as_uri())
+    page.wait_for_selector("#status:text('A part of this file is missing')")
 
 
 def test_a_third_modality_is_shown_and_read(open_page, with_nir, cameras, tmp_path):

@@ -17,8 +17,8 @@ from mrgs.scene import THERMAL
 
 
 class Elements(HTMLParser):
-    """Tags with their attributes, and the text of each element with an id, of the title and of the
-    script."""
+    """Tags with their attributes, and the text of each element with an id or a class, of the title
+    and of the script."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -29,7 +29,7 @@ class Elements(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.tags.append((tag, dict(attributes)))
-        self._open = dict(attributes).get("id") or tag
+        self._open = dict(attributes).get("id") or dict(attributes).get("class") or tag
 
     def handle_data(self, data):
         self.texts[self._open] = self.texts.get(self._open, "") + data
@@ -47,8 +47,10 @@ def page(baked, cameras, tmp_path):
 
 def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras):
     facts, packed = json.loads(page.texts["facts"]), pack(baked)
-    assert base64.b64decode(page.texts["model"]) == packed.data
-    assert facts["model"] == packed.header
+    part = json.loads(page.texts["part"])
+    assert base64.b64decode(part["data"]) == packed.data
+    assert part["header"] == {**packed.header, "first": 0, "replaces": [0, 0]}
+    assert facts["model"] == {"count": packed.header["count"], "parts": 1, "slots": 1024}
     assert [camera["width"] for camera in facts["cameras"]] == [96] * 5
     assert facts["cameras"][2]["position"] == pytest.approx(cameras["view 2"].position.tolist())
     heat, colour = facts["modalities"]
@@ -73,7 +75,7 @@ def test_nothing_comes_from_elsewhere(page):
     assert not [
         text
         for name, text in page.texts.items()
-        if name != "model" and re.search(r"https?:|//cdn|@import", text)
+        if name != "part" and re.search(r"https?:|//cdn|@import", text)
     ]
 
 
@@ -143,15 +145,9 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
     )
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
-    assert (
-        facts["modalities"][0]["range"],
-        facts["model"]["count"],
-        facts["model"]["sh_degree"],
-    ) == (
-        [10.0, 30.0],
-        150,
-        1,
-    )
+    assert facts["modalities"][0]["range"] == [10.0, 30.0]
+    assert facts["model"]["count"] == 150
+    assert len(json.loads(page.texts["part"])["header"]["limits"]["sh"]["rgb"]) == 2
     assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [
         {"value": "iron", "selected": None},
         {"selected": None},

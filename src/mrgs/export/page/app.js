@@ -4,6 +4,7 @@ const MAX_PIXEL_RATIO = 2;
 const SLOW_FRAME_MS = 60;
 const COARSEST = 0.35;
 const REST_MS = 200;
+const DRAWING_SHARE = 4; // while parts come, this many times as long goes by between two pictures as one takes
 const SURFACE_ALPHA = 0.5;
 const FIT_WIDTH_PX = 240;
 const HIDDEN_BEHIND = 1.05; // a mark that lies this much deeper than what is seen there is hidden by it
@@ -13,7 +14,7 @@ const modalityButtons = () => document.querySelectorAll("button[data-modality]")
 const json = (id) => JSON.parse(element(id).textContent);
 
 class Page {
-  constructor(facts, model) {
+  constructor(facts) {
     this.facts = facts;
     this.modalities = Object.fromEntries(facts.modalities.map((each) => [each.name, { ...each, scale: new Scale(each.scale) }]));
     this.shown = this.modalities[facts.modalities[0].name];
@@ -22,8 +23,8 @@ class Page {
     this.canvas = element("view");
     const palettes = Object.fromEntries(Object.entries(facts.palettes).map(([name, text]) => [name, fromBase64(text)]));
     this.palettes = palettes;
-    this.renderer = new Renderer(this.canvas, model, palettes);
-    this.startWorker(model);
+    this.renderer = new Renderer(this.canvas, facts, palettes);
+    this.startWorker();
     this.viewpoint = new Viewpoint(facts.world, () => this.viewChanged());
     this.version = 0;
     this.resolution = 1;
@@ -50,21 +51,60 @@ class Page {
     this.jumpTo(this.start);
   }
 
-  startWorker(model) {
+  startWorker() {
     const source = new Blob([element("worker").textContent], { type: "text/javascript" });
     const address = URL.createObjectURL(source);
     this.worker = new Worker(address);
     this.sorting = false;
     this.reading = false;
     this.waiting = null;
-    const { count, means, covariances, largestScale } = model;
-    const appearances = Object.fromEntries(this.facts.readable.map((name) => [name, model.appearances[name]]));
-    this.worker.postMessage({ model: { count, means, covariances, largestScale, appearances } });
+    this.held = [];
+    this.partsSent = 0;
+    this.partsShown = 0;
+    this.drawnAt = -Infinity;
+    this.drawMs = 0;
+    const { model, modalities, readable } = this.facts;
+    this.worker.postMessage({ open: { slots: model.slots, modalities, readable } });
     this.worker.onmessage = ({ data }) => {
-      if (data.order) this.sorted(data);
+      if (data.failure) showFailure(data.failure);
+      else if (data.part) this.partDecoded(data.part);
+      else if (data.order) this.sorted(data);
       else if (data.id !== undefined) this.seen(data);
       else this.answered(data);
     };
+  }
+
+  // Until the first part is drawn, the others wait: decoding them would keep it back.
+  addPart(text) {
+    if (this.held.length || this.partsSent === 1 && this.sortedVersion === undefined) this.held.push(text);
+    else this.sendPart(text);
+  }
+
+  sendPart(text) {
+    this.partsSent++;
+    this.worker.postMessage({ part: text });
+  }
+
+  partDecoded(part) {
+    this.renderer.add(part);
+    this.partsShown++;
+    const { parts } = this.facts.model;
+    element("progress").hidden = this.complete;
+    element("progress").textContent = `Loading details: ${Math.round((100 * this.partsShown) / parts)} %`;
+    this.canvas.dataset.settled = "false";
+    clearTimeout(this.refinement);
+    const wait = this.complete ? 0 : this.drawnAt + DRAWING_SHARE * this.drawMs - performance.now();
+    this.refinement = setTimeout(() => this.refine(), Math.max(0, wait));
+  }
+
+  // Draw with the parts that have come since the last picture.
+  refine() {
+    this.version++;
+    this.sortIfIdle();
+  }
+
+  get complete() {
+    return this.partsShown === this.facts.model.parts;
   }
 
   connectControls() {
@@ -186,13 +226,15 @@ class Page {
   }
 
   sortIfIdle() {
-    if (this.sorting || this.sortedVersion === this.version) return;
+    if (this.sorting || this.sortedVersion === this.version || !this.partsShown) return;
     this.sorting = true;
     const { rotation, translation } = this.viewpoint.cameraFor(this.canvas.width, this.canvas.height);
     this.worker.postMessage({ sort: { rotation, translation, version: this.version } });
   }
 
   sorted({ order, version }) {
+    element("status").hidden = true;
+    this.held.splice(0).forEach((text) => this.sendPart(text));
     this.renderer.setOrder(order);
     this.sorting = false;
     this.sortedVersion = version;
@@ -222,15 +264,23 @@ class Page {
     const share = inMotion ? this.resolution : 1;
     const [width, height] = [this.canvas.width, this.canvas.height].map((n) => Math.max(1, Math.round(n * share)));
     this.renderer.draw(this.viewpoint.cameraFor(width, height), this.look());
+    if (!this.complete) this.timeDrawing();
     this.placeMarker();
     this.drawMarks();
     if (inMotion) {
       clearTimeout(this.rest);
       this.rest = setTimeout(() => this.requestFrame(), REST_MS);
-    } else if (this.sortedVersion === this.version) {
+    } else if (this.complete && this.sortedVersion === this.version) {
       this.canvas.dataset.settled = "true";
       this.lookForMarks();
     }
+  }
+
+  timeDrawing() {
+    const begun = performance.now();
+    this.renderer.finish();
+    this.drawnAt = performance.now();
+    this.drawMs = this.drawnAt - begun;
   }
 
   look() {
@@ -389,16 +439,21 @@ function showFailure(message) {
   element("status").textContent = message;
 }
 
-async function start() {
+function start() {
   try {
     if (!("DecompressionStream" in window)) {
       throw new Error("This browser is too old for this page: use Chrome 80, Firefox 113, Safari 16.4 or later.");
     }
     const facts = json("facts");
-    const model = await decodeModel(element("model").textContent, facts.model, facts.modalities);
-    element("model").remove();
-    new Page(facts, model);
-    element("status").hidden = true;
+    const page = new Page(facts);
+    let parts = 0;
+    const take = (text) => {
+      page.addPart(text);
+      parts++;
+    };
+    readParts(take, () => {
+      if (parts < facts.model.parts) showFailure("A part of this file is missing: copy or download it again.");
+    });
   } catch (error) {
     showFailure(error.message);
   }

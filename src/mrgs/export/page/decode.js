@@ -1,19 +1,22 @@
-// The model, from the text in the page to arrays. The layout is that of packing.py.
+// Parts of the model, from the text in the page to arrays. The layout is that of packing.py.
 
 const SQRT_HALF = Math.SQRT1_2;
 
-async function decodeModel(base64, header, modalities) {
-  const planes = splitPlanes(await gunzip(fromBase64(base64)), header.planes);
-  const count = header.count;
-  const model = {
+async function decodePart(text, modalities) {
+  const { header, data } = JSON.parse(text);
+  const planes = splitPlanes(await gunzip(fromBase64(data)), header.planes);
+  const { count, first, replaces } = header;
+  const part = {
     count,
+    first,
+    replaces,
     means: decodeMeans(planes, count, header.chunk),
     covariances: new Float32Array(6 * count),
     largestScale: new Float32Array(count),
     appearances: Object.fromEntries(modalities.map(({ name, channels }) => [name, decodeAppearance(planes, header, name, channels)])),
   };
-  decodeShapes(planes, header.limits.scales, model);
-  return model;
+  decodeShapes(planes, header.limits.scales, part);
+  return part;
 }
 
 // Opacity, and either values without view dependence or the coefficients of the harmonics as bytes.
@@ -28,13 +31,6 @@ function decodeAppearance(planes, header, name, channels) {
     // Lowest value and step of each degree.
     bands: header.limits.sh[name].map(([low, high], degree) => [low, (high - low) / header.sh_steps[degree]]),
   };
-}
-
-function fromBase64(text) {
-  const binary = atob(text);
-  const bytes = new Uint8Array(binary.length);
-  for (let i = 0; i < binary.length; i++) bytes[i] = binary.charCodeAt(i);
-  return bytes;
 }
 
 async function gunzip(bytes) {
@@ -71,8 +67,8 @@ function decodeMeans(planes, count, chunk) {
 }
 
 // Covariances as xx, xy, xz, yy, yz, zz.
-function decodeShapes(planes, [low, high], model) {
-  const { covariances, largestScale, count } = model;
+function decodeShapes(planes, [low, high], part) {
+  const { covariances, largestScale, count } = part;
   const step = (high - low) / 1023;
   const quat = new Float64Array(4);
   for (let i = 0; i < count; i++) {

@@ -17,9 +17,10 @@ from __future__ import annotations
 import gzip
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import torch
 from jaxtyping import Float, Float32, Int64, UInt8, UInt16, UInt32
 
 from mrgs.errors import ConfigError
@@ -40,12 +41,15 @@ SH_STEPS = (254, 126, 126, 126)
 CLIPPED_SHARE = 5e-4
 """Of the coefficients of a band; the few beyond would cost all others their precision."""
 
+SAMPLED = 2**18
+"""Splats from which the limits of the harmonics are taken, at least; all if there are fewer."""
+
 
 class PackedModel(NamedTuple):
     """A compressed model for the page.
 
     Attributes:
-        header: ``count``, ``chunk``, ``sh_degree``, ``sh_steps``, ``planes`` (name, type and length
+        header: ``count``, ``chunk``, ``sh_steps``, ``planes`` (name, type and length
             in order), ``limits`` of scales (natural logarithms), and by the name of the modality of
             ``values`` (normalised) and of each degree of ``sh``; plain JSON.
         data: the planes, compressed.
@@ -53,6 +57,10 @@ class PackedModel(NamedTuple):
 
     header: dict[str, Any]
     data: bytes
+
+
+HarmonicsLimits: TypeAlias = dict[Modality, list[list[float]]]
+"""Lowest and highest coefficient of each degree that is kept, of each modality with harmonics."""
 
 
 def pack(
@@ -70,33 +78,41 @@ def pack(
         ConfigError: no splat can be seen.
         ValueError: ``sh_degree`` is not from 0 to 3.
     """
-    if sh_degree not in range(4):
-        raise ValueError(f"sh_degree must be from 0 to 3, not {sh_degree}")
     modalities = baked.modalities if modalities is None else modalities
-    rows = _visible_rows(baked, modalities)
-    low, high, positions = _chunked_positions(_array(baked.means)[rows])
-    scales, scale_limits = _quantise(np.log(_array(baked.scales)[rows]), 1023)
+    rows = curve_rows(baked, modalities)
+    limits = harmonics_limits(baked, rows, sh_degree, modalities)
+    return pack_in_order(baked.subset(torch.from_numpy(rows)), modalities, limits)
+
+
+def pack_in_order(
+    baked: BakedModel, modalities: Sequence[Modality], sh_limits: HarmonicsLimits
+) -> PackedModel:
+    """Quantise and compress all splats in their order; see ``pack``."""
+    low, high, positions = _chunked_positions(_array(baked.means))
+    scales, scale_limits = _quantise(np.log(_array(baked.scales)), 1023)
     planes: dict[str, np.ndarray] = {
         "chunk_low": low,
         "chunk_high": high,
-        "rotations": smallest_three(_array(baked.quats)[rows]),
+        "rotations": smallest_three(_array(baked.quats)),
         "scales": _three_in_one(scales),
         "positions": positions.T,
     }
     limits: dict[str, Any] = {"scales": scale_limits, "values": {}, "sh": {}}
     for modality in modalities:
-        kind = "sh" if modality in baked.sh else "values"
-        opacities, values, limits[kind][modality.name] = _modality_planes(
-            baked, modality, rows, sh_degree
-        )
-        planes |= {f"opacity_{modality}": opacities, f"{kind}_{modality}": values}
+        planes[f"opacity_{modality}"] = _opacity_plane(baked, modality)
+        if modality in sh_limits:
+            limits["sh"][modality.name] = bands = sh_limits[modality]
+            planes[f"sh_{modality}"] = _harmonics_plane(_array(baked.sh[modality]), bands)
+        else:
+            values, ends = _quantise(_array(baked.base_values(modality))[:, 0], 65535)
+            limits["values"][modality.name] = ends
+            planes[f"values_{modality}"] = values.astype(np.uint16)
     # Wide numbers first, so that each plane starts at a multiple of its width.
     planes = dict(sorted(planes.items(), key=lambda item: -item[1].itemsize))
     header = {
-        "count": len(rows),
+        "count": len(baked),
         "chunk": CHUNK,
-        "sh_degree": sh_degree,
-        "sh_steps": list(SH_STEPS[: sh_degree + 1]),
+        "sh_steps": list(SH_STEPS),
         "planes": [[name, plane.dtype.name, plane.size] for name, plane in planes.items()],
         "limits": limits,
     }
@@ -107,7 +123,7 @@ def pack(
     return PackedModel(header, gzip.compress(stream, GZIP_LEVEL, mtime=0))
 
 
-def _visible_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.ndarray, " k"]:
+def curve_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.ndarray, " k"]:
     """The splats that some pixel can show, along the space-filling curve.
 
     Raises:
@@ -123,29 +139,51 @@ def _visible_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np
     return rows[morton_order(means[rows])]
 
 
-def _modality_planes(
-    baked: BakedModel, modality: Modality, rows: Int64[np.ndarray, " k"], sh_degree: int
-) -> tuple[np.ndarray, np.ndarray, list[Any]]:
-    """Opacities; then values or harmonics, and the limits of these."""
+def harmonics_limits(
+    baked: BakedModel,
+    rows: Int64[np.ndarray, " k"],
+    sh_degree: int,
+    modalities: Sequence[Modality],
+) -> HarmonicsLimits:
+    """The limits of each degree's coefficients, that all but a few of the splats keep.
+
+    Args:
+        baked: N splats.
+        rows: of the splats that count; of many, some are looked at.
+        sh_degree: highest degree to keep, 0 to 3; fewer where there are none.
+        modalities: to pack.
+
+    Raises:
+        ValueError: ``sh_degree`` is not from 0 to 3.
+    """
+    if sh_degree not in range(4):
+        raise ValueError(f"sh_degree must be from 0 to 3, not {sh_degree}")
+    some = torch.from_numpy(rows[:: -(-len(rows) // SAMPLED)])
+    limits = {}
+    for modality in modalities:
+        if modality in baked.sh:
+            sh = _array(baked.sh[modality][some])
+            degree = min(sh_degree, math.isqrt(sh.shape[1]) - 1)
+            limits[modality] = [_band_limits(_band(sh, band), band) for band in range(degree + 1)]
+    return limits
+
+
+def _opacity_plane(baked: BakedModel, modality: Modality) -> np.ndarray:
     kind = np.uint16 if modality.channels == 1 else np.uint8
-    opacities = _array(baked.opacities[modality])[rows]
-    opacity_plane = np.rint(opacities * np.iinfo(kind).max).astype(kind)
-    if modality in baked.sh:
-        codes, limits = _harmonics_plane(_array(baked.sh[modality])[rows], sh_degree)
-        return opacity_plane, codes, limits
-    values, ends = _quantise(_array(baked.base_values(modality))[rows, 0], 65535)
-    return opacity_plane, values.astype(np.uint16), ends
+    return np.rint(_array(baked.opacities[modality]) * np.iinfo(kind).max).astype(kind)
 
 
 def _harmonics_plane(
-    sh: Float32[np.ndarray, "n _ c"], sh_degree: int
-) -> tuple[UInt8[np.ndarray, "b n"], list[list[float]]]:
-    """The coefficients up to a degree, or as many as there are, one after the other for all splats,
-    and the limits of each degree."""
-    degree = min(sh_degree, math.isqrt(sh.shape[1]) - 1)
-    bands = [_quantise_band(sh[:, band**2 : (band + 1) ** 2], band) for band in range(degree + 1)]
-    codes = np.concatenate([codes for codes, _ in bands], axis=1)
-    return codes.reshape(len(sh), -1).T, [limits for _, limits in bands]
+    sh: Float32[np.ndarray, "n _ c"], limits: Sequence[Sequence[float]]
+) -> UInt8[np.ndarray, "b n"]:
+    """The coefficients of the degrees that have limits, one after the other for all splats."""
+    codes = [_quantise_band(_band(sh, band), band, ends) for band, ends in enumerate(limits)]
+    return np.concatenate(codes, axis=1).reshape(len(sh), -1).T
+
+
+def _band(sh: Float32[np.ndarray, "n _ c"], band: int) -> Float32[np.ndarray, "n b c"]:
+    """The coefficients of one degree."""
+    return sh[:, band**2 : (band + 1) ** 2]
 
 
 def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -207,19 +245,19 @@ def _quantise(
     return np.rint((values - low) / max(high - low, 1e-12) * steps), [low, high]
 
 
-def _quantise_band(
-    sh: Float32[np.ndarray, "n b c"], band: int
-) -> tuple[UInt8[np.ndarray, "n b c"], list[float]]:
-    """The coefficients of one degree, between limits that all but a few keep."""
+def _band_limits(sh: Float32[np.ndarray, "n b c"], band: int) -> list[float]:
+    """Limits that all but a few coefficients of one degree keep."""
     if band == 0:
-        low, high = (
-            float(limit) for limit in np.quantile(sh, [CLIPPED_SHARE / 2, 1 - CLIPPED_SHARE / 2])
-        )
-    else:
-        high = float(np.quantile(np.abs(sh), 1 - CLIPPED_SHARE))
-        low = -high
-    steps = SH_STEPS[band]
-    return np.rint((sh - low) / max(high - low, 1e-12) * steps).clip(0, steps).astype(np.uint8), [
-        low,
-        high,
-    ]
+        ends = np.quantile(sh, [CLIPPED_SHARE / 2, 1 - CLIPPED_SHARE / 2])
+        return [float(limit) for limit in ends]
+    high = float(np.quantile(np.abs(sh), 1 - CLIPPED_SHARE))
+    return [-high, high]
+
+
+def _quantise_band(
+    sh: Float32[np.ndarray, "n b c"], band: int, limits: Sequence[float]
+) -> UInt8[np.ndarray, "n b c"]:
+    """The coefficients of one degree between their limits."""
+    low, high = limits
+    codes = np.rint((sh - low) / max(high - low, 1e-12) * SH_STEPS[band])
+    return codes.clip(0, SH_STEPS[band]).astype(np.uint8)

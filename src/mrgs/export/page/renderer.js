@@ -3,7 +3,7 @@
 const SPLATS_PER_ROW = 512;
 
 class Renderer {
-  constructor(canvas, model, palettes) {
+  constructor(canvas, { model, modalities }, palettes) {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("This browser offers no WebGL2, which the 3D view needs.");
     this.gl = gl;
@@ -12,10 +12,12 @@ class Renderer {
     this.floatTarget = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
     this.splats = buildProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.screen = buildProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
-    this.geometry = geometryTexture(gl, model);
+    this.rows = model.slots / SPLATS_PER_ROW;
+    this.geometry = newTexture(gl, gl.RGBA32F, 3 * SPLATS_PER_ROW, this.rows, gl.NEAREST);
     this.appearances = Object.fromEntries(
-      Object.entries(model.appearances).map(([name, appearance]) => [name, appearanceTextures(gl, appearance, model.count)]),
+      modalities.map(({ name, channels }) => [name, { channels, texture: newTexture(gl, gl.RG32F, SPLATS_PER_ROW, this.rows, gl.NEAREST) }]),
     );
+    for (const appearance of Object.values(this.appearances)) addHarmonics(gl, appearance, this.rows, 0, []);
     this.palettes = Object.fromEntries(Object.entries(palettes).map(([name, rgb]) => [name, paletteTexture(gl, rgb)]));
     this.target = null;
     this.createArrays();
@@ -32,6 +34,20 @@ class Renderer {
     gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(place, 1);
     this.noArrays = gl.createVertexArray();
+  }
+
+  // Put a part's splats into the textures, from a row of their own on.
+  add({ first, count, geometry, appearances }) {
+    const gl = this.gl;
+    const row = first / SPLATS_PER_ROW;
+    writeRows(gl, this.geometry, row, 3, geometry, gl.RGBA, gl.FLOAT);
+    for (const [name, { texels, sh, bands }] of Object.entries(appearances)) {
+      const appearance = this.appearances[name];
+      writeRows(gl, appearance.texture, row, 1, texels, gl.RG, gl.FLOAT);
+      if (!sh) continue;
+      if (!appearance.texelsPerSplat) addHarmonics(gl, appearance, this.rows, sh.length / count / 16, bands);
+      writeRows(gl, appearance.harmonics, row, appearance.texelsPerSplat, new Uint32Array(sh.buffer), gl.RGBA_INTEGER, gl.UNSIGNED_INT);
+    }
   }
 
   setOrder(order) {
@@ -56,6 +72,12 @@ class Renderer {
     gl.uniform2fv(screen.at("range"), look.range);
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // Wait until all is drawn.
+  finish() {
+    const gl = this.gl;
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
   // The normalised values of all pixels that show a surface, of an image that is drawn for this alone.
@@ -148,42 +170,25 @@ function bindTexture(gl, unit, texture, place) {
   gl.uniform1i(place, unit);
 }
 
-function geometryTexture(gl, model) {
-  const rows = Math.ceil(model.count / SPLATS_PER_ROW);
-  const texels = new Float32Array(rows * SPLATS_PER_ROW * 12);
-  for (let i = 0; i < model.count; i++) {
-    texels.set(model.means.subarray(3 * i, 3 * i + 3), 12 * i);
-    texels.set(model.covariances.subarray(6 * i, 6 * i + 6), 12 * i + 4);
-  }
-  const texture = newTexture(gl, gl.RGBA32F, 3 * SPLATS_PER_ROW, rows, gl.NEAREST);
-  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3 * SPLATS_PER_ROW, rows, gl.RGBA, gl.FLOAT, texels);
-  return texture;
-}
-
-// A modality's opacities and values as one texture, its harmonics as another; a modality without harmonics has one
-// empty texel.
-function appearanceTextures(gl, { channels, opacity, values, sh, bands }, count) {
-  const rows = Math.ceil(count / SPLATS_PER_ROW);
-  const texels = new Float32Array(rows * SPLATS_PER_ROW * 2);
-  for (let i = 0; i < count; i++) texels.set([opacity[i], values ? values[i] : 0], 2 * i);
-  const texture = newTexture(gl, gl.RG32F, SPLATS_PER_ROW, rows, gl.NEAREST);
-  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, SPLATS_PER_ROW, rows, gl.RG, gl.FLOAT, texels);
-  const texelsPerSplat = sh ? sh.length / count / 16 : 0;
-  const limits = new Float32Array(8);
-  (bands ?? []).forEach((band, degree) => limits.set(band, 2 * degree));
-  const degree = (bands ?? []).length - 1;
-  return { channels, texture, texelsPerSplat, degree, bands: limits, harmonics: harmonicsTexture(gl, sh, rows, texelsPerSplat) };
-}
-
-function harmonicsTexture(gl, sh, rows, texelsPerSplat) {
-  if (!sh) return newTexture(gl, gl.RGBA32UI, 1, 1, gl.NEAREST);
+// Write splats into a texture from a row on; the last row may be filled in part.
+function writeRows(gl, texture, row, texelsPerSplat, values, format, type) {
+  const channels = format === gl.RG ? 2 : 4;
   const width = texelsPerSplat * SPLATS_PER_ROW;
-  const bytes = new Uint8Array(rows * width * 16);
-  bytes.set(sh);
-  const texture = newTexture(gl, gl.RGBA32UI, width, rows, gl.NEAREST);
-  const words = new Uint32Array(bytes.buffer);
-  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
-  return texture;
+  const rows = Math.ceil(values.length / (channels * width));
+  const whole = new values.constructor(rows * width * channels);
+  whole.set(values);
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, width, rows, format, type, whole);
+}
+
+// The texture of a modality's harmonics, and lowest value and step of each degree; a modality without harmonics has one
+// empty texel.
+function addHarmonics(gl, appearance, rows, texelsPerSplat, bands) {
+  const limits = new Float32Array(8);
+  bands.forEach((band, degree) => limits.set(band, 2 * degree));
+  const [width, height] = texelsPerSplat ? [texelsPerSplat * SPLATS_PER_ROW, rows] : [1, 1];
+  const harmonics = newTexture(gl, gl.RGBA32UI, width, height, gl.NEAREST);
+  Object.assign(appearance, { texelsPerSplat, degree: bands.length - 1, bands: limits, harmonics });
 }
 
 function paletteTexture(gl, rgb) {

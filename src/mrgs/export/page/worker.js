@@ -1,5 +1,4 @@
-// Beside the page's thread: the order of the splats, and what is under the cursor.
-"use strict";
+// Beside the page's thread: decoding, the order of the splats, and what is under the cursor.
 
 const NEAR_PLANE = 0.01;
 const DILATION = 0.3;
@@ -10,9 +9,12 @@ const FRUSTUM_MARGIN = 0.3;
 const LARGEST_TAU2 = 2 * Math.log(255);
 
 let model;
+let modalities;
+let decoding = Promise.resolve();
 
 onmessage = ({ data }) => {
-  if (data.model) model = data.model;
+  if (data.open) open(data.open);
+  if (data.part) decoding = decoding.then(() => take(data.part)).catch(({ message }) => postMessage({ failure: message }));
   if (data.sort) {
     const order = farToNear(data.sort.rotation, data.sort.translation);
     postMessage({ order, version: data.sort.version }, [order.buffer]);
@@ -20,18 +22,84 @@ onmessage = ({ data }) => {
   if (data.read) postMessage({ reading: readPixel(data.read), id: data.read.id });
 };
 
+// Room for all splats, of which none is there yet.
+function open({ slots, readable, ...rest }) {
+  modalities = rest.modalities;
+  model = {
+    slots,
+    active: [], // first and behind the last of the splats that are shown
+    means: new Float32Array(3 * slots),
+    covariances: new Float32Array(6 * slots),
+    largestScale: new Float32Array(slots),
+    appearances: Object.fromEntries(readable.map((name) => [name, { opacity: new Float32Array(slots) }])),
+  };
+}
+
+// Add a part to what is shown, in the place of the coarse splats that stood for it, and give it to the page to draw.
+async function take(text) {
+  const part = await decodePart(text, modalities);
+  const { first, count, replaces, appearances } = part;
+  model.means.set(part.means, 3 * first);
+  model.covariances.set(part.covariances, 6 * first);
+  model.largestScale.set(part.largestScale, first);
+  for (const [name, own] of Object.entries(model.appearances)) keepAppearance(own, appearances[name], first, count);
+  model.active = model.active.flatMap((range) => without(range, replaces));
+  model.active.push([first, first + count]);
+  const drawn = { first, count, geometry: geometryTexels(part), appearances: drawnAppearances(appearances, count) };
+  const buffers = Object.values(drawn.appearances).flatMap(({ texels, sh }) => (sh ? [texels.buffer, sh.buffer] : [texels.buffer]));
+  postMessage({ part: drawn }, [drawn.geometry.buffer, ...buffers]);
+}
+
+function keepAppearance(own, { opacity, values, sh, bands }, first, count) {
+  own.opacity.set(opacity, first);
+  const name = values ? "values" : "sh";
+  const stride = (values ?? sh).length / count;
+  own[name] ??= new (values ?? sh).constructor(stride * model.slots);
+  own[name].set(values ?? sh, stride * first);
+  own.bands = bands;
+}
+
+function without([start, end], [from, to]) {
+  return [[start, Math.min(end, from)], [Math.max(start, to), end]].filter(([low, high]) => low < high);
+}
+
+// As the page's textures hold them: mean | covariance | its end; opacity, value without view dependence.
+function geometryTexels({ count, means, covariances }) {
+  const texels = new Float32Array(12 * count);
+  for (let i = 0; i < count; i++) {
+    for (let k = 0; k < 3; k++) texels[12 * i + k] = means[3 * i + k];
+    for (let k = 0; k < 6; k++) texels[12 * i + 4 + k] = covariances[6 * i + k];
+  }
+  return texels;
+}
+
+function drawnAppearances(appearances, count) {
+  const drawn = {};
+  for (const [name, { opacity, values, sh, bands }] of Object.entries(appearances)) {
+    const texels = new Float32Array(2 * count);
+    for (let i = 0; i < count; i++) {
+      texels[2 * i] = opacity[i];
+      if (values) texels[2 * i + 1] = values[i];
+    }
+    drawn[name] = { texels, sh, bands };
+  }
+  return drawn;
+}
+
 // Indices of the splats in front of the camera, farthest first: two counting sorts by 16 bits of the depth. The bits of
 // a positive float rise with its value, so that both together sort exactly.
 function farToNear(rotation, translation) {
-  const { means, count } = model;
-  const depths = new Float32Array(count);
+  const { means, slots, active } = model;
+  const depths = new Float32Array(slots);
   const [x, y, z, offset] = [rotation[6], rotation[7], rotation[8], translation[2]];
-  let visible = new Uint32Array(count);
+  let visible = new Uint32Array(slots);
   let inFront = 0;
-  for (let i = 0; i < count; i++) {
-    const depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + offset;
-    depths[i] = depth;
-    if (depth >= NEAR_PLANE) visible[inFront++] = i;
+  for (const [start, end] of active) {
+    for (let i = start; i < end; i++) {
+      const depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + offset;
+      depths[i] = depth;
+      if (depth >= NEAR_PLANE) visible[inFront++] = i;
+    }
   }
   const keys = new Uint32Array(depths.buffer);
   visible = visible.subarray(0, inFront);
@@ -53,9 +121,11 @@ function countingSort(indices, key) {
 function readPixel({ camera, x, y, modality }) {
   const appearance = model.appearances[modality];
   const hits = [];
-  for (let i = 0; i < model.count; i++) {
-    const hit = splatAt(camera, x, y, i, appearance.opacity);
-    if (hit) hits.push(hit);
+  for (const [start, end] of model.active) {
+    for (let i = start; i < end; i++) {
+      const hit = splatAt(camera, x, y, i, appearance.opacity);
+      if (hit) hits.push(hit);
+    }
   }
   hits.sort((a, b) => a.depth - b.depth || a.index - b.index);
   let transmittance = 1;
@@ -78,7 +148,7 @@ function valueOf({ values, sh, bands }, i, eye) {
   const direction = [0, 1, 2].map((axis) => model.means[3 * i + axis] - eye[axis]);
   const length = Math.hypot(...direction);
   const functions = harmonics(direction.map((part) => part / length));
-  const stride = sh.length / model.count;
+  const stride = sh.length / model.slots;
   let sum = 0.5;
   for (let degree = 0; degree < bands.length; degree++) {
     const [low, step] = bands[degree];

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from mrgs.errors import ConfigError
 from mrgs.export.page.marks import PageMark
-from mrgs.export.page.packing import PackedModel, pack
+from mrgs.export.page.parts import PageModel
 from mrgs.export.page.visibility import most_visible
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
@@ -38,7 +38,8 @@ from mrgs.scene import (
     metric_first,
 )
 
-SCRIPTS = ("decode.js", "shaders.js", "renderer.js", "app.js")
+SCRIPTS = ("base64.js", "shaders.js", "renderer.js", "stream.js", "app.js")
+WORKER_SCRIPTS = ("base64.js", "decode.js", "worker.js")
 ASSETS: dict[str, Any] = {
     "styles": [STAGE_STYLE, MARKS_STYLE],
     "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}" for name in SCRIPTS)],
@@ -70,7 +71,8 @@ def write_page(
     """Write the model as one HTML page; returns its path.
 
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
-    It takes about 7 MB for 100,000 splats with RGB and thermal (4 MB with ``sh_degree=1``).
+    It takes about 7 MB for 100,000 splats with RGB and thermal (4 MB with ``sh_degree=1``). A model
+    of more than ``parts.PART`` splats is shown coarsely first, and finely as its parts are read.
 
     Args:
         baked: N splats.
@@ -96,8 +98,9 @@ def write_page(
     _check(shown, cameras, palette, range_c, max_splats, sh_degree)
     every = list(cameras.values())
     baked = _reduced(baked, every, max_splats)
-    packed = pack(baked, sh_degree, shown)
-    facts = _facts(baked, packed, every, shown, range_c) | {"marks": list(marks)}
+    start = start or next(iter(cameras))
+    model = PageModel(baked, sh_degree, shown, cameras[start])
+    facts = _facts(baked, model, every, shown, range_c) | {"marks": list(marks)}
     return write_html(
         path,
         "export/page/page.html",
@@ -110,14 +113,14 @@ def write_page(
         palettes=PALETTE_CHOICES,
         palette=palette,
         cameras=list(cameras),
-        start=start or next(iter(cameras)),
+        start=start,
         notes=notes,
         marks=marks,
-        splats=packed.header["count"],
-        left_out=len(baked) - packed.header["count"],
+        splats=model.count,
+        left_out=len(baked) - model.count,
         facts=script_json(facts),
-        worker=asset("export/page/worker.js"),
-        model=_base64(packed.data),
+        worker=Markup("\n").join(asset(f"export/page/{name}") for name in WORKER_SCRIPTS),
+        parts=(Markup(part.to_json()) for part in model.parts()),
     )
 
 
@@ -175,14 +178,14 @@ def _check(
 
 def _facts(
     baked: BakedModel,
-    packed: PackedModel,
+    model: PageModel,
     cameras: Sequence[Camera],
     shown: Sequence[Modality],
     range_c: tuple[float, float] | None,
 ) -> dict[str, Any]:
     """What the page's script reads as JSON."""
     return {
-        "model": packed.header,
+        "model": model.facts,
         "cameras": [camera_facts(camera) for camera in cameras],
         "world": world_facts(cameras),
         "palettes": palette_facts(PALETTE_CHOICES),
@@ -205,7 +208,3 @@ def _modality_facts(
     else:
         ends = range_of(modality, baked.temperature)
     return modality_facts(modality, baked.temperature, ends)
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode("ascii")
