@@ -20,7 +20,7 @@ from filelock import FileLock
 from PIL import Image
 from safetensors.torch import save_file
 
-from mrgs.app import commands, terminal
+from mrgs.app import commands, progress, terminal
 from mrgs.app.cli import main
 from mrgs.training import StepStatistics
 from tests.helpers.scenes import write_scene
@@ -450,14 +450,14 @@ def test_synth_without_mitsuba_says_how_to_get_it(tmp_path, monkeypatch, capsys)
 
 def interrupt(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
     """Press Ctrl-C when the training starts."""
-    start = terminal.TrainingProgress.start
+    start = progress.TrainingProgress.start
 
     def pressed(self, *arguments):
         start(self, *arguments)
         for _ in range(times):
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(terminal.TrainingProgress, "start", pressed)
+    monkeypatch.setattr(progress.TrainingProgress, "start", pressed)
 
 
 def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, monkeypatch, capsys):
@@ -709,7 +709,7 @@ def test_the_range_of_an_export_must_rise(own_run, capsys):
 def test_an_unfinished_run_is_used_and_said(small_scene, tmp_path, monkeypatch, capsys):
     output = tmp_path / "run"
     monkeypatch.setattr(
-        terminal.TrainingProgress, "step", lambda self, statistics: statistics.step == 2
+        progress.TrainingProgress, "step", lambda self, statistics: statistics.step == 2
     )
     run("train", small_scene, "--output", output, *TINY)
     capsys.readouterr()
@@ -750,7 +750,7 @@ def test_a_transforms_file_names_the_scene_too(tmp_path, monkeypatch, capsys):
 def test_progress_is_plain_lines_where_there_is_no_terminal(
     small_scene, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(terminal, "PLAIN_LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(progress, "PLAIN_LINE_EVERY_S", 0.0)
     assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
     printed = capsys.readouterr().out
     assert "\r" not in printed
@@ -783,15 +783,15 @@ def test_a_narrow_terminal_leaves_the_least_important_out():
         "thermal": "thermal error 0.123 (normalised)", "gaussians": "1,000,000 Gaussians",
         "speed": "12.3 steps/s",
     }  # fmt: skip
-    assert terminal._fitted(parts, 200) == " | ".join(parts.values())
+    assert progress._fitted(parts, 200) == " | ".join(parts.values())
     for width in (80, 60, 52):
-        line = terminal._fitted(parts, width - terminal.BAR_WIDTH - 1)
+        line = progress._fitted(parts, width - progress.BAR_WIDTH - 1)
         assert line.startswith("step 12,345/30,000 | 12:34:56 left")
-        assert len(line) < width - terminal.BAR_WIDTH
+        assert len(line) < width - progress.BAR_WIDTH
 
 
 def test_time_left_is_readable():
-    assert [terminal.duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == [
+    assert [progress.duration(seconds) for seconds in (0.4, 75, 3600, 45_296)] == [
         "0:00",
         "1:15",
         "1:00:00",
@@ -849,7 +849,7 @@ def test_a_gpu_that_is_used_is_named(monkeypatch, capsys):
 def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, capsys):
     """On a GPU, to read is to wait."""
     clock = iter([0.0, 0.1, 0.2, 60.0])
-    monkeypatch.setattr(terminal.time, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
     read: list[int] = []
 
     class Step(StepStatistics):
@@ -857,11 +857,11 @@ def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, caps
             read.append(self.step)
             return super()._read()
 
-    progress = terminal.TrainingProgress()
+    shown = progress.TrainingProgress()
     for number in (1, 2):
-        progress.step(Step(number, 0.5, {}, 0.25, 10, False))
+        shown.step(Step(number, 0.5, {}, 0.25, 10, False))
     assert read == []
-    progress.step(Step(3, 0.5, {}, 0.25, 10, False))
+    shown.step(Step(3, 0.5, {}, 0.25, 10, False))
     assert set(read) == {1, 2, 3}
     assert "loss 0.5000 | thermal error 0.250 (normalised)" in capsys.readouterr().out
 

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from mrgs.app.cli import _require_possible, main
+from mrgs.app.cli import main
 from mrgs.app.commands import Train
+from mrgs.app.training import _require_possible
 from mrgs.errors import ConfigError
 from mrgs.runs.registry import find_method
 

@@ -7,12 +7,14 @@ import difflib
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import tyro
 
 from mrgs.app.commands import COMMANDS, any_command, summary_of
 from mrgs.app.style import say_error, styled
+from mrgs.errors import ConfigError
 
 EXIT_USER_ERROR = 2
 
@@ -63,3 +65,17 @@ def _unknown(name: str) -> str:
     near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.6)
     hint = f"did you mean {near[0]}?" if near else "`mrgs` lists the commands"
     return f"unknown command {name!r}; {hint}"
+
+
+def read_text(path: Path) -> str:
+    """The text of a file that an option names.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"{path}: cannot be read as text ({getattr(error, 'strerror', 'not UTF-8')})"
+        ) from error

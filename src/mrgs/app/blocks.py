@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mrgs.app.commands import Train
 from mrgs.app.interrupts import Interrupted, interrupts
-from mrgs.app.terminal import TrainingProgress
+from mrgs.app.progress import TrainingProgress
 from mrgs.app.together import FollowingProgress
 from mrgs.errors import ConfigError
 

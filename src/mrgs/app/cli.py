@@ -3,18 +3,14 @@ elsewhere."""
 
 from __future__ import annotations
 
-import math
 import os
 import shlex
 import sys
-import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrgs.app.arguments import EXIT_USER_ERROR, parse
-from mrgs.app.blocks import require_blocks, train_in_blocks
 from mrgs.app.commands import (
     Check,
     CompareMethods,
@@ -31,41 +27,33 @@ from mrgs.app.commands import (
     ViewRun,
     flag_of,
 )
-from mrgs.app.interrupts import BY_CTRL_C, Interrupted, interrupts
+from mrgs.app.comparing import compare
+from mrgs.app.interrupts import BY_CTRL_C, interrupts
+from mrgs.app.progress import PrepareProgress, counter
 from mrgs.app.style import say_error
+from mrgs.app.synthesis import synth
 from mrgs.app.terminal import (
-    PrepareProgress,
-    TrainingProgress,
-    counter,
-    note_gpu,
     note_unfinished,
     plain_warnings,
     print_baking_loss,
     print_exported,
     print_figures,
     print_metrics,
-    print_table,
     print_viewer_address,
     scene_if_there,
 )
-from mrgs.app.together import FollowingProgress, muted, processes_of, silenced
+from mrgs.app.together import muted, processes_of, silenced
+from mrgs.app.training import train
 from mrgs.distributed.launch import Launch
-from mrgs.errors import ConfigError, DeviceError, MrgsError, PeerError, TrainingError
+from mrgs.errors import ConfigError, MrgsError, PeerError
 
 if TYPE_CHECKING:
     from mrgs.distributed.processes import Processes
-    from mrgs.runs.registry import Method
-    from mrgs.scene import Scene
-    from mrgs.training import StepStatistics, TrainConfig
-    from mrgs.viewer import LiveView
 
 EXIT_BAD_SCENE = 1
 
 NO_MEMORY = ("can't allocate memory", "not enough memory")
 """What torch says, in a RuntimeError, when the system has no memory left."""
-
-MAX_SYNTH_SEED = 1_000_000
-"""Mitsuba takes 32 bits, and every view has a seed of its own."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -119,7 +107,7 @@ def _run(argv: list[str] | None, launch: Launch | None) -> int:
         Export: _export,
         Report: _report,
         Demo: _demo,
-        Synth: _synth,
+        Synth: synth,
     }
     return handlers[type(command)](command) or 0
 
@@ -226,161 +214,6 @@ def _check(command: Check) -> int:
     return 0 if found.usable else EXIT_BAD_SCENE
 
 
-def _train(command: Train, processes: Processes | None) -> int:
-    from mrgs.runs.open import method_of
-    from mrgs.runs.registry import find_method
-    from mrgs.system.gpu import HOST, choose_device
-    from mrgs.training.run_folder import RunFolder
-
-    if processes is not None:
-        processes.connect()
-    leads = processes is None or processes.is_first
-    output = _output(command)
-    goes_on = command.resume and leads and command.blocks is None
-    name = method_of(RunFolder(output)).name if goes_on else command.method
-    method = find_method(name if processes is None else processes.share_json(name))
-    _require_possible(command, method, processes)
-    require_blocks(command)
-    together = 1 if processes is None or command.blocks is not None else processes.count
-    batch = command.batch or together
-    config = _configured(command, method, command.max_steps, batch)
-    device = command.device if method.uses_gpu else "cpu"
-    if command.minutes is not None:
-        steps = _steps_in_time(command, method, config, device)
-        config = _configured(command, method, steps, batch)
-        if config.max_steps != steps:
-            raise ConfigError(
-                f"--minutes chooses the steps: leave max_steps out of {command.config}"
-            )
-    chosen = choose_device(device)
-    if command.blocks is not None:
-        train_in_blocks(command, output, config, device, processes)
-        return 0
-    progress: TrainingProgress | FollowingProgress = FollowingProgress()
-    if leads:
-        note_gpu(chosen)
-        progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
-    shows = command.view and leads
-    with progress, _live_view(output, command.port) if shows else nullcontext() as live:
-        method.train(
-            command.scene,
-            output,
-            config,
-            resume=command.resume,
-            accept_changes=command.accept_changes,
-            device=device,
-            plain=command.plain,
-            tensorboard=command.tensorboard,
-            **_hooks(progress, live),
-            **({"processes": processes} if processes and method.has_gaussians else {}),
-        )
-    if isinstance(progress, TrainingProgress):
-        _say_what_next(command, output, progress, processes)
-    elif interrupts.received is not None:
-        raise Interrupted
-    return 0
-
-
-def _configured(command: Train, method: Method, max_steps: int | None, batch: int) -> Any:
-    return method.configure(
-        command.preset,
-        max_steps=max_steps,
-        max_gaussians=command.max_gaussians,
-        resolution=command.resolution,
-        seed=command.seed,
-        batch=batch,
-        changes="" if command.config is None else _read_text(command.config),
-        source=str(command.config),
-    )
-
-
-def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> int:
-    """Measure how fast the training is here, and say how many steps it gets."""
-    from mrgs.pipeline.time_limit import measure_pace, steps_within
-
-    assert command.minutes is not None
-    print("measuring the pace of a few steps", flush=True)
-    started = time.monotonic()
-    pace = measure_pace(method, command.scene, config, device=device, plain=command.plain)
-    left_s = command.minutes * 60 - (time.monotonic() - started)
-    most = config.densification.max_gaussians if method.has_gaussians else None
-    steps = steps_within(left_s, pace, most)
-    print(f"{steps:,} steps fit into {command.minutes:g} minutes", flush=True)
-    return steps
-
-
-def _require_possible(command: Train, method: Method, processes: Processes | None) -> None:
-    """Options that the method can follow.
-
-    Raises:
-        ConfigError: one needs Gaussians, and there are none.
-        DeviceError: the method cannot use a GPU.
-    """
-    needs = {"--view": command.view, "--max-gaussians": command.max_gaussians}
-    for option, value in {**needs, "--batch": command.batch}.items():
-        if value and not method.has_gaussians:
-            raise ConfigError(
-                f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
-            )
-    if command.minutes is not None:
-        if command.resume or command.max_steps is not None:
-            raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
-        if processes is not None and processes.count > 1:
-            raise ConfigError("--minutes measures one process: under torchrun, use --max-steps")
-        if not 0 < command.minutes < math.inf:
-            raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
-    if not method.has_gaussians and processes is not None and processes.count > 1:
-        raise ConfigError(f"{method.name} trains in one process: leave torchrun out")
-    if command.accept_changes and not command.resume:
-        raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
-    if command.device == "cuda" and not method.uses_gpu:
-        raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
-
-
-def _output(command: Train) -> Path:
-    """The run's folder."""
-    folder = command.scene.parent if command.scene.is_file() else command.scene
-    return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
-
-
-def _say_what_next(
-    command: Train, output: Path, progress: TrainingProgress, processes: Processes | None
-) -> None:
-    """How to go on with an unfinished run, or what to do with a finished one."""
-    if progress.unfinished or (processes is not None and processes.stopped):
-        go_on = shlex.join(
-            ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
-        )
-        print(f"checkpoint saved; resume with: {go_on}", file=progress.sink)
-        if progress.unfinished:
-            raise Interrupted
-        return  # another process was asked to stop
-    quoted = shlex.quote(str(output))
-    print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
-
-
-def _live_view(output: Path, port: int) -> LiveView:
-    from mrgs.viewer import LiveView
-
-    return LiveView(output, port=port, on_ready=print_viewer_address)
-
-
-def _hooks(progress: TrainingProgress | FollowingProgress, live: LiveView | None) -> dict[str, Any]:
-    """What ``train`` calls: the terminal's line, and the view if there is one."""
-    if live is None:
-        return {"on_start": progress.start, "on_step": progress.step}
-
-    def on_start(scene: Scene, config: TrainConfig) -> None:
-        progress.start(scene, config)
-        live.on_start(scene, config)
-
-    def on_step(statistics: StepStatistics) -> bool:
-        live.on_step(statistics)
-        return progress.step(statistics)
-
-    return {"on_start": on_start, "on_model": live.on_model, "on_step": on_step}
-
-
 def _eval(command: Eval) -> None:
     if command.renders is not None:
         if command.scene is not None:
@@ -420,67 +253,6 @@ def _eval_renders(command: Eval, folder: Path) -> None:
         f"scores:   {folder / 'eval' / 'metrics.md'}\npictures: "
         f"{folder / 'eval' / 'contact_sheet.png'}"
     )
-
-
-def _compare(command: CompareMethods, processes: Processes | None) -> int:
-    from mrgs.comparison import Options, Variant, compare
-
-    if processes is not None and not processes.is_first:
-        from mrgs.comparison.shared import follow_jobs
-
-        follow_jobs(processes, command.lpips_weights, command.device)
-        return 0
-    variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
-    options = Options(
-        command.methods,
-        tuple(
-            Variant.from_text(name, _read_text(file), str(file)) for name, file in variants.items()
-        ),
-        command.neighbours,
-        command.seeds,
-        command.preset,
-        command.max_steps,
-        command.max_gaussians,
-        command.resolution,
-    )
-    try:
-        comparison = compare(
-            command.scenes,
-            command.output,
-            options,
-            renders=_named_paths("--renders", command.renders, "ThermoNeRF=renders/thermonerf"),
-            jobs=command.jobs,
-            device=command.device,
-            lpips_weights=command.lpips_weights,
-            say=lambda line: print(line, flush=True),
-            processes=processes,
-        )
-    except KeyboardInterrupt:
-        print("interrupted runs keep their checkpoints; re-run the same command to resume")
-        raise
-    for table in comparison.tables:
-        print_table(table)
-    print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")
-    if comparison.failures:
-        name, reason = next(iter(comparison.failures.items()))
-        raise TrainingError(
-            f"{len(comparison.failures)} rows of the tables have no scores, first {name} "
-            f"({reason}); fix the cause and re-run the same command"
-        )
-    return 0
-
-
-def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str, Path]:
-    """Paths by name, from NAME=PATH."""
-    named = {}
-    for pair in pairs:
-        name, separator, path = pair.partition("=")
-        if not separator or not name or not path:
-            raise ConfigError(f"{option} {pair}: use NAME=PATH, for example {example}")
-        if name in named:
-            raise ConfigError(f"{option} {pair}: {name} is used twice; choose another name")
-        named[name] = Path(path)
-    return named
 
 
 def _render(command: Render) -> None:
@@ -584,64 +356,6 @@ def _demo(command: Demo) -> None:
     run_demo(command, _bundled_scene())
 
 
-def _synth(command: Synth) -> None:
-    try:
-        from mrgs_synth import synthesize
-    except ModuleNotFoundError as error:
-        if error.name != "mrgs_synth":
-            raise
-        raise ConfigError(
-            "the scene generator comes with a source checkout only: run `pip install -e "
-            "'.[synth]'` there"
-        ) from None
-
-    if not 0 <= command.seed <= MAX_SYNTH_SEED:
-        raise ConfigError(f"the seed must be from 0 to {MAX_SYNTH_SEED:,}, not {command.seed}")
-    if command.scene == "solar-plant":
-        _synth_plant(command)
-        return
-    with counter("rendering") as progress:
-        synthesize(
-            command.output,
-            scene=command.scene,
-            width=command.width,
-            height=command.height,
-            train_views=40 if command.train_views is None else command.train_views,
-            eval_views=command.eval_views,
-            samples=command.samples,
-            seed=command.seed,
-            bands=["nir"] if command.nir else [],
-            progress=progress,
-        )
-    print(f"scene: {command.output}")
-
-
-def _synth_plant(command: Synth) -> None:
-    from mrgs_synth.solar_plant import PlantOptions, synthesize_plant
-
-    if command.nir or command.train_views is not None:
-        raise ConfigError(
-            "solar-plant has no near-infrared photos, and as many training views as its overlap "
-            "asks for: leave out --nir and --train-views"
-        )
-    options = PlantOptions(
-        command.rows, command.modules, command.overlap, command.gps_noise,
-        command.eval_views, command.width, command.height, command.seed,
-    )  # fmt: skip
-    with counter("rendering") as progress:
-        views = synthesize_plant(command.output, options, progress)
-    print(f"scene: {command.output} ({views} training views)")
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"{path}: cannot be read as text ({getattr(error, 'strerror', 'not UTF-8')})"
-        ) from error
-
-
 def _bundled_scene() -> Path:
     """Folder of the bundled scene, in the installed package or the checkout."""
     package = Path(__file__).resolve().parents[1]
@@ -654,8 +368,8 @@ def _bundled_scene() -> Path:
 
 
 _COOPERATIVE: dict[type, Callable[[Any, Processes | None], int]] = {
-    Train: _train,
-    CompareMethods: _compare,
+    Train: train,
+    CompareMethods: compare,
 }
 """Commands that several processes can share."""
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
+from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
 from mrgs.app.style import say_note, styled
-from mrgs.app.terminal import PrepareProgress, TrainingProgress, counter, duration
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.pipeline.computer import free_disk

@@ -1,0 +1,191 @@
+"""``mrgs train``."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mrgs.app.arguments import read_text
+from mrgs.app.blocks import require_blocks, train_in_blocks
+from mrgs.app.commands import Train
+from mrgs.app.interrupts import Interrupted, interrupts
+from mrgs.app.progress import TrainingProgress
+from mrgs.app.terminal import note_gpu, print_viewer_address
+from mrgs.app.together import FollowingProgress
+from mrgs.errors import ConfigError, DeviceError
+
+if TYPE_CHECKING:
+    from mrgs.distributed.processes import Processes
+    from mrgs.runs.registry import Method
+    from mrgs.scene import Scene
+    from mrgs.training import StepStatistics, TrainConfig
+    from mrgs.viewer import LiveView
+
+
+def train(command: Train, processes: Processes | None) -> int:
+    """Train; returns the exit code.
+
+    Args:
+        command: its options.
+        processes: those that train together, if there are several.
+
+    Raises:
+        MrgsError: what was asked for cannot be done.
+        Interrupted: the training was interrupted, and has saved a checkpoint.
+    """
+    from mrgs.runs.open import method_of
+    from mrgs.runs.registry import find_method
+    from mrgs.system.gpu import HOST, choose_device
+    from mrgs.training.run_folder import RunFolder
+
+    if processes is not None:
+        processes.connect()
+    leads = processes is None or processes.is_first
+    output = _output(command)
+    goes_on = command.resume and leads and command.blocks is None
+    name = method_of(RunFolder(output)).name if goes_on else command.method
+    method = find_method(name if processes is None else processes.share_json(name))
+    _require_possible(command, method, processes)
+    require_blocks(command)
+    together = 1 if processes is None or command.blocks is not None else processes.count
+    batch = command.batch or together
+    config = _configured(command, method, command.max_steps, batch)
+    device = command.device if method.uses_gpu else "cpu"
+    if command.minutes is not None:
+        steps = _steps_in_time(command, method, config, device)
+        config = _configured(command, method, steps, batch)
+        if config.max_steps != steps:
+            raise ConfigError(
+                f"--minutes chooses the steps: leave max_steps out of {command.config}"
+            )
+    chosen = choose_device(device)
+    if command.blocks is not None:
+        train_in_blocks(command, output, config, device, processes)
+        return 0
+    progress: TrainingProgress | FollowingProgress = FollowingProgress()
+    if leads:
+        note_gpu(chosen)
+        progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
+    shows = command.view and leads
+    with progress, _live_view(output, command.port) if shows else nullcontext() as live:
+        method.train(
+            command.scene,
+            output,
+            config,
+            resume=command.resume,
+            accept_changes=command.accept_changes,
+            device=device,
+            plain=command.plain,
+            tensorboard=command.tensorboard,
+            **_hooks(progress, live),
+            **({"processes": processes} if processes and method.has_gaussians else {}),
+        )
+    if isinstance(progress, TrainingProgress):
+        _say_what_next(command, output, progress, processes)
+    elif interrupts.received is not None:
+        raise Interrupted
+    return 0
+
+
+def _configured(command: Train, method: Method, max_steps: int | None, batch: int) -> Any:
+    return method.configure(
+        command.preset,
+        max_steps=max_steps,
+        max_gaussians=command.max_gaussians,
+        resolution=command.resolution,
+        seed=command.seed,
+        batch=batch,
+        changes="" if command.config is None else read_text(command.config),
+        source=str(command.config),
+    )
+
+
+def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> int:
+    """Measure how fast the training is here, and say how many steps it gets."""
+    from mrgs.pipeline.time_limit import measure_pace, steps_within
+
+    assert command.minutes is not None
+    print("measuring the pace of a few steps", flush=True)
+    started = time.monotonic()
+    pace = measure_pace(method, command.scene, config, device=device, plain=command.plain)
+    left_s = command.minutes * 60 - (time.monotonic() - started)
+    most = config.densification.max_gaussians if method.has_gaussians else None
+    steps = steps_within(left_s, pace, most)
+    print(f"{steps:,} steps fit into {command.minutes:g} minutes", flush=True)
+    return steps
+
+
+def _require_possible(command: Train, method: Method, processes: Processes | None) -> None:
+    """Options that the method can follow.
+
+    Raises:
+        ConfigError: one needs Gaussians, and there are none.
+        DeviceError: the method cannot use a GPU.
+    """
+    needs = {"--view": command.view, "--max-gaussians": command.max_gaussians}
+    for option, value in {**needs, "--batch": command.batch}.items():
+        if value and not method.has_gaussians:
+            raise ConfigError(
+                f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
+            )
+    if command.minutes is not None:
+        if command.resume or command.max_steps is not None:
+            raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
+        if processes is not None and processes.count > 1:
+            raise ConfigError("--minutes measures one process: under torchrun, use --max-steps")
+        if not 0 < command.minutes < math.inf:
+            raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
+    if not method.has_gaussians and processes is not None and processes.count > 1:
+        raise ConfigError(f"{method.name} trains in one process: leave torchrun out")
+    if command.accept_changes and not command.resume:
+        raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
+    if command.device == "cuda" and not method.uses_gpu:
+        raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
+
+
+def _output(command: Train) -> Path:
+    """The run's folder."""
+    folder = command.scene.parent if command.scene.is_file() else command.scene
+    return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
+
+
+def _say_what_next(
+    command: Train, output: Path, progress: TrainingProgress, processes: Processes | None
+) -> None:
+    """How to go on with an unfinished run, or what to do with a finished one."""
+    if progress.unfinished or (processes is not None and processes.stopped):
+        go_on = shlex.join(
+            ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
+        )
+        print(f"checkpoint saved; resume with: {go_on}", file=progress.sink)
+        if progress.unfinished:
+            raise Interrupted
+        return  # another process was asked to stop
+    quoted = shlex.quote(str(output))
+    print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
+
+
+def _live_view(output: Path, port: int) -> LiveView:
+    from mrgs.viewer import LiveView
+
+    return LiveView(output, port=port, on_ready=print_viewer_address)
+
+
+def _hooks(progress: TrainingProgress | FollowingProgress, live: LiveView | None) -> dict[str, Any]:
+    """What ``train`` calls: the terminal's line, and the view if there is one."""
+    if live is None:
+        return {"on_start": progress.start, "on_step": progress.step}
+
+    def on_start(scene: Scene, config: TrainConfig) -> None:
+        progress.start(scene, config)
+        live.on_start(scene, config)
+
+    def on_step(statistics: StepStatistics) -> bool:
+        live.on_step(statistics)
+        return progress.step(statistics)
+
+    return {"on_start": on_start, "on_model": live.on_model, "on_step": on_step}
