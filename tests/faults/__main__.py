@@ -115,12 +115,12 @@ def _trained(folder: Path) -> Path:
 def _pytest(path: Path) -> Tally:
     """The tests of a file as cases."""
     found = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", str(path)],
+        [sys.executable, "-m", "pytest", "-n", "0", str(path)],
         cwd=HERE.parents[1], capture_output=True, text=True, check=False,
     )  # fmt: skip
     passed = re.search(r"(\d+) passed", found.stdout)
     failures = re.findall(r"^(?:FAILED|ERROR) (.*)$", found.stdout, re.MULTILINE)
-    if found.returncode != 0 and not failures:
+    if (found.returncode != 0 or passed is None) and not failures:
         failures = [f"pytest ended with status {found.returncode}: {found.stdout[-200:]!r}"]
     return Tally((int(passed[1]) if passed else 0) + len(failures), failures)
 

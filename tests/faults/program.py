@@ -187,3 +187,4 @@ def photos_of(scene: Path, folder: Path) -> tuple[object, ...]:
 def _as_in_a_terminal() -> None:
     """A background shell leaves Ctrl-C ignored."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
