@@ -91,9 +91,10 @@ def test_the_program_s_own_reader_opens_it(tmp_path):
     np.testing.assert_array_equal(positions.astype(np.float32), baked.means)
 
 
-def test_faces_are_lists(tmp_path):
+@pytest.mark.parametrize("dtype", [np.int32, np.int64])
+def test_faces_are_lists(tmp_path, dtype):
     columns = {"x": np.zeros(3, np.float32)}
-    faces = np.array([[0, 1, 2], [2, 1, 0]], np.int32)
+    faces = np.array([[0, 1, 2], [2, 1, 0]], dtype)
     path = write_ply(tmp_path / "m.ply", {"vertex": columns, "face": faces})
     np.testing.assert_array_equal(read_ply(path)[1]["face"], faces)
 

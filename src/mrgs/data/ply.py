@@ -61,8 +61,8 @@ def write_ply(
 
     Args:
         path: of the file.
-        elements: by name: columns, or a plain [N, K] array of int32, which is written as lists of K
-            ``vertex_indices``.
+        elements: by name: columns, or a plain [N, K] array of integers, which is written as lists
+            of K ``vertex_indices`` of 32 bits.
         comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.
 
     Raises:
@@ -234,7 +234,7 @@ def _records(element: Columns | np.ndarray, rows: slice) -> np.ndarray:
     """Some rows of an element as the file holds them."""
     columns: Columns
     if isinstance(element, np.ndarray):
-        indices = element[rows]
+        indices = element[rows].astype(np.int32)
         columns = {"count": np.full(len(indices), indices.shape[1], "u1"), "indices": indices}
     else:
         columns = {name: column[rows] for name, column in element.items()}
