@@ -164,6 +164,18 @@ def random_scene(
     return RasterizerScene(tensors, viewmat, K, width, height).to(torch.float32).to(dtype)
 
 
+def wide_and_flat(scene: RasterizerScene) -> RasterizerScene:
+    """The scene with its Gaussians 15 times as wide and parallel to the image, so that none reaches
+    the plane of the camera."""
+    means = scene.tensors["means"]
+    facing = {
+        "means": reference.to_camera(means, scene.viewmat.to(means)),
+        "quats": means.new_tensor([1.0, 0, 0, 0]).expand(len(means), 4).clone(),
+        "scales": scene.tensors["scales"] * means.new_tensor([15.0, 15.0, 0.1]),
+    }
+    return replace(scene, viewmat=torch.eye(4).to(scene.viewmat), tensors=scene.tensors | facing)
+
+
 def random_cotangents(raster: Raster, left_out: Bool[Tensor, "h w"], seed: int) -> list[Tensor]:
     """One random float64 weight per value of every image, blend by blend; 0 at the pixels to be
     left out.

@@ -27,6 +27,7 @@ from tests.helpers.rasterizers import (
     images_of,
     random_scene,
     render_and_differentiate,
+    wide_and_flat,
 )
 
 
@@ -83,17 +84,16 @@ def test_pixels_that_are_finished_early(rasterize):
     """A wall of opaque Gaussians before all others: the walks stop long before the lists do."""
     scene = random_scene(4, 30, 20, 12, dtype=torch.float32)
     tensors = dict(scene.tensors)
-    camera = scene.viewmat
-    wall = torch.tensor([[0.0, 0.0, 0.5]]).repeat(5, 1) - camera[:3, 3]
-    tensors["means"] = torch.cat([wall @ camera[:3, :3], tensors["means"][5:]])
-    tensors["scales"] = torch.cat(
-        [torch.tensor([[2.0, 1.5, 1.0]]).repeat(5, 1), tensors["scales"][5:]]
-    )
+    means = reference.to_camera(tensors["means"], scene.viewmat)
+    wall = {"means": [0.0, 0.0, 0.5], "quats": [1.0, 0.0, 0.0, 0.0], "scales": [2.0, 1.5, 0.1]}
+    for name, values in wall.items():
+        others = means if name == "means" else tensors[name]
+        tensors[name] = torch.cat([torch.tensor([values]).repeat(5, 1), others[5:]])
     for modality in ("rgb", "thermal"):
         tensors[f"{modality}.opacities"] = torch.cat(
             [torch.full((5,), 0.95), tensors[f"{modality}.opacities"][5:]]
         )
-    scene = replace(scene, tensors=tensors)
+    scene = replace(scene, tensors=tensors, viewmat=torch.eye(4))
     assert scene.render(rasterize).blends[0].alpha.min() > 0.9999
     assert_small(compare_with_oracle(rasterize, scene))
 
@@ -106,11 +106,10 @@ def test_wide_opaque_gaussians_meet_the_clamp_of_alpha(rasterize):
     ignores the clamp misses it.
     """
     scene = random_scene(0, 12, 20, 12, dtype=torch.float32)
-    wide_and_opaque = {
-        "scales": 15 * scene.tensors["scales"],
-        "rgb.opacities": torch.full((12,), 0.99999),
-    }
-    errors = compare_with_oracle(rasterize, replace(scene, tensors=scene.tensors | wide_and_opaque))
+    opaque = {"rgb.opacities": torch.full((12,), 0.99999)}
+    errors = compare_with_oracle(
+        rasterize, wide_and_flat(replace(scene, tensors=scene.tensors | opaque))
+    )
     assert_small(errors, gradient_error_max=1e-3)
 
 

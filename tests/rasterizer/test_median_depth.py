@@ -17,13 +17,12 @@ CENTRE = (7, 10)
 
 
 def on_axis(depths, opacities):
-    """Large round Gaussians on the optical axis, so that α is the opacity at the principal
-    point."""
+    """Round Gaussians on the optical axis, so that α is the opacity at the principal point."""
     count = len(depths)
     means = torch.zeros(count, 3, dtype=torch.float64)
     means[:, 2] = torch.tensor(depths)
     quats = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand(count, 4)
-    return means, quats, torch.full_like(means, 3.0), torch.tensor(opacities).double()
+    return means, quats, torch.full_like(means, 0.5), torch.tensor(opacities).double()
 
 
 def median_at_centre(depths, opacities):

@@ -135,6 +135,18 @@ def test_the_near_plane():
     assert at_centre(raster)[2] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("quaternion", [(1.0, 0, 0, 0), (1.0, 1.0, 0, 0), (0.9, -0.2, 0.3, 0.1)])
+def test_a_gaussian_that_reaches_the_plane_of_the_camera_is_left_out(quaternion):
+    """One standard deviation along the view's axis, however wide it is across."""
+    scales, quats = tensor([3.0, 0.9, 0.4]), tensor(quaternion)
+    R = reference.rotation_matrices(quats)[0]
+    reach = (R[2] * scales[0]).norm()
+    for z, is_drawn in ((reach * (1 - 1e-6), False), (reach * (1 + 1e-6), True)):
+        layer = grey([0.9], [1.0])
+        raster = rasterize(tensor([0.0, 0.0, z.item()]), quats, scales, [layer], *CAMERA)
+        assert (raster.radii > 0).tolist() == [is_drawn]
+
+
 @pytest.mark.parametrize("direction", [(0.3, -0.2), (0.72, 0.1), (-0.1, -0.55), (3.0, -2.0)])
 def test_projection_off_the_axis(direction):
     """Σ' of a round Gaussian is σ² J Jᵀ + 0.3 I, with u and v clamped 0.3 half fields of view
@@ -205,8 +217,11 @@ def walk_pixel(scene, modality, column, row):
             continue
         x, y = cameras[i, 0] / z, cameras[i, 1] / z
         u, v = np.clip((x, y), lowest, highest)
-        N = np.array([[fx / z, 0, -fx * u / z], [0, fy / z, -fy * v / z]]) @ viewmat[:3, :3]
-        N = N @ Rotation.from_quat(np.roll(t["quats"][i], -1)).as_matrix() @ np.diag(t["scales"][i])
+        axes = Rotation.from_quat(np.roll(t["quats"][i], -1)).as_matrix() @ np.diag(t["scales"][i])
+        axes = viewmat[:3, :3] @ axes
+        if np.linalg.norm(axes[2]) > z:
+            continue
+        N = np.array([[fx / z, 0, -fx * u / z], [0, fy / z, -fy * v / z]]) @ axes
         d = (
             np.array([column + 0.5, row + 0.5])
             - (fx * x + cx, fy * y + cy)

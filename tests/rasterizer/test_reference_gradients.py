@@ -13,14 +13,15 @@ from tests.helpers.rasterizers import random_cotangents, random_scene
 
 
 def smooth_scene(seed):
-    """Four large, half transparent Gaussians over an 5 × 4 image: far from every threshold, at
-    which α and T jump.
+    """Four large, half transparent Gaussians over a 5 × 4 image of a long lens: far from every
+    threshold, at which α and T jump.
 
     With o in [0.3, 0.7] and axes of 6 to 12 px around the middle of the image, each α lies between
     1/255 and 0.999 in each pixel, and T stays above 0.3⁴ > 1e-4. Steps of 1e-6 then never cross a
     threshold, nor reorder the depths.
     """
     scene = random_scene(seed, n=24, width=5, height=4)
+    scene = replace(scene, K=scene.K * scene.K.new_tensor([[4, 1, 1], [1, 4, 1], [1, 1, 1]]))
     keep = [i for i in range(24) if i % 10 and i % 3][
         :4
     ]  # in front of the camera, and not the huge ones

@@ -9,6 +9,10 @@ The image model, for the Gaussian i, the pixel centre x' and a layer with opacit
 μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I the EWA projection (px²). A Gaussian
 is left out of a pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that
 brings T below still counts). The depth is not divided by alpha, as in the paper.
+
+J expands the projection to first order about the centre, which means nothing for a Gaussian that
+reaches the plane of the camera: one whose standard deviation along the view's axis exceeds its
+depth z is left out.
 """
 
 from __future__ import annotations

@@ -164,16 +164,16 @@ def project(
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Splats:
-    """Drop what lies before the near plane, sort the rest by depth (ties by index) and project
-    it."""
-    means_camera = to_camera(means, viewmat)
-    in_front = torch.nonzero(means_camera[:, 2] >= NEAR_PLANE).squeeze(1)
-    indices = in_front[torch.argsort(means_camera[in_front, 2], stable=True)]
-    means_camera = means_camera[indices]
+    """Drop what lies before the near plane or reaches the plane of the camera, sort the rest by
+    depth (ties by index) and project it."""
+    means_camera, covs = to_camera(means, viewmat), covariances(quats, scales)
+    z, depth_variances = means_camera[:, 2], viewmat[2, :3] @ covs @ viewmat[2, :3]
+    in_front = torch.nonzero((z >= NEAR_PLANE) & (depth_variances <= z**2)).squeeze(1)
+    indices = in_front[torch.argsort(z[in_front], stable=True)]
+    means_camera, covs = means_camera[indices], covs[indices]
     means2d = perspective(means_camera, K)
     if means2d_offset is not None:
         means2d = means2d + means2d_offset[indices]
-    covs = covariances(quats[indices], scales[indices])
     covs2d = project_covariances(covs, jacobians(means_camera, K, width, height), viewmat)
     return Splats(indices, means2d, covs2d, means_camera[:, 2])
 
@@ -303,8 +303,8 @@ def extents_px(
     α reaches 1/255.
 
     That is at τ standard deviations, τ² = 2 ln(255 o). 0 for a Gaussian that no pixel can see:
-    before the near plane, o < 1/255, or the ellipse's bounding box misses the image [0, width] ×
-    [0, height].
+    not projected, o < 1/255, or the ellipse's bounding box misses the image [0, width] × [0,
+    height].
     """
     max_opacity = torch.stack(list(opacities)).amax(dim=0)
     tau_squared = (2 * torch.log(max_opacity / ALPHA_MIN)).clamp(min=0)

@@ -116,7 +116,19 @@ def read(page: Any, x: int, y: int) -> tuple[float, float]:
     return float(value.get_attribute("data-value")), float(value.get_attribute("data-depth"))
 
 
+def reaching_the_plane_of(camera: Camera, baked: BakedModel) -> BakedModel:
+    """The splats, of which the first two now lie before the camera: the first reaches the plane of
+    the camera, the second not quite."""
+    model = replace(baked, means=baked.means.clone(), scales=baked.scales.clone())
+    model.means[:2] = (camera.position + camera.viewmat[2, :3]).float()
+    model.scales[0], model.scales[1] = 1.02, 0.98
+    for opacities in model.opacities.values():
+        opacities[:2] = 0.3
+    return model
+
+
 def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path):
+    baked = reaching_the_plane_of(cameras["view 3"], baked)
     page = open_page(baked, viewport={"width": 800, "height": 420})
     page.select_option("#camera", "view 3")
     page.click("[data-modality=rgb]")

@@ -1,4 +1,5 @@
-// The image model of mrgs, as in its rasterizer: covariance plus 0.3 px², alpha from 1/255 to 0.999.
+// The image model of mrgs, as in its rasterizer: covariance plus 0.3 px², alpha from 1/255 to 0.999; what reaches the
+// camera's plane is left out.
 
 const SPLAT_VERTEX = `#version 300 es
 precision highp float;
@@ -78,6 +79,7 @@ void main() {
   vec3 jx = focal.x / mean.z * (vec3(rotation[0].x, rotation[1].x, rotation[2].x) - uv.x * depthRow);
   vec3 jy = focal.y / mean.z * (vec3(rotation[0].y, rotation[1].y, rotation[2].y) - uv.y * depthRow);
   mat3 sigma = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
+  if (dot(depthRow, sigma * depthRow) > mean.z * mean.z) return;
   float a = dot(jx, sigma * jx) + 0.3;
   float b = dot(jx, sigma * jy);
   float c = dot(jy, sigma * jy) + 0.3;

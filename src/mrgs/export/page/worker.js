@@ -185,6 +185,7 @@ function splatAt(camera, px, py, i, opacity) {
   const dy = py - (fy * slopeY + cy);
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
   if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + DILATION)) return null;
+  if (varianceAlong(r[6], r[7], r[8], 6 * i) > z * z) return null;
   const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
   const determinant = a * c - b * b;
   const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / determinant);
@@ -195,6 +196,13 @@ function splatAt(camera, px, py, i, opacity) {
 function clampSlope(slope, centre, focal, size) {
   const margin = (FRUSTUM_MARGIN * size) / (2 * focal);
   return Math.min(Math.max(slope, -centre / focal - margin), (size - centre) / focal + margin);
+}
+
+// Along a unit vector.
+function varianceAlong(x, y, z, at) {
+  const s = model.covariances;
+  return s[at] * x * x + s[at + 3] * y * y + s[at + 5] * z * z
+    + 2 * (s[at + 1] * x * y + s[at + 2] * x * z + s[at + 4] * y * z);
 }
 
 function projectedCovariance(r, kx, ky, u, v, at) {

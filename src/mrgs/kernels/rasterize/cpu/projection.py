@@ -2,9 +2,8 @@
 precision.
 
 With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
-rotation and
-scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
-    formed.
+rotation and scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
+is ever formed.
 """
 
 from __future__ import annotations
@@ -128,10 +127,14 @@ def project(
         point = _to_camera(means, viewmat, i)
         if point[2] < NEAR_PLANE or opacity < ALPHA_MIN:
             continue
+        rotation, _ = _rotation(quats, i)
+        axis = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
+        along_axis = _scaled(_row_times_matrix(axis, rotation), scales, i)
+        if _dot(along_axis, along_axis) > point[2] * point[2]:
+            continue
         u = _clamped_slope(point[0] / point[2], fx, cx, width)
         v = _clamped_slope(point[1] / point[2], fy, cy, height)
         m0, m1 = _jacobian_times_rotation(point, u, v, viewmat, fx, fy)
-        rotation, _ = _rotation(quats, i)
         n0 = _scaled(_row_times_matrix(m0, rotation), scales, i)
         n1 = _scaled(_row_times_matrix(m1, rotation), scales, i)
         xx, xy, yy = _covariance(n0, n1)

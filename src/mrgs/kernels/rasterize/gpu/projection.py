@@ -204,8 +204,9 @@ def project(
     scale = load_three(scales, i, inside)
     n0 = scaled(row_times_matrix(m0, row0, row1, row2), scale)
     n1 = scaled(row_times_matrix(m1, row0, row1, row2), scale)
+    along_axis = scaled(row_times_matrix(load_rotation(viewmat, 2), row0, row1, row2), scale)
     xx, xy, yy, determinant = covariance(n0, n1)
-    visible &= inside & (opacity >= ALPHA_MIN)
+    visible &= inside & (opacity >= ALPHA_MIN) & (dot(along_axis, along_axis) <= z * z)
     # dᵀ Σ'⁻¹ d where α = 1/255; not quite 0, so that the ellipse keeps its shape.
     reach = tl.maximum(2.0 * tl.log(tl.maximum(opacity, ALPHA_MIN) / ALPHA_MIN), 1e-12)
     mean_x = fx * x / z + cx + tl.load(means2d_offset + 2 * i, mask=inside, other=0.0)
