@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.app import terminal
 from mrgs.app.cli import main
 from mrgs.app.commands import PhotoOptions, flag_of
+from mrgs.app.progress import PrepareProgress
 from mrgs.check import Problem, SceneCheck
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import SceneError
@@ -170,7 +170,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(monkeypatch, capsys):
 def test_on_a_terminal_one_line_follows_the_step(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
-    with terminal.PrepareProgress() as progress:
+    with PrepareProgress() as progress:
         progress.step("poses: matching", 3, 7)
         progress.step("poses [mapping]", 0, 0)
         progress.stage(StageReport("poses", ("4 of 4.",), (), 61.0))

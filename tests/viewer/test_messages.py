@@ -8,7 +8,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.viewer.messages import Look, decode
+from mrgs.system.message import Message
+from mrgs.viewer.messages import Look, decode, encode
 
 LOOK = {
     "type": "look",
@@ -97,3 +98,10 @@ def test_whatever_a_look_says_it_gives_a_finite_camera_or_is_refused(changed):
     assert torch.isfinite(camera.K).all()
     assert torch.isfinite(camera.viewmat).all()
     assert 1 <= camera.width <= 4096
+
+
+def test_a_text_with_values_is_sent_as_text():
+    note = Message("The air is assumed to have {celsius} °C.", celsius="20")
+    assert json.loads(encode({"notes": (note,)})) == {
+        "notes": ["The air is assumed to have 20 °C."]
+    }

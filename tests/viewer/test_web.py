@@ -263,8 +263,9 @@ def test_nothing_is_drawn_unless_somebody_asks(viewer, monkeypatch):
         viewer.refresh("The model has changed.")
         assert (await answer(connection, "note"))["text"] == "The model has changed."
         (browser,) = viewer.browsers
+        while viewer.busy:
+            await asyncio.sleep(0.01)
         assert browser.inspection.drawn is None
-        assert not viewer.busy
 
     wait_until(lambda: not viewer.busy, "it has warmed up")
     browse(viewer, visit)

@@ -215,4 +215,11 @@ def decode(data: str | bytes) -> AnyMessage:
 
 def encode(value: object) -> str:
     """A message to a browser as JSON."""
-    return msgspec.json.encode(value).decode()
+    return msgspec.json.encode(value, enc_hook=_plain_text).decode()
+
+
+def _plain_text(value: object) -> str:
+    """A Message, or another kind of text, as JSON knows it."""
+    if isinstance(value, str):
+        return str(value)
+    raise NotImplementedError(f"{type(value)} cannot be sent to a browser")
