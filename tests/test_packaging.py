@@ -113,7 +113,7 @@ def test_the_metadata_is_whole(dist: Path) -> None:
     }
     assert versions == {"3.10", "3.11", "3.12", "3.13"}
     extras = set(metadata.get_all("Provides-Extra", []))
-    assert extras >= {"all", "sfm", "synth", "video", "view", "export", "tensorboard"}
+    assert extras >= {"all", "sfm", "synth", "video", "export", "tensorboard"}
 
 
 def test_the_readme_leads_somewhere_from_a_package_index(dist: Path) -> None:

@@ -718,7 +718,6 @@ def test_an_unfinished_run_is_used_and_said(small_scene, tmp_path, monkeypatch, 
 
 
 def test_view_serves_and_says_where_to_look(own_run, monkeypatch, capsys):
-    pytest.importorskip("websockets")
 
     def serve(run_, scene, host, port, on_ready) -> None:
         assert (scene.name, host, port) == (run_.load_scene().name, "127.0.0.1", 0)
@@ -730,7 +729,6 @@ def test_view_serves_and_says_where_to_look(own_run, monkeypatch, capsys):
 
 
 def test_a_training_can_be_watched(small_scene, tmp_path, capsys):
-    pytest.importorskip("websockets")
     assert (
         run("train", small_scene, "--output", tmp_path / "run", "--view", "--port", 0, *TINY) == 0
     )

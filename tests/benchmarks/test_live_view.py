@@ -5,15 +5,10 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
-import pytest
-
-from mrgs.runs.open import load_run
-from mrgs.training import make_config, train
-
-pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
-
 from benchmarks import live_view
 from benchmarks.live_view import ALONE, PAUSES_S, Turn, looks, to_markdown, watch
+from mrgs.runs.open import load_run
+from mrgs.training import make_config, train
 from mrgs.viewer.opening import open_viewer
 from mrgs.viewer.source import TrainedSource
 

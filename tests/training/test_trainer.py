@@ -281,6 +281,17 @@ def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path):
     assert [(scene.name, given) for scene, given in told] == [(small_scene.name, config)] * 2
 
 
+def test_start_is_told_before_the_model_is_made(small_scene, tmp_path, monkeypatch):
+    """Making it may compile for a while, and a terminal should not be silent meanwhile."""
+
+    def tell(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mrgs.training.trainer.initial_state", lambda *_: pytest.fail("made"))
+    with pytest.raises(KeyboardInterrupt):
+        train(small_scene, tmp_path / "run", short_config(), on_start=tell)
+
+
 def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {2, 3, 5, 6})
     folder = train(small_scene, tmp_path / "run", short_config(max_steps=8))

@@ -21,7 +21,6 @@ from mrgs.scene import THERMAL, Scene
 from mrgs.viewer.painting import NO_SURFACE_COLOR
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
-pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
 pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install playwright"
 )

@@ -22,13 +22,9 @@ from mrgs.scene import THERMAL, Blend, Camera, Gaussians, Rendering
 from mrgs.training import StepStatistics, make_config, train
 from mrgs.viewer import LiveView, view
 from mrgs.viewer.address import require_free
-from mrgs.viewer.source import LiveSource
-
-pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
-
-from mrgs.viewer import address
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.source import LiveSource
 
 
 def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
@@ -73,16 +69,6 @@ def test_addresses_that_cannot_be_are_named():
         require_free("127.0.0.1", 70000)
     with pytest.raises(ConfigError, match=r"cannot listen on no\.such\.invalid:8080"):
         require_free("no.such.invalid", 8080)
-
-
-def test_a_missing_extra_is_named(small_run, monkeypatch):
-    monkeypatch.setattr(address, "find_spec", lambda name: None)
-    for open_it in (lambda: view(small_run, None, port=0), lambda: LiveView("nowhere", port=0)):
-        with pytest.raises(
-            ConfigError,
-            match=r'the viewer needs websockets and msgspec: pip install "mrgs\[view\]"',
-        ):
-            open_it()
 
 
 def test_an_empty_model_is_named(small_run):

@@ -17,11 +17,6 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-
-from tests.helpers.browsers import wait_until
-
-pytest.importorskip("websockets", reason='the viewer needs websockets: pip install "mrgs[view]"')
-
 import websockets
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.asyncio.server import ServerConnection
@@ -29,6 +24,7 @@ from websockets.asyncio.server import ServerConnection
 from mrgs.errors import ConfigError
 from mrgs.viewer.opening import open_viewer
 from mrgs.viewer.web import Viewer
+from tests.helpers.browsers import wait_until
 from tests.viewer.test_messages import look
 
 VISITS = 85

@@ -215,7 +215,7 @@ class Train:
     tensorboard: bool = False
     """Also write the log to RUN/tensorboard. Needs mrgs[tensorboard]."""
     view: bool = False
-    """Show the model in the browser while it trains. Needs mrgs[view]."""
+    """Show the model in the browser while it trains."""
     port: int = 8080
     """TCP port of --view; 0 picks a free port."""
 
@@ -266,10 +266,7 @@ class Render:
 
 @dataclass(frozen=True)
 class ViewRun:
-    """Explore a run in the browser and read °C under the cursor.
-
-    Needs mrgs[view].
-    """
+    """Explore a run in the browser and read °C under the cursor."""
 
     run: RunPath
     """Run folder."""

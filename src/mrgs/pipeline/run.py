@@ -218,8 +218,9 @@ def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:
         with monitor.running(replace(planned, parts=parts), rest_s):
             files = stage.run(_reporting(Forecast(parts), monitor))
         job.ledger.finish(stage.name, made_from, files)
-        expected += sum(planned.parts.values())
-        taken += time.perf_counter() - started
+        if planned.number > 1:  # the first may wait for an answer, or find its results in a cache
+            expected += sum(planned.parts.values())
+            taken += time.perf_counter() - started
 
 
 def _reporting(forecast: Forecast, monitor: Monitor) -> Report:

@@ -61,7 +61,8 @@ def train(
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
         on_step: called after every step; returning True stops with a checkpoint.
-        on_start: called once before the first step with the scene and the configuration in force.
+        on_start: called once, before the model is made, with the scene and the configuration in
+            force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
             must not change, and with what the scene's cameras are taken to do to its renderings, as
             far as is learned by then.

@@ -53,6 +53,7 @@ def start_training(
     accept_changes: bool,
     plain: bool,
     tensorboard: bool,
+    on_start: Callable[[Scene, C], None] | None = None,
     read_config: Callable[[RunFolder], C],
     initial_state: Callable[[Scene, C], S],
     load_state: Callable[[Path, C], S],
@@ -68,6 +69,7 @@ def start_training(
         accept_changes: resume where photos, poses or intrinsics have changed.
         plain: run the plain definitions of all operations instead of kernels.
         tensorboard: also write the log to the run's folder ``tensorboard``.
+        on_start: called with the scene and the configuration in force, before the state is made.
         read_config: the configuration of the run that is continued.
         initial_state: the state at step 0.
         load_state: the state in a checkpoint.
@@ -99,6 +101,8 @@ def start_training(
     )
     warn_of_oddities(loaded, stacklevel=4)
     with folder.training(config, resume), plainly(plain):
+        if on_start is not None:
+            on_start(loaded, config)
         if peers is not None and not leads:
             state, facts = cast(Any, peers.receive(loaded, cast(Any, config)))
         elif resume:

@@ -79,6 +79,7 @@ def open_training(
     tensorboard: bool = False,
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
+    on_start: Callable[[Scene, TrainConfig], None] | None = None,
     processes: Processes | None = None,
     part: TrainingPart | None = None,
 ) -> Iterator[Trainer]:
@@ -104,6 +105,7 @@ def open_training(
             accept_changes=accept_changes,
             plain=plain,
             tensorboard=tensorboard,
+            on_start=on_start,
             read_config=lambda folder: folder.read_config(from_yaml),
             initial_state=at_start,
             load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
@@ -155,7 +157,8 @@ def train(
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
         on_step: called after every step; returning True stops with a checkpoint.
-        on_start: called once before the first step with the scene and the configuration in force.
+        on_start: called once, before the model is made, with the scene and the configuration in
+            force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
             must not change, and with what the scene's cameras are taken to do to its renderings, as
             far as is learned by then.
@@ -192,11 +195,10 @@ def train(
         tensorboard=tensorboard,
         strategy=strategy,
         terms=terms,
+        on_start=on_start,
         processes=processes,
         part=part,
     ) as trainer:
-        if on_start is not None:
-            on_start(trainer.scene, trainer.config)
         if on_model is not None:
             on_model(trainer.state.model, _response_of(trainer.state))
         trainer.check_kernels()

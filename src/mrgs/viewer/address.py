@@ -3,20 +3,8 @@
 from __future__ import annotations
 
 import socket
-from importlib.util import find_spec
 
 from mrgs.errors import ConfigError
-
-
-def require_web_server() -> None:
-    """Check that the extra ``view`` is installed.
-
-    Raises:
-        ConfigError: it is not.
-    """
-    missing = [name for name in ("websockets", "msgspec") if find_spec(name) is None]
-    if missing:
-        raise ConfigError(f'the viewer needs {" and ".join(missing)}: pip install "mrgs[view]"')
 
 
 def require_free(host: str, port: int) -> None:

@@ -15,7 +15,7 @@ from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene
 from mrgs.training import StepStatistics, TrainConfig
-from mrgs.viewer.address import require_free, require_web_server
+from mrgs.viewer.address import require_free
 from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource
 
@@ -52,9 +52,8 @@ def view(
 
     Raises:
         RunError: the model is empty.
-        ConfigError: the extra ``view`` is not installed, or the address or port cannot be used.
+        ConfigError: the address or port cannot be used.
     """
-    require_web_server()
     from mrgs.viewer.opening import open_viewer
 
     viewer = open_viewer(run, scene, host, port)
@@ -90,7 +89,6 @@ class LiveView:
         port: int = DEFAULT_PORT,
         on_ready: Callable[[str], None] | None = None,
     ) -> None:
-        require_web_server()
         require_free(host, port)
         self._output, self._host, self._port, self._on_ready = Path(output), host, port, on_ready
         self._source = LiveSource()

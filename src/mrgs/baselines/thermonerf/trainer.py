@@ -62,7 +62,8 @@ def train_thermonerf(
         tensorboard: also write the log to the run's folder ``tensorboard``.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         on_step: called after every step; returning True stops with a checkpoint.
-        on_start: called once before the first step with the scene and the configuration in force.
+        on_start: called once, before the model is made, with the scene and the configuration in
+            force.
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
@@ -85,13 +86,12 @@ def train_thermonerf(
         accept_changes=accept_changes,
         plain=plain,
         tensorboard=tensorboard,
+        on_start=on_start,
         read_config=_config_of,
         initial_state=initial_state,
         load_state=checkpoint.load_state,
     ) as run:
         trainer = _Trainer(run)
-        if on_start is not None:
-            on_start(run.scene, run.config)
         trainer.check_kernels()
         trainer.run(stop_at, on_step)
     return run.folder

@@ -10,12 +10,26 @@ function shape(name, attributes, parent, text) {
   return made;
 }
 
-// A cross with its label, which changes sides before the right edge.
+// The label of a place: on its other side where it would leave the picture, and lower where it would cover another one.
+function writeLabel(over, x, y, gap, text, right) {
+  const others = [...over.querySelectorAll("text")].map((each) => each.getBBox());
+  const label = shape("text", { x: x + gap, y }, over, text);
+  if (x + gap + label.getBBox().width > right) {
+    label.setAttribute("x", x - gap);
+    label.setAttribute("text-anchor", "end");
+  }
+  const own = label.getBBox();
+  const covers = (other) => own.x < other.x + other.width && other.x < own.x + own.width
+    && own.y < other.y + other.height && other.y < own.y + own.height;
+  for (const other of others.sort((a, b) => a.y - b.y)) if (covers(other)) own.y = other.y + other.height;
+  label.setAttribute("dy", own.y - label.getBBox().y);
+}
+
+// A cross with its label.
 function drawMark(over, x, y, label, right) {
   const cross = `M${x - 9} ${y}H${x + 9}M${x} ${y - 9}V${y + 9}`;
   for (const layer of ["under", "over"]) shape("path", { d: cross, class: layer }, over);
-  const left = x > right - 110;
-  shape("text", { x: left ? x - 13 : x + 13, y: y - 10, "text-anchor": left ? "end" : "start" }, over, label);
+  writeLabel(over, x, y - 10, 13, label, right);
 }
 
 // A line or an area with its label at the highest corner, and dots at its extremes; `at` maps its places to pixels.
@@ -29,8 +43,7 @@ function drawOutline(over, at, { corners, closed, label, low, high }, right) {
     shape("circle", { cx, cy, r: 4, class: name }, over);
   }
   const [x, y] = places.reduce((best, place) => (place[1] < best[1] ? place : best));
-  const left = x > right - 110;
-  shape("text", { x: left ? x - 6 : x + 6, y: Math.max(y - 8, 14), "text-anchor": left ? "end" : "start" }, over, label);
+  writeLabel(over, x, Math.max(y - 8, 14), 6, label, right);
 }
 
 // The values along a line as a small chart: pairs of distance and value, null where there is no surface.
