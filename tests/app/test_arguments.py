@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import mrgs
-from mrgs.app import commands
+from mrgs.app import commands, options
 from mrgs.app.cli import main
 from mrgs.app.style import styled
 from mrgs.export.formats import FORMATS
@@ -61,7 +61,7 @@ def test_help_explains_every_option(name, capsys):
     fields = [*dataclasses.fields(commands.COMMANDS[name])]
     if any(field.name == "photo" for field in fields):
         fields = [field for field in fields if field.name != "photo"]
-        fields += dataclasses.fields(commands.PhotoOptions)
+        fields += dataclasses.fields(options.PhotoOptions)
     for field in fields:
         positional = field.default is dataclasses.MISSING
         option = "positional arguments" if positional else f"--{field.name.replace('_', '-')} "

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from mrgs.app.arguments import flag_of
 from mrgs.app.cli import main
-from mrgs.app.commands import PhotoOptions, flag_of
+from mrgs.app.options import PhotoOptions
 from mrgs.app.progress import PrepareProgress
 from mrgs.check import Problem, SceneCheck
 from mrgs.data.radiometric import Overrides

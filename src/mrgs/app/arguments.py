@@ -4,15 +4,19 @@ exist."""
 from __future__ import annotations
 
 import difflib
+import inspect
+import re
 import sys
 from collections.abc import Sequence
+from functools import reduce
 from importlib.metadata import version
+from operator import or_
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
-from mrgs.app.commands import COMMANDS, any_command, summary_of
+from mrgs.app.commands import COMMANDS
 from mrgs.app.style import say_error, styled
 from mrgs.errors import ConfigError
 
@@ -56,6 +60,28 @@ def overview() -> str:
         f"{DESCRIPTION}\n\nusage: mrgs COMMAND [OPTIONS]\n\n{names}\n\n"
         "mrgs COMMAND --help lists the options of a command, mrgs --version prints the version."
     )
+
+
+def summary_of(command: type) -> str:
+    """The first paragraph of a command's help."""
+    return (inspect.getdoc(command) or "").partition("\n\n")[0].replace("\n", " ")
+
+
+def any_command() -> Any:
+    """The type of which every command is a subcommand, for shell completion."""
+    return reduce(
+        or_,
+        [
+            Annotated[kind, tyro.conf.subcommand(name, description=summary_of(kind))]
+            for name, kind in COMMANDS.items()
+        ],
+    )
+
+
+def flag_of(parameter: str) -> str:
+    """The flag of a parameter of the Python API, whose name may end with a unit:
+    ``thermal_fov_deg`` is --thermal-fov."""
+    return "--" + re.sub("_(c|m|s|deg)$", "", parameter).replace("_", "-")
 
 
 def _unknown(name: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mrgs.app.arguments import EXIT_USER_ERROR, parse
+from mrgs.app.arguments import EXIT_USER_ERROR, flag_of, parse
 from mrgs.app.commands import (
     Check,
     CompareMethods,
@@ -25,7 +25,6 @@ from mrgs.app.commands import (
     Synth,
     Train,
     ViewRun,
-    flag_of,
 )
 from mrgs.app.comparing import compare
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
