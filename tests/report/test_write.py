@@ -138,6 +138,25 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     assert "mrgs eval" not in page.text
 
 
+def test_what_the_parts_of_the_model_add_is_shown(run, tmp_path):
+    parts = {
+        "temperature_residual_std_c": 0.51239,
+        "heat_exchange_std_c": 0.0,
+        "color_residual_std": None,
+        "knock_out": {
+            "temperature_residual": {"thermal_psnr": 38.456, "rgb_psnr": 27.4, "truth_mae_c": None}
+        },
+    }
+    (run.folder.path / "eval" / "metrics.json").write_text(
+        json.dumps(METRICS | {"parts": parts}), encoding="utf-8"
+    )
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    assert "Temperaturanteil t̂ des Feldes 0,5124 °C" in text
+    assert "Wärmeaustausch 0,0000 °C" in text
+    assert "Farbanteil" not in text
+    assert "t̂ für alle gleich 38,46 27,40 –" in text
+
+
 def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(
         json.dumps(METRICS | {"steps": 30}), encoding="utf-8"
@@ -147,7 +166,15 @@ def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", ["{", "[]", '{"mean": {}}', '{"steps": 1, "mean": {"thermal": {"x": 1}, "rgb": {}}}']
+    "content",
+    [
+        "{",
+        "[]",
+        '{"mean": {}}',
+        '{"steps": 1, "mean": {"thermal": {"x": 1}, "rgb": {}}}',
+        '{"steps": 1, "mean": {}, "parts": {"heat_exchange_std_c": "much"}}',
+        '{"steps": 1, "mean": {}, "parts": {"knock_out": {"unknown": {}}}}',
+    ],
 )
 def test_foreign_metrics_are_named(run, tmp_path, content):
     (run.folder.path / "eval" / "metrics.json").write_text(content, encoding="utf-8")

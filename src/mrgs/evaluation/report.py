@@ -163,6 +163,13 @@ def write_report(
     return paths
 
 
+SPREADS = {
+    "temperature_residual_std_c": ("temperature residual t̂", " °C"),
+    "heat_exchange_std_c": ("heat exchange", " °C"),
+    "color_residual_std": ("colour residual ĉ", ""),
+}
+"""Names and units of the standard deviations in ``metrics.json``."""
+
 PART_NAMES = {
     "temperature_residual": "t̂ the same for all",
     "heat_exchange": "no heat exchange",
@@ -177,11 +184,7 @@ def _parts_text(parts: Parts) -> str:
     document = parts.to_document()
     spreads = [
         f"{name} {document[key]:.4f}{unit}"
-        for name, key, unit in (
-            ("temperature residual t̂", "temperature_residual_std_c", " °C"),
-            ("heat exchange", "heat_exchange_std_c", " °C"),
-            ("colour residual ĉ", "color_residual_std", ""),
-        )
+        for key, (name, unit) in SPREADS.items()
         if document[key] is not None
     ]
     rows = [

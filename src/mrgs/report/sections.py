@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from PIL import Image
 
 from mrgs.errors import RunError
 from mrgs.evaluation.figures import REPORTED
-from mrgs.evaluation.report import COLUMNS, heading
+from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS, heading
 from mrgs.marks.emissivity import records_of
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.report.texts import Texts
@@ -23,6 +23,9 @@ from mrgs.survey import Survey
 JPEG_QUALITY = 88
 SHEET_WIDTH_PX = 1600
 
+KNOCK_OUT_DECIMALS = {"thermal_psnr": 2, "rgb_psnr": 2, "truth_mae_c": 3}
+"""Figures of a knocked-out model, in the order of the report's columns."""
+
 
 class Scores(NamedTuple):
     """Contents of ``eval/metrics.json``.
@@ -30,10 +33,15 @@ class Scores(NamedTuple):
     Attributes:
         steps: training steps of the model that was scored.
         rows: name and value of each score.
+        spreads: name and standard deviation of what the paper's parts add to a Gaussian; empty for
+            a model without them.
+        knock_outs: what is knocked out of the model, then its scores without it.
     """
 
     steps: int
     rows: list[tuple[str, str]]
+    spreads: list[tuple[str, str]]
+    knock_outs: list[list[str]]
 
 
 def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]]:
@@ -145,11 +153,31 @@ def read_scores(run: Run, t: Texts) -> Scores | None:
         ]
         if not isinstance(document["steps"], int):
             raise ValueError("the number of steps is not a whole number")
-        return Scores(document["steps"], rows)
+        return Scores(document["steps"], rows, *_parts_rows(document.get("parts") or {}, t))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RunError(
             f"{path} is not what `mrgs eval` writes ({error}); run `mrgs eval` again"
         ) from error
+
+
+def _parts_rows(
+    parts: Mapping[str, Any], t: Texts
+) -> tuple[list[tuple[str, str]], list[list[str]]]:
+    """``spreads`` and ``knock_outs`` of ``Scores``."""
+    spreads = [
+        (t(name), t.number(f"{parts[key]:.4f}") + unit)
+        for key, (name, unit) in SPREADS.items()
+        if parts.get(key) is not None
+    ]
+    knock_outs = [
+        [t(PART_NAMES[part])]
+        + [
+            "–" if figures[name] is None else t.number(f"{figures[name]:.{decimals}f}")
+            for name, decimals in KNOCK_OUT_DECIMALS.items()
+        ]
+        for part, figures in parts.get("knock_out", {}).items()
+    ]
+    return spreads, knock_outs
 
 
 def read_contact_sheet(run: Run) -> InlineImage | None:
