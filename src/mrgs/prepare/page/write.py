@@ -222,7 +222,8 @@ def _time(stage: StageReport) -> str:
     if stage.reused:
         return "from before"
     minutes, seconds = divmod(int(stage.seconds), 60)
-    return f"{minutes} min {seconds:02d} s" if minutes else f"{stage.seconds:.1f} s"
+    text = f"{minutes} min {seconds:02d} s" if minutes else f"{stage.seconds:.1f} s"
+    return text.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def _temperatures(content: _Content, photos: ConvertedPhotos) -> Temperatures | None:
