@@ -9,6 +9,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
@@ -86,6 +87,17 @@ class Model:
             )
         return self.field.intensities(modality, self.gaussians, camera_position, degree, rows)
 
+    @torch.no_grad()
+    def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
+        """The z-depth at which half of a modality's light is blocked; NaN where less is; without
+        gradient."""
+        gaussians = self.gaussians
+        K, viewmat, _ = camera.tensors(gaussians.means.device)
+        return median_depth(
+            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(modality),
+            viewmat, K, camera.width, camera.height,
+        )  # fmt: skip
+
 
 class ScreenPoints(NamedTuple):
     """The projected centres of one pass, for densification.
@@ -150,10 +162,7 @@ def render(
         raster, projected = _pass(model, layers, camera)
         blends.update(zip(modalities, raster.blends, strict=True))
         if with_median_depth:
-            depths |= {
-                each: _median_depth(model, layer, camera)
-                for each, layer in zip(modalities, layers, strict=True)
-            }
+            depths |= {each: model.median_depth(each, camera) for each in modalities}
         points.append(projected)
     return Rendering({modality: blends[modality] for modality in cameras}, depths), points
 
@@ -211,8 +220,9 @@ def rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | 
     if not means.is_cpu:
         return None
     K, viewmat, _ = camera.tensors(means.device, means.dtype)
-    x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).unbind(dim=1)
-    largest = gaussians.log_scales.max(dim=1).values.exp()
+    # Rows of x, y and z: strides of three would keep torch from its vectors.
+    x, y, z = torch.addmm(viewmat[:3, 3:], viewmat[:3, :3], means.T)
+    largest = gaussians.log_scales.amax(dim=1).exp()
     in_view = z >= contract.NEAR_PLANE
     for across, focal, centre, size in (
         (x, K[0, 0], K[0, 2], camera.width),
@@ -225,7 +235,7 @@ def rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | 
         extent = (2 * math.log(1 / contract.ALPHA_MIN) * variance).sqrt()
         place = focal * slope + centre
         in_view &= (place + extent >= 0) & (place - extent <= size)
-    rows = in_view.nonzero()[:, 0]
+    rows = torch.from_numpy(np.flatnonzero(in_view.numpy()))
     return None if len(rows) > ALL_ROWS_FROM * len(means) else rows
 
 
@@ -261,12 +271,3 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         offset,
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))
-
-
-def _median_depth(model: Model, layer: Layer, camera: Camera) -> Float[Tensor, "h w"]:
-    gaussians = model.gaussians
-    K, viewmat, _ = camera.tensors(gaussians.means.device)
-    return median_depth(
-        gaussians.means, gaussians.quats, gaussians.scales, layer.opacities,
-        viewmat, K, camera.width, camera.height,
-    )  # fmt: skip

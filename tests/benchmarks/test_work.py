@@ -10,11 +10,13 @@ from __future__ import annotations
 import sys
 import tracemalloc
 
+import numpy as np
 import pytest
 
 from benchmarks.plan import ONE_RUN, Case
 from benchmarks.processes import measure_case, warm_up
 from benchmarks.stages.rasterizer import FusedPass, PassInStages
+from mrgs.kernels.rasterize.cpu.tiles import empty_splats, tile_lists
 
 SMALL = (5_000, 160, 120)
 """Gaussians, width, height."""
@@ -55,6 +57,22 @@ def test_records_are_as_large(steps):
     ) / len(lists.tile_splats)
     assert steps.splats.nbytes / len(steps.order) <= 64
     assert per_pair <= 56
+
+
+def test_records_do_not_lie_across_two_cache_lines(steps):
+    for records in (steps.splats, empty_splats(3), empty_splats(100_000)):
+        assert records.ctypes.data % 64 == 0
+        assert records.flags.c_contiguous
+
+
+def test_without_gradients_no_pairs_of_gaussians_are_listed(steps):
+    """The image's lists are the same; rendering and the median depth need no others."""
+    _, width, height = SMALL
+    lists = tile_lists(steps.splats, steps.order, 0, width, height)
+    assert np.array_equal(lists.tile_splats, steps.lists.tile_splats)
+    assert np.array_equal(lists.tile_starts, steps.lists.tile_starts)
+    assert lists.pair_positions.size == 0
+    assert lists.pair_starts.size == 1
 
 
 def test_the_fused_pass_allocates_as_little():

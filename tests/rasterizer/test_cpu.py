@@ -252,6 +252,12 @@ def test_gradients_flow_only_into_what_requires_them(rasterize):
     assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
 
 
+def test_images_are_the_same_without_gradients(rasterize):
+    scene = scene_of(5)
+    alone, expected = (images_of(each.render(rasterize)) for each in (scene, scene.with_leaves()))
+    assert all(torch.equal(*pair) for pair in zip(alone, expected, strict=True))
+
+
 def test_inputs_are_left_as_they_were(rasterize):
     scene = random_scene(18, dtype=torch.float32)
     before = {name: tensor.clone() for name, tensor in scene.tensors.items()}

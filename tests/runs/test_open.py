@@ -9,10 +9,11 @@ import torch
 import mrgs
 from mrgs.errors import DeviceError, RunError, SceneError
 from mrgs.evaluation import evaluate_run
+from mrgs.evaluation.evaluate import evaluate
 from mrgs.field import RadianceField
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
-from mrgs.scene import RGB, THERMAL, Rendering
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from mrgs.system.operation import PLAIN_VARIABLE
 from mrgs.training import make_config, train
 from tests.helpers.runs import trained_run
@@ -113,6 +114,29 @@ def test_a_gpu_without_enough_memory_to_render_is_said(run):
     assert (
         str(caught.value) == "the GPU's memory does not suffice to render 25 Gaussians: use the CPU"
     )
+
+
+class Counting(Model):
+    """A model that counts how often its median depth is found."""
+
+    found = 0
+
+    def median_depth(self, modality: Modality, camera: Camera) -> torch.Tensor:
+        Counting.found += 1
+        return super().median_depth(modality, camera)
+
+
+def test_scores_of_images_need_no_median_depth(run):
+    run = replace(run, model=Counting(**vars(run.model)))
+    scene = run.load_scene()
+    evaluate(scene.eval, run.render_view, scene.temperature, camera_response=run.camera_response)
+    assert Counting.found == 0
+    rendering = run.render_view(scene.eval[0])
+    surface = rendering.surface_depth(THERMAL)
+    assert Counting.found == 1
+    expected = run.model.median_depth(THERMAL, scene.eval[0].cameras[THERMAL])
+    covered = rendering[THERMAL].alpha >= 0.5
+    assert torch.equal(surface[covered], expected[covered])
 
 
 def test_a_gpu_that_cannot_be_used_is_said(run):

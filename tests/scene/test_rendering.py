@@ -84,6 +84,23 @@ def test_a_median_depth_comes_before_the_blended_one():
             torch.testing.assert_close(same.surface_depth(THERMAL), median, equal_nan=True)
 
 
+def test_a_median_depth_is_found_once_and_only_if_it_is_asked_for():
+    calls = []
+
+    def find() -> torch.Tensor:
+        calls.append(1)
+        return torch.tensor([[2.0, 3.0]])
+
+    blend = Blend(torch.zeros(1, 2, 1), torch.ones(1, 2), torch.ones(1, 2))
+    rendering = Rendering({THERMAL: blend}, {THERMAL: find})
+    others = [rendering.cpu(), rendering.with_images({})]
+    assert all(each.has_depth(THERMAL) for each in (rendering, *others))
+    assert not calls
+    for each in (rendering, *others, rendering):
+        assert torch.equal(each.surface_depth(THERMAL), torch.tensor([[2.0, 3.0]]))
+    assert len(calls) == 1
+
+
 def test_the_depth_is_that_of_the_first_or_of_another_that_has_one():
     unknown = Blend.of_image(torch.rand(3, 4, 3))
     assert make().with_depth(THERMAL) == THERMAL

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from mrgs.errors import ConfigError, DeviceError, RunError
 from mrgs.method.camera_model.image_model import ImageModel
@@ -52,10 +55,26 @@ class Run(TrainedRun):
     def modalities(self) -> tuple[Modality, ...]:  # noqa: D102
         return self.model.gaussians.modalities
 
-    def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:  # noqa: D102
+    def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
+        """The images; the depth of the surface is found when it is asked for."""
+        with self._enough_memory(), torch.no_grad():
+            rendering = render(self._rendered, cameras)[0].cpu()
+        depths = {each: partial(self._median_depth, each, cameras[each]) for each in rendering}
+        return Rendering(rendering, depths)
+
+    def _median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
+        with self._enough_memory():
+            return self._rendered.median_depth(modality, camera).cpu()
+
+    @contextmanager
+    def _enough_memory(self) -> Iterator[None]:
+        """Around what a GPU computes.
+
+        Raises:
+            DeviceError: its memory does not suffice.
+        """
         try:
-            with torch.no_grad():
-                return render(self._rendered, cameras, with_median_depth=True)[0].cpu()
+            yield
         except torch.cuda.OutOfMemoryError:
             raise DeviceError(
                 f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import NamedTuple, TypeAlias
 
 import torch
@@ -40,22 +41,30 @@ class Blend(NamedTuple):
         return cls(image, unknown, unknown)
 
 
+DepthFinder: TypeAlias = Callable[[], Float[Tensor, "h w"]]
+"""Finds a median depth when it is needed."""
+
+
 class Rendering(Mapping[Modality, Blend]):
     """What a model shows from one view: a ``Blend`` for each modality that has a camera.
 
     Args:
         blends: by modality.
         median_depths: z-depths at which half of the light is blocked, scene units, [H, W] each; NaN
-            where less than half is. Empty where they were not asked for, as in training.
+            where less than half is. Or functions that find them, which are called once, when the
+            depth is first read. Empty where they were not asked for, as in training.
     """
 
     def __init__(
         self,
         blends: Mapping[Modality, Blend],
-        median_depths: Mapping[Modality, Float[Tensor, "h w"]] | None = None,
+        median_depths: Mapping[Modality, Float[Tensor, "h w"] | DepthFinder] | None = None,
     ) -> None:
         self._blends = dict(blends)
-        self._median_depths = dict(median_depths or {})
+        self._median_depths = {
+            each: cache(depth) if callable(depth) else depth
+            for each, depth in (median_depths or {}).items()
+        }
 
     def __getitem__(self, modality: Modality) -> Blend:
         return self._blends[modality]
@@ -100,9 +109,11 @@ class Rendering(Mapping[Modality, Blend]):
             Scene units, NaN where there is no surface, [H, W].
         """
         _, depth, alpha = self[modality]
-        surface = self._median_depths.get(modality)
-        if surface is None:
+        median = self._median_depths.get(modality)
+        if median is None:
             surface = depth / alpha.clamp_min(min_alpha)
+        else:
+            surface = median() if callable(median) else median
         surface = torch.where(alpha < min_alpha, torch.nan, surface)
         if max_step is None:
             return surface
@@ -112,7 +123,7 @@ class Rendering(Mapping[Modality, Blend]):
         """The same images in the host's memory."""
         return Rendering(
             {each: Blend(*(tensor.cpu() for tensor in blend)) for each, blend in self.items()},
-            {each: depth.cpu() for each, depth in self._median_depths.items()},
+            {each: _on_host(depth) for each, depth in self._median_depths.items()},
         )
 
     def with_images(self, images: Mapping[Modality, Float[Tensor, "h w c"]]) -> Rendering:
@@ -134,6 +145,10 @@ recorded there."""
 def ideal_cameras(rendering: Rendering, camera: Camera) -> Rendering:
     """A camera response that changes nothing."""
     return rendering
+
+
+def _on_host(depth: Float[Tensor, "h w"] | DepthFinder) -> Float[Tensor, "h w"] | DepthFinder:
+    return (lambda: depth().cpu()) if callable(depth) else depth.cpu()
 
 
 def _depth_range(depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
+from mrgs.kernels.address import address
 from mrgs.kernels.dense.layers import SHARES
 from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
 from mrgs.kernels.require import require
@@ -64,19 +65,21 @@ def shade(
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
     if bands > MOST_BANDS:
         raise ValueError(f"there are at most {MOST_BANDS} bands of harmonics, not {bands}")
-    shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, bands, rows, np.float32(floor))
+    floors = (np.float32(floor),) * channels
+    shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, bands, rows, floors)
     return shaded
 
 
 class _Shade(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Tensor:
-        means, dc, rest, camera_position, bands, rows, floor = inputs
+        means, dc, rest, camera_position, bands, rows, floors = inputs
         tensors = [tensor.contiguous() for tensor in (means, dc, rest, camera_position, rows)]
-        ctx.save_for_backward(*tensors)
-        ctx.bands, ctx.floor = bands, floor
         values = np.empty((len(rows), dc.shape[2]), np.float32)
-        _forward(*(tensor.detach().numpy() for tensor in tensors), bands, floor, values)
+        is_clamped = np.empty(values.shape, np.bool_)
+        _forward(*(each.detach().numpy() for each in tensors), bands, floors, values, is_clamped)
+        ctx.save_for_backward(*tensors, torch.from_numpy(is_clamped))
+        ctx.bands, ctx.floors = bands, floors
         return torch.from_numpy(values)
 
     @staticmethod
@@ -84,63 +87,85 @@ class _Shade(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
         gradients = [np.zeros(array.shape, np.float32) for array in saved[:3]]
-        _backward(*saved, ctx.bands, ctx.floor, grads[0].contiguous().numpy(), *gradients)
+        _backward(*saved, ctx.bands, ctx.floors, grads[0].contiguous().numpy(), *gradients)
         means, dc, rest = (torch.from_numpy(array) for array in gradients)
+        if ctx.bands == 0:
+            return None, dc, rest if rest.shape[1] else None, None, None, None, None
         camera = -means.sum(dim=0) if ctx.needs_input_grad[3] else None
-        return means, dc, rest if rest.shape[1] else None, camera, None, None, None
+        return means, dc, rest, camera, None, None, None
+
+
+# The kernels take a floor for each channel: the length of a tuple is known to the compiler, which
+# unrolls the loops over the channels.
 
 
 @reordering_parallel_kernel
-def _forward(means, dc, rest, camera, rows, bands, floor, values):
+def _forward(means, dc, rest, camera, rows, bands, floors, values, is_clamped):
     for share in prange(SHARES):
-        basis = np.zeros(15, np.float32)
+        basis, value = np.zeros(15, np.float32), np.zeros(len(floors), np.float32)
         for place in range(
             np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES
         ):
             row = rows[place]
             x, y, z, _ = direction(means, camera, row)
             _set_basis(x, y, z, bands, basis)
-            for channel in range(dc.shape[2]):
-                value = _value(dc, rest, row, channel, basis, bands)
-                values[place, channel] = floor if value < floor else value  # so NaN stays
+            _sum_harmonics(dc, rest, row, basis, bands, value, floors)
+            for channel in range(len(floors)):
+                below = value[channel] < floors[channel]  # so NaN stays
+                is_clamped[place, channel] = below
+                values[place, channel] = floors[channel] if below else value[channel]
+
+
+@reordering_inner_function
+def _sum_harmonics(dc, rest, row, basis, bands, value, floors):
+    """Σ coefficients × basis + ½ of each channel."""
+    channels = len(floors)
+    constant, higher = address(dc, row * channels), address(rest, row * rest.shape[1] * channels)
+    sums = address(value, 0)
+    for channel in range(channels):
+        sums[channel] = _C0 * constant[channel] + _HALF
+    for band in range(bands):
+        for channel in range(channels):
+            sums[channel] += basis[band] * higher[band * channels + channel]
 
 
 @reordering_parallel_kernel
-def _backward(means, dc, rest, camera, rows, bands, floor, grad, grad_means, grad_dc, grad_rest):
+def _backward(
+    means, dc, rest, camera, rows, is_clamped, bands, floors, grad, grad_means, grad_dc, grad_rest
+):
     for share in prange(SHARES):
         basis, weights, g = (
             np.zeros(15, np.float32),
             np.zeros(15, np.float32),
-            np.zeros(dc.shape[2], np.float32),
+            np.zeros(len(floors), np.float32),
         )
         for place in range(
             np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES
         ):
             row = rows[place]
-            x, y, z, inverse = direction(means, camera, row)
-            _set_basis(x, y, z, bands, basis)
-            for channel in range(dc.shape[2]):
-                is_clamped = _value(dc, rest, row, channel, basis, bands) < floor
-                g[channel] = _ZERO if is_clamped else grad[place, channel]
+            for channel in range(len(floors)):
+                g[channel] = _ZERO if is_clamped[place, channel] else grad[place, channel]
                 grad_dc[row, 0, channel] = _C0 * g[channel]
-            for band in range(bands):
-                weight = _ZERO
-                for channel in range(dc.shape[2]):
-                    grad_rest[row, band, channel] = basis[band] * g[channel]
-                    weight += rest[row, band, channel] * g[channel]
-                weights[band] = weight
-            toward = _basis_gradient(x, y, z, weights, bands)
-            add_direction_gradient(x, y, z, inverse, toward, grad_means, row)
+            if bands > 0:
+                x, y, z, inverse = direction(means, camera, row)
+                _set_basis(x, y, z, bands, basis)
+                _spread_gradient(rest, row, basis, bands, g, grad_rest, weights, floors)
+                toward = _basis_gradient(x, y, z, weights, bands)
+                add_direction_gradient(x, y, z, inverse, toward, grad_means, row)
 
 
 @reordering_inner_function
-def _value(dc, rest, row, channel, basis, bands):
-    """Σ coefficients × basis + ½. Takes whole arrays: handing on a slice costs an atomic count of
-    references."""
-    total = _C0 * dc[row, 0, channel] + _HALF
+def _spread_gradient(rest, row, basis, bands, g, grad_rest, weights, floors):
+    """The gradients of a Gaussian's coefficients, and of the basis functions (``weights``)."""
+    channels = len(floors)
+    at = row * rest.shape[1] * channels
+    higher, grad_higher, of_channel = address(rest, at), address(grad_rest, at), address(g, 0)
     for band in range(bands):
-        total += basis[band] * rest[row, band, channel]
-    return total
+        weight = _ZERO
+        for channel in range(channels):
+            grad_higher[band * channels + channel] = basis[band] * of_channel[channel]
+            weight += higher[band * channels + channel] * of_channel[channel]
+        weights[band] = weight
 
 
 @reordering_inner_function

@@ -34,14 +34,15 @@ LARGEST_PX = 1e9
 
 @strict_inner_function()
 def _rotation(quats, i):
-    """Rotation matrix (three rows) of the normalised quaternion i, and the quaternion's length."""
+    """Rotation matrix (three rows) of the normalised quaternion i, that quaternion, and one over
+    the length that it had."""
     w, x, y, z = float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / length, x / length, y / length, z / length
+    inverse_length = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * inverse_length, x * inverse_length, y * inverse_length, z * inverse_length
     row0 = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
     row1 = (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x))
     row2 = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    return (row0, row1, row2), length
+    return (row0, row1, row2), (w, x, y, z), inverse_length
 
 
 @strict_inner_function()
@@ -56,16 +57,21 @@ def _to_camera(means, viewmat, i):
 
 
 @strict_inner_function()
-def _clamped_slope(slope, focal, centre, size):
-    """x/z (or y/z), clamped to the widened image: outside it the linearisation J would explode."""
+def _slope_limits(focal, centre, size):
+    """Smallest and largest x/z (or y/z) in J, those of the widened image: outside it the
+    linearisation would explode."""
     margin = MARGIN * 0.5 * size / focal
-    return min(max(slope, -centre / focal - margin), (size - centre) / focal + margin)
+    return -centre / focal - margin, (size - centre) / focal + margin
 
 
 @strict_inner_function()
-def _jacobian_times_rotation(point, u, v, viewmat, fx, fy):
+def _clamped(slope, limits):
+    return min(max(slope, limits[0]), limits[1])
+
+
+@strict_inner_function()
+def _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy):
     """The 2×3 matrix M = J R_w, with the clamped slopes u, v in J."""
-    inverse_z = 1.0 / point[2]
     row0 = (
         fx * inverse_z * (viewmat[0, 0] - u * viewmat[2, 0]),
         fx * inverse_z * (viewmat[0, 1] - u * viewmat[2, 1]),
@@ -121,20 +127,22 @@ def project(
         means2d_offset: pixels, [N, 2].
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    limits_u, limits_v = _slope_limits(fx, cx, width), _slope_limits(fy, cy, height)
     for i in prange(means.shape[0]):
         radii[i] = 0.0
         opacity = max(opacities[i, 0], opacities[i, 1])
         point = _to_camera(means, viewmat, i)
         if point[2] < NEAR_PLANE or opacity < ALPHA_MIN:
             continue
-        rotation, _ = _rotation(quats, i)
+        rotation, _, _ = _rotation(quats, i)
         axis = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
         along_axis = _scaled(_row_times_matrix(axis, rotation), scales, i)
         if _dot(along_axis, along_axis) > point[2] * point[2]:
             continue
-        u = _clamped_slope(point[0] / point[2], fx, cx, width)
-        v = _clamped_slope(point[1] / point[2], fy, cy, height)
-        m0, m1 = _jacobian_times_rotation(point, u, v, viewmat, fx, fy)
+        inverse_z = 1.0 / point[2]
+        u = _clamped(point[0] * inverse_z, limits_u)
+        v = _clamped(point[1] * inverse_z, limits_v)
+        m0, m1 = _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy)
         n0 = _scaled(_row_times_matrix(m0, rotation), scales, i)
         n1 = _scaled(_row_times_matrix(m1, rotation), scales, i)
         xx, xy, yy = _covariance(n0, n1)
@@ -175,8 +183,8 @@ def _screen_gradients(xx, xy, yy, g):
     With the conic Q = Σ'⁻¹ and d = pixel − μ', ln G' = −½ dᵀ Q d: so ∂L/∂μ' = Q Σ v d and
     ∂L/∂Σ' = ½ Q (Σ v d dᵀ) Q.
     """
-    determinant = xx * yy - xy * xy
-    a, b, c = yy / determinant, -xy / determinant, xx / determinant
+    inverse = 1.0 / (xx * yy - xy * xy)
+    a, b, c = yy * inverse, -xy * inverse, xx * inverse
     grad_mean = (
         a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY],
         b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY],
@@ -188,14 +196,9 @@ def _screen_gradients(xx, xy, yy, g):
 
 
 @strict_inner_function()
-def _quaternion_gradient(quats, i, length, g):
-    """∂L/∂quaternion from ∂L/∂R (three rows ``g``), through the normalisation."""
-    w, x, y, z = (
-        quats[i, 0] / length,
-        quats[i, 1] / length,
-        quats[i, 2] / length,
-        quats[i, 3] / length,
-    )
+def _quaternion_gradient(unit, inverse_length, g):
+    """∂L/∂quaternion from ∂L/∂R (three rows ``g``), through the normalisation to ``unit``."""
+    w, x, y, z = unit
     gw = 2 * (x * (g[2][1] - g[1][2]) + y * (g[0][2] - g[2][0]) + z * (g[1][0] - g[0][1]))
     gx = 2 * (
         y * (g[0][1] + g[1][0])
@@ -217,36 +220,36 @@ def _quaternion_gradient(quats, i, length, g):
     )
     along = gw * w + gx * x + gy * y + gz * z
     return (
-        (gw - along * w) / length,
-        (gx - along * x) / length,
-        (gy - along * y) / length,
-        (gz - along * z) / length,
+        (gw - along * w) * inverse_length,
+        (gx - along * x) * inverse_length,
+        (gy - along * y) * inverse_length,
+        (gz - along * z) * inverse_length,
     )
 
 
 @strict_inner_function()
 def _camera_point_gradient(
-    point, viewmat, fx, fy, cx, cy, width, height, grad_m0, grad_m1, grad_mean, grad_depth
+    point, inverse_z, u, v, viewmat, fx, fy, grad_m0, grad_m1, grad_mean, grad_depth
 ):
     """∂L/∂(centre in camera coordinates) from those of M = J R_w, of μ' and of the depth."""
-    x, y, z = point
-    u = _clamped_slope(x / z, fx, cx, width)
-    v = _clamped_slope(y / z, fy, cy, height)
+    slope_u, slope_v = point[0] * inverse_z, point[1] * inverse_z
     view0 = (viewmat[0, 0], viewmat[0, 1], viewmat[0, 2])
     view1 = (viewmat[1, 0], viewmat[1, 1], viewmat[1, 2])
     view2 = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
     grad_j00, grad_j02 = _dot(grad_m0, view0), _dot(grad_m0, view2)
     grad_j11, grad_j12 = _dot(grad_m1, view1), _dot(grad_m1, view2)
-    gx = fx / z * grad_mean[0]
-    gy = fy / z * grad_mean[1]
-    gz = grad_depth - (fx * x * grad_mean[0] + fy * y * grad_mean[1]) / (z * z)
-    gz -= (fx * (grad_j00 - u * grad_j02) + fy * (grad_j11 - v * grad_j12)) / (z * z)
-    if u == x / z:
-        gx -= fx / (z * z) * grad_j02
-        gz += fx * x / (z * z * z) * grad_j02
-    if v == y / z:
-        gy -= fy / (z * z) * grad_j12
-        gz += fy * y / (z * z * z) * grad_j12
+    per_x, per_y = fx * inverse_z, fy * inverse_z
+    gx, gy = per_x * grad_mean[0], per_y * grad_mean[1]
+    gz = grad_depth - slope_u * gx - slope_v * gy
+    gz -= inverse_z * (per_x * (grad_j00 - u * grad_j02) + per_y * (grad_j11 - v * grad_j12))
+    if u == slope_u:
+        by_slope = per_x * inverse_z * grad_j02
+        gx -= by_slope
+        gz += slope_u * by_slope
+    if v == slope_v:
+        by_slope = per_y * inverse_z * grad_j12
+        gy -= by_slope
+        gz += slope_v * by_slope
     return gx, gy, gz
 
 
@@ -258,17 +261,16 @@ def _combination(a, x, b, y):
 
 @strict_inner_function()
 def _geometry_gradient(
-    i, g, means, quats, scales, viewmat, K, width, height,
+    i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v,
     grad_means, grad_quats, grad_scales, grad_means2d,
 ):  # fmt: skip
     """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian
     i."""
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     point = _to_camera(means, viewmat, i)
-    u = _clamped_slope(point[0] / point[2], fx, cx, width)
-    v = _clamped_slope(point[1] / point[2], fy, cy, height)
-    m0, m1 = _jacobian_times_rotation(point, u, v, viewmat, fx, fy)
-    rotation, length = _rotation(quats, i)
+    inverse_z = 1.0 / point[2]
+    u, v = _clamped(point[0] * inverse_z, limits_u), _clamped(point[1] * inverse_z, limits_v)
+    m0, m1 = _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy)
+    rotation, unit, inverse_length = _rotation(quats, i)
     p0, p1 = _row_times_matrix(m0, rotation), _row_times_matrix(m1, rotation)
     n0, n1 = _scaled(p0, scales, i), _scaled(p1, scales, i)
     xx, xy, yy = _covariance(n0, n1)
@@ -285,23 +287,12 @@ def _geometry_gradient(
         _combination(m0[1], gp0, m1[1], gp1),
         _combination(m0[2], gp0, m1[2], gp1),
     )
-    gw, gx, gy, gz = _quaternion_gradient(quats, i, length, grad_rotation)
+    gw, gx, gy, gz = _quaternion_gradient(unit, inverse_length, grad_rotation)
     grad_quats[i, 0], grad_quats[i, 1], grad_quats[i, 2], grad_quats[i, 3] = gw, gx, gy, gz
     grad_m0 = (_dot(gp0, rotation[0]), _dot(gp0, rotation[1]), _dot(gp0, rotation[2]))
     grad_m1 = (_dot(gp1, rotation[0]), _dot(gp1, rotation[1]), _dot(gp1, rotation[2]))
     px, py, pz = _camera_point_gradient(
-        point,
-        viewmat,
-        fx,
-        fy,
-        cx,
-        cy,
-        width,
-        height,
-        grad_m0,
-        grad_m1,
-        grad_mean,
-        g[splat.GRAD_DEPTH],
+        point, inverse_z, u, v, viewmat, fx, fy, grad_m0, grad_m1, grad_mean, g[splat.GRAD_DEPTH]
     )
     for k in range(3):
         grad_means[i, k] = viewmat[0, k] * px + viewmat[1, k] * py + viewmat[2, k] * pz
@@ -314,6 +305,7 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
     for pair in range(first, last):
         ahead = pair_positions[min(pair + _PAIRS_AHEAD, pair_positions.size - 1)]
         prefetch(pair_grads, ahead * splat.GRAD_FLOATS)
+        prefetch(pair_grads, ahead * splat.GRAD_FLOATS + splat.GRAD_FLOATS - 1)
         at = pair_positions[pair] * splat.GRAD_FLOATS
         for k in range(splat.GRAD_FLOATS):
             total[k] += read(pair_grads, at + k)
@@ -334,6 +326,8 @@ def project_backward(
         grad_*: filled, with 0 for the Gaussians without pairs.
     """
     count = means.shape[0]
+    fx, fy = K[0, 0], K[1, 1]
+    limits_u, limits_v = _slope_limits(fx, K[0, 2], width), _slope_limits(fy, K[1, 2], height)
     for block in prange((count + _BLOCK - 1) // _BLOCK):
         g = np.empty(splat.GRAD_FLOATS)
         for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
@@ -353,6 +347,6 @@ def project_backward(
                 grad_features[i, channel] = g[splat.GRAD_COLOR + 1 + channel]
             grad_features[i, 3] = g[splat.GRAD_SCALAR + 1]
             _geometry_gradient(
-                i, g, means, quats, scales, viewmat, K, width, height,
+                i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v,
                 grad_means, grad_quats, grad_scales, grad_means2d,
             )  # fmt: skip

@@ -15,7 +15,13 @@ from mrgs.kernels.rasterize.cpu.blend import blend
 from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 from mrgs.kernels.rasterize.cpu.median import median
 from mrgs.kernels.rasterize.cpu.projection import project, project_backward
-from mrgs.kernels.rasterize.cpu.tiles import TileLists, depth_order, gather_splats, tile_lists
+from mrgs.kernels.rasterize.cpu.tiles import (
+    TileLists,
+    depth_order,
+    empty_splats,
+    gather_splats,
+    tile_lists,
+)
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import Layer, Raster
@@ -27,18 +33,20 @@ _SLOT_CHANNELS = (3, 1)
 
 
 class _FusedPass(torch.autograd.Function):
-    """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2]) ->
-    images, radii.
+    """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2],
+    camera, whether gradients are wanted) -> images, radii.
 
     The images are those of both slots: features, depth, T_end, features, depth, T_end.
     """
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
-        *tensors, viewmat, K, width, height = inputs
+        *tensors, viewmat, K, width, height, for_gradients = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         *gaussians, backgrounds, offset = (tensor.detach().numpy() for tensor in tensors)
-        splats, lists, radii = _listed_splats(gaussians, viewmat, K, width, height, offset)
+        splats, lists, radii = _listed_splats(
+            gaussians, viewmat, K, width, height, offset, for_gradients
+        )
         shapes = [
             shape
             for c in _SLOT_CHANNELS
@@ -79,7 +87,7 @@ class _FusedPass(torch.autograd.Function):
             np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)
         ]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
-        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None, None, None)
+        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), *[None] * 5)
 
 
 def _listed_splats(
@@ -89,6 +97,7 @@ def _listed_splats(
     width: int,
     height: int,
     offset: np.ndarray,
+    for_gradients: bool,
 ) -> tuple[np.ndarray, TileLists, np.ndarray]:
     """The projected Gaussians in depth order [V, 16], the tiles' lists of them, and the radii [N].
 
@@ -97,14 +106,16 @@ def _listed_splats(
         viewmat, K: float64.
         width, height: pixels.
         offset: of the projected centres, [N, 2].
+        for_gradients: whether the lists have the pairs of each Gaussian too.
     """
     count = gaussians[0].shape[0]
-    splats = np.empty((count, splat.SPLAT_FLOATS), np.float32)
+    splats = empty_splats(count)
     radii = np.empty(count, np.float32)
     project(*gaussians, viewmat, K, width, height, offset, splats, radii)
     order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
     splats = gather_splats(splats, order)
-    return splats, tile_lists(splats, order, count, width, height), radii
+    listed = count if for_gradients else 0
+    return splats, tile_lists(splats, order, listed, width, height), radii
 
 
 def median_depth(
@@ -131,7 +142,7 @@ def median_depth(
         tensor.detach().contiguous().numpy() for tensor in (means, quats, scales, both, features)
     ]
     splats, lists, _ = _listed_splats(
-        gaussians, _float64(viewmat), _float64(K), width, height, offset.numpy()
+        gaussians, _float64(viewmat), _float64(K), width, height, offset.numpy(), False
     )
     depth = np.empty((height, width), np.float32)
     median(splats, lists.tile_splats, lists.tile_starts, depth)
@@ -167,10 +178,11 @@ def rasterize(
     offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
     _check(means, quats, scales, opacities, features, backgrounds, offset)
     require_camera(viewmat, K, width, height)
+    inputs = (means, quats, scales, opacities, features, backgrounds, offset)
+    for_gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
     *images, radii = _FusedPass.apply(
-        means, quats, scales, opacities, features, backgrounds, offset,
-        _float64(viewmat), _float64(K), width, height,
-    )  # fmt: skip
+        *inputs, _float64(viewmat), _float64(K), width, height, for_gradients
+    )
     blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)
 

@@ -28,6 +28,9 @@ PREFETCH_AHEAD = 4
 """Records come in an order that the processor cannot foresee: each is asked for this many turns
 before it is read."""
 
+_CACHE_LINE = 64
+"""Bytes of a record, too."""
+
 _MOST_PAIRS = 2**31 - 1
 """The lists number pairs with 32 bits."""
 
@@ -73,15 +76,26 @@ def depth_order(depths, visible):
     return order
 
 
-@strict_parallel_kernel()
-def gather_splats(splats, order):
+def empty_splats(count: int) -> np.ndarray:
+    """Room for records, [N, 16], each in a cache line of its own; numpy's would lie across two."""
+    floats = np.empty((count + 1) * splat.SPLAT_FLOATS, np.float32)
+    first = -floats.ctypes.data % _CACHE_LINE // floats.itemsize
+    return floats[first : first + count * splat.SPLAT_FLOATS].reshape(count, splat.SPLAT_FLOATS)
+
+
+def gather_splats(splats: np.ndarray, order: np.ndarray) -> np.ndarray:
     """splats[order], in parallel."""
-    gathered = np.empty((order.size, splat.SPLAT_FLOATS), np.float32)
+    gathered = empty_splats(order.size)
+    _gather(splats, order, gathered)
+    return gathered
+
+
+@strict_parallel_kernel()
+def _gather(splats, order, gathered):
     source, target = pointer(splats), pointer(gathered)
     for rank in prange(order.size):
         prefetch(source, order[min(rank + PREFETCH_AHEAD, order.size - 1)] * splat.SPLAT_FLOATS)
         store(target, rank * splat.SPLAT_FLOATS, load(source, order[rank] * splat.SPLAT_FLOATS))
-    return gathered
 
 
 @strict_inner_function()
@@ -125,8 +139,9 @@ def _tile_columns(record, tile_row, tiles_x):
 
 @strict_parallel_kernel()
 def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
-    """Pairs per (chunk, tile) and per Gaussian."""
+    """Pairs per (chunk, tile) and, where there is room for them, per Gaussian."""
     count = splats.shape[0]
+    by_gaussian = pair_counts.size > 0
     for chunk in prange(CHUNKS):
         for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
             record = splats[rank]
@@ -137,7 +152,8 @@ def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
                 for column in range(first, last + 1):
                     chunk_counts[chunk, row * tiles_x + column] += 1
                     pairs += 1
-            pair_counts[order[rank]] = pairs
+            if by_gaussian:
+                pair_counts[order[rank]] = pairs
 
 
 @strict_kernel()
@@ -162,12 +178,13 @@ def _prefix_sums(chunk_counts, pair_counts):
 
 @strict_parallel_kernel()
 def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_splats, pair_positions):
-    """Write the lists, and for each Gaussian where its pairs stand in them."""
+    """Write the lists, and, where there is room, where each Gaussian's pairs stand in them."""
     count = splats.shape[0]
+    by_gaussian = pair_starts.size > 1
     for chunk in prange(CHUNKS):
         for rank in range(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS):
             record = splats[rank]
-            pair = pair_starts[order[rank]]
+            pair = pair_starts[order[rank]] if by_gaussian else 0
             first_row, last_row = _tile_rows(record, tiles_y)
             for row in range(first_row, last_row + 1):
                 first, last = _tile_columns(record, row, tiles_x)
@@ -175,7 +192,8 @@ def _fill(splats, order, tiles_x, tiles_y, next_position, pair_starts, tile_spla
                     position = next_position[chunk, row * tiles_x + column]
                     next_position[chunk, row * tiles_x + column] += 1
                     tile_splats[position] = rank
-                    pair_positions[pair] = position
+                    if by_gaussian:
+                        pair_positions[pair] = position
                     pair += 1
 
 
@@ -188,9 +206,9 @@ class TileLists(NamedTuple):
         tile_starts: the list of tile t is tile_splats[tile_starts[t]:tile_starts[t + 1]], int64
             [tiles + 1].
         pair_positions: positions in tile_splats of each Gaussian's pairs, one Gaussian after the
-            other, int32 [P].
+            other, int32 [P]; empty unless they were asked for.
         pair_starts: those of Gaussian i are pair_positions[pair_starts[i]:pair_starts[i + 1]],
-            int64 [N + 1].
+            int64 [N + 1]; [1] unless they were asked for.
     """
 
     tile_splats: np.ndarray
@@ -203,7 +221,7 @@ def tile_lists(
     splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int
 ) -> TileLists:
     """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians
-    ``order`` [V] of N.
+    ``order`` [V] of N = ``gaussians``; 0 if their pairs are not wanted, which gradients need.
 
     Raises:
         MrgsError: there are more pairs than the lists can number.
@@ -219,6 +237,6 @@ def tile_lists(
             f"{_MOST_PAIRS:,} can be drawn: render a smaller image, or fewer Gaussians"
         )
     tile_splats = np.empty(tile_starts[-1], np.int32)
-    pair_positions = np.empty(tile_starts[-1], np.int32)
+    pair_positions = np.empty(pair_starts[-1], np.int32)
     _fill(splats, order, tiles_x, tiles_y, chunk_counts, pair_starts, tile_splats, pair_positions)
     return TileLists(tile_splats, tile_starts, pair_positions, pair_starts)
