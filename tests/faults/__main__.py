@@ -22,6 +22,7 @@ from pathlib import Path
 
 from tests.faults import (
     fuzz,
+    injections,
     interruptions,
     kills,
     memory,
@@ -61,6 +62,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)
     yield "fuzzed messages to the viewer", lambda at: messages.messages(at, _trained(at), 5000)
+    yield "values put into trainings", lambda at: injections.values(at, 100)
     yield "memory estimates", memory.estimates
     for path in sorted(HERE.glob("test_*.py")):
         if path.name != "test_short.py":
