@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
+import torch
 
 from mrgs.data import load_scene
 from mrgs.method.config import make_config
-from mrgs.scene import THERMAL, View
+from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, View
 from mrgs.training.memory import estimate_bytes, peak_memory_bytes
 from tests.helpers.gaussians import NEAR_INFRARED
 
@@ -41,7 +43,7 @@ def test_every_modality_counts(small_scene):
         estimate_bytes(given, config, 1_001) - estimate_bytes(given, config, 1_000)
         for given in (scene, with_a_band)
     )
-    floats_with_adam = 4 * (1 + 16)
+    floats_with_adam = 6 * (1 + 16)
     assert with_band - per_gaussian == 4 * floats_with_adam
     assert estimate_bytes(with_a_band, config, 0) > estimate_bytes(scene, config, 0)
 
@@ -60,7 +62,24 @@ def test_photos_are_kept_with_their_channels(small_scene):
     fewer = replace(scene, train=scene.train[:-1])
     camera = scene.train[-1].camera
     difference = estimate_bytes(scene, config, 100) - estimate_bytes(fewer, config, 100)
-    assert difference == (3 * 1 + 4) * camera.width * camera.height
+    assert difference == (3 + 1) * camera.width * camera.height
+
+
+def test_temperatures_that_are_no_grey_levels_are_kept_as_floats(small_scene):
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
+    uneven = replace(
+        scene, train=tuple(replace(view, images=_uneven(view.images)) for view in scene.train)
+    )
+    more = estimate_bytes(uneven, config, 100) - estimate_bytes(scene, config, 100)
+    assert more == (4 - 1) * pixels
+
+
+def _uneven(images: Mapping[Modality, PosedImage]) -> dict[Modality, PosedImage]:
+    """The images of a view, with a temperature in each thermal one that 8 bits do not hold."""
+    camera = images[THERMAL].camera
+    values = torch.full((camera.height, camera.width, 1), 0.1234)
+    return {**images, THERMAL: PosedImage(camera, lambda: Pixels(values))}
 
 
 def test_peak_is_that_of_a_process_with_torch_in_it():

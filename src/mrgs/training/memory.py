@@ -20,8 +20,9 @@ _FLOAT = 4
 _GEOMETRY = 3 + 4 + 3
 """Centre, rotation and scales; each modality adds an opacity and its spherical harmonics."""
 
-_ADAM_COPIES = 4
-"""Parameter, gradient and two moments."""
+_PEAK_COPIES = 6
+"""Parameter and two moments, before and after a densification; a step needs a gradient beside
+them."""
 
 _STORED_COPIES = 3
 """Parameter and two moments."""
@@ -32,14 +33,15 @@ _STATISTICS = 8
 _WEIGHTS_BYTES = 2**20
 """Heads, image model and their moments."""
 
-_BASE_BYTES = 560 * 2**20
+_BASE_BYTES = 575 * 2**20
 """Interpreter, torch, Numba and the compiled kernels, as measured."""
 
 _COMPILER_BYTES = 220 * 2**20
 """What the compiler keeps in a process that compiles the kernels, as measured."""
 
 _RASTER_FLOATS_PER_GAUSSIAN = 80
-"""The projected record, and about four tiles per Gaussian with their gradient moments."""
+"""The projected record, and about four tiles per Gaussian with their gradient moments; the C
+library keeps them when they are freed."""
 
 _PIXEL_FLOATS = 28
 """Images and gradients per pixel."""
@@ -55,11 +57,14 @@ def estimate_bytes(
         config: of the run.
         gaussians: how many.
         compiles: the process compiles the kernels, because none are saved.
+
+    Raises:
+        SceneError: the first photo of a modality cannot be read.
     """
     field = config.field
     parameters = _parameters(config, scene.modalities, Capture.of(scene))
     activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
-    per_gaussian = _FLOAT * (_ADAM_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
+    per_gaussian = _FLOAT * (_PEAK_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
     pixels = max(
         sum(camera.width * camera.height for camera in view.cameras.values())
         for view in scene.train

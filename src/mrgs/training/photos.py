@@ -129,13 +129,19 @@ def kept_limit(processes: int = 1) -> int:
 
 
 def kept_bytes(scene: Scene) -> int:
-    """Bytes that the training photos of a scene take if all of them are kept: a byte per channel of
-    8-bit photos, and four of temperatures."""
-    return sum(
-        bytes_per_pixel(modality) * camera.width * camera.height
-        for view in scene.train
-        for modality, camera in view.cameras.items()
-    )
+    """Bytes that the training photos of a scene take if all of them are kept, by how the first of
+    each modality is.
+
+    Raises:
+        SceneError: that photo cannot be read.
+    """
+    total = 0.0
+    for modality in scene.modalities:
+        photos = scene.train_photos(modality)
+        first = photos[0].camera
+        size = _Stored.of(photos[0].load(), exact=False).nbytes / (first.width * first.height)
+        total += size * sum(each.camera.width * each.camera.height for each in photos)
+    return round(total)
 
 
 def bytes_per_pixel(modality: Modality) -> int:

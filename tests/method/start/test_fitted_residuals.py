@@ -79,3 +79,21 @@ def test_an_edited_equation_is_fitted_and_not_its_kernel(monkeypatch) -> None:
     assert edited.rejected
     found = temperatures_of(field, gaussians)
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
+
+
+def test_the_kernel_is_checked_on_few_gaussians(monkeypatch) -> None:
+    """The plain definition takes memory for all that it is given."""
+    operation = RadianceField.temperature_residuals
+    sizes = []
+
+    def plain(field: RadianceField, gaussians: Gaussians, *others: object) -> torch.Tensor:
+        sizes.append(len(gaussians))
+        return operation.plain(field, gaussians, *others)
+
+    checked = Operation(plain)
+    checked.name = operation.name
+    monkeypatch.setattr(RadianceField, "temperature_residuals", checked)
+    monkeypatch.setattr("mrgs.method.start.fitted_residuals.ROWS", 50)
+    fit_residuals(*start(), 2, torch.Generator().manual_seed(0))
+    assert set(sizes) == {50}
+    assert not checked.rejected

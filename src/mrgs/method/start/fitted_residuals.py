@@ -55,9 +55,7 @@ def fit_residuals(
 
     with torch.no_grad():
         field.temperature_output.bias.fill_(target[known].mean() / field.config.temperature_scale)
-    with checking(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", KernelWarning)  # the training's own check names the kernel
-        residuals_of(known[:ROWS])
+    _check_kernel(field, gaussians.rows(known[:ROWS]))
     adam = torch.optim.Adam(field.parameters(), lr=RATE, fused=True)
     for step in range(steps):
         adam.param_groups[0]["lr"] = RATE * (1 - step / steps)
@@ -68,3 +66,13 @@ def fit_residuals(
     with torch.no_grad():
         own = (target - residuals_of(None)).nan_to_num(nan=0.0)
         gaussians.sh_dc[THERMAL].copy_((own / C0)[:, None])
+
+
+def _check_kernel(field: RadianceField, sample: Gaussians) -> None:
+    """Compare the kernel with the plain definition, on few Gaussians: that takes memory for all
+    that it is given."""
+    k = field.config.neighbours_k
+    neighbours = nearest_neighbours(sample.means, k) if k > 0 else None
+    with checking(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", KernelWarning)  # the training's own check names the kernel
+        field.temperature_residuals(sample, neighbours, torch.arange(len(sample)), 0)
