@@ -135,7 +135,7 @@ def median_depth(
     """
     count = means.shape[0]
     both = torch.stack([opacities.detach(), opacities.new_zeros(count)], dim=1)
-    features, offset = means.new_zeros(count, 4), means.new_zeros(count, 2)
+    features, offset = _zeros(count, 4), _zeros(count, 2)
     _check(means, quats, scales, both, features, means.new_zeros(4), offset)
     require_camera(viewmat, K, width, height)
     gaussians = [
@@ -175,7 +175,7 @@ def rasterize(
     opacities, features, backgrounds = _merge_layers(
         dict(zip(channels, layers, strict=True)), means.shape[0]
     )
-    offset = means.new_zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
+    offset = _zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
     _check(means, quats, scales, opacities, features, backgrounds, offset)
     require_camera(viewmat, K, width, height)
     inputs = (means, quats, scales, opacities, features, backgrounds, offset)
@@ -185,6 +185,11 @@ def rasterize(
     )
     blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)
+
+
+def _zeros(rows: int, columns: int) -> Tensor:
+    """Zeros that are only read: numpy's take no memory until they are written, torch's do."""
+    return torch.from_numpy(np.zeros((rows, columns), np.float32))
 
 
 def _check(means: Tensor, *others: Tensor) -> None:
