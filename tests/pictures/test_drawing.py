@@ -61,6 +61,18 @@ def test_dashes_that_the_font_lacks_are_drawn_as_hyphens() -> None:
     assert images[0].min() < 255
 
 
+def test_a_minus_is_drawn_as_wide_as_a_plus() -> None:
+    bars = []
+    for text in ("−", "-"):
+        image = Image.new("RGB", (60, 40), "white")
+        draw_text(image, (30, 20), text, 30, anchor="mm")
+        bars.append(np.argwhere(np.asarray(image).min(axis=2) < 128))
+    minus, hyphen = bars
+    assert np.ptp(minus[:, 1]) > 1.5 * np.ptp(hyphen[:, 1])
+    assert minus[:, 1].mean() == pytest.approx(30, abs=1)
+    assert text_width("−1", 30) == pytest.approx(text_width("+1", 30))
+
+
 def test_letters_that_the_font_lacks_are_written_with_others() -> None:
-    assert drawable("Türsturz groß, côté − 3 °C ± 1") == "Tuersturz gross, cote - 3 °C ± 1"
+    assert drawable("Türsturz groß, côté − 3 °C ± 1") == "Tuersturz gross, cote − 3 °C ± 1"
     assert drawable("m² 中") == "m2 ?"

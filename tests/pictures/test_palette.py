@@ -81,7 +81,7 @@ def test_ticks_by_hand() -> None:
     assert round_ticks(8.0, 41.0, 5) == [10.0, 20.0, 30.0, 40.0]
     assert round_ticks(-0.2, 0.2, 4) == [-0.2, -0.1, 0.0, 0.1, 0.2]
     assert round_ticks(5.0, 3.0, 2) == [3.0, 4.0, 5.0]
-    assert tick_labels([-0.5, 0.0, 0.5]) == ["-0.5", "0.0", "0.5"]
+    assert tick_labels([-0.5, 0.0, 0.5]) == ["−0.5", "0.0", "0.5"]
     assert tick_labels([10.0, 20.0]) == ["10", "20"]
     assert tick_labels([0.025, 0.05]) == ["0.025", "0.050"]
 
@@ -95,7 +95,9 @@ def test_ticks_lie_inside_and_are_evenly_spaced(low: float, span: float, count: 
     )
     steps = np.diff(ticks)
     assert all(math.isclose(step, steps[0], rel_tol=1e-6) for step in steps)
-    assert [float(label) for label in tick_labels(ticks)] == pytest.approx(ticks, abs=1e-6)
+    assert [float(label.replace("−", "-")) for label in tick_labels(ticks)] == pytest.approx(
+        ticks, abs=1e-6
+    )
 
 
 def test_display_range_is_never_empty() -> None:

@@ -1,5 +1,5 @@
 """Text and scale bars on Pillow images, in the one font that comes with Pillow (it knows ASCII, °,
-± and ·: letters of other languages are written with those)."""
+± and ·: letters of other languages are written with those, and the minus sign is drawn)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,15 @@ MUTED = (104, 111, 124)
 HAIRLINE = (222, 225, 230)
 PAPER = (255, 255, 255)
 
-_KNOWN = "°±·"
+MINUS = "−"
+_MINUS_SHARE = 0.09
+"""Thickness of a minus sign, as a share of the size of the text."""
+
+_KNOWN = f"°±·{MINUS}"
 """Beyond ASCII."""
 
 _REPLACED = str.maketrans(
-    {"–": "-", "—": "-", "−": "-", "×": "x", "∞": "inf", "ß": "ss", "œ": "oe", "Œ": "Oe"}
+    {"–": "-", "—": "-", "×": "x", "∞": "inf", "ß": "ss", "œ": "oe", "Œ": "Oe"}
     | {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "æ": "ae", "ø": "o"}
 )
 
@@ -66,12 +70,38 @@ def draw_text(
     bold: bool = False,
 ) -> None:
     """Draw one line; ``anchor`` as in Pillow ("ls": position is the left end of the baseline)."""
-    draw = ImageDraw.Draw(image)
-    text = drawable(text)
+    draw, font = ImageDraw.Draw(image), _font(size)
+    text, vertical = drawable(text), anchor[1]
+    left = position[0] - _BEFORE[anchor[0]] * text_width(text, size)
     for shift in (0.0, 0.5) if bold else (0.0,):
-        draw.text(
-            (position[0] + shift, position[1]), text, font=_font(size), fill=color, anchor=anchor
-        )
+        x, y = left + shift, position[1]
+        for number, part in enumerate(text.split(MINUS)):
+            if number:
+                _draw_minus(draw, (x, y), size, color, vertical)
+                x += font.getlength("+")
+            draw.text((x, y), part, font=font, fill=color, anchor=f"l{vertical}")
+            x += font.getlength(part)
+
+
+_BEFORE = {"l": 0.0, "m": 0.5, "r": 1.0}
+"""Share of a line that lies to the left of its position, by the first letter of the anchor."""
+
+
+def _draw_minus(
+    draw: ImageDraw.ImageDraw,
+    position: tuple[float, float],
+    size: int,
+    color: tuple[int, int, int],
+    vertical: str,
+) -> None:
+    """Draw the bar of the font's plus."""
+    left, top, right, bottom = _font(size).getbbox("+", anchor=f"l{vertical}")
+    margin = 0.12 * (right - left)
+    thickness = max(1, round(_MINUS_SHARE * size))
+    x, y = position
+    first = round(y + (top + bottom - thickness) / 2)
+    ends = round(x + left + margin), round(x + right - margin)
+    draw.rectangle((ends[0], first, ends[1], first + thickness - 1), fill=color)
 
 
 def draw_plate(image: Image.Image, box: Box, text: str, size: int) -> None:
@@ -84,7 +114,7 @@ def draw_plate(image: Image.Image, box: Box, text: str, size: int) -> None:
 
 def text_width(text: str, size: int) -> float:
     """Width of a line in pixels."""
-    return _font(size).getlength(drawable(text))
+    return _font(size).getlength(drawable(text).replace(MINUS, "+"))
 
 
 def drawable(text: str) -> str:

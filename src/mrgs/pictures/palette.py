@@ -104,7 +104,7 @@ def tick_labels(ticks: list[float]) -> list[str]:
             math.isclose(round(tick, decimals), tick, rel_tol=1e-9, abs_tol=1e-9) for tick in ticks
         ):
             break
-    return [f"{tick:.{decimals}f}" for tick in ticks]
+    return [f"{tick:.{decimals}f}".replace("-", "−") for tick in ticks]
 
 
 def display_range(values: Float[np.ndarray, "..."], tail: float = 0.5) -> tuple[float, float]:
