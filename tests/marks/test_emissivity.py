@@ -18,7 +18,7 @@ from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.regions import Regions
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import THERMAL
+from mrgs.scene import THERMAL, Camera, Rendering
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
 from tests.helpers.flir import FlirPhoto
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall, wall_celsius
@@ -84,6 +84,25 @@ def test_a_region_is_corrected_from_every_side_and_nothing_else():
     wanted = capture.corrected(before[inside].astype(np.float64), SurfaceSettings(0.6, -10.0))
     np.testing.assert_allclose(after[inside], wanted, atol=1e-4)
     assert (after[inside] - before[inside]).min() > 5
+
+
+def test_the_edge_of_a_flat_region_is_straight_where_depths_are_uneven():
+    """From the side, a depth that is off shifts a pixel along the wall."""
+    generator = torch.Generator().manual_seed(0)
+
+    def render_uneven(camera: Camera) -> Rendering:
+        blend = render_wall(camera)[THERMAL]
+        share = 0.02 * (2 * torch.rand(blend.depth.shape, generator=generator).double() - 1)
+        return Rendering({THERMAL: blend._replace(depth=blend.depth * (1 + share))})
+
+    camera = camera_before_wall(-5.0)
+    before = render_wall(camera)[THERMAL].image[..., 0]
+    points = camera.unproject_image(render_wall(camera).surface_depth(THERMAL)).numpy()
+    x, _, z = np.moveaxis(points, -1, 0)
+    after = Regions(Marks((BOX,)), render_uneven, RANGE, CaptureSettings()).render(camera)
+    changed = (after[THERMAL].image[..., 0] != before).numpy()
+    assert changed[(x > 0.02) & (x < 0.98) & (z > 0.02) & (z < 0.98)].all()
+    assert not changed[~((x > -0.02) & (x < 1.02) & (z > -0.02) & (z < 1.02))].any()
 
 
 def test_what_is_measured_in_a_region_is_corrected():

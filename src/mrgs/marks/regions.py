@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,9 +15,11 @@ from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.surface import (
     SeenSurface,
     SurfaceRenderer,
+    fitted_plane,
     measuring_camera,
     outline_mask,
     pixels_of,
+    rays_of,
     see,
     seen_depth,
 )
@@ -28,6 +31,52 @@ REGION_DEPTH = 0.08
 """A point belongs to a region if its distance from the eye differs from that of the surface by less
 than this share: more than the depths of a model differ from view to view."""
 
+FLAT, FLAT_PERCENT = 0.02, 90
+"""A region is flat if so many per cent of its depths are within this share of those of a plane."""
+
+MOST_FITTED = 4_000
+"""Pixels of a region that its plane is found by."""
+
+
+class Plane(NamedTuple):
+    """The points of the world whose product with ``normal`` is ``offset``.
+
+    Attributes:
+        normal: of any length, [3].
+        offset: of the plane.
+    """
+
+    normal: Float[np.ndarray, "3"]
+    offset: float
+
+    @classmethod
+    def through(cls, surface: SeenSurface, inside: Bool[np.ndarray, "h w"]) -> Plane | None:
+        """The plane of the surface in some pixels; None where it is not flat, or not seen."""
+        rows, columns = np.nonzero(inside & np.isfinite(surface.depth))
+        step = -(-len(rows) // MOST_FITTED)
+        if not step:
+            return None
+        rows, columns = rows[::step], columns[::step]
+        camera, depth = surface.camera, surface.depth[rows, columns]
+        rays = rays_of(camera, rows, columns)
+        plane = fitted_plane(rays, depth)
+        if np.percentile(np.abs(depth * (rays @ plane) - 1), FLAT_PERCENT) > FLAT:
+            return None
+        rotation, shift = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3].numpy()
+        return cls(plane @ rotation, float(1 - plane @ shift))
+
+    def meets(
+        self, points: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Points moved along their rays from an eye to where these meet the plane; those that would
+        move by more than ``REGION_DEPTH`` of their distance stay."""
+        rays = points - eye
+        with np.errstate(divide="ignore", invalid="ignore"):
+            times = (self.offset - eye @ self.normal) / (rays @ self.normal)
+            near = np.abs(times - 1) < REGION_DEPTH
+        found: Float[np.ndarray, "n 3"] = eye + np.where(near, times, 1.0)[:, None] * rays
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class SurfaceRegion:
@@ -37,14 +86,26 @@ class SurfaceRegion:
         settings: of the surface.
         surface: that is seen from the eye.
         inside: the pixels within the outline, [H, W].
+        plane: of the surface; None where it is not flat.
     """
 
     settings: SurfaceSettings
     surface: SeenSurface
     inside: Bool[np.ndarray, "h w"]
+    plane: Plane | None
 
-    def holds(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which points of the world lie on it, [N]; NaN does not."""
+    def holds(
+        self, points: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"] | None = None
+    ) -> Bool[np.ndarray, " n"]:
+        """Which points of the world lie on it, [N]; NaN does not.
+
+        Args:
+            points: world coordinates.
+            eye: that sees them, if they are pixels of an image. Their depths differ from pixel to
+                pixel, which from the side would make the edge of a flat region ragged.
+        """
+        if eye is not None and self.plane is not None:
+            points = self.plane.meets(points, eye)
         camera = self.surface.camera
         at = pixels_of(camera, points)
         _, depth = camera.project(torch.from_numpy(np.asarray(points, dtype=np.float64)))
@@ -100,7 +161,8 @@ class Regions:
     def _region(self, mark: Mark) -> SurfaceRegion:
         surface = see(self._render, measuring_camera(mark))
         inside = outline_mask(surface.camera, mark.points)
-        return SurfaceRegion(self._capture.of_mark(mark), surface, inside)
+        plane = Plane.through(surface, inside)
+        return SurfaceRegion(self._capture.of_mark(mark), surface, inside, plane)
 
     def applied_to(self, rendering: Rendering, camera: Camera) -> Rendering:
         """A rendering with the temperatures of the regions corrected; the same without regions."""
@@ -109,7 +171,8 @@ class Regions:
         surface = SeenSurface(camera, rendering, seen_depth(rendering))
         positions = surface.positions.reshape(-1, 3)
         image = rendering[THERMAL].image
-        values = self._corrected(positions, image.cpu().double().numpy().reshape(-1))
+        eye = camera.position.double().numpy()
+        values = self._corrected(positions, image.cpu().double().numpy().reshape(-1), eye)
         return rendering.with_images(
             {THERMAL: torch.from_numpy(values).to(image).view(image.shape)}
         )
@@ -138,14 +201,17 @@ class Regions:
         return replace(baked, temperatures=torch.from_numpy(values).to(baked.temperatures))
 
     def _corrected(
-        self, points: Float[np.ndarray, "n 3"], values: Float[np.ndarray, " n"]
+        self,
+        points: Float[np.ndarray, "n 3"],
+        values: Float[np.ndarray, " n"],
+        eye: Float[np.ndarray, "3"] | None = None,
     ) -> Float[np.ndarray, " n"]:
-        """Normalised temperatures of points, corrected where a region holds them. Where there is no
-        such temperature the value stays."""
+        """Normalised temperatures of points, corrected where a region holds them; see ``holds``.
+        Where there is no such temperature the value stays."""
         assert self._temperature is not None
         corrected = values.copy()
         for region in self._regions:
-            held = region.holds(points)
+            held = region.holds(points, eye)
             celsius = self._temperature.to_celsius(values[held])
             found = self._capture.corrected(celsius, region.settings)
             now = self._temperature.from_celsius(found)

@@ -222,7 +222,7 @@ def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
     near = np.abs(depth - here) < SAME_SURFACE * here  # false for NaN
     if near.sum() < FEWEST_PIXELS:
         return float(here)
-    rays = _rays(surface.camera, *grid[near].T)
+    rays = rays_of(surface.camera, *grid[near].T)
     fx, fy, cx, cy = surface.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     return _plane_depth(rays, depth[near], np.array([(x - cx) / fx, (y - cy) / fy, 1.0]))
 
@@ -230,17 +230,31 @@ def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
 def _plane_depth(
     rays: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, " n"], wanted: Float[np.ndarray, "3"]
 ) -> float:
-    """z-depth on a ray of the plane through most of the depths on others.
+    """z-depth on a ray of the plane through most of the depths on others."""
+    return float(1 / max(float(wanted @ fitted_plane(rays, depth)), 1e-12))
+
+
+def fitted_plane(
+    rays: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "3"]:
+    """The plane through most of the z-depths on rays, as the vector whose product with each of its
+    points is 1, in the camera's axes.
 
     The inverse depth of a plane is linear in x and y. What stands out of it does not count (Tukey's
     weights).
+
+    Args:
+        rays: (x / z, y / z, 1) of each depth.
+        depth: z-depths.
     """
     inverse, weights = 1 / depth, np.ones(len(depth))
     for _ in range(ROBUST_STEPS):
         root = np.sqrt(weights)
-        plane = np.linalg.lstsq(rays * root[:, None], inverse * root, rcond=None)[0]
+        plane: Float[np.ndarray, "3"] = np.linalg.lstsq(
+            rays * root[:, None], inverse * root, rcond=None
+        )[0]
         weights = tukey_weights(np.abs(inverse - rays @ plane), 1e-12 * float(inverse.max()))
-    return float(1 / max(float(wanted @ plane), 1e-12))
+    return plane
 
 
 def tukey_weights(left: Float[np.ndarray, " n"], least: float = 1e-12) -> Float[np.ndarray, " n"]:
@@ -252,7 +266,7 @@ def tukey_weights(left: Float[np.ndarray, " n"], least: float = 1e-12) -> Float[
     return weights
 
 
-def _rays(
+def rays_of(
     camera: Camera, rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
     """(x / z, y / z, 1) of pixels, in the camera's axes."""
