@@ -93,6 +93,16 @@ class ShownMark(NamedTuple):
 SHOWN_PARTS = tuple(PART_NAMES.values())
 
 
+def known_parts(marks: Sequence[ShownMark]) -> dict[int, str]:
+    """The parts of the uncertainty that are known of any mark: index and name."""
+    shown = [mark.parts for mark in marks if mark.around]
+    return {
+        index: name
+        for index, name in enumerate(SHOWN_PARTS)
+        if any(parts[index] != DASH for parts in shown)
+    }
+
+
 def show_marks(
     readings: Sequence[MarkReading],
     reference: str,

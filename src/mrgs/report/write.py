@@ -17,8 +17,8 @@ from mrgs.report.marks import (
     CHART_HEIGHT,
     CHART_LEFT,
     CHART_WIDTH,
-    SHOWN_PARTS,
     ShownMark,
+    known_parts,
     show_marks,
 )
 from mrgs.report.pdf import require_weasyprint, write_pdf
@@ -167,7 +167,7 @@ def write_report(
         judged=bool(findings.marks or marks.marks.dropped),
         assumptions=marks.meter.capture.notes if regions else (),
         doubts=() if marks.meter.uncertainty is None else marks.meter.uncertainty.notes,
-        parts_of_uncertainty=SHOWN_PARTS if any(mark.around for mark in every) else (),
+        parts_of_uncertainty=known_parts(every),
         every=every,
         has_factor=any(mark.factor != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
