@@ -119,3 +119,20 @@ def test_nothing_to_go_by(missing):
     points = torch.zeros(0 if missing == "points" else 4, 3)
     found = distant_points(points, [] if missing == "cameras" else [camera_towards(0.0)])
     assert found.positions.shape == (0, 3)
+
+
+def test_a_photo_of_the_ground_alone_gets_none_below_it():
+    """Straight down from 3 m: the ground is bare in one half of the photo."""
+    viewmat = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+    camera = Camera(camera_towards(0.0).K, viewmat, 96, 72)
+    ground = wall_of(camera, range(9))
+    assert (distant_points(ground, [camera]).positions[:, 2] < -20).all()
+    assert len(distant_points(ground, [camera], z_up=True).positions) == 0
+
+
+def test_the_sky_stays_where_z_is_known_to_point_up():
+    camera = camera_towards(0.3)
+    points = wall_of(camera, range(9, 18))
+    without, known = (distant_points(points, [camera], up).positions for up in (False, True))
+    assert len(without) > 50
+    torch.testing.assert_close(without, known)

@@ -33,6 +33,15 @@ AGREEMENT = 0.5
 there: of what lies behind a hole in a surface, others see that the surface goes on before it."""
 
 
+BELOW_GROUND = 0.1
+"""Where z points up, a distant point stays if it lies no deeper below the lowest start points than
+this share of its distance: photos that look down from a drone see nothing but ground, however few
+start points lie on it."""
+
+LOWEST_SHARE = 0.01
+"""Start points below this share of them may be strays."""
+
+
 class DistantPoints(NamedTuple):
     """M points that are about equally far from each other.
 
@@ -45,12 +54,15 @@ class DistantPoints(NamedTuple):
     spacing: float
 
 
-def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> DistantPoints:
+def distant_points(
+    points: Float[Tensor, "n 3"], cameras: Sequence[Camera], z_up: bool = False
+) -> DistantPoints:
     """Points behind the start points; none where every cell of every photo shows one of those.
 
     Args:
         points: start points in world coordinates.
         cameras: of the training photos.
+        z_up: whether the world's z axis is known to point up.
     """
     if not cameras or len(points) == 0:
         return DistantPoints(points[:0], 0.0)
@@ -62,8 +74,12 @@ def distant_points(points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> D
         return DistantPoints(points[:0], spacing)
     directions = torch.cat([_on_sphere(camera, cells, ball) for camera, cells in empty])
     positions = ball.centre + ball.background_distance * _merged(directions)
-    agreed = _share_of_empty(positions, empty) >= AGREEMENT
-    return DistantPoints(positions[agreed].to(points), spacing)
+    kept = _share_of_empty(positions, empty) >= AGREEMENT
+    if z_up:
+        lowest = max(1, round(LOWEST_SHARE * len(points)))
+        ground = points[:, 2].double().kthvalue(lowest).values
+        kept &= positions[:, 2] > ground - BELOW_GROUND * ball.background_distance
+    return DistantPoints(positions[kept].to(points), spacing)
 
 
 def _share_of_empty(

@@ -114,7 +114,7 @@ def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartP
 
 def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
     """Points far away behind them, in the photos' colours."""
-    distant = distant_points(points.positions, scene.train_cameras)
+    distant = distant_points(points.positions, scene.train_cameras, scene.world.north)
     count = len(distant.positions)
     if count == 0:
         return points
