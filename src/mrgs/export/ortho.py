@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from mrgs.export.crs import CoordinateSystem, coordinate_system
 from mrgs.export.job import ExportJob
+from mrgs.export.maps.coverage import Coverage
 from mrgs.export.maps.draw import draw_map
 from mrgs.export.maps.grid import MapGrid
 from mrgs.export.maps.photos import survey
@@ -30,11 +31,8 @@ TIMES_MEDIAN = 2.5
 """The map holds the surfaces that photos show from up to so many times the median distance: what is
 farther has too coarse pixels."""
 
-TRIMMED_PERCENT = 0.5
-"""Of them, those between this percentile and its counterpart on each axis, and a margin."""
-
-MARGIN = 0.02
-"""As a share of the map's width and height."""
+CELL_PX = 4
+"""Side of the cells in which photos are counted, in pixels of the survey at the median distance."""
 
 
 def export(job: ExportJob) -> list[Path]:
@@ -44,8 +42,12 @@ def export(job: ExportJob) -> list[Path]:
     maps = survey(job.baked, job.scene)
     pixel_m = job.maps.pixel_size_m or default_pixel_m(job, maps)
     points = _near_points(maps)
-    grid = _grid(points, axes, scale, offset, pixel_m)
-    drawn = draw_map(job.baked, job.scene, maps, grid, job.uncertainty)
+    places = [scale * each @ axes[:2].T + offset for each in points]
+    coverage = Coverage.of(places, CELL_PX * scale * _survey_pixel(maps))
+    heights = np.concatenate([each @ axes[2] for each in points])
+    slab = float(heights.min()), float(heights.max())
+    grid = _grid(coverage, axes, scale, offset, slab, pixel_m)
+    drawn = draw_map(job.baked, job.scene, maps, grid, job.uncertainty, coverage)
     north = " · north is up" if system.north else ""
     caption = Caption(
         f"{job.scene.name}: temperatures from above",
@@ -81,30 +83,30 @@ def _plan_view(
     return np.stack([right, np.cross(up, right), up]), 1.0, np.zeros(2)
 
 
-def _near_points(maps: Sequence[DepthMap]) -> Float64[np.ndarray, "n 3"]:
-    """The surfaces that the map is to hold."""
+def _near_points(maps: Sequence[DepthMap]) -> list[Float64[np.ndarray, "_ 3"]]:
+    """The surfaces that the map may hold, as each photo shows them."""
     limit = TIMES_MEDIAN * median_distance(maps)
     near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
-    return np.concatenate([item.points() for item in near])
+    return [item.points() for item in near]
+
+
+def _survey_pixel(maps: Sequence[DepthMap]) -> float:
+    """Width of a pixel of the depth maps on the surfaces (median), scene units."""
+    return median_distance(maps) / float(np.median([item.camera.K[0, 0] for item in maps]))
 
 
 def _grid(
-    points: Float64[np.ndarray, "n 3"],
+    coverage: Coverage,
     axes: Float64[np.ndarray, "3 3"],
     scale: float,
     offset: Float64[np.ndarray, "2"],
+    slab: tuple[float, float],
     pixel_m: float,
 ) -> MapGrid:
-    """The pixels about the surfaces; their edges are multiples of the pixel size, as GIS expect of
-    neighbouring maps."""
-    heights = points @ axes[2]
-    slab = float(heights.min()), float(heights.max())
-    grid = MapGrid(axes, scale, offset, 0.0, 0.0, pixel_m, 1, 1, slab)
-    places = grid.to_map(points)
-    low, high = np.percentile(places, [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)
-    margin = MARGIN * (high - low)
-    first = np.floor((low - margin) / pixel_m).astype(np.int64)
-    last = np.ceil((high + margin) / pixel_m).astype(np.int64)
+    """The pixels about what enough photos show; their edges are multiples of the pixel size, as GIS
+    expect of neighbouring maps."""
+    low, high = coverage.bounds
+    first, last = np.floor(low / pixel_m).astype(int), np.ceil(high / pixel_m).astype(int)
     width, height = (max(int(size), 1) for size in last - first)
     left, top = float(first[0] * pixel_m), float(last[1] * pixel_m)
     return MapGrid(axes, scale, offset, left, top, pixel_m, width, height, slab)

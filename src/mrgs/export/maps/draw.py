@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float32
+from scipy import ndimage
 
 from mrgs.errors import ConfigError, RunError
+from mrgs.export.maps.coverage import Coverage
 from mrgs.export.maps.grid import MapGrid, unprojected
 from mrgs.export.maps.photos import (
     PhotoStatistics,
@@ -27,6 +29,12 @@ MAX_PIXELS = 50_000_000
 
 PART_PX = 1024
 """Maps are drawn in parts of so many pixels in width and height."""
+
+GAP_PX = 2
+"""Gaps between splats up to twice as many pixels wide are filled."""
+
+LEAST_ALPHA = 0.05
+"""A colour that is blended less is darker than its surface."""
 
 BANDS = {
     "temperature_c": "°C",
@@ -65,8 +73,9 @@ def draw_map(
     maps: Sequence[DepthMap],
     grid: MapGrid,
     uncertainty: UncertaintyMeter | None = None,
+    coverage: Coverage | None = None,
 ) -> OrthographicMap:
-    """Draw the splats on surfaces that photos show, seen from very far away.
+    """Draw the splats but for those that float, seen from very far away.
 
     The drawing gives the surface of each pixel and its colour. Its temperature is the mean of what
     the cameras of the photos see there in the model, as in all exports: from where no photo was
@@ -78,6 +87,7 @@ def draw_map(
         maps: its surfaces, see ``survey``.
         grid: the pixels.
         uncertainty: of the temperatures; None leaves its band empty.
+        coverage: what enough photos show; all else stays empty. None draws everything.
 
     Raises:
         ConfigError: the map has more than ``MAX_PIXELS``.
@@ -98,6 +108,9 @@ def draw_map(
     points = np.full((grid.height, grid.width, 3), np.nan, np.float32)
     for part, camera in _parts(grid):
         bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera)
+    if coverage is not None:
+        beyond = ~coverage.holds(*grid.middles)
+        bands[:, beyond], points[beyond] = np.nan, np.nan
     statistics = PhotoStatistics(points, grid)
     for image in scene.train_photos(THERMAL):
         statistics.add(photo_map(baked, scene, image))
@@ -127,12 +140,27 @@ def _draw_part(
     size = camera.height, camera.width
     colors, points = (np.full(shape, np.nan, np.float32) for shape in ((3, *size), (*size, 3)))
     # The mean would lose digits from as far away as a map's camera stands.
-    depth = to_float32(splats.median_depth(scene.modalities[0], camera))
+    depth = _without_gaps(to_float32(splats.median_depth(scene.modalities[0], camera)))
     surface = np.isfinite(depth)
     points[surface] = unprojected(camera, depth)[surface]
     if RGB in scene.modalities:
         blend = splats.render({RGB: camera})[RGB]
         # The light that gets through gaps between splats is black: it is no colour of a surface.
-        opaque = blend.image / blend.alpha.clamp_min(0.5)[..., None]
+        opaque = blend.image / blend.alpha.clamp_min(LEAST_ALPHA)[..., None]
         colors[:, surface] = 255 * to_float32(opaque).clip(0, 1)[surface].T
     return colors, points
+
+
+def _without_gaps(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """The depth with narrow gaps filled by what is nearest beside them: seen from above, where no
+    photo was taken, splats do not overlap everywhere. Whether a surface is there, photos tell."""
+    solid = np.isfinite(depth)
+    if not solid.any():
+        return depth
+    wide = np.pad(solid, GAP_PX, mode="edge")
+    square = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), bool)
+    closed = ndimage.binary_closing(wide, square)[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX]
+    rows, columns = ndimage.distance_transform_edt(
+        ~solid, return_distances=False, return_indices=True
+    )
+    return np.where(closed, depth[rows, columns], depth)

@@ -78,6 +78,13 @@ class MapGrid:
         K = [[focal, 0.0, half_width - column], [0.0, focal, half_height - row], [0.0, 0.0, 1.0]]
         return Camera(K, viewmat, width, height)
 
+    @property
+    def middles(self) -> tuple[Float64[np.ndarray, " w"], Float64[np.ndarray, " h"]]:
+        """Map coordinates of the middles of the columns and of the rows."""
+        u = self.left + self.pixel_m * (np.arange(self.width) + 0.5)
+        v = self.top - self.pixel_m * (np.arange(self.height) + 0.5)
+        return u, v
+
     def window_of(self, points: Float64[np.ndarray, "n 3"]) -> tuple[slice, slice]:
         """The rows and columns of the smallest part of the map that holds points of the scene, as
         far as they lie in it."""

@@ -19,7 +19,7 @@ from mrgs.pictures.files import write_png
 from mrgs.scene import THERMAL, Scene
 from mrgs.scene.depth_map import DepthMap
 
-UNSEEN = "white: no surface, or no photo looked there"
+UNSEEN = "white: no surface, or too few photos look there"
 
 
 def require_map(scene: Scene) -> None:
@@ -95,6 +95,6 @@ def summary(drawn: OrthographicMap) -> str:
     """Temperatures and photos of a map, in one line."""
     celsius = drawn.celsius[np.isfinite(drawn.celsius)]
     photos = drawn.bands[4][np.isfinite(drawn.celsius)]
-    low, high = float(celsius.min()), float(celsius.max())
+    low, high = (f"{each:.1f}".replace("-", "−") for each in (celsius.min(), celsius.max()))
     places = f"{np.median(photos):.0f} photos per place (median)"
-    return f"{low:.1f} to {high:.1f} °C · {places} · {UNSEEN}"
+    return f"{low} to {high} °C · {places} · {UNSEEN}"
