@@ -38,7 +38,7 @@ MOST_FITTED = 4_000
 """Pixels of a region that its plane is found by."""
 
 
-class Plane(NamedTuple):
+class RegionPlane(NamedTuple):
     """The points of the world whose product with ``normal`` is ``offset``.
 
     Attributes:
@@ -50,7 +50,7 @@ class Plane(NamedTuple):
     offset: float
 
     @classmethod
-    def through(cls, surface: SeenSurface, inside: Bool[np.ndarray, "h w"]) -> Plane | None:
+    def through(cls, surface: SeenSurface, inside: Bool[np.ndarray, "h w"]) -> RegionPlane | None:
         """The plane of the surface in some pixels; None where it is not flat, or not seen."""
         rows, columns = np.nonzero(inside & np.isfinite(surface.depth))
         step = -(-len(rows) // MOST_FITTED)
@@ -92,7 +92,7 @@ class SurfaceRegion:
     settings: SurfaceSettings
     surface: SeenSurface
     inside: Bool[np.ndarray, "h w"]
-    plane: Plane | None
+    plane: RegionPlane | None
 
     def holds(
         self, points: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"] | None = None
@@ -161,7 +161,7 @@ class Regions:
     def _region(self, mark: Mark) -> SurfaceRegion:
         surface = see(self._render, measuring_camera(mark))
         inside = outline_mask(surface.camera, mark.points)
-        plane = Plane.through(surface, inside)
+        plane = RegionPlane.through(surface, inside)
         return SurfaceRegion(self._capture.of_mark(mark), surface, inside, plane)
 
     def applied_to(self, rendering: Rendering, camera: Camera) -> Rendering:
