@@ -27,6 +27,11 @@ COVERAGE = 2.0
 EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT = 0.02, 2.0, 10.0
 """Standard uncertainties of settings where the survey states none."""
 
+WITHIN_LIMIT = 0.95
+"""Share of a limit of error within which the error is in 95 of 100 cases, since all within the
+limit counts as equally likely (GUM 4.3.7, G.1.3). Twice the standard uncertainty would be 1.15
+times the limit, more than the error can be."""
+
 USUAL_ACCURACY = 2.0
 """°C, or per cent of the reading, whichever is more: the limit of error in the data sheets of
 nearly all uncooled cameras."""
@@ -144,32 +149,29 @@ class Budget:
         """
         surface = surface or self.capture.surface
         at = np.array([celsius])
-        camera, gain = self._camera(at), self._gain(at, surface)
-        emissivity, reflected, distance = self._settings(at, surface)
+        gain = float(self._gain(at, surface)[0])
+        camera = float(self._camera(at)[0])
+        settings = [COVERAGE * float(each[0]) for each in self._settings(at, surface)]
         return Uncertainty(
-            *(float(gain[0]) * each for each in (parts.photos, parts.model)),
-            *(
-                COVERAGE * float(each[0])
-                for each in (gain * camera, emissivity, reflected, distance)
-            ),
+            *(gain * each for each in (parts.photos, parts.model, camera)), *settings
         )
 
     def shared(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
         """What camera and settings add to the uncertainty of temperatures, as the photos have them;
         0 where none of it is known."""
-        parts = (self._camera(celsius), *self._settings(celsius, self.capture.surface))
-        total: Float64[np.ndarray, "..."] = COVERAGE * np.sqrt(
+        settings = self._settings(celsius, self.capture.surface)
+        parts = (self._camera(celsius), *(COVERAGE * part for part in settings))
+        total: Float64[np.ndarray, "..."] = np.sqrt(
             sum(np.square(np.nan_to_num(part)) for part in parts)
         )
         return total
 
     def _camera(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """Standard uncertainty of the camera: a limit of error means that all within it is equally
-        likely (GUM 4.3.7)."""
+        """Half the width of the interval that holds the camera's error in 95 of 100 cases."""
         if self.accuracy is None:
             return np.full(celsius.shape, np.nan)
         kelvin, percent = self.accuracy
-        return np.maximum(kelvin, percent / 100 * np.abs(celsius)) / math.sqrt(3)
+        return WITHIN_LIMIT * np.maximum(kelvin, percent / 100 * np.abs(celsius))
 
     def _gain(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings

@@ -11,22 +11,36 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int64
 
-SCATTER = 0.7
-"""Times the standard deviation of the photos' readings. It is not divided by the root of their
-number: what they disagree by at one place, a reflection or a wrong depth, their mean keeps."""
-
-CONTRAST = 0.65
-"""Times the change of the model's value when the place is shifted by ``SHIFT_PX``: places and poses
-are not known better, and detail that fine is not resolved."""
-
 SHIFT_PX = 3
 
-DEVIATION = 2.0
-"""Times the difference between a value and the mean of what the photos' cameras see there."""
 
-RESOLUTION = 2 / 12**0.5
-"""Times the step between the values of a photo: whatever is within a step is equally likely (GUM
-F.2.2.1), twice its standard deviation."""
+class Shares(NamedTuple):
+    """How much of each part counts.
+
+    Attributes:
+        scatter: times the standard deviation of the photos' readings. It is not divided by the root
+            of their number: what they disagree by at one place, a reflection or a wrong depth,
+            their mean keeps.
+        contrast: times the change of the model's value when the place is shifted by ``SHIFT_PX``:
+            places and poses are not known better, and detail that fine is not resolved.
+        deviation: times the difference between a value and the mean of what the photos' cameras see
+            there.
+        resolution: times the step between the values of a photo.
+    """
+
+    scatter: float
+    contrast: float
+    deviation: float
+    resolution: float
+
+
+OF_POINT = Shares(0.7, 0.65, 0.0, 2 / 12**0.5)
+"""Of what the photos' cameras see at a single point, so that there is no deviation. Whatever is
+within a step is equally likely (GUM F.2.2.1)."""
+
+OF_MARK = Shares(0.9, 0.4, 1.5, 0.1)
+"""Of the mean of a mark, which is over detail that is not resolved and over the steps of many
+pixels."""
 
 READING, RENDERED = 0, 1
 SHIFTS = slice(2, 6)
@@ -85,14 +99,18 @@ class SightingSums:
         self._rendered[rows] += values[:, RENDERED]
         self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
 
-    def parts(self, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
-        """The parts of the uncertainty of values, [P]; of what the photos' cameras see in the model
-        if None."""
+    def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
+        """The parts of the uncertainty.
+
+        Args:
+            shares: how much of each counts.
+            values: of the places, [P]; what the photos' cameras see in the model if None.
+        """
         count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
         scatter = np.sqrt(np.maximum(self._squares, 0) / count)
         contrast = np.sqrt(self._contrast / count)
         away = 0.0 if values is None else values - self._rendered / count
         return PhotoParts(
-            np.hypot(SCATTER * scatter, RESOLUTION * self._step),
-            np.hypot(CONTRAST * contrast, DEVIATION * away),
+            np.hypot(shares.scatter * scatter, shares.resolution * self._step),
+            np.hypot(shares.contrast * contrast, shares.deviation * away),
         )

@@ -13,6 +13,8 @@ from torch import Tensor
 from mrgs.marks.surface import SurfaceRenderer, seen_depth
 from mrgs.marks.uncertainty.photo_parts import (
     CHANNELS,
+    OF_MARK,
+    OF_POINT,
     READING,
     RENDERED,
     SHIFT_PX,
@@ -90,7 +92,7 @@ class PhotoWitnesses:
             values = values[np.isfinite(values).all(axis=1)]
             if len(values) >= max(LEAST_SHARE * len(points), 1):
                 sums.add(np.array([0]), _of_mark(values))
-        return sums.parts(np.array([value]))
+        return sums.parts(OF_MARK, np.array([value]))
 
     def of_points(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
         """The parts of the uncertainty of what the photos' cameras see at N points on surfaces.
@@ -107,7 +109,7 @@ class PhotoWitnesses:
             item = self[index]
             shown = item.shown(points)
             sums.add(shown.rows, item.image[shown.pixels])
-        return sums.parts()
+        return sums.parts(OF_POINT)
 
     def _witness(self, view: View) -> DepthMap:
         photo = view.images[THERMAL]
