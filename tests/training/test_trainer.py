@@ -292,6 +292,20 @@ def test_start_is_told_before_the_model_is_made(small_scene, tmp_path, monkeypat
         train(small_scene, tmp_path / "run", short_config(), on_start=tell)
 
 
+def test_slow_steps_are_saved_before_their_turn(small_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("mrgs.training.driver.SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr("mrgs.training.driver.SAVE_SHARE", float("inf"))
+    config = short_config(max_steps=8, checkpoint_every=4)
+    saved: list[int] = []
+
+    def note(statistics):
+        newest = tmp_path / f"run/checkpoints/step_{statistics.step - 1:06d}.safetensors"
+        saved.extend([statistics.step - 1] * newest.is_file())
+
+    train(small_scene, tmp_path / "run", config, on_step=note)
+    assert saved == [1, 2, 3, 4, 5, 6, 7]
+
+
 def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path, monkeypatch):
     spoil(monkeypatch, {2, 3, 5, 6})
     folder = train(small_scene, tmp_path / "run", short_config(max_steps=8))

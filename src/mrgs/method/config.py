@@ -92,7 +92,8 @@ class TrainConfig:
             that t_i starts as what t̂ cannot say; not in the paper.
         neighbours_every: steps after which the neighbours are searched again, besides whenever N
             changes.
-        checkpoint_every: steps between checkpoints.
+        checkpoint_every: steps between checkpoints; there is one every two minutes besides, unless
+            writing takes long.
         field: the radiance field.
         loss: L_c, L_t and L_smooth.
         radiation: L_boltz; None leaves it out.

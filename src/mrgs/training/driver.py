@@ -29,6 +29,12 @@ that."""
 
 MAX_SKIPPED_IN_A_ROW = 3
 
+SAVE_EVERY_S = 120.0
+"""No more of a training than this is lost where its process is killed ..."""
+
+SAVE_SHARE = 0.02
+"""... unless writing the checkpoints took more than this share of its time."""
+
 
 @runtime_checkable
 class Statistics(Protocol):
@@ -69,7 +75,7 @@ class Driver(ABC, Generic[S]):
         folder: the run's folder, which the caller has locked.
         facts: of the checkpoint that is continued, or of step 0.
         max_steps: of the schedule.
-        checkpoint_every: steps between checkpoints.
+        checkpoint_every: steps between checkpoints; where that takes long, there are more.
         device: where the steps are done.
     """
 
@@ -92,6 +98,7 @@ class Driver(ABC, Generic[S]):
         self._step_done = facts.step
         self._skipped_steps = facts.skipped_steps
         self._started = time.perf_counter()
+        self._save_at = self._started + SAVE_EVERY_S
 
     @abstractmethod
     def _take_step(self) -> S:
@@ -126,8 +133,7 @@ class Driver(ABC, Generic[S]):
             statistics = self._next_step()
             if self._stops_now(on_step is not None and on_step(statistics) is True):
                 last = self._step_done
-            if self._step_done % self._checkpoint_every == 0 or self._step_done == last:
-                self.save()
+            self._save_if_due(last)
 
     def steps(self) -> Generator[S, None, None]:
         """Step until the end of the schedule, or until closed; the last step is checkpointed."""
@@ -138,8 +144,7 @@ class Driver(ABC, Generic[S]):
             except GeneratorExit:
                 self.save()
                 raise
-            if self._step_done % self._checkpoint_every == 0 or self._step_done == self._max_steps:
-                self.save()
+            self._save_if_due(self._max_steps)
 
     def _next_step(self) -> S:
         """Take a step, and log it if its turn has come."""
@@ -219,6 +224,13 @@ class Driver(ABC, Generic[S]):
         is_same = self._facts.device == gpu.device_title(self._device)
         return max(self._facts.peak_memory_bytes if is_same else 0, peak_memory_bytes(self._device))
 
+    def _save_if_due(self, last: int) -> None:
+        """Write a checkpoint after a step whose turn it is, after the last one, and where the
+        others lie too far back."""
+        its_turn = self._step_done % self._checkpoint_every == 0 or self._step_done == last
+        if its_turn or time.perf_counter() >= self._save_at:
+            self.save()
+
     def save(self) -> None:
         """Write a checkpoint of the last step.
 
@@ -226,6 +238,7 @@ class Driver(ABC, Generic[S]):
             NotFiniteError: the state holds a NaN or an infinity.
             RunError: it cannot be written.
         """
+        began = time.perf_counter()
         self._note_skipped_steps()
         self._require_finite_model()
         facts = self._facts._replace(
@@ -237,6 +250,8 @@ class Driver(ABC, Generic[S]):
         )
         self._write_checkpoint(self._folder.checkpoint_file(self._step_done), facts)
         self._folder.drop_old_checkpoints()
+        now = time.perf_counter()
+        self._save_at = now + max(SAVE_EVERY_S, (now - began) / SAVE_SHARE)
 
 
 def _celsius(difference: float | None, temperature: TemperatureRange | None) -> float | None:
