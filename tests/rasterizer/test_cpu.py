@@ -9,6 +9,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from importlib import import_module
 
 import numba
 import pytest
@@ -252,7 +253,11 @@ def test_gradients_flow_only_into_what_requires_them(rasterize):
     assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
 
 
-def test_images_are_the_same_without_gradients(rasterize):
+@pytest.mark.parametrize("rows", [7, 1_000])
+def test_images_are_the_same_without_gradients(rasterize, monkeypatch, rows):
+    """Without them, so many Gaussians are projected at a time."""
+    for name in ("mrgs.system.pieces", "mrgs.kernels.rasterize.cpu.rasterize"):
+        monkeypatch.setattr(import_module(name), "PIECE_ROWS", rows)
     scene = scene_of(5)
     alone, expected = (images_of(each.render(rasterize)) for each in (scene, scene.with_leaves()))
     assert all(torch.equal(*pair) for pair in zip(alone, expected, strict=True))

@@ -26,6 +26,7 @@ from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import Layer, Raster
 from mrgs.scene import Blend
+from mrgs.system.pieces import PIECE_ROWS, pieces
 
 _SLOT_CHANNELS = (3, 1)
 """The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of
@@ -109,13 +110,38 @@ def _listed_splats(
         for_gradients: whether the lists have the pairs of each Gaussian too.
     """
     count = gaussians[0].shape[0]
-    splats = empty_splats(count)
-    radii = np.empty(count, np.float32)
-    project(*gaussians, viewmat, K, width, height, offset, splats, radii)
-    order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), radii > 0)
+    camera = (viewmat, K, width, height)
+    if for_gradients:
+        splats, radii = empty_splats(count), np.empty(count, np.float32)
+        project(*gaussians, *camera, offset, splats, radii)
+        is_drawn = radii > 0
+    else:
+        splats, radii = _drawn_splats(gaussians, camera, offset)
+        is_drawn = np.ones(len(splats), np.bool_)
+    order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), is_drawn)
     splats = gather_splats(splats, order)
     listed = count if for_gradients else 0
     return splats, tile_lists(splats, order, listed, width, height), radii
+
+
+def _drawn_splats(
+    gaussians: Sequence[np.ndarray],
+    camera: tuple[np.ndarray, np.ndarray, int, int],
+    offset: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those projected Gaussians that are drawn, in the order of their indices [V, 16], and all
+    radii [N]: less memory than records of all, from which no gradient finds its way back."""
+    count = gaussians[0].shape[0]
+    splats, radii = empty_splats(count), np.empty(count, np.float32)
+    piece, drawn = empty_splats(min(count, PIECE_ROWS)), 0
+    for rows in pieces(count):
+        projected = piece[: len(radii[rows])]
+        arrays = [array[rows] for array in gaussians]
+        project(*arrays, *camera, offset[rows], projected, radii[rows])
+        found = projected[radii[rows] > 0]
+        splats[drawn : drawn + len(found)] = found
+        drawn += len(found)
+    return splats[:drawn], radii
 
 
 def median_depth(
