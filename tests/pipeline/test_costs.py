@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from mrgs.export.formats import FORMATS
 from mrgs.pipeline.computer import Computer, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
 from mrgs.pipeline.intake import Intake
@@ -46,6 +47,12 @@ def test_a_better_quality_takes_longer(stage):
         < seconds(workload(), stage)
         <= seconds(workload(quality="best"), stage)
     )
+
+
+def test_every_export_takes_time():
+    stages = stage_costs(workload())
+    parts = stages["page"].parts | stages["exports"].parts
+    assert all(parts[name] > 0 for name in FORMATS)
 
 
 def test_kernels_are_compiled_once():

@@ -225,4 +225,6 @@ def _exports(work: Workload, render: float) -> dict[str, float]:
         "las": 0.05 * kgauss,
         "mesh": 3.0 + 3 * surface,
         "cameras": work.views * (0.005 + 0.2e-3 * work.kpx),
+        "ortho": 1.0 + 3 * surface,
+        "elevation": 1.0 + surface,
     }
