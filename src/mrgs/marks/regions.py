@@ -31,7 +31,7 @@ REGION_DEPTH = 0.08
 """A point belongs to a region if its distance from the eye differs from that of the surface by less
 than this share: more than the depths of a model differ from view to view."""
 
-FLAT, FLAT_PERCENT = 0.02, 90
+FLAT, FLAT_PERCENT = 0.02, 75
 """A region is flat if so many per cent of its depths are within this share of those of a plane."""
 
 MOST_FITTED = 4_000
