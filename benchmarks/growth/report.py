@@ -16,6 +16,9 @@ TITLES = {
     "pixels": "pixels of a photo",
     "threads": "threads",
 }
+LIMITED = ("gaussians", "pixels")
+"""Axes along which memory ends: photos that do not fit are read again."""
+
 MACHINES_GB = (8, 16, 32, 64)
 KEPT = 0.9
 """Share of a machine's memory that a training can have."""
@@ -82,18 +85,10 @@ def _axis_table(axis: str, rows: Sequence[Row]) -> list[str]:
         ["", *(f"{b:.2f}" for b in exponents([(row.case.x, getattr(row, name)) for row in rows]))]
         for name in ("step_s", "peak_bytes")
     )
-    case = rows[0].case
-    fixed = {
-        "gaussians": f"{case.gaussians:,} Gaussians",
-        "photos": f"{case.photos} pairs of photos",
-        "pixels": f"{case.size[0]}×{case.size[1]}",
-        "threads": "one thread",
-    }
-    others = ", ".join(text for name, text in fixed.items() if name != axis)
     lines = [
         f"## Over {TITLES[axis]}",
         "",
-        f"{others}.",
+        f"{_fixed(axis, rows[0].case)}.",
         "",
         f"| {TITLES[axis]} | step, s | exponent | first step, s | peak, GB | exponent | estimate |",
         "|---:|---:|---:|---:|---:|---:|---:|",
@@ -103,13 +98,24 @@ def _axis_table(axis: str, rows: Sequence[Row]) -> list[str]:
             f"| {row.case.x:,} | {row.step_s:.3f} | {time} | {row.start_s:.1f} "
             f"| {row.peak_bytes / 1e9:.2f} | {peak} | {row.off:+.0%} |"
         )
-    if axis != "threads" and len(rows) > 1:
-        ends = ", ".join(f"{most(rows, size):,.0f} in {size} GB" for size in MACHINES_GB)
+    if axis in LIMITED and len(rows) > 1:
+        ends = ", ".join(f"{_short(round(most(rows, size)))} in {size} GB" for size in MACHINES_GB)
         lines += [
             "",
             f"On a line through the last two peaks, {KEPT:.0%} of the memory hold {ends}.",
         ]
     return lines
+
+
+def _fixed(axis: str, case: Case) -> str:
+    """What stays along an axis."""
+    numbers = {
+        "gaussians": f"{case.gaussians:,} Gaussians",
+        "photos": f"{case.photos} pairs of photos",
+        "pixels": f"{case.size[0]}×{case.size[1]}",
+        "threads": "one thread",
+    }
+    return ", ".join(text for name, text in numbers.items() if name != axis)
 
 
 def _estimate_table(rows: Sequence[Row]) -> list[str]:
@@ -140,14 +146,19 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     import matplotlib  # part of the extra "bench" alone
 
     matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib import pyplot, ticker
 
-    axes = [axis for axis in AXES if axis != "threads"]
+    curves = {
+        axis: own
+        for axis in AXES
+        if axis != "threads" and (own := [row for row in rows if row.case.axis == axis])
+    }
+    if not curves:
+        return
     figure, panels = pyplot.subplots(
-        2, len(axes), figsize=(11, 6.4), sharex="col", sharey="row", squeeze=False
+        2, len(curves), figsize=(3.8 * len(curves), 6.4), sharex="col", sharey="row", squeeze=False
     )
-    for column, axis in enumerate(axes):
-        own = [row for row in rows if row.case.axis == axis]
+    for column, (axis, own) in enumerate(curves.items()):
         xs = [row.case.x for row in own]
         for panel, color, ys in (
             (panels[0][column], "C0", [row.step_s for row in own]),
@@ -155,14 +166,31 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         ):
             panel.plot(xs, ys, marker="o", markersize=4, color=color)
             panel.set(xscale="log", yscale="log")
+            panel.set_xticks(xs, [_short(x) for x in xs], rotation=45)
+            panel.set_xticks([], minor=True)
             panel.grid(which="both", alpha=0.25)
             _label_exponents(panel, xs, ys)
+        panels[0][column].set_title(_fixed(axis, own[0].case), fontsize=9)
         panels[1][column].set_xlabel(TITLES[axis])
-    panels[0][0].set_ylabel("processor seconds of a step")
-    panels[1][0].set_ylabel("peak memory, GB")
+    for row_of_panels, label in zip(
+        panels, ("processor seconds of a step", "peak, GB"), strict=True
+    ):
+        row_of_panels[0].set_ylabel(label)
+        row_of_panels[0].yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+        row_of_panels[0].yaxis.set_major_formatter("{x:g}")
+        row_of_panels[0].yaxis.set_minor_formatter("")
+    figure.suptitle("How the cost of a training grows; the numbers are exponents", fontsize=11)
     figure.tight_layout()
     figure.savefig(path, dpi=120)
     pyplot.close(figure)
+
+
+def _short(count: int) -> str:
+    """A count as an axis shows it: 50 K, 1.2 M."""
+    for size, letter in ((1_000_000, "M"), (1_000, "K")):
+        if count >= size:
+            return f"{count / size:.3g} {letter}"
+    return str(count)
 
 
 def _label_exponents(panel: Any, xs: Sequence[float], ys: Sequence[float]) -> None:
