@@ -24,7 +24,7 @@ _RASTERIZER = {
     "rasterize.cpu.tiles._count": 1.1,
     "rasterize.cpu.tiles.depth_order": 0.6,
     "rasterize.cpu.tiles._fill": 0.6,
-    "rasterize.cpu.tiles.gather_splats": 0.4,
+    "rasterize.cpu.tiles._gather": 0.4,
     "rasterize.cpu.blend.blend": 3.0,
     "rasterize.cpu.blend_backward.blend_backward": 2.9,
 }
