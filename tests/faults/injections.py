@@ -38,7 +38,7 @@ def values(folder: Path, count: int, seed: int = 0) -> Tally:
         run = RunFolder(shutil.copytree(base.path, folder / "run"))
         with _injecting(rng) as what:
             outcome = _go_on(scene, run)
-        spoilt = [f"{path.name}: {name}" for path in run.checkpoints() for name in _spoilt(path)]
+        spoilt = [f"{path.name}: {name}" for path in run.checkpoints() for name in not_finite(path)]
         held = outcome in ("finished", "stopped") and not spoilt
         tally.judge(f"{number}: {' '.join(what)}", held, f"{outcome} {spoilt[:3]}")
         stopped += outcome == "stopped"
@@ -61,7 +61,7 @@ def _injecting(rng: random.Random) -> Iterator[list[str]]:
             tensors = _photos(views) if into_photos else _state(state)
             name = rng.choice(sorted(tensors))
             what[:] = [name, f"{value:g}", "all" if everywhere else "one", f"step {at + 1}"]
-            _put(tensors[name], value, everywhere, place)
+            put(tensors[name], value, everywhere, place)
         return original(state, views, *rest)
 
     trainer.training_step = training_step
@@ -83,7 +83,8 @@ def _state(state: Any) -> dict[str, Tensor]:
     }
 
 
-def _put(tensor: Tensor, value: float, everywhere: bool, place: float) -> None:
+def put(tensor: Tensor, value: float, everywhere: bool, place: float = 0.5) -> None:
+    """Into all elements, or the one at a place from 0 to 1."""
     with torch.no_grad():
         if everywhere:
             tensor.fill_(value)
@@ -104,7 +105,7 @@ def _go_on(scene: Path, run: RunFolder) -> str:
     return "finished"
 
 
-def _spoilt(path: Path) -> list[str]:
+def not_finite(path: Path) -> list[str]:
     """Names of the tensors of a checkpoint that are not finite."""
     return [
         name

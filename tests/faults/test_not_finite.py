@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from mrgs.baselines.thermonerf import train_thermonerf
@@ -18,19 +16,12 @@ from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.training import train, trainer
 from mrgs.training.checkpoint import tensors_of
 from mrgs.training.run_folder import RunFolder
+from tests.faults.injections import not_finite, put
 from tests.faults.runs import GAUSSIANS, NERF
 
 AT = 9
 """The step before which a value is put in; there are checkpoints at 5 and 10, and the last
 densification at 8."""
-
-
-def put(tensor: Tensor, value: float, everywhere: bool) -> None:
-    with torch.no_grad():
-        if everywhere:
-            tensor.fill_(value)
-        else:
-            tensor.view(-1)[tensor.numel() // 2] = value
 
 
 def inject(
@@ -65,11 +56,7 @@ def saved(run: RunFolder) -> list[int]:
     """Steps of the checkpoints, all of whose tensors are finite."""
     paths = run.checkpoints()
     for path in paths:
-        assert [
-            name
-            for name, tensor in load_file(path).items()
-            if tensor.is_floating_point() and not tensor.isfinite().all()
-        ] == []
+        assert not_finite(path) == []
     return [int(path.stem.removeprefix("step_")) for path in paths]
 
 

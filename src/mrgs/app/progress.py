@@ -356,18 +356,20 @@ def _plan(scene: Scene, config: RunConfig) -> str:
     """Method, steps, cap on the Gaussians, and the memory needed."""
     from mrgs.training import TrainConfig, estimate_bytes
     from mrgs.training.compilation import compiling_progress
+    from mrgs.training.memory import gaussian_bytes
 
     if not isinstance(config, TrainConfig):
         return f"{config.method}, {config.max_steps:,} steps"
     cap = config.densification.max_gaussians
     compiles = compiling_progress(config).seconds_left > 0
-    first, last = (
-        estimate_bytes(scene, config, count, compiles=compiles) / 2**30
-        for count in (min(len(scene.points.positions), cap), cap)
-    )
+    start = min(len(scene.points.positions), cap)
+    # Once, for it reads photos.
+    first = estimate_bytes(scene, config, start, compiles=compiles)
+    last = first + (cap - start) * gaussian_bytes(scene, config)
     return (
         f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
-        f"memory: about {first:.1f} GiB at the start, {last:.1f} GiB at the cap"
+        f"memory: about {first / 2**30:.1f} GiB at the start, "
+        f"{last / 2**30:.1f} GiB at the cap"
     )
 
 

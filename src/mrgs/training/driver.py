@@ -30,10 +30,10 @@ that."""
 MAX_SKIPPED_IN_A_ROW = 3
 
 SAVE_EVERY_S = 120.0
-"""No more of a training than this is lost where its process is killed ..."""
+"""Most seconds between checkpoints: so much is lost of a training whose process is killed."""
 
 SAVE_SHARE = 0.02
-"""... unless writing the checkpoints took more than this share of its time."""
+"""Checkpoints that are written before their turn take no more than this share of the time."""
 
 
 @runtime_checkable

@@ -61,10 +61,6 @@ def estimate_bytes(
     Raises:
         SceneError: the first photo of a modality cannot be read.
     """
-    field = config.field
-    parameters = _parameters(config, scene.modalities, Capture.of(scene))
-    activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
-    per_gaussian = _FLOAT * (_PEAK_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
     pixels = max(
         sum(camera.width * camera.height for camera in view.cameras.values())
         for view in scene.train
@@ -72,10 +68,18 @@ def estimate_bytes(
     return (
         _BASE_BYTES
         + compiles * _COMPILER_BYTES
-        + gaussians * per_gaussian
+        + gaussians * gaussian_bytes(scene, config)
         + pixels * _PIXEL_FLOATS * _FLOAT
         + min(kept_bytes(scene), kept_limit())
     )
+
+
+def gaussian_bytes(scene: Scene, config: TrainConfig) -> int:
+    """What each Gaussian adds to ``estimate_bytes``."""
+    field = config.field
+    parameters = _parameters(config, scene.modalities, Capture.of(scene))
+    activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
+    return _FLOAT * (_PEAK_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
 
 
 def checkpoint_bytes(config: TrainConfig, modalities: Iterable[Modality], gaussians: int) -> int:

@@ -222,4 +222,4 @@ def _plain_text(value: object) -> str:
     """A Message, or another kind of text, as JSON knows it."""
     if isinstance(value, str):
         return str(value)
-    raise NotImplementedError(f"{type(value)} cannot be sent to a browser")
+    raise TypeError(f"{type(value)} cannot be sent to a browser")

@@ -19,10 +19,11 @@ function writeLabel(over, x, y, gap, text, right) {
     label.setAttribute("text-anchor", "end");
   }
   const own = label.getBBox();
+  const top = own.y;
   const covers = (other) => own.x < other.x + other.width && other.x < own.x + own.width
     && own.y < other.y + other.height && other.y < own.y + own.height;
   for (const other of others.sort((a, b) => a.y - b.y)) if (covers(other)) own.y = other.y + other.height;
-  label.setAttribute("dy", own.y - label.getBBox().y);
+  label.setAttribute("dy", own.y - top);
 }
 
 // A cross with its label.
