@@ -9,19 +9,22 @@ import pytest
 import mrgs
 from mrgs.system.memory import free_memory, peak_resident
 
-PRINT_PEAK = "from mrgs.system.memory import peak_resident; print(peak_resident())"
-
-
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc")
+
+
+def run_script(script: str) -> int:
+    """The number that a script prints in a process of its own."""
+    found = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(mrgs.__file__).parents[1], capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return int(found.stdout)
 
 
 def test_the_peak_is_not_that_of_the_process_that_started_this_one():
     # This one has loaded torch.
-    found = subprocess.run(
-        [sys.executable, "-c", PRINT_PEAK],
-        cwd=Path(mrgs.__file__).parents[1], capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert 2**20 < int(found.stdout) < 100 * 2**20 < peak_resident()
+    print_peak = "from mrgs.system.memory import peak_resident; print(peak_resident())"
+    assert 2**20 < run_script(print_peak) < 100 * 2**20 < peak_resident()
 
 
 def test_free_memory_is_some_of_the_machines():
@@ -43,8 +46,19 @@ full = _bytes_after("VmRSS:", _STATUS)
 del large
 print(full - _bytes_after("VmRSS:", _STATUS))
 """
-    found = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=Path(mrgs.__file__).parents[1], capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert int(found.stdout) > 75 * 2**20
+    assert run_script(script) > 75 * 2**20
+
+
+def test_what_was_freed_between_arrays_that_stay_is_given_back():
+    script = """
+from mrgs.system.memory import _bytes_after, _STATUS, give_back_freed
+kept, freed = [], []
+for _ in range(300):
+    freed.append(bytearray(b"1") * 100_000)
+    kept.append(bytearray(b"1") * 1_000)
+del freed
+full = _bytes_after("VmRSS:", _STATUS)
+give_back_freed()
+print(full - _bytes_after("VmRSS:", _STATUS))
+"""
+    assert run_script(script) > 20 * 2**20

@@ -48,7 +48,7 @@ def test_photos_of_8_bit_take_a_byte_per_channel_and_keep_their_bits():
     for _ in range(2):
         found = kept.load(image)
         assert torch.equal(found.values, values)
-        assert found.valid is valid
+        assert torch.equal(found.valid, valid)
     assert kept._left_bytes == 0
     assert bytes_per_pixel(RGB) == 3
 
@@ -60,8 +60,26 @@ def test_other_photos_keep_their_bits_too(odd):
     kept = HostPhotos(limit_bytes=6 * 7 * 4)
     image = posed_image(values)
     kept.load(image)
-    assert kept.load(image).values is values
+    assert torch.equal(kept.load(image).values.view(torch.int32), values.view(torch.int32))
     assert bytes_per_pixel(THERMAL) == 4
+
+
+def test_kept_photos_of_all_kinds_share_blocks_of_memory(monkeypatch):
+    monkeypatch.setattr(photos, "_BLOCK_BYTES", 1000)
+    values = [eight_bit(seed) for seed in range(20)]
+    values[3::4] = [each[..., :1] + 0.1 for each in values[3::4]]
+    values.insert(7, torch.rand(50, 60, 1))  # larger than a block
+    masks = [torch.rand(each.shape[:2]) > 0.5 if k % 3 else None for k, each in enumerate(values)]
+    images = [posed_image(*each) for each in zip(values, masks, strict=True)]
+    kept = HostPhotos(limit_bytes=10**6)
+    for image in images:
+        kept.load(image)
+    for image, expected, mask in zip(images, values, masks, strict=True):
+        found = kept.load(image)
+        assert torch.equal(found.values, expected)
+        assert found.valid is None if mask is None else torch.equal(found.valid, mask)
+    memory = {stored.values.untyped_storage().data_ptr() for stored in kept._kept.values()}
+    assert len(memory) < len(images) / 2
 
 
 def test_the_next_photos_are_read_by_another_thread():

@@ -47,6 +47,13 @@ def release_when_freed() -> None:
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
+def give_back_freed() -> None:
+    """Return the freed memory that the C library holds in reserve to the system, which takes some
+    milliseconds; does nothing where the library cannot."""
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def _bytes_after(name: str, file: Path) -> int | None:
     """A figure that a file of the system gives in kB, as bytes; None if it does not."""
     try:

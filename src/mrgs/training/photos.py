@@ -12,12 +12,17 @@ from torch import Tensor
 
 from mrgs.data.images import eight_bit_levels, of_eight_bit_levels
 from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, Scene
-from mrgs.system.memory import free_memory
+from mrgs.system.memory import free_memory, give_back_freed
 
 SHARE_OF_FREE_MEMORY = 0.4
 """Of what is free when the training starts; the Gaussians and a step need the rest."""
 
 LIMIT_IF_UNKNOWN = 2 * 2**30
+
+_BLOCK_BYTES = 64 * 2**20
+"""The C library gets a block of this size from the system, not from its heap."""
+
+_ALIGNMENT = 64
 
 
 class PhotoSource(Protocol):
@@ -49,6 +54,7 @@ class HostPhotos:
         self._left_bytes = kept_limit() if limit_bytes is None else limit_bytes
         self._pinned = pinned
         self._kept: dict[PosedImage, _Stored] = {}
+        self._blocks = _Blocks()
         self._ahead: dict[PosedImage, Future[Pixels]] = {}
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="mrgs-photos")
 
@@ -71,7 +77,8 @@ class HostPhotos:
     def _keep(self, image: PosedImage, pixels: Pixels) -> None:
         stored = _Stored.of(pixels, exact=self._pinned)
         if stored.nbytes <= self._left_bytes:
-            self._kept[image] = stored
+            # Page-locked memory does not come from the heap.
+            self._kept[image] = stored if self._pinned else stored.copied_to(self._blocks)
             self._left_bytes -= stored.nbytes
         else:  # what comes later may be smaller, but then every photo would be tried again
             self._left_bytes = 0
@@ -111,6 +118,11 @@ class _Stored(NamedTuple):
                 return cls(levels, pixels.valid)
         return cls(pixels.values, pixels.valid)
 
+    def copied_to(self, blocks: _Blocks) -> _Stored:
+        """The same photo in memory of the blocks."""
+        valid = None if self.valid is None else blocks.copy(self.valid)
+        return _Stored(blocks.copy(self.values), valid)
+
     @property
     def nbytes(self) -> int:
         return self.values.nbytes + (0 if self.valid is None else self.valid.nbytes)
@@ -119,6 +131,25 @@ class _Stored(NamedTuple):
         if self.values.dtype == torch.uint8:
             return Pixels(of_eight_bit_levels(self.values), self.valid)
         return Pixels(self.values, self.valid)
+
+
+class _Blocks:
+    """Large blocks of memory for arrays that stay: one by one in the C library's heap, among the
+    arrays of a step, they would leave gaps that the next step's do not fit into."""
+
+    def __init__(self) -> None:
+        self._block = torch.empty(0, dtype=torch.uint8)
+        self._used = 0
+
+    def copy(self, tensor: Tensor) -> Tensor:
+        """A copy of a tensor in the current block, or in a new one if it does not fit."""
+        if self._used + tensor.nbytes > self._block.nbytes:
+            give_back_freed()
+            self._block = torch.empty(max(_BLOCK_BYTES, tensor.nbytes), dtype=torch.uint8)
+            self._used = 0
+        place = self._block[self._used : self._used + tensor.nbytes]
+        self._used += -(-tensor.nbytes // _ALIGNMENT) * _ALIGNMENT
+        return place.view(tensor.dtype).view(tensor.shape).copy_(tensor)
 
 
 def kept_limit(processes: int = 1) -> int:
