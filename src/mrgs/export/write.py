@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, WriteError
+from mrgs.export.crs import coordinate_system
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
 from mrgs.export.loss import BakingLoss, baking_loss_db
@@ -103,6 +104,8 @@ def export(
         RunError: the model cannot be exported, or a file cannot be written.
         SceneError: a photo cannot be read.
     """
+    if maps.crs is not None:  # said now, not after minutes of baking and rendering
+        coordinate_system(scene, maps.crs)
     if format == "all":
         chosen = [each for each in FORMATS.values() if each.in_all and _is_writable(each, scene)]
     else:

@@ -235,6 +235,23 @@ def test_what_does_not_fit_is_said_in_one_line(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("format", ["ortho", "las", "ply", "all"])
+def test_a_crs_that_does_not_fit_is_said_before_anything_is_baked(
+    tmp_path, front, front_scene, format
+):
+    begun = []
+    with pytest.raises(ConfigError, match=r"EPSG:32756 [(].*[)] does not cover the scene"):
+        export(
+            front,
+            front_scene,
+            format,
+            tmp_path,
+            maps=MapOptions(crs="EPSG:32756"),
+            progress=lambda number, count, name: begun.append(name),
+        )
+    assert not begun
+
+
 def test_a_wanted_crs_is_used(tmp_path, front, front_scene):
     export(
         front,
