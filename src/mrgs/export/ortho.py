@@ -14,11 +14,10 @@ from mrgs.export.job import ExportJob
 from mrgs.export.maps.coverage import Coverage
 from mrgs.export.maps.draw import draw_map
 from mrgs.export.maps.grid import MapGrid
-from mrgs.export.maps.photos import survey
+from mrgs.export.maps.photos import median_distance, survey, survey_pixel
 from mrgs.export.maps.picture import Caption
 from mrgs.export.maps.write import (
     default_pixel_m,
-    median_distance,
     require_map,
     summary,
     vertical,
@@ -43,7 +42,7 @@ def export(job: ExportJob) -> list[Path]:
     pixel_m = job.maps.pixel_size_m or default_pixel_m(job, maps)
     points = _near_points(maps)
     places = [scale * each @ axes[:2].T + offset for each in points]
-    coverage = Coverage.of(places, CELL_PX * scale * _survey_pixel(maps))
+    coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
     heights = np.concatenate([each @ axes[2] for each in points])
     slab = float(heights.min()), float(heights.max())
     grid = _grid(coverage, axes, scale, offset, slab, pixel_m)
@@ -88,11 +87,6 @@ def _near_points(maps: Sequence[DepthMap]) -> list[Float64[np.ndarray, "_ 3"]]:
     limit = TIMES_MEDIAN * median_distance(maps)
     near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
     return [item.points() for item in near]
-
-
-def _survey_pixel(maps: Sequence[DepthMap]) -> float:
-    """Width of a pixel of the depth maps on the surfaces (median), scene units."""
-    return median_distance(maps) / float(np.median([item.camera.K[0, 0] for item in maps]))
 
 
 def _grid(

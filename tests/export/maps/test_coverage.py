@@ -1,11 +1,10 @@
-"""Which part of a map enough photos show, and the gaps between splats."""
+"""Which part of a map enough photos show."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mrgs.export.maps.coverage import LEAST_SHARE, Coverage
-from mrgs.export.maps.draw import GAP_PX, _without_gaps
 
 
 def square(low: float, high: float, step: float = 0.1) -> np.ndarray:
@@ -19,7 +18,7 @@ def test_a_map_ends_where_few_photos_look():
     coverage = Coverage.of(photos, 0.25)
     low, high = coverage.bounds
     np.testing.assert_allclose([*low, *high], [-3, -3, 3, 3], atol=1)
-    u = np.array([-9.0, -3.2, 0.0, 2.9, 5.0])
+    u = np.array([-9.0, -2.8, 0.0, 2.8, 5.0])
     np.testing.assert_array_equal(
         coverage.holds(u, np.array([0.0]))[0], [False, True, True, True, False]
     )
@@ -38,14 +37,3 @@ def test_one_place_is_a_map():
     low, high = Coverage.of([np.array([[1.0, 2.0]])], 0.5).bounds
     assert (low <= [1.0, 2.0]).all()
     assert (high >= [1.0, 2.0]).all()
-
-
-def test_narrow_gaps_take_the_depth_beside_them_and_wide_ones_stay():
-    depth = np.full((30, 40), 5.0, np.float32)
-    depth[:, 10 : 10 + 2 * GAP_PX] = np.nan
-    depth[:, 20:30] = np.nan
-    filled = _without_gaps(depth)
-    assert (filled[:, :20] == 5).all()
-    assert np.isnan(filled[:, 20:30]).all()
-    assert (filled[:, 30:] == 5).all()
-    assert np.isnan(_without_gaps(np.full((4, 4), np.nan, np.float32))).all()

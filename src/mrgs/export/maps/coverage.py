@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy import ndimage
 
-LEAST_SHARE = 0.2
+LEAST_SHARE = 0.4
 """A place belongs to a map if at least this share of as many photos show it as show the place that
 most do. Beyond, a few photos show it from the side, and the map would end in rags."""
 

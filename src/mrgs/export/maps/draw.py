@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float32
-from scipy import ndimage
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.export.maps.coverage import Coverage
@@ -18,6 +17,7 @@ from mrgs.export.maps.photos import (
     on_seen_surface,
     photo_map,
 )
+from mrgs.export.maps.shown import ShownPlaces
 from mrgs.export.splats import to_float32
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.baked import BakedModel
@@ -29,9 +29,6 @@ MAX_PIXELS = 50_000_000
 
 PART_PX = 1024
 """Maps are drawn in parts of so many pixels in width and height."""
-
-GAP_PX = 2
-"""Gaps between splats up to twice as many pixels wide are filled."""
 
 LEAST_ALPHA = 0.05
 """A colour that is blended less is darker than its surface."""
@@ -106,8 +103,9 @@ def draw_map(
     splats = replace(baked, opacities=opacities)
     bands = np.full((len(BANDS), grid.height, grid.width), np.nan, np.float32)
     points = np.full((grid.height, grid.width, 3), np.nan, np.float32)
+    shown = ShownPlaces(maps, grid)
     for part, camera in _parts(grid):
-        bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera)
+        bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera, part, shown)
     if coverage is not None:
         beyond = ~coverage.holds(*grid.middles)
         bands[:, beyond], points[beyond] = np.nan, np.nan
@@ -134,13 +132,14 @@ def _parts(grid: MapGrid) -> Iterator[tuple[tuple[slice, slice], Camera]]:
 
 
 def _draw_part(
-    splats: BakedModel, scene: Scene, camera: Camera
+    splats: BakedModel, scene: Scene, camera: Camera, part: tuple[slice, slice], shown: ShownPlaces
 ) -> tuple[Float32[np.ndarray, "3 h w"], Float32[np.ndarray, "h w 3"]]:
     """Colours, 0 to 255, and points of the surface; NaN where there is none."""
     size = camera.height, camera.width
     colors, points = (np.full(shape, np.nan, np.float32) for shape in ((3, *size), (*size, 3)))
     # The mean would lose digits from as far away as a map's camera stands.
-    depth = _without_gaps(to_float32(splats.median_depth(scene.modalities[0], camera)))
+    depth = to_float32(splats.median_depth(scene.modalities[0], camera))
+    depth = shown.depth_of_part(part, camera, depth)
     surface = np.isfinite(depth)
     points[surface] = unprojected(camera, depth)[surface]
     if RGB in scene.modalities:
@@ -149,18 +148,3 @@ def _draw_part(
         opaque = blend.image / blend.alpha.clamp_min(LEAST_ALPHA)[..., None]
         colors[:, surface] = 255 * to_float32(opaque).clip(0, 1)[surface].T
     return colors, points
-
-
-def _without_gaps(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """The depth with narrow gaps filled by what is nearest beside them: seen from above, where no
-    photo was taken, splats do not overlap everywhere. Whether a surface is there, photos tell."""
-    solid = np.isfinite(depth)
-    if not solid.any():
-        return depth
-    wide = np.pad(solid, GAP_PX, mode="edge")
-    square = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), bool)
-    closed = ndimage.binary_closing(wide, square)[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX]
-    rows, columns = ndimage.distance_transform_edt(
-        ~solid, return_distances=False, return_indices=True
-    )
-    return np.where(closed, depth[rows, columns], depth)

@@ -43,6 +43,16 @@ def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     return maps
 
 
+def median_distance(maps: Sequence[DepthMap]) -> float:
+    """Median z-depth of the surfaces in depth maps."""
+    return float(np.median(np.concatenate([each.depth[np.isfinite(each.depth)] for each in maps])))
+
+
+def survey_pixel(maps: Sequence[DepthMap]) -> float:
+    """Width of a pixel of the depth maps on the surfaces (median), scene units."""
+    return median_distance(maps) / float(np.median([item.camera.K[0, 0] for item in maps]))
+
+
 def on_seen_surface(
     maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:

@@ -13,6 +13,7 @@ from mrgs.export.crs import coordinate_system, require_pyproj
 from mrgs.export.job import ExportJob, described
 from mrgs.export.maps.draw import BANDS, OrthographicMap
 from mrgs.export.maps.geotiff import require_rasterio, write_geotiff
+from mrgs.export.maps.photos import median_distance
 from mrgs.export.maps.picture import Caption, map_picture
 from mrgs.export.sidecar import UP_SNAP, comment_lines
 from mrgs.pictures.files import write_png
@@ -44,11 +45,6 @@ def default_pixel_m(job: ExportJob, maps: Sequence[DepthMap]) -> float:
     modality, which has the finest pixels."""
     focals = [float(camera.K[0, 0]) for camera in job.scene.train_cameras]
     return float(f"{median_distance(maps) / np.median(focals):.1e}")
-
-
-def median_distance(maps: Sequence[DepthMap]) -> float:
-    """Median z-depth of the surfaces in depth maps."""
-    return float(np.median(np.concatenate([each.depth[np.isfinite(each.depth)] for each in maps])))
 
 
 def vertical(job: ExportJob) -> Float64[np.ndarray, "3"]:
