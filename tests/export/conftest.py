@@ -50,7 +50,9 @@ def globe() -> BakedModel:
     opacities = dict.fromkeys((RGB, THERMAL), torch.full((count,), 0.95))
     temperatures = torch.where(up, 0.75, 0.25)
     scales, scale = torch.full((count, 3), 0.012), TemperatureRange(10, 30)
-    return BakedModel(means, quats, scales, opacities, {RGB: sh}, temperatures, scale)
+    return BakedModel(
+        means, quats, scales, opacities, {RGB: sh[:, :1]}, {RGB: sh[:, 1:]}, temperatures, scale
+    )
 
 
 @pytest.fixture

@@ -117,7 +117,8 @@ def with_infrared(baked, scene):
         baked,
         temperatures=temperatures,
         opacities={**baked.opacities, NEAR_INFRARED: baked.opacities[THERMAL]},
-        sh={**baked.sh, NEAR_INFRARED: sh},
+        sh_dc={**baked.sh_dc, NEAR_INFRARED: sh},
+        sh_rest={**baked.sh_rest, NEAR_INFRARED: sh[:, :0]},
     )
     views = (
         View(view.name, {**view.images, NEAR_INFRARED: view.images[THERMAL]})

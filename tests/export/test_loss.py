@@ -24,7 +24,11 @@ def test_the_loss_is_the_mean_difference_to_the_photos(run, baked, scene):
 
 
 def test_a_worse_model_loses_more(run, baked, scene):
-    grey = replace(baked, sh={RGB: torch.zeros_like(baked.sh[RGB])})
+    grey = replace(
+        baked,
+        sh_dc={RGB: torch.zeros_like(baked.sh_dc[RGB])},
+        sh_rest={RGB: torch.zeros_like(baked.sh_rest[RGB])},
+    )
     assert baking_loss_db(run, grey, scene)[RGB] > 1
 
 

@@ -26,10 +26,10 @@ def test_the_properties_stand_in_3dgs_s_order(tmp_path):
 def test_higher_coefficients_are_stored_channel_by_channel(tmp_path):
     baked = make_baked()
     rows = read_ply(write_splat_ply(tmp_path / "rgb.ply", shaded_splats(baked, RGB)))[1]["vertex"]
-    np.testing.assert_array_equal(rows["f_rest_0"], baked.sh[RGB][:, 1, 0])
-    np.testing.assert_array_equal(rows["f_rest_14"], baked.sh[RGB][:, 15, 0])
-    np.testing.assert_array_equal(rows["f_rest_15"], baked.sh[RGB][:, 1, 1])
-    np.testing.assert_array_equal(rows["f_rest_44"], baked.sh[RGB][:, 15, 2])
+    np.testing.assert_array_equal(rows["f_rest_0"], baked.sh(RGB)[:, 1, 0])
+    np.testing.assert_array_equal(rows["f_rest_14"], baked.sh(RGB)[:, 15, 0])
+    np.testing.assert_array_equal(rows["f_rest_15"], baked.sh(RGB)[:, 1, 1])
+    np.testing.assert_array_equal(rows["f_rest_44"], baked.sh(RGB)[:, 15, 2])
 
 
 def test_scales_are_logarithms_and_opacities_logits(tmp_path):

@@ -74,7 +74,16 @@ def test_an_empty_model_is_refused():
 
 @pytest.mark.parametrize(
     "name",
-    ["means", "quats", "scales", "opacity.rgb", "opacity.thermal", "sh.rgb", "temperatures"],
+    [
+        "means",
+        "quats",
+        "scales",
+        "opacity.rgb",
+        "opacity.thermal",
+        "sh_dc.rgb",
+        "sh_rest.rgb",
+        "temperatures",
+    ],
 )
 def test_numbers_that_are_not_finite_are_refused(name):
     baked = make_baked().map_tensors(torch.clone)
@@ -102,7 +111,7 @@ def test_colours_without_directions_beat_dropping_the_directions(baked, scene):
     full = shaded_splats(baked, RGB)
     flat = shaded_splats(without_directions(baked, cameras), RGB)
     bounds = 0.5 / 0.28209479  # of colours between 0 and 1
-    dropped = replace(full, sh=baked.sh[RGB][:, :1].clamp(-bounds, bounds).numpy())
+    dropped = replace(full, sh=baked.sh_dc[RGB].clamp(-bounds, bounds).numpy())
     scores = [
         sum(psnr(draw(splats, camera), draw(full, camera)) for camera in cameras)
         for splats in (flat, dropped)

@@ -91,7 +91,16 @@ def draw(splats: SplatArrays, camera: Camera) -> torch.Tensor:
         torch.from_numpy(array) for array in (splats.means, splats.quats, splats.scales)
     )
     return (
-        BakedModel(means, quats, scales, {RGB: opacities}, {RGB: sh}, opacities, None)
+        BakedModel(
+            means,
+            quats,
+            scales,
+            {RGB: opacities},
+            {RGB: sh[:, :1]},
+            {RGB: sh[:, 1:]},
+            opacities,
+            None,
+        )
         .render(camera)[RGB]
         .image
     )
@@ -107,7 +116,16 @@ def make_baked(count: int = 50, temperature: TemperatureRange | None = CELSIUS) 
     sh = torch.randn(count, 16, 3, generator=generator) * 0.2
     temperatures = torch.rand(count, generator=generator)
     by_modality = {RGB: opacities[:, 0], THERMAL: opacities[:, 1]}
-    return BakedModel(means, quats, scales, by_modality, {RGB: sh}, temperatures, temperature)
+    return BakedModel(
+        means,
+        quats,
+        scales,
+        by_modality,
+        {RGB: sh[:, :1]},
+        {RGB: sh[:, 1:]},
+        temperatures,
+        temperature,
+    )
 
 
 def splat_transform(path: Path) -> SplatArrays:

@@ -185,7 +185,9 @@ def test_splats_of_a_region_are_corrected():
     points = torch.tensor([[0.5, 0.01, 0.5], [2.0, 0.0, 0.5]])
     normalised = RANGE.from_celsius(wall_celsius(points))
     opaque = {THERMAL: torch.ones(2)}
-    baked = BakedModel(points, torch.eye(4)[:2], torch.ones(2, 3), opaque, {}, normalised, RANGE)
+    baked = BakedModel(
+        points, torch.eye(4)[:2], torch.ones(2, 3), opaque, {}, {}, normalised, RANGE
+    )
     capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
     corrected = Regions(Marks((BOX,)), render_wall, RANGE, capture).of_splats(baked)
     wanted = capture.corrected(np.array([21.5]), SurfaceSettings(0.6, -10.0))[0]

@@ -71,7 +71,8 @@ def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedMo
         quats,
         scales,
         {RGB: opacity, THERMAL: opacity},
-        {RGB: torch.zeros(n, 16, 3)},
+        {RGB: torch.zeros(n, 1, 3)},
+        {RGB: torch.zeros(n, 15, 3)},
         temperatures,
         TemperatureRange(0.0, 100.0),
     )
@@ -135,7 +136,7 @@ def test_two_views_are_enough_where_there_are_no_more():
 def test_nothing_is_found_where_nothing_is_seen():
     assert find_spots(views(), BakedModel(
         torch.tensor([[0.0, 0.0, 50.0]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.01),
-        {THERMAL: torch.tensor([0.5])}, {}, torch.tensor([0.5]), None,
+        {THERMAL: torch.tensor([0.5])}, {}, {}, torch.tensor([0.5]), None,
     ).render) == ([], [])  # fmt: skip
     assert find_spots(views(thermal=False), plane().render) == ([], [])
 

@@ -87,7 +87,13 @@ def test_the_colour_residual_counts():
 
 def test_spherical_harmonics_alone_are_kept_as_they_are():
     model = make_model(residuals=False)
-    assert torch.equal(bake(model, CAMERAS, None).sh[RGB], model.gaussians.sh(RGB))
+    baked = bake(model, CAMERAS, None)
+    for found, expected in (
+        (baked.sh_dc, model.gaussians.sh_dc),
+        (baked.sh_rest, model.gaussians.sh_rest),
+    ):
+        assert found[RGB].data_ptr() == expected[RGB].data_ptr()
+        assert torch.equal(found[RGB], expected[RGB])
 
 
 @pytest.mark.parametrize("residuals", [True, False])
@@ -136,7 +142,8 @@ def test_a_subset_has_the_rows_in_their_order():
     subset = baked.subset(rows)
     assert len(subset) == 3
     assert set(subset.tensors()) == {
-        "means", "quats", "scales", "opacity.rgb", "opacity.thermal", "sh.rgb", "temperatures"
+        "means", "quats", "scales", "opacity.rgb", "opacity.thermal", "sh_dc.rgb", "sh_rest.rgb",
+        "temperatures",
     }  # fmt: skip
     for name, tensor in baked.tensors().items():
         assert torch.equal(subset.tensors()[name], tensor[rows]), name

@@ -139,7 +139,7 @@ def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
 
     Not for temperatures, which have no harmonics.
     """
-    sh = baked.sh[modality]
+    sh = baked.sh(modality)
     if modality.channels != 3:
         sh = sh.mean(dim=2, keepdim=True).expand(-1, -1, 3)
     return _splats(baked, baked.opacities[modality], to_float32(sh))
@@ -167,8 +167,12 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedMod
     evenly spaced over those given.
     """
     asked = [cameras[index] for index in evenly_spaced(len(cameras), MEAN_OVER)]
-    means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh}
-    return replace(baked, sh={each: ((mean - 0.5) / C0)[:, None] for each, mean in means.items()})
+    means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh_dc}
+    return replace(
+        baked,
+        sh_dc={each: ((mean - 0.5) / C0)[:, None] for each, mean in means.items()},
+        sh_rest={each: mean.new_zeros(len(mean), 0, each.channels) for each, mean in means.items()},
+    )
 
 
 def base_values(baked: BakedModel, modality: Modality) -> Float32[np.ndarray, "n c"]:

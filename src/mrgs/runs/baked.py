@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, up_to_degree
 from mrgs.rasterizer import Layer, median_depth, rasterize
 from mrgs.render import Model, shared_passes
 from mrgs.scene import (
@@ -27,7 +27,6 @@ from mrgs.scene import (
     TemperatureRange,
     evenly_spaced,
 )
-from mrgs.system.pieces import pieces
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
@@ -51,8 +50,10 @@ class BakedModel:
         quats: rotations wxyz, unit length, [N, 4].
         scales: standard deviations along the rotated axes, [N, 3].
         opacities: of each modality, in (0, 1), [N].
-        sh: coefficients of each modality of C channels but the thermal one, as 3DGS has them (value
-            = max(0, 0.5 + Σ)), [N, B, C]; B is 16 where it depends on the view up to degree 3.
+        sh_dc: coefficient of degree 0 of each modality of C channels but the thermal one, as 3DGS
+            has them (value = max(0, 0.5 + Σ)), [N, 1, C].
+        sh_rest: coefficients of the higher degrees, [N, B, C]; B is 15 where a modality depends on
+            the view up to degree 3.
         temperatures: normalised, [N].
         temperature: the scale of the temperatures; None if the scene has no known °C.
     """
@@ -61,7 +62,8 @@ class BakedModel:
     quats: Float[Tensor, "n 4"]
     scales: Float[Tensor, "n 3"]
     opacities: Mapping[Modality, Float[Tensor, " n"]]
-    sh: Mapping[Modality, Float[Tensor, "n _ _"]]
+    sh_dc: Mapping[Modality, Float[Tensor, "n 1 _"]]
+    sh_rest: Mapping[Modality, Float[Tensor, "n _ _"]]
     temperatures: Float[Tensor, " n"]
     temperature: TemperatureRange | None
 
@@ -80,7 +82,8 @@ class BakedModel:
             "quats": self.quats,
             "scales": self.scales,
             **{f"opacity.{modality}": each for modality, each in self.opacities.items()},
-            **{f"sh.{modality}": each for modality, each in self.sh.items()},
+            **{f"sh_dc.{modality}": each for modality, each in self.sh_dc.items()},
+            **{f"sh_rest.{modality}": each for modality, each in self.sh_rest.items()},
             "temperatures": self.temperatures,
         }
 
@@ -96,9 +99,14 @@ class BakedModel:
             quats=function(self.quats),
             scales=function(self.scales),
             opacities={modality: function(each) for modality, each in self.opacities.items()},
-            sh={modality: function(each) for modality, each in self.sh.items()},
+            sh_dc={modality: function(each) for modality, each in self.sh_dc.items()},
+            sh_rest={modality: function(each) for modality, each in self.sh_rest.items()},
             temperatures=function(self.temperatures),
         )
+
+    def sh(self, modality: Modality) -> Float[Tensor, "n b c"]:
+        """All coefficients of a modality, copied."""
+        return torch.cat([self.sh_dc[modality], self.sh_rest[modality]], dim=1)
 
     @property
     def temperatures_c(self) -> Float[Tensor, " n"]:
@@ -116,19 +124,16 @@ class BakedModel:
         temperatures, or the harmonics of degree 0."""
         if modality == THERMAL:
             return self.temperatures[:, None]
-        return 0.5 + C0 * self.sh[modality][:, 0]
+        return 0.5 + C0 * self.sh_dc[modality][:, 0]
 
     def values(self, modality: Modality, position: Float[Tensor, "3"]) -> Float[Tensor, "n c"]:
         """What is blended of a modality, as seen from a position: colours of RGB, normalised
         temperatures of thermal."""
         if modality == THERMAL:
             return self.temperatures[:, None]
-        sh, position = self.sh[modality], position.to(self.means)
-        parts = [
-            shade(self.means[rows], sh[rows, :1], sh[rows, 1:], position, MAX_DEGREE)
-            for rows in pieces(len(self))
-        ]
-        return torch.cat(parts)
+        dc, rest = self.sh_dc[modality], self.sh_rest[modality]
+        shaded: Tensor = shade(self.means, dc, rest, position.to(self.means), MAX_DEGREE)
+        return shaded
 
     def render(
         self, cameras: Camera | Mapping[Modality, Camera], surface: Modality | None = None
@@ -191,6 +196,8 @@ def bake(
 ) -> BakedModel:
     """Fold the field of a trained model into plain splats.
 
+    What the field does not change is shared with the model, not copied.
+
     Args:
         model: N Gaussians.
         cameras: of the photos; the colours are fitted for the directions from them.
@@ -205,16 +212,18 @@ def bake(
     positions = torch.stack(
         [cameras[index].position for index in evenly_spaced(len(cameras), DIRECTIONS)]
     ).to(gaussians.means)
+    harmonics = {
+        modality: _harmonics(model, modality, positions)
+        for modality in gaussians.modalities
+        if modality != THERMAL
+    }
     return BakedModel(
         means=gaussians.means.detach(),
         quats=torch.nn.functional.normalize(gaussians.quats, dim=1),
         scales=gaussians.scales,
         opacities={modality: gaussians.opacity(modality) for modality in gaussians.modalities},
-        sh={
-            modality: _harmonics(model, modality, positions)
-            for modality in gaussians.modalities
-            if modality != THERMAL
-        },
+        sh_dc={modality: dc for modality, (dc, _) in harmonics.items()},
+        sh_rest={modality: rest for modality, (_, rest) in harmonics.items()},
         temperatures=_temperatures(model),
         temperature=temperature,
     )
@@ -228,14 +237,20 @@ def _temperatures(model: Model) -> Float[Tensor, " n"]:
 
 def _harmonics(
     model: Model, modality: Modality, positions: Float[Tensor, "m 3"]
-) -> Float[Tensor, "n b c"]:
-    """A modality's coefficients of the degrees in use, with the colour residual ĉ folded in."""
-    sh = model.gaussians.sh(modality).detach()  # a copy
-    sh[:, (model.sh_degree + 1) ** 2 :] = 0
+) -> tuple[Float[Tensor, "n 1 c"], Float[Tensor, "n b c"]]:
+    """A modality's coefficients of degree 0 and of the higher degrees, those that are not in use
+    zero, with the colour residual ĉ folded in."""
+    gaussians = model.gaussians
+    dc = gaussians.sh_dc[modality].detach()
+    rest = up_to_degree(gaussians.sh_rest[modality].detach(), model.sh_degree)
     if modality != RGB or not model.field.config.residuals:
-        return sh
-    blocks = torch.arange(len(sh)).split(BLOCK_ROWS)
-    return torch.cat([_fit_colors(model, sh[rows], rows, positions) for rows in blocks])
+        return dc, rest
+    blocks = torch.arange(len(dc)).split(BLOCK_ROWS)
+    parts = [
+        _fit_colors(model, torch.cat([dc[rows], rest[rows]], dim=1), rows, positions)
+        for rows in blocks
+    ]
+    return torch.cat([part[:, :1] for part in parts]), torch.cat([part[:, 1:] for part in parts])
 
 
 def _fit_colors(

@@ -71,7 +71,8 @@ def front() -> BakedModel:
         torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
         torch.from_numpy(scales).float(),
         {RGB: opacities, THERMAL: opacities},
-        {RGB: sh},
+        {RGB: sh[:, :1]},
+        {RGB: sh[:, 1:]},
         torch.from_numpy(CELSIUS.from_celsius(celsius)).float(),
         CELSIUS,
     )

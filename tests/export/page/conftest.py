@@ -51,7 +51,8 @@ def baked() -> BakedModel:
         quats,
         scales,
         {RGB: opacity[:, 0], THERMAL: opacity[:, 1]},
-        {RGB: sh},
+        {RGB: sh[:, :1]},
+        {RGB: sh[:, 1:]},
         temperatures,
         TemperatureRange(-10.0, 90.0),
     )
@@ -66,5 +67,6 @@ def with_nir(baked: BakedModel) -> BakedModel:
     return replace(
         baked,
         opacities={**baked.opacities, NEAR_INFRARED: opacity},
-        sh={**baked.sh, NEAR_INFRARED: torch.cat([0.5 * base, 0.15 * rest], dim=1)},
+        sh_dc={**baked.sh_dc, NEAR_INFRARED: 0.5 * base},
+        sh_rest={**baked.sh_rest, NEAR_INFRARED: 0.15 * rest},
     )

@@ -212,7 +212,12 @@ def test_a_third_modality_with_a_unit_has_a_scale_of_its_own(open_page, with_nir
     def named(values: dict[Modality, Any]) -> dict[Modality, Any]:
         return {metric if each == metric else each: value for each, value in values.items()}
 
-    model = replace(with_nir, opacities=named(with_nir.opacities), sh=named(with_nir.sh))
+    model = replace(
+        with_nir,
+        opacities=named(with_nir.opacities),
+        sh_dc=named(with_nir.sh_dc),
+        sh_rest=named(with_nir.sh_rest),
+    )
     page = open_page(model, modalities=model.modalities, viewport={"width": 800, "height": 420})
     title, high = page.locator("#scale-title"), page.locator("#high")
     assert (title.inner_text(), high.input_value()) == ("Temperature scale, °C", "80.0")

@@ -53,7 +53,8 @@ def unpack(packed: PackedModel) -> dict[str, np.ndarray]:
         "quats": quaternions(planes["rotations"]),
         **opacities,
         "temperatures": between(planes["values_thermal"], *limits["values"]["thermal"], 65535),
-        **{f"sh.{name}": harmonics(name) for name in limits["sh"]},
+        **{f"sh_dc.{name}": harmonics(name)[:, :1] for name in limits["sh"]},
+        **{f"sh_rest.{name}": harmonics(name)[:, 1:] for name in limits["sh"]},
     }
 
 
@@ -71,13 +72,14 @@ def quaternions(codes: np.ndarray) -> np.ndarray:
 
 def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
     tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in content.items()}
-    sh = {modality: tensors.pop(f"sh.{modality}") for modality in like.sh}
+    rest = {modality: tensors.pop(f"sh_rest.{modality}") for modality in like.sh_rest}
     return replace(
         like,
         opacities={each: tensors.pop(f"opacity.{each}") for each in like.modalities},
-        sh={
-            modality: torch.nn.functional.pad(each, (0, 0, 0, 16 - each.shape[1]))
-            for modality, each in sh.items()
+        sh_dc={modality: tensors.pop(f"sh_dc.{modality}") for modality in like.sh_dc},
+        sh_rest={
+            modality: torch.nn.functional.pad(each, (0, 0, 0, 15 - each.shape[1]))
+            for modality, each in rest.items()
         },
         **tensors,
     )
@@ -107,9 +109,11 @@ def test_every_parameter_comes_back_within_half_a_step(baked):
         )
     ]
     tolerance = 0.51 * np.repeat(steps, [1, 3, 5, 7])[:, None]
-    assert (
-        np.abs(content["sh.rgb"] - expected["sh.rgb"]) <= tolerance
-    ).mean() > 0.999  # all but the clipped ones
+    found, wanted = (
+        np.concatenate([each["sh_dc.rgb"], each["sh_rest.rgb"]], axis=1)
+        for each in (content, expected)
+    )
+    assert (np.abs(found - wanted) <= tolerance).mean() > 0.999  # all but the clipped ones
 
 
 def test_the_packed_model_renders_as_the_baked_one(baked, cameras):
@@ -148,15 +152,18 @@ def test_each_plane_starts_at_a_multiple_of_its_width(with_nir):
 
 def test_fewer_degrees_leave_the_higher_harmonics_out(baked):
     full, flat = pack(baked), pack(baked, sh_degree=0)
-    np.testing.assert_array_equal(unpack(full)["sh.rgb"][:, :1], unpack(flat)["sh.rgb"])
+    np.testing.assert_array_equal(unpack(full)["sh_dc.rgb"], unpack(flat)["sh_dc.rgb"])
+    assert unpack(flat)["sh_rest.rgb"].shape == (600, 0, 3)
     assert len(flat.data) < 0.6 * len(full.data)
 
 
 def test_a_modality_without_view_dependence_is_packed_without_it(with_nir):
-    flat = replace(with_nir, sh={**with_nir.sh, NEAR_INFRARED: with_nir.sh[NEAR_INFRARED][:, :1]})
+    rest = {**with_nir.sh_rest, NEAR_INFRARED: with_nir.sh_rest[NEAR_INFRARED][:, :0]}
+    flat = replace(with_nir, sh_rest=rest)
     content = unpack(pack(flat))
-    assert content["sh.nir"].shape == (600, 1, 1)
-    assert content["sh.rgb"].shape == (600, 16, 3)
+    assert content["sh_dc.nir"].shape == (600, 1, 1)
+    assert content["sh_rest.nir"].shape == (600, 0, 1)
+    assert content["sh_rest.rgb"].shape == (600, 15, 3)
 
 
 def test_splats_that_no_pixel_can_show_are_left_out(baked):

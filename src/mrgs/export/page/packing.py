@@ -102,7 +102,7 @@ def pack_in_order(
         planes[f"opacity_{modality}"] = _opacity_plane(baked, modality)
         if modality in sh_limits:
             limits["sh"][modality.name] = bands = sh_limits[modality]
-            planes[f"sh_{modality}"] = _harmonics_plane(_array(baked.sh[modality]), bands)
+            planes[f"sh_{modality}"] = _harmonics_plane(_array(baked.sh(modality)), bands)
         else:
             values, ends = _quantise(_array(baked.base_values(modality))[:, 0], 65535)
             limits["values"][modality.name] = ends
@@ -161,8 +161,10 @@ def harmonics_limits(
     some = torch.from_numpy(rows[:: -(-len(rows) // SAMPLED)])
     limits = {}
     for modality in modalities:
-        if modality in baked.sh:
-            sh = _array(baked.sh[modality][some])
+        if modality in baked.sh_dc:
+            sh = _array(
+                torch.cat([baked.sh_dc[modality][some], baked.sh_rest[modality][some]], dim=1)
+            )
             degree = min(sh_degree, math.isqrt(sh.shape[1]) - 1)
             limits[modality] = [_band_limits(_band(sh, band), band) for band in range(degree + 1)]
     return limits

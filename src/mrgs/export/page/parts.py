@@ -112,7 +112,8 @@ class PageModel:
             quats=few.quats,
             scales=few.scales,
             opacities={modality: few.opacity(modality) for modality in part.opacities},
-            sh={modality: few.sh(modality) for modality in part.sh},
+            sh_dc={modality: few.sh_dc[modality] for modality in part.sh_dc},
+            sh_rest={modality: few.sh_rest[modality] for modality in part.sh_rest},
             temperatures=0.5 + C0 * few.sh_dc[THERMAL][:, 0, 0],
         )
 
@@ -139,14 +140,14 @@ def _joined(models: Sequence[BakedModel]) -> BakedModel:
 
 def _as_gaussians(baked: BakedModel) -> Gaussians:
     """The parameters of splats."""
-    sh = {**baked.sh, THERMAL: ((baked.temperatures - 0.5) / C0)[:, None, None]}
+    thermal = ((baked.temperatures - 0.5) / C0)[:, None, None]
     opacities = {each: opacity.clamp(*FINITE_LOGITS) for each, opacity in baked.opacities.items()}
     return Gaussians(
         means=baked.means,
         quats=baked.quats,
         log_scales=baked.scales.log(),
         opacity_logits={each: opacity.logit()[:, None] for each, opacity in opacities.items()},
-        sh_dc={each: values[:, :1] for each, values in sh.items()},
-        sh_rest={each: values[:, 1:] for each, values in sh.items()},
+        sh_dc={**baked.sh_dc, THERMAL: thermal},
+        sh_rest={**baked.sh_rest, THERMAL: thermal[:, :0]},
         embedding=baked.means.new_zeros(len(baked), 0),
     )
