@@ -14,7 +14,7 @@ from mrgs.errors import ConfigError, MrgsError, PeerError, RunError
 from mrgs.training import peers as peers_module
 from mrgs.training.checkpoint import tensors_of
 from mrgs.training.facts import CheckpointFacts
-from mrgs.training.peers import FollowedRun, Peers
+from mrgs.training.peers import FollowedRun, Peers, require_alike
 from mrgs.training.replicas import align_replicas
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
@@ -108,6 +108,37 @@ def test_another_scene_stops_all_with_one_line(small_scene, make_scene):
     assert (kind, other[0]) == (RunError, PeerError)
     assert "sees another scene than the first one (photos of " in message
     assert message.endswith("): give all the same files")
+
+
+def test_processes_that_do_parts_of_one_work_are_alike(small_scene, make_scene, monkeypatch):
+    other = make_scene()
+    (other / "temperature_bounds.json").write_text(
+        '{"absolute_min_temperature": 1, "absolute_max_temperature": 2}'
+    )
+    scenes = [load_scene(small_scene), load_scene(other)]
+    configs = [CONFIG, replace(CONFIG, seed=3)]
+
+    def start(scene, config):
+        return together(
+            lambda processes: require_alike(
+                processes, configs[processes.rank * config], scenes[processes.rank * scene]
+            ),
+            2,
+        )
+
+    assert start(scene=0, config=0) == [None, None]
+    for found, message in (
+        (start(scene=1, config=0), "another scene than the first one (it has another temperature"),
+        (start(scene=0, config=1), "another configuration than the first one (seed: 3, not 0)"),
+    ):
+        (kind, text), (other_kind, _) = errors(found)
+        assert (kind, other_kind) == (RunError, PeerError)
+        assert message in text
+    versions = iter(["1.0", "2.0"])
+    monkeypatch.setattr(peers_module, "version", lambda name: next(versions))
+    (kind, text), _ = errors(start(scene=0, config=0))
+    assert kind is RunError
+    assert text.endswith(": install one version")
 
 
 def test_more_processes_than_views_in_a_step_are_refused(tmp_path):

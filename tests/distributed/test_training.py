@@ -12,7 +12,16 @@ from safetensors.torch import load_file
 from mrgs.method.config import from_yaml, make_config
 from mrgs.training import train
 from mrgs.training.run_folder import RunFolder
-from tests.faults.program import SMALL, Ended, ended, start
+from tests.faults.program import (
+    SMALL,
+    Ended,
+    Started,
+    ended,
+    logged_step,
+    newest_step,
+    start,
+    wait_until,
+)
 
 EVENTFUL = "densification: {start: 1, stop: 9, every: 4, gradient_threshold: 1.0e-6}\n"
 """Densifies at steps 4 and 8."""
@@ -21,11 +30,16 @@ STEPS = 10
 
 
 def run_processes(count: int, *arguments: object) -> list[Ended]:
+    """The program in several processes, to the end."""
+    return [ended(process) for process in started(count, *arguments)]
+
+
+def started(count: int, *arguments: object) -> list[Started]:
     """The program in several processes; torchrun itself would take a second more."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    started = []
+    processes = []
     for rank in range(count):
         variables = {
             "TORCHELASTIC_RUN_ID": "test",
@@ -36,8 +50,8 @@ def run_processes(count: int, *arguments: object) -> list[Ended]:
             "MASTER_ADDR": "127.0.0.1",
             "MASTER_PORT": str(port),
         }
-        started.append(start(*arguments, variables=variables))
-    return [ended(process) for process in started]
+        processes.append(start(*arguments, variables=variables))
+    return processes
 
 
 def test_two_processes_do_bit_by_bit_what_one_does_with_two_views_per_step(small_scene, tmp_path):
@@ -57,6 +71,19 @@ def test_two_processes_do_bit_by_bit_what_one_does_with_two_views_per_step(small
     assert len(expected["gaussians.means"]) > 25
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
     assert [entries_of(folder.path) for folder in (one, two)] == [entries_of(one.path)] * 2
+
+
+def test_a_process_that_is_killed_ends_the_others_with_one_line(small_scene, tmp_path):
+    output = tmp_path / "run"
+    options = (*SMALL, "--max-steps", 100_000, "--output", output)
+    processes = started(2, "train", small_scene, *options)
+    wait_until(lambda: logged_step(output) >= 10, processes[0])
+    processes[1].kill()
+    first, _ = (ended(process) for process in processes)
+    assert first.is_refusal, first.err
+    assert "process 0 of 2" in first.err
+    assert "has lost the others: one of them has ended, or the network" in first.err
+    assert newest_step(output) >= 10
 
 
 def entries_of(run: Path) -> list[dict]:

@@ -6,6 +6,7 @@ from mrgs.blocks.train import BlockTraining
 from mrgs.distributed.processes import Processes
 from mrgs.distributed.work_queue import WorkQueue
 from mrgs.errors import FolderInUseError, MrgsError, RunError
+from mrgs.training.peers import require_alike
 
 
 def train_together(training: BlockTraining, processes: Processes) -> None:
@@ -15,10 +16,14 @@ def train_together(training: BlockTraining, processes: Processes) -> None:
     blocks until none is left, and the first one joins them.
 
     Raises:
-        RunError: in the first process, a block could not be trained; all others are finished.
+        RunError: in the first process: a block could not be trained, and all others are finished;
+            or another process is of another version, was started differently, or sees another
+            scene.
+        PeerError: the same, in that process.
         MrgsError: as ``BlockTraining.train_block``, for the first process's own work.
         LinkError, PeerError: another process is gone.
     """
+    require_alike(processes, training.config, training.scene)
     queue = WorkQueue(processes, "blocks")
     if processes.is_first:
         queue.fill(training.unfinished())

@@ -81,7 +81,6 @@ class Peers:
         self._device = device
         self._strategy = strategy
         self._terms = terms
-        self._name = f"process {processes.rank} on {socket.gethostname()}"
 
     @property
     def lead(self) -> bool:
@@ -108,27 +107,15 @@ class Peers:
             ConfigError: there are more of them than views in a step.
         """
         own = version("mrgs")
-        said = self.processes.share_json([own, to_yaml(config), resume])
-        first, text, resume = said
-        problem = None
-        if first != own:
-            problem = f"{self._name} is mrgs {own}, the first one is {first}: install one version"
-        elif not resume and (other := self._other_value(text, config)):
-            problem = (
-                f"{self._name} was started with another configuration than the first one "
-                f"({other}): run the same command everywhere"
-            )
+        first, text, resume = self.processes.share_json([own, to_yaml(config), resume])
+        problem = _other_version(self.processes, own, first)
+        if not resume:
+            problem = problem or _other_configuration(self.processes, text, config)
         self.processes.raise_first(problem, RunError)
         if self.lead:
             self._require_enough_views(config)
             return folder, resume
         return FollowedRun(folder.path, text), resume
-
-    def _other_value(self, text: str, config: TrainConfig) -> str:
-        """The first value in which this process differs from the first one; empty if none does."""
-        theirs, ours = (flat(parse_yaml(each, "")) for each in (text, to_yaml(config)))
-        name = first_difference(theirs, ours)
-        return "" if name is None else f"{name}: {ours.get(name)}, not {theirs.get(name)}"
 
     def _require_enough_views(self, config: TrainConfig) -> None:
         if config.batch < self.processes.count:
@@ -158,14 +145,61 @@ class Peers:
         """
         header = self.processes.share_json()
         facts = CheckpointFacts.from_json(header)
-        other = differences(facts, scene)
-        problem = (
-            f"{self._name} sees another scene than the first one ({other}): give all the same files"
-        )
-        self.processes.raise_first(problem if other else None, RunError)
+        self.processes.raise_first(_other_scene(self.processes, facts, scene), RunError)
         tensors = self.processes.share_tensors({})
         path = Path("the state of the first process")
         state = checkpoint.state_of(
             tensors, facts, header, path, config, self._device, self._strategy, self._terms
         )
         return state, facts
+
+
+def require_alike(processes: Processes, config: TrainConfig, scene: Scene) -> None:
+    """Stop processes that do parts of one work if they would do different ones.
+
+    Raises:
+        RunError: on the first process: another one is of another version, was started differently,
+            or sees another scene.
+        PeerError: the same, on the others.
+        SceneError: a photo cannot be read.
+    """
+    own = version("mrgs")
+    seen = CheckpointFacts.at_start(scene).to_json() if processes.is_first else None
+    first, text, header = processes.share_json([own, to_yaml(config), seen])
+    problem = _other_version(processes, own, first)
+    problem = problem or _other_configuration(processes, text, config)
+    if problem is None:
+        problem = _other_scene(processes, CheckpointFacts.from_json(header), scene)
+    processes.raise_first(problem, RunError)
+
+
+def _other_version(processes: Processes, own: str, first: str) -> str | None:
+    if first == own:
+        return None
+    return f"{_name_of(processes)} is mrgs {own}, the first one is {first}: install one version"
+
+
+def _other_configuration(processes: Processes, text: str, config: TrainConfig) -> str | None:
+    """What is wrong if this process differs from the first one in a value."""
+    theirs, ours = (flat(parse_yaml(each, "")) for each in (text, to_yaml(config)))
+    name = first_difference(theirs, ours)
+    if name is None:
+        return None
+    return (
+        f"{_name_of(processes)} was started with another configuration than the first one "
+        f"({name}: {ours.get(name)}, not {theirs.get(name)}): run the same command everywhere"
+    )
+
+
+def _other_scene(processes: Processes, facts: CheckpointFacts, scene: Scene) -> str | None:
+    other = differences(facts, scene)
+    if not other:
+        return None
+    return (
+        f"{_name_of(processes)} sees another scene than the first one ({other}): give all the same "
+        f"files"
+    )
+
+
+def _name_of(processes: Processes) -> str:
+    return f"process {processes.rank} on {socket.gethostname()}"
