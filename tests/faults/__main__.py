@@ -21,6 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.faults import (
+    blocks,
     fuzz,
     injections,
     interruptions,
@@ -45,6 +46,10 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     moments = [round(rng.uniform(0, 6), 2) for _ in range(30)]
     yield "kill -9 of trainings", lambda at: kills.trainings(at, 50)
     yield "kill -9 of processes under torchrun", lambda at: processes.kills(at, 20)
+    yield "kill -9 of four processes under torchrun", lambda at: processes.kills(at, 20, 4)
+    yield "checkpoints of torchrun and other numbers of processes", processes.other_counts
+    yield "signals to blocks", lambda at: blocks.kills(at, 20)
+    yield "kill -9 of blocks under torchrun", lambda at: blocks.kills_together(at, 20)
     yield "requests to stop torchrun", processes.stops
     yield "a full disk under torchrun", processes.full_disk
     yield "kill -9 of writers", kills.writes
@@ -58,6 +63,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     yield "limited file sizes", lambda at: places.file_size(at, (2048, 8192, 65536))
     if os.geteuid() == 0:
         yield "full disks", _full_disks
+        yield "the full disk of a block under torchrun", blocks.full_disk
     yield "unusual names", lambda at: places.names(at, commands=("eval", "report", "export"))
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)

@@ -5,17 +5,23 @@ from __future__ import annotations
 import os
 import random
 import re
+import shutil
 import signal
 import time
 from pathlib import Path
 from typing import Any
 
+import torch
+from safetensors.torch import load_file
+
+from mrgs.training.run_folder import RunFolder
 from tests.faults.program import (
     Started,
     ended,
     is_run_left_alone,
     newest_step,
     small_scene,
+    start,
     stopped_after_saving,
     wait_until,
 )
@@ -23,6 +29,11 @@ from tests.faults.tally import Tally
 
 EVERY = 10
 CONFIG = f"checkpoint_every: {EVERY}\n"
+LEG = ("--max-steps", 40)
+PARAMETERS = ("gaussians.means", "gaussians.log_scales", "gaussians.sh_dc.rgb")
+ROUNDING = 1e-3
+"""Of parameters, after 20 steps that began alike."""
+
 BEYOND_S = 1.0
 """A kill comes this long after a checkpoint at most."""
 
@@ -64,6 +75,33 @@ def kills(folder: Path, count: int, processes: int = 2, seed: int = 0) -> Tally:
     tally.judge("the same bits", is_same, "tensors differ")
     tally.judge("nothing left", not list(output.rglob(".mrgs-*")), list(output.rglob(".mrgs-*")))
     tally.figure = f"{processes} processes, {newest_step(output):,} steps"
+    return tally
+
+
+def other_counts(folder: Path) -> Tally:
+    """A checkpoint of four processes is continued by one, which gives the same bits, and by two,
+    which add up the views in another order."""
+    tally = Tally()
+    scene, *options = _options(folder)
+    source = folder / "four"
+    begun = ended(start_torchrun(4, "train", scene, *options, *LEG, "--output", source))
+    tally.judge("four processes", newest_step(source) == LEG[1], begun)
+    text = (source / "config.yaml").read_text()
+    (source / "config.yaml").write_text(text.replace(f"max_steps: {LEG[1]}", "max_steps: 60"))
+    models = {}
+    for count in (4, 2, 1):
+        output = folder / f"by {count}"
+        shutil.copytree(source, output)
+        arguments = ("train", scene, "--resume", "--output", output)
+        process = start(*arguments) if count == 1 else start_torchrun(count, *arguments)
+        found = ended(process)
+        tally.judge(f"continued by {count}", newest_step(output) == 60, found)
+        models[count] = load_file(RunFolder(output).newest_checkpoint())
+    names = [name for name in models[4] if models[4][name].is_floating_point()]
+    tally.judge("1: the same bits", all(torch.equal(models[1][n], models[4][n]) for n in names))
+    away = max(float((models[2][n] - models[4][n]).abs().max()) for n in PARAMETERS)
+    tally.judge("2: the same to rounding", away < ROUNDING, away)
+    tally.figure = f"2 processes differ by {away:.1g}"
     return tally
 
 
