@@ -1,0 +1,1 @@
+"""Several processes that train one model, beside one process with as many views per step."""
