@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -21,7 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nor do small matrices gain
 import pytest
 import torch
 from hypothesis import settings
-from jaxtyping import install_import_hook
+
+from tests.helpers.array_checks import check_arrays
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C
@@ -31,34 +31,7 @@ if not torch.cuda.is_available():
         "TRITON_INTERPRET", "1"
     )  # before Triton is loaded: its kernels then run on CPU tensors
 
-ROOT = Path(__file__).parents[1]
-PACKAGES = (ROOT / "src" / "mrgs", ROOT / "tools" / "mrgs_synth")
-UNCHECKED = (
-    "mrgs.kernels",
-    "mrgs.app",
-)
-"""The hook's decorators break Numba's cache and Triton's reading of a kernel's source; cli imports
-what it annotates only when it is needed."""
-
-
-def _checked_modules() -> list[str]:
-    """Every module but the unchecked; never a package, because the hook takes all that is below
-    it."""
-    paths = [
-        path.relative_to(package.parent).with_suffix("")
-        for package in PACKAGES
-        for path in package.rglob("*.py")
-    ]
-    names = [".".join(path.parts) for path in paths if path.name != "__init__"]
-    return [name for name in sorted(names) if not name.startswith(UNCHECKED)]
-
-
-# Shapes and types stand in the signatures and are checked in the tests alone, if beartype is there:
-# a machine lent for its GPU may lack it. An int counts as a float (PEP 484).
-if importlib.util.find_spec("beartype") is not None:
-    install_import_hook(
-        _checked_modules(), "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
-    )
+check_arrays()
 
 # The same examples on every machine, and no verdict from how busy it is.
 settings.register_profile("mrgs", deadline=None, derandomize=True)

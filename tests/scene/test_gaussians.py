@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from jaxtyping import TypeCheckError
 
 from mrgs.scene import RGB, THERMAL, Gaussians
 from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
@@ -45,13 +44,6 @@ def test_modalities_with_higher_degrees_depend_on_the_view(near_infrared):
     assert gaussians.modalities == (RGB, THERMAL, near_infrared)
     depends = [gaussians.depends_on_view(modality) for modality in gaussians.modalities]
     assert depends == [True, False, True]
-
-
-def test_shapes_are_checked():
-    """By the hook of tests/conftest.py, in every test."""
-    tensors = make().tensors()
-    with pytest.raises(TypeCheckError, match="quats"):
-        Gaussians.from_tensors({**tensors, "quats": tensors["quats"][:3]})
 
 
 def test_tensors_are_the_parameters_themselves_by_name():

@@ -251,3 +251,8 @@ def test_a_part_can_bring_back_what_the_method_left_out():
 def test_a_part_with_a_misspelt_field_names_it():
     with pytest.raises(ConfigError, match=r"my.yaml: field: there is no field 'neighbors_n'"):
         from_yaml("field: {neighbors_n: 5}", "my.yaml", make_config())
+
+
+@pytest.mark.parametrize(("steps", "fit"), [(20, 20), (300, 300), (4_000, 300)])
+def test_the_fit_before_a_training_takes_no_more_steps_than_the_training(steps, fit):
+    assert make_config("mrgs", "fast", max_steps=steps).fitted_residuals == fit

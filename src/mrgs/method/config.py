@@ -273,7 +273,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The same schedule in another number of steps."""
+    """The same schedule in another number of steps; what goes before it takes no more of them."""
     if steps < 1:
         raise ConfigError(f"max_steps must be at least 1, not {steps}")
     factor = steps / config.max_steps
@@ -291,6 +291,7 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
         config,
         max_steps=steps,
         sh_every=scaled(config.sh_every),
+        fitted_residuals=min(config.fitted_residuals, steps),
         radiation=radiation,
         densification=config.densification.rescaled(factor),
     )
