@@ -25,8 +25,17 @@ def test_a_building_needs_ten_kelvin_little_wind_and_no_sun():
 
 def test_a_plant_needs_sun():
     plant = {"standard": "IEC TS 62446-3", "irradiance_w_m2": 700.0, "wind_m_s": 4.0}
-    assert met(**plant, cloud_eighths=1.0) == [True, True, True]
-    assert met(**{**plant, "irradiance_w_m2": 500.0, "cloud_eighths": 4.0}) == [False, True, False]
+    assert met(**plant, cloud_eighths=1.0) == [True, True, True, None]
+    dull = {**plant, "irradiance_w_m2": 500.0, "cloud_eighths": 4.0}
+    assert met(**dull) == [False, True, False, None]
+
+
+@pytest.mark.parametrize(
+    ("pixel_m", "stated", "met"), [(0.028, "2.8 cm", True), (0.05, "5 cm", False)]
+)
+def test_a_cell_of_a_module_is_five_pixels_wide(pixel_m, stated, met):
+    row = conditions_of(Survey(standard="IEC TS 62446-3"), pixel_m)[-1]
+    assert (row.stated, row.met) == (stated, met)
 
 
 def test_without_a_standard_there_are_none():

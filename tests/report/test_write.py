@@ -15,6 +15,7 @@ from PIL import Image
 from mrgs import open_marks
 from mrgs.errors import RunError
 from mrgs.marks import Mark, Marks
+from mrgs.marks.measure import MarkMeter
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
@@ -377,3 +378,13 @@ def test_the_report_says_how_many_are_held_back(run: Run, tmp_path: Path, monkey
     text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
     assert re.search(r"Zurückgehalten, .* gemeinsam haben\): \d+\.", text)
     assert "H1" not in text
+
+
+def test_what_too_few_photos_see_is_no_proposal(run: Run, monkeypatch: pytest.MonkeyPatch):
+    marks, scene = open_marks(run), run.load_scene()
+    marks.meter.uncertainty = Doubting(0.0)
+    regions = marks.meter.regions(marks.marks)
+    assert propose(marks, scene, regions).anomalies
+    monkeypatch.setattr(MarkMeter, "_photos_of", lambda meter, places: 1)
+    found = propose(marks, scene, regions)
+    assert (found.anomalies, found.held_back) == ({}, 0)

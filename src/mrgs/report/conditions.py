@@ -17,6 +17,8 @@ MOST_WIND_PLANT_M_S = 28 / 3.6
 """4 Beaufort."""
 
 MOST_CLOUD_EIGHTHS = 2.0
+MOST_PIXEL_M = 0.03
+"""So that a cell of a module is five pixels wide."""
 
 
 class Condition(NamedTuple):
@@ -25,7 +27,7 @@ class Condition(NamedTuple):
     Attributes:
         what: the quantity.
         asked: what the standard asks for.
-        stated: the quantity with its unit; empty if the survey does not state it.
+        stated: the quantity with its unit; empty if neither survey nor photos say it.
         met: whether it is met; None if that cannot be said.
     """
 
@@ -35,12 +37,18 @@ class Condition(NamedTuple):
     met: bool | None
 
 
-def conditions_of(survey: Survey) -> list[Condition]:
-    """The conditions of the survey's standard, as practitioners cite it; none without one."""
+def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Condition]:
+    """The conditions of the survey's standard, as practitioners cite it; none without one.
+
+    Args:
+        survey: what the inspector states.
+        pixel_m: width of a pixel of the thermal photos on the surfaces; None if not known.
+    """
     if survey.standard is None:
         return []
-    checks = _PLANT if survey.standard == "IEC TS 62446-3" else _BUILDING
-    return [check(survey) for check in checks]
+    if survey.standard == "IEC TS 62446-3":
+        return [*(check(survey) for check in _PLANT), _resolution(pixel_m)]
+    return [check(survey) for check in _BUILDING]
 
 
 def difference_k(survey: Survey) -> float | None:
@@ -102,6 +110,12 @@ def _clouds(survey: Survey) -> Condition:
     return Condition("Clouds", "at most 2 eighths of the sky", _text(found, "/ 8"), met)
 
 
+def _resolution(pixel_m: float | None) -> Condition:
+    found = None if pixel_m is None else 100 * pixel_m
+    met = None if pixel_m is None else pixel_m <= MOST_PIXEL_M
+    return Condition("Pixel of the thermal photos", "at most 3 cm", _text(found, "cm"), met)
+
+
 def _text(value: float | None, unit: str) -> str:
     return "" if value is None else f"{value:.3g} {unit}".replace("-", "−")
 
@@ -159,8 +173,8 @@ LABELS: Mapping[str, tuple[str, str]] = {
     "cloud_eighths": ("Clouds", "/ 8"),
     "camera": ("Thermal camera", ""),
     "camera_serial": ("Serial number", ""),
-    "camera_accuracy_c": ("Accuracy in the data sheet", "K"),
-    "camera_accuracy_percent": ("Accuracy in the data sheet", "%"),
+    "camera_accuracy_c": ("Limit of error in the data sheet", "K"),
+    "camera_accuracy_percent": ("Limit of error, of the reading", "%"),
     "remarks": ("Remarks", ""),
 }
 """Label in the report and unit of each field."""

@@ -25,6 +25,9 @@ MARK_SHARE = 0.5
 LEAST_SHARE = 0.4
 """Of the photo's width that a picture shows at least: what lies about a mark tells where it is."""
 
+SPANNED_SHARE = 0.6
+"""Of a picture's sides about the mark whose temperatures the colours span."""
+
 LABEL_PX, BAR_TEXT_PX, SCALE_GAP_PX = 22, 24, 8
 WHITE, BLACK, LOW, HIGH = (255, 255, 255), (0, 0, 0), (70, 150, 255), (255, 70, 60)
 
@@ -58,7 +61,8 @@ def mark_pictures(
     camera = _about(reading.mark, view.images[THERMAL].camera)
     values = to_array(regions.render(camera)[THERMAL].image[..., 0])
     values = in_unit(THERMAL, values, scene.temperature)
-    scale = Scale("inferno", *display_range(values), unit_label(THERMAL, scene.temperature))
+    limits = display_range(values[_part_about(reading.mark, camera)])
+    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature))
     thermal = Image.fromarray(scale.colorize(values))
     _draw(thermal, reading, camera)
     whole = above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
@@ -88,6 +92,17 @@ def _about(mark: Mark, camera: Camera) -> Camera:
     K[1, 2] -= top
     K[:2] *= zoom
     return Camera(K, camera.viewmat, WIDTH_PX, round(zoom * share * camera.height))
+
+
+def _part_about(mark: Mark, camera: Camera) -> tuple[slice, slice]:
+    """The rows and columns about a mark whose temperatures the colours of its picture span: sky and
+    ground in a corner would leave none for a wall."""
+    pixels, _ = camera.project(torch.tensor(mark.points).double())
+    low, high = pixels.min(dim=0).values, pixels.max(dim=0).values
+    size = pixels.new_tensor([camera.width, camera.height])
+    margin = torch.clamp(0.5 * (SPANNED_SHARE * size - (high - low)), min=0)
+    first, last = (low - margin).clamp(min=0).int(), (high + margin).ceil().int()
+    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
 
 
 def _cropped(view: View, wanted: Camera) -> Image.Image:

@@ -24,7 +24,7 @@ OVERVIEW_CANDIDATES = 24
 MOST_OVERVIEWS = 3
 LABEL_PX, SCALE_GAP_PX = 24, 10
 TAIL_PERCENT = 0.2
-"""Of the surfaces' temperatures at each end that may lie beyond the colours of an overview."""
+"""Of the surfaces' temperatures at each end that may lie beyond the colours of a picture."""
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
@@ -89,7 +89,8 @@ def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Rende
 
 
 def _thermal(rendering: Rendering, camera: Camera, scene: Scene) -> tuple[Image.Image, Scale]:
-    """The thermal image in colours that its surfaces use up; the sky may lie beyond them."""
+    """The thermal image in colours that its surfaces use up; the sky may lie beyond them. And their
+    scale."""
     values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
     surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)

@@ -27,6 +27,9 @@ PROPOSED = 3
 CANDIDATES = 6
 """Of each that are measured to find them."""
 
+LEAST_PHOTOS = 2
+"""That see a place as a mark."""
+
 SAME_PLACE = 10.0
 """A spot that lies nearer to an earlier proposal than so many of its radii keeps its name."""
 
@@ -48,8 +51,6 @@ class Anomaly(NamedTuple):
     def stands_out(self) -> bool:
         """Whether the contrast is more than its uncertainty, where that is known. The camera's
         limit of error is no part of it: the surroundings share it."""
-        if self.reading.problem:
-            return False
         uncertainty = self.reading.uncertainty
         return uncertainty is None or abs(self.contrast) > uncertainty.of_differences
 
@@ -125,15 +126,22 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions) -> Proposals:
 def _standing_out(
     spots: Sequence[Spot], marks: RunMarks, scene: Scene, regions: Regions
 ) -> tuple[list[Anomaly], int]:
-    """The first spots that stand out, and how many before them do not."""
+    """The first spots that stand out, and how many before them do not. A spot that too few photos
+    see as a mark counts as neither: what floats beside an outline is seen from one place."""
+    least = min(LEAST_PHOTOS, len(scene.train_photos(THERMAL)))
     kept: list[Anomaly] = []
-    for number, spot in enumerate(spots):
+    held_back = 0
+    for spot in spots:
         if len(kept) == PROPOSED:
-            return kept, number - PROPOSED
+            break
         anomaly = _measured(spot, marks, scene, regions)
+        if (anomaly.reading.photos or 0) < least:
+            continue
         if anomaly.stands_out:
             kept.append(anomaly)
-    return kept, len(spots) - len(kept)
+        else:
+            held_back += 1
+    return kept, held_back
 
 
 def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> Anomaly:

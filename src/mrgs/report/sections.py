@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from statistics import median
 from typing import Any, NamedTuple
 
 from PIL import Image
@@ -16,7 +17,7 @@ from mrgs.marks.emissivity import records_of
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
-from mrgs.scene import Modality, Scene, View, in_order
+from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.survey import Survey
 
@@ -45,8 +46,8 @@ class Scores(NamedTuple):
 
 
 def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]]:
-    """Views, image sizes and temperature range of the capture, and the thermal camera: as the
-    photos name it, or else the survey; translated."""
+    """Views, image sizes, temperature range and scale of the capture, and the thermal camera, as
+    the photos name it, or else the survey; translated."""
     views = [*scene.train, *scene.eval]
     modalities = in_order((*REPORTED, *scene.modalities))
     shared = all(
@@ -69,8 +70,35 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
             if temperature is None
             else f"{_span([temperature.min_c, temperature.max_c], t)} °C",
         ),
+        (t("Lengths"), _lengths(scene.world, t)),
         *_record_rows(records_of(scene), survey, t),
     ]
+
+
+def _lengths(world: WorldFrame, t: Texts) -> str:
+    """The unit of lengths, and how well GPS fits, which may have given it."""
+    if not world.metric:
+        return t("without a scale, in scene units")
+    if world.residual_m is None:
+        return t("in metres")
+    return t(
+        "in metres; the cameras are {residual} m off their GPS positions (median)",
+        residual=t.number(f"{world.residual_m:.2g}"),
+    )
+
+
+def thermal_pixel_m(scene: Scene) -> float | None:
+    """Width of a pixel of the thermal photos on what they show (median), metres; None where lengths
+    or temperatures are not known."""
+    if not scene.world.metric:
+        return None
+    sizes = []
+    for photo in scene.train_photos(THERMAL):
+        pixels, depth = photo.camera.project(scene.points.positions.double())
+        depth = depth[photo.camera.contains(pixels)]
+        if len(depth):
+            sizes.append((depth.median() / photo.camera.K[0, 0]).item())
+    return median(sizes) if sizes else None
 
 
 def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> list[tuple[str, str]]:

@@ -25,7 +25,13 @@ from mrgs.report.pdf import require_weasyprint, write_pdf
 from mrgs.report.pictures import Overview, overviews
 from mrgs.report.plan import Plan
 from mrgs.report.proposals import Anomaly, Proposals, ShownProposal, propose, show_proposals
-from mrgs.report.sections import capture_rows, read_contact_sheet, read_scores, training_rows
+from mrgs.report.sections import (
+    capture_rows,
+    read_contact_sheet,
+    read_scores,
+    thermal_pixel_m,
+    training_rows,
+)
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
@@ -156,7 +162,7 @@ def write_report(
         t=t,
         survey=survey,
         stated=stated_rows(survey, t),
-        conditions=conditions_of(survey),
+        conditions=conditions_of(survey, thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
         run_folder=run.folder.path,
         step=run.facts.step,

@@ -1,0 +1,49 @@
+"""Parts of the report that need no model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mrgs import load_scene
+from mrgs.marks import Mark
+from mrgs.report.mark_pictures import _part_about
+from mrgs.report.sections import capture_rows, thermal_pixel_m
+from mrgs.report.texts import Texts
+from mrgs.scene import THERMAL, Camera, EarthPosition, WorldFrame
+from mrgs.survey import Survey
+
+
+def test_colours_span_what_lies_about_a_mark():
+    """Not the sky above, nor the ground below it."""
+    camera = Camera.from_fov(200, 100, 90).look_at([0.0, -4.0, 0.0], [0.0, 0.0, 0.0])
+    spot = Mark("S1", "spot", ((0.0, 0.0, 0.0),), (0.0, -4.0, 0.0), radius=0.1)
+    assert _part_about(spot, camera) == (slice(20, 80), slice(40, 160))
+    corner = replace(spot, points=((3.62, 0.0, 0.0),))
+    assert _part_about(corner, camera)[1].start == 130
+
+
+@pytest.mark.parametrize(
+    ("world", "text"),
+    [
+        (WorldFrame(), "without a scale"),
+        (WorldFrame(metric=True), "in metres"),
+        (WorldFrame(True, True, EarthPosition(48.0, 11.0, None), 0.64), "0,64 m neben"),
+    ],
+)
+def test_the_report_says_where_lengths_come_from(small_scene: Path, world: WorldFrame, text: str):
+    scene = replace(load_scene(small_scene), world=world)
+    language = "de" if "neben" in text else "en"
+    rows = dict(capture_rows(scene, Survey(), Texts(language)))
+    assert text in rows[Texts(language)("Lengths")]
+
+
+def test_the_pixel_of_the_thermal_photos_is_that_on_what_they_show(small_scene: Path):
+    scene = load_scene(small_scene)
+    assert thermal_pixel_m(replace(scene, world=WorldFrame())) is None
+    camera = scene.train_photos(THERMAL)[0].camera
+    distance = (scene.points.positions.double() - camera.position).norm(dim=1).median().item()
+    found = thermal_pixel_m(replace(scene, world=WorldFrame(metric=True)))
+    assert found == pytest.approx(distance / camera.K[0, 0].item(), rel=0.3)
