@@ -15,6 +15,9 @@ from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians, Reach
 
+EXTENT = 3.0
+"""A Gaussian reaches so many of its largest standard deviations."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -23,17 +26,28 @@ class Part:
     Attributes:
         plane: of the scene.
         region: in the plane.
+        counted: the region of which photos tell the part; the same or a larger one.
         reach: of the scene.
+        extent: of a Gaussian, in its largest standard deviations.
     """
 
     plane: ScenePlane
     region: Region | Ring
+    counted: Region | Ring
     reach: Reach
+    extent: float = EXTENT
 
     def contains(self, points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
         """Whether points of the world belong to it."""
         inside = self.region.contains(self.plane.coordinates(points))
         return inside & ~self.reach.is_background(points)
+
+    @torch.no_grad()
+    def holds(self, gaussians: Gaussians) -> Bool[Tensor, " n"]:
+        """Which Gaussians belong to it and reach no farther than photos count."""
+        places = self.plane.coordinates(gaussians.means)
+        seen = self.counted.contains(places, self.extent * gaussians.scales.amax(dim=1))
+        return seen & self.contains(gaussians.means)
 
 
 @dataclass(frozen=True)
@@ -52,8 +66,9 @@ class LocalDensityControl(Strategy):
         return self.inner.initial_state(gaussians)
 
     def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"]:
-        """Those of the part."""
-        return self.part.contains(gaussians.means.detach())
+        """Those that the part holds. Others stay as all parts know them: what they do elsewhere no
+        pixel shows that counts here."""
+        return self.part.holds(gaussians)
 
     def may_change_at(self, step: int) -> bool:  # noqa: D102
         return self.inner.may_change_at(step)

@@ -141,7 +141,8 @@ def _rows(means: Tensor, number: int, plan: BlockPlan, scene: Scene) -> Int64[Te
     if number == 0:
         inside = scene.reach.is_background(means)
     else:
-        inside = Part(plan.plane, plan.cells[number - 1].region, scene.reach).contains(means)
+        region = plan.cells[number - 1].region
+        inside = Part(plan.plane, region, region, scene.reach).contains(means)
     return inside.nonzero()[:, 0]
 
 

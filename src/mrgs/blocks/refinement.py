@@ -30,6 +30,10 @@ SEAM_WIDTH = 1 / 3
 """Of the strip to either side of a block's edge that is refined once the blocks are joined, as a
 share of their overlap."""
 
+SEAM_EXTENT = 1.0
+"""Of a Gaussian that a seam may move, in its largest standard deviations. There must be wide ones:
+the blocks' differ most, and no others are added."""
+
 SEAM_STEPS = 0.2
 """Of a seam, as a share of a block's."""
 
@@ -78,8 +82,8 @@ class Refinement:
 
     @property
     def inside(self) -> Bool[Tensor, " k"]:
-        """Which of ``rows`` are in the part."""
-        return self.part.contains(self.start.model.gaussians.means.detach()[self.rows])
+        """Which of ``rows`` are in the part, and so may move."""
+        return self.part.holds(self.start.model.gaussians)[self.rows]
 
     @property
     def training_part(self) -> TrainingPart:
@@ -120,7 +124,8 @@ def block(
         config: of the whole.
     """
     cell = plan.cells[number]
-    part = Part(plan.plane, cell.region.grown(plan.overlap), scene.reach)
+    region = cell.region.grown(plan.overlap)
+    part = Part(plan.plane, region, region, scene.reach)
     own = _local(config, scene, cell.views, number)
     rows = _rows(coarse.model, scene, part, cell.views)
     return Refinement(coarse, part, cell.views, own, own.densification, rows)
@@ -137,8 +142,10 @@ def seam(
     """The refinement of the strip along a block's edges in the joined model; None if no photo shows
     it. No Gaussians are added or removed."""
     cell, width = plan.cells[number], SEAM_WIDTH * plan.overlap
-    ring = Ring(cell.region.grown(width), cell.region.grown(-width))
-    part = Part(plan.plane, ring, scene.reach)
+    ring, counted = (
+        Ring(cell.region.grown(side), cell.region.grown(-side)) for side in (width, plan.overlap)
+    )
+    part = Part(plan.plane, ring, counted, scene.reach, SEAM_EXTENT)
     shown = replace(scene, train=tuple(scene.train[view] for view in cell.views))
     views = tuple(cell.views[n] for n in views_of(ring, counted_places(surveyor, shown)))
     if not views:

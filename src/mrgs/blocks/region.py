@@ -57,10 +57,14 @@ class Region(NamedTuple):
     low: tuple[float, float]
     high: tuple[float, float]
 
-    def contains(self, places: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
-        """Whether coordinates of the plane lie in it; NaN does not."""
+    def contains(
+        self, places: Float[Tensor, "*batch 2"], reach: Float[Tensor, "*batch"] | None = None
+    ) -> Bool[Tensor, "*batch"]:
+        """Whether coordinates of the plane lie in it, with all that is as near as ``reach`` to
+        them; NaN does not."""
         low, high = (torch.tensor(end).to(places) for end in self)
-        return ((places >= low) & (places < high)).all(dim=-1)
+        about = places.new_zeros(1) if reach is None else reach[..., None]
+        return ((places - about >= low) & (places + about < high)).all(dim=-1)
 
     def grown(self, margin: float) -> Region:
         """The rectangle with a margin on all sides, scene units."""
@@ -90,9 +94,13 @@ class Ring(NamedTuple):
     outer: Region
     inner: Region
 
-    def contains(self, places: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
-        """Whether coordinates of the plane lie in it; NaN does not."""
-        return self.outer.contains(places) & ~self.inner.contains(places)
+    def contains(
+        self, places: Float[Tensor, "*batch 2"], reach: Float[Tensor, "*batch"] | None = None
+    ) -> Bool[Tensor, "*batch"]:
+        """Whether coordinates of the plane lie in it, with all that is as near as ``reach`` to
+        them; NaN does not."""
+        within = self.inner.contains(places, None if reach is None else -reach)
+        return self.outer.contains(places, reach) & ~within
 
 
 def plane_of(scene: Scene) -> ScenePlane:

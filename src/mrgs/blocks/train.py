@@ -210,7 +210,7 @@ class BlockTraining:
             pass
         scene = self.scene
         if part is not None:
-            scene = only(scene, part.part.region, part.views, self._surveyor)
+            scene = only(scene, part.part.counted, part.views, self._surveyor)
         with self.follow(title) as hooks:
             train(
                 scene,
