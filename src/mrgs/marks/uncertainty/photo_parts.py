@@ -23,24 +23,19 @@ class Shares(NamedTuple):
             their mean keeps.
         contrast: times the change of the model's value when the place is shifted by ``SHIFT_PX``:
             places and poses are not known better, and detail that fine is not resolved.
-        deviation: times the difference between a value and the mean of what the photos' cameras see
-            there.
-        resolution: times the step between the values of a photo.
+        deviation: times the difference between a value and the mean of what the photos read there.
     """
 
     scatter: float
     contrast: float
     deviation: float
-    resolution: float
 
 
-OF_POINT = Shares(0.7, 0.65, 0.0, 2 / 12**0.5)
-"""Of what the photos' cameras see at a single point, so that there is no deviation. Whatever is
-within a step is equally likely (GUM F.2.2.1)."""
+OF_POINT = Shares(0.7, 0.65, 0.0)
+"""Of what the photos' cameras see at a single point, so that there is no deviation."""
 
-OF_MARK = Shares(0.9, 0.4, 1.5, 0.1)
-"""Of the mean of a mark, which is over detail that is not resolved and over the steps of many
-pixels."""
+OF_MARK = Shares(0.9, 0.4, 1.5)
+"""Of the mean of a mark, which is over detail that is not resolved."""
 
 READING, RENDERED = 0, 1
 SHIFTS = slice(2, 6)
@@ -54,9 +49,9 @@ class PhotoParts(NamedTuple):
     photo looked.
 
     Attributes:
-        photos: from what the photos disagree by, and the step between their values, [P].
-        model: from how much it changes nearby, and how far the value is from what the photos'
-            cameras see in the model, [P].
+        photos: from what the photos disagree by, and the rounding of their values, [P].
+        model: from how much it changes nearby, and how far the value is from what the photos read,
+            [P].
     """
 
     photos: Float[np.ndarray, " p"]
@@ -73,14 +68,15 @@ class SightingSums:
 
     Args:
         places: P.
-        step: between the values of a photo, in their unit; 0 if they are not rounded.
+        rounding: half the width of the interval that the rounding of the photos' values leaves, in
+            their unit; 0 if they are not rounded.
     """
 
-    def __init__(self, places: int, step: float = 0.0) -> None:
-        self._step = step
+    def __init__(self, places: int, rounding: float = 0.0) -> None:
+        self._rounding = rounding
         self.photos = np.zeros(places, np.float32)
-        self._readings, self._squares, self._rendered, self._contrast = (
-            np.zeros(places, np.float32) for _ in range(4)
+        self._readings, self._squares, self._contrast = (
+            np.zeros(places, np.float32) for _ in range(3)
         )
 
     def add(self, rows: Int64[np.ndarray, " m"], values: Float32[np.ndarray, "m c"]) -> None:
@@ -96,7 +92,6 @@ class SightingSums:
         step = values[:, READING] - self._readings[rows]
         self._readings[rows] += step / self.photos[rows]
         self._squares[rows] += step * (values[:, READING] - self._readings[rows])
-        self._rendered[rows] += values[:, RENDERED]
         self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
 
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
@@ -104,13 +99,14 @@ class SightingSums:
 
         Args:
             shares: how much of each counts.
-            values: of the places, [P]; what the photos' cameras see in the model if None.
+            values: of the places, [P]; only needed where their deviation counts.
         """
         count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
         scatter = np.sqrt(np.maximum(self._squares, 0) / count)
         contrast = np.sqrt(self._contrast / count)
-        away = 0.0 if values is None else values - self._rendered / count
+        readings = np.where(self.photos > 0, self._readings, np.float32(np.nan))
+        away = 0.0 if values is None else values - readings
         return PhotoParts(
-            np.hypot(shares.scatter * scatter, shares.resolution * self._step),
+            np.hypot(shares.scatter * scatter, self._rounding),
             np.hypot(shares.contrast * contrast, shares.deviation * away),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -22,12 +23,16 @@ from mrgs.marks.uncertainty.photo_parts import (
     PhotoParts,
     SightingSums,
 )
+from mrgs.marks.uncertainty.rounding import OF_ONE_VALUE, block_variances, of_mean
 from mrgs.scene import THERMAL, CameraResponse, Rendering, TemperatureRange, View, evenly_spaced
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
 from mrgs.system.pieces import pieces
 
 WIDTH_PX = 320
 """Wider photos are reduced to this width."""
+
+NOISE_PHOTOS = 4
+"""In which the noise of the values is looked for, where these are rounded."""
 
 LEAST_SHARE = 0.5
 """A photo that shows less of a mark does not count."""
@@ -83,7 +88,7 @@ class PhotoWitnesses:
         Raises:
             SceneError: a photo cannot be read.
         """
-        sums = SightingSums(1, self._step)
+        sums = SightingSums(1, self._rounding_of_means)
         for index, view in enumerate(self._views):
             if not len(visible(view.images[THERMAL].camera, points).rows):
                 continue
@@ -103,8 +108,24 @@ class PhotoWitnesses:
         found = [self._of_piece(points[rows]) for rows in pieces(len(points))]
         return PhotoParts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
+    @cached_property
+    def _rounding_of_means(self) -> float:
+        """What rounding leaves in a mean over many pixels, by their noise: what single pixels of
+        the photos differ from the model by, median over small blocks."""
+        if not self._step:
+            return 0.0
+        found = []
+        for index in evenly_spaced(len(self), NOISE_PHOTOS):
+            item = self[index]
+            reduced = self._views[index].images[THERMAL].camera.width / item.camera.width
+            noise = item.image[..., READING] - item.image[..., RENDERED]
+            found.append(reduced**2 * block_variances(noise / self._step))
+        variances = np.concatenate(found)
+        with_rounding = float(np.median(variances)) if len(variances) else 0.0
+        return self._step * of_mean(max(with_rounding - 1 / 12, 0.0))
+
     def _of_piece(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
-        sums = SightingSums(len(points), self._step)
+        sums = SightingSums(len(points), OF_ONE_VALUE * self._step)
         for index in range(len(self)):
             item = self[index]
             shown = item.shown(points)
