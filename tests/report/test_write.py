@@ -115,6 +115,7 @@ def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
     assert all(5 < value < 35 for value in spots)
 
 
+@pytest.mark.usefixtures("certain")
 def test_everything_is_in_the_file(run, tmp_path):
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     assert page.images
@@ -315,6 +316,7 @@ def test_proposals_are_kept_until_they_are_judged(run: Run, tmp_path: Path):
     marks.undo()
 
 
+@pytest.mark.usefixtures("certain")
 def test_proposals_in_a_region_have_its_emissivity(run: Run):
     marks, scene = open_marks(run), run.load_scene()
     found = propose(marks, scene, marks.meter.regions(marks.marks))
@@ -354,6 +356,7 @@ def test_what_is_uncertain_by_more_than_it_differs_is_held_back(run: Run):
     assert marks.marks.proposals == ()
 
 
+@pytest.mark.usefixtures("certain")
 def test_a_large_area_says_nothing_of_the_places_in_it(run: Run):
     marks, scene = open_marks(run), run.load_scene()
     found = propose(marks, scene, Regions(Marks(), run.render, None, marks.meter.capture))
