@@ -310,6 +310,34 @@ def test_the_end_of_the_viewer_is_said(browser, small_run):
     page.context.close()
 
 
+DECODE_WHEN_TOLD = """() => {
+    const decode = createImageBitmap;
+    const told = new Promise((resolve) => { window.decodeNow = resolve; });
+    window.createImageBitmap = async (blob) => {
+        document.getElementById("view").dataset.waits = "true";
+        await told;
+        return decode(blob);
+    };
+}"""
+
+
+def test_the_end_stays_said_when_the_last_picture_is_shown_after_it(browser, small_run):
+    viewer = open_viewer(small_run, None, "127.0.0.1", 0)
+    page = new_page(browser)
+    page.goto(viewer.url)
+    page.wait_for_selector(SETTLED)
+    page.evaluate(DECODE_WHEN_TOLD)
+    width = page.locator("#view").get_attribute("width")
+    page.set_viewport_size({"width": 700, "height": 500})
+    page.wait_for_selector("#view[data-waits]")
+    viewer.close()
+    page.wait_for_selector("#status:has-text('The viewer has ended')")
+    page.evaluate("() => decodeNow()")
+    page.wait_for_selector(f"#view:not([width='{width}'])")
+    assert page.locator("#status").is_visible()
+    page.context.close()
+
+
 def test_what_shows_no_surface_has_a_colour_of_its_own():
     tables = np.concatenate([palette_table(name) for name in PALETTE_CHOICES])
     assert np.abs(tables.astype(int) - NO_SURFACE_COLOR).sum(axis=1).min() > 15

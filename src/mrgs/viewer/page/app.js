@@ -298,7 +298,7 @@ class Page {
   // --- what is shown ---
 
   shown(facts) {
-    element("status").hidden = true;
+    if (!this.hasEnded) element("status").hidden = true;
     if (facts.photo !== null && document.activeElement !== element("photo")) element("photo").selectedIndex = facts.photo;
     if (this.scaled?.follow) this.followPicture(facts.panes);
     this.drawOver();
@@ -333,6 +333,7 @@ class Page {
   }
 
   ended() {
+    this.hasEnded = true; // a picture may still be on its way to the screen
     element("status").hidden = false;
     element("status").textContent = "The viewer has ended. Start it again, and open its new address.";
   }
