@@ -21,12 +21,12 @@ from typing import Any
 import torch
 from safetensors.torch import load_file
 
+from benchmarks.processes import ROOT
 from benchmarks.quality.child import scores_of
 from mrgs import open_run
 from mrgs.evaluation import evaluate_run
 from mrgs.training.run_folder import RunFolder
 
-ROOT = Path(__file__).parents[2]
 CHILD = "benchmarks.together.child"
 PARTS = ("views", "exchange", "Adam", "density")
 IN_NAMESPACE = ("unshare", "-n", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")

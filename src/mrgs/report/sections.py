@@ -89,7 +89,7 @@ def _lengths(world: WorldFrame, t: Texts) -> str:
 
 def thermal_pixel_m(scene: Scene) -> float | None:
     """Width of a pixel of the thermal photos on what they show (median), metres; None where lengths
-    or temperatures are not known."""
+    are not known, or no photo shows a start point."""
     if not scene.world.metric:
         return None
     sizes = []
