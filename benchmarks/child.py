@@ -46,14 +46,6 @@ def result_of(case: Case, effort: Effort, base_bytes: int) -> dict[str, Any]:
     return {"timings": times, "peak_bytes": max(peak, 0), "notes": stages.notes}
 
 
-def import_what_torch_imports_late() -> None:
-    """An optimizer's first step imports torch's compiler, and Triton if it is there: memory that is
-    no case's."""
-    parameter = torch.zeros(1, requires_grad=True)
-    parameter.grad = torch.zeros(1)
-    torch.optim.Adam([parameter], fused=True).step()
-
-
 def import_kernels() -> None:
     """Numba and the kernels' modules, which operations import at their first call: memory that is
     no case's either."""
@@ -67,7 +59,6 @@ def main() -> None:
     when_asked_to_stop(lambda: os._exit(1))
     request = read_request()
     torch.set_num_threads(request["threads"])
-    import_what_torch_imports_late()
     import_kernels()
     memory.reset_peak()
     base_bytes = memory.resident_bytes()

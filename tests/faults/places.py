@@ -10,7 +10,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.faults.program import SMALL, Ended, newest_step, photos_of, run, small_scene
+from tests.faults.program import (
+    SMALL,
+    Ended,
+    limited_files,
+    newest_step,
+    photos_of,
+    run,
+    small_scene,
+)
 from tests.faults.tally import Tally
 
 STEPS = 20
@@ -27,7 +35,7 @@ def file_size(folder: Path, limits: Sequence[int], command: str = "train") -> Ta
     for limit in limits:
         output = folder / f"limited_{limit}"
         options = ("--output", output, *SMALL, "--max-steps", STEPS) if command == "train" else ()
-        found = run(command, scene, *options, shell=f'ulimit -f {limit // 512}; exec "$@"')
+        found = run(command, scene, *options, shell=limited_files(limit))
         left = list(folder.rglob(".mrgs-*"))
         # A checkpoint of few Gaussians may be small enough.
         is_whole = found.status == 0 and newest_step(output) == STEPS

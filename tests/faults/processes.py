@@ -19,6 +19,7 @@ from tests.faults.program import (
     Started,
     ended,
     is_run_left_alone,
+    limited_files,
     newest_step,
     small_scene,
     start,
@@ -125,8 +126,9 @@ def full_disk(folder: Path) -> Tally:
     """A checkpoint that cannot be written ends all processes with one line."""
     tally = Tally()
     options = _options(folder)
-    limited = 'ulimit -f 4; exec "$@"'
-    command = start_torchrun(2, "train", *options, "--output", folder / "full", shell=limited)
+    command = start_torchrun(
+        2, "train", *options, "--output", folder / "full", shell=limited_files(2048)
+    )
     found = ended(command)
     lines = re.findall(r"^mrgs: error: .*$", found.err, re.MULTILINE)
     one = len(lines) == 1 and "cannot be written" in lines[0]

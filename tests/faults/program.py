@@ -60,6 +60,12 @@ def environment(**changes: str) -> dict[str, str]:
     return {**os.environ, **threads, "PYTHONPATH": path.rstrip(os.pathsep), **changes}
 
 
+def limited_files(size_bytes: int) -> str:
+    """Script of the shell that starts its arguments with files that cannot grow beyond a size. They
+    keep no bytecode: Python would take a cut file of it for whole, in all later processes."""
+    return f'ulimit -f {size_bytes // 512}; export PYTHONDONTWRITEBYTECODE=1; exec "$@"'
+
+
 class Started(subprocess.Popen[str]):
     """A process started by a script of the shell. What it prints goes into files: a pipe that
     nobody reads stops a long training after 64 KiB.

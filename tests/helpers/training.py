@@ -38,7 +38,8 @@ def tensors_of(state: TrainingState) -> dict[str, torch.Tensor]:
     tensors |= {f"field.{name}": tensor for name, tensor in state.model.field.state_dict().items()}
     for term, layers in learned_layers(state.terms).items():
         tensors |= {f"terms.{term}.{name}": value for name, value in layers.state_dict().items()}
-    for place, moments in state.layer_optimizer.state_dict()["state"].items():
-        tensors |= {f"layer_optimizer.{place}.{key}": value for key, value in moments.items()}
+    layers = dict(enumerate(state.layer_optimizer.parameters()))
+    moments = state.layer_optimizer.moments(layers)
+    tensors |= {f"layer_optimizer.{name}": value for name, value in moments.items()}
     tensors |= {f"strategy.{name}": tensor for name, tensor in state.strategy_state.items()}
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}

@@ -111,5 +111,5 @@ def test_a_child_whose_parent_dies_stops():
 def test_names_are_of_kernels():
     for name in compilation._needed(make_config("mrgs", "fast")):
         module, _, function = name.rpartition(".")
-        assert is_jitted(getattr(sys.modules[f"mrgs.kernels.{module}"], function)), name
+        assert is_jitted(getattr(import_module(f"mrgs.kernels.{module}"), function)), name
         assert re.fullmatch(r"[a-z_0-9.]+", name)

@@ -19,6 +19,7 @@ from mrgs import render as render_module
 from mrgs.data import load_scene
 from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
+from mrgs.method import adam as adam_module
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import adaptive
@@ -263,22 +264,20 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, gpu_device, monkeyp
         pytest.skip("where there is a GPU, a step on it tells the same")
     from triton.runtime.interpreter import GridExecutor
 
-    class PlainAdam(torch.optim.Adam):
+    def no_adam(*arguments: list[torch.Tensor], found_inf: torch.Tensor, **options: Any) -> None:
         """torch has no fused one for this device."""
-
-        def __init__(self, parameters: Any, fused: bool, **options: Any) -> None:
-            assert fused
-            super().__init__(parameters, foreach=False, **options)
-
-        def step(self) -> None:
-            assert self.found_inf.is_meta
-            self.found_inf = None
-            super().step()
+        assert options["fused"]
+        tensors = [
+            found_inf,
+            *options["state_steps"],
+            *(each for list_ in arguments for each in list_),
+        ]
+        assert all(each.is_meta for each in tensors)
 
     monkeypatch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
     monkeypatch.setattr(gpu, "runs_triton", lambda tensor: tensor.is_meta)
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
-    monkeypatch.setattr(torch.optim, "Adam", PlainAdam)
+    monkeypatch.setattr(adam_module, "adam", no_adam)
     device = torch.device("meta")
     config = harmonic(short_config(method, sh_every=1, image_model=EVERY_PART, fitted_residuals=0))
     scene = load_scene(small_scene, resolution=8)

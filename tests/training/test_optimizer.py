@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig, are_finite, set_rates
+from mrgs.method.adam import Adam, ParameterGroup
+from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig, are_finite
 from mrgs.scene import RGB, THERMAL, Gaussians
 from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
 
@@ -256,13 +257,26 @@ def test_rates_fall_at_the_end_alone():
 
 
 def test_all_groups_are_slowed_alike():
-    weights = [torch.zeros(1, requires_grad=True), torch.zeros(1, requires_grad=True)]
-    adam = torch.optim.Adam(
-        [
-            {"params": [w], "lr": r, "initial_lr": r}
-            for w, r in zip(weights, (1.0, 4.0), strict=True)
-        ]
-    )
+    adam = Adam(ParameterGroup([torch.zeros(1, requires_grad=True)], rate) for rate in (1.0, 4.0))
     for factor in (0.5, 0.25):
-        set_rates(adam, factor)
-        assert [group["lr"] for group in adam.param_groups] == [factor, 4 * factor]
+        adam.set_rates(factor)
+        assert [group.rate for group in adam.groups] == [factor, 4 * factor]
+
+
+def test_the_bits_are_those_of_torchs_fused_adam():
+    start = torch.randn(50, 3, generator=torch.Generator().manual_seed(0))
+    ours, theirs = (start.clone().requires_grad_() for _ in range(2))
+    idle = torch.zeros(2, requires_grad=True)
+    adam = Adam([ParameterGroup([ours, idle], 0.01)], epsilon=1e-15)
+    expected = torch.optim.Adam([theirs], lr=0.01, eps=1e-15, fused=True)
+    for seed in range(5):
+        gradient = torch.randn(50, 3, generator=torch.Generator().manual_seed(seed))
+        ours.grad, theirs.grad = gradient, gradient.clone()
+        adam.step()
+        expected.step()
+    assert torch.equal(ours, theirs)
+    found = adam.moments({"a": ours, "b": idle})
+    assert set(found) == {"a.step", "a.exp_avg", "a.exp_avg_sq"}
+    assert all(
+        torch.equal(found[f"a.{name}"], each) for name, each in expected.state[theirs].items()
+    )

@@ -37,7 +37,7 @@ with warnings.catch_warnings(record=True) as caught:
 for warning in caught:
     if issubclass(warning.category, MrgsWarning):
         print(warning.message)
-print("numba:", "numba" in sys.modules)
+print("numba:", "numba" in sys.modules, "torch._dynamo:", "torch._dynamo" in sys.modules)
 """
 
 EDITS = {
@@ -97,37 +97,43 @@ def unedited(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
     def make(folder: Path) -> None:
         _, printed = trained(SOURCE, small_scene, folder)
-        assert printed == ["numba: True"]
+        assert printed == ["numba: True torch._dynamo: False"]
 
     return made_once(tmp_path_factory, "unedited", make)
 
 
 @pytest.mark.slow
-def test_an_edited_equation_runs_in_training_and_in_opened_runs_and_one_line_names_it(
+def test_edited_equations_run_in_training_and_in_opened_runs_and_one_line_names_each(
     small_scene, unedited, tmp_path
 ):
     package = copied_package(tmp_path / "source")
-    expected = parameters(unedited)
-    for name, (file, before, after) in EDITS.items():
+    for file, before, after in EDITS.values():
         path = package / "mrgs" / file
         text = path.read_text(encoding="utf-8")
         assert text.count(before) == 1
         path.write_text(text.replace(before, after), encoding="utf-8")
-        model, printed = trained(package, small_scene, tmp_path / name, unedited)
-        path.write_text(text, encoding="utf-8")
 
-        differs = f"{name}: the kernel differs from the plain definition"
-        opened = [line for line in printed if line.startswith("opened: ")]
-        assert [line[8:][: len(differs)] for line in opened] == [differs] * (name in RENDERING)
-        assert len(printed) == len(opened) + 2
-        assert printed[-2].startswith(differs)
-        assert not torch.equal(model["gaussians.means"], expected["gaussians.means"])
+    model, printed = trained(package, small_scene, tmp_path / "edited", unedited)
+
+    def named(lines: list[str]) -> set[str]:
+        differs = ": the kernel differs from the plain definition"
+        return {line.partition(differs)[0] for line in lines}
+
+    opened = [line.removeprefix("opened: ") for line in printed if line.startswith("opened: ")]
+    assert named(opened) == set(RENDERING)
+    assert len(opened) == len(RENDERING)
+    trained_with = printed[len(opened) : -1]
+    assert named(trained_with) == set(EDITS)
+    assert len(trained_with) == len(EDITS)
+    expected = parameters(unedited)
+    for name in ("gaussians.means", "gaussians.embedding"):
+        assert not torch.equal(model[name], expected[name])
 
 
 @pytest.mark.slow
 def test_a_plain_training_needs_no_numba_and_learns_the_same(small_scene, unedited, tmp_path):
     plain, printed = trained(SOURCE, small_scene, tmp_path / "plain", mode="plain")
-    assert printed == ["numba: False"]
+    assert printed == ["numba: False torch._dynamo: False"]
     by_kernels = parameters(unedited)
     for name in ("gaussians.means", "gaussians.sh_dc.rgb", "gaussians.embedding"):
         torch.testing.assert_close(plain[name], by_kernels[name], rtol=1e-3, atol=1e-3)

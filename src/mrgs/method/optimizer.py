@@ -7,18 +7,16 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.errors import ConfigError
+from mrgs.method.adam import MOMENTS, Adam, ParameterGroup
 from mrgs.scene import THERMAL, Gaussians
 from mrgs.system.limits import MOST_RATE, require_within
 
-_MOMENTS = ("exp_avg", "exp_avg_sq")
-_STATE = ("step", *_MOMENTS)
 _ADAM = "adam."
 
 
@@ -110,70 +108,6 @@ def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Ten
     return torch.stack([loss.detach(), *norms]).isfinite().all()
 
 
-def step_if(good: Bool[Tensor, ""] | None, adam: torch.optim.Adam) -> None:
-    """Adam's step where ``good``, or if that is None; else nothing. The device is not asked which
-    of both it was.
-
-    A fused Adam leaves parameters, moments and step counts as they are where its ``found_inf`` is
-    1: so it is that torch's GradScaler skips steps.
-    """
-    adam.found_inf = None if good is None else (~good).float()  # type: ignore[attr-defined]
-    adam.step()
-
-
-def set_rates(adam: torch.optim.Adam, factor: float) -> None:
-    """Learning rates of all groups as this factor of their ``initial_lr``."""
-    for group in adam.param_groups:
-        group["lr"] = factor * group["initial_lr"]
-
-
-def moments_of(adam: torch.optim.Adam, parameters: Mapping[Any, Tensor]) -> dict[str, Tensor]:
-    """An optimizer's moments and step counts by name, ``KEY.step``, ``KEY.exp_avg`` and
-    ``KEY.exp_avg_sq``; none of a parameter that has not moved yet.
-
-    Args:
-        adam: the optimizer.
-        parameters: of it, by their keys.
-    """
-    return {
-        f"{key}.{name}": value
-        for key, parameter in parameters.items()
-        for name, value in adam.state.get(parameter, {}).items()
-    }
-
-
-def load_moments(
-    adam: torch.optim.Adam, parameters: Mapping[Any, Tensor], tensors: Mapping[str, Tensor]
-) -> None:
-    """Take the moments that ``moments_of`` gave, on the parameters' devices.
-
-    A fused Adam trusts their sizes, so moments of any other parameter are refused.
-
-    Raises:
-        ValueError: they are not those of the parameters, or the squares or steps are negative.
-    """
-    left = set(tensors)
-    for key, parameter in parameters.items():
-        state = {name: tensors[f"{key}.{name}"] for name in _STATE if f"{key}.{name}" in tensors}
-        left -= {f"{key}.{name}" for name in state}
-        if not state:
-            continue
-        _require_moments(key, parameter, state)
-        adam.state[parameter] = {name: value.to(parameter.device) for name, value in state.items()}
-    if left:
-        raise ValueError(f"moments {min(left)} of an unknown parameter")
-
-
-def _require_moments(key: Any, parameter: Tensor, state: Mapping[str, Tensor]) -> None:
-    for name in _STATE:
-        shape = torch.Size() if name == "step" else parameter.shape
-        value = state.get(name)
-        if value is None or value.shape != shape or value.dtype != torch.float32:
-            raise ValueError(f"the moments {key}.{name} are not those of the parameter")
-        if name != "exp_avg" and not (value >= 0).all():
-            raise ValueError(f"the moments {key}.{name} are negative")
-
-
 class GaussianOptimizer:
     """Adam over the parameters of the Gaussians.
 
@@ -189,21 +123,12 @@ class GaussianOptimizer:
         self.gaussians = gaussians.with_tensors(
             {name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()}
         )
-        self._adam = torch.optim.Adam(
-            [
-                {
-                    "params": [tensor],
-                    "lr": config.of(name),
-                    "initial_lr": config.of(name),
-                    "name": name,
-                }
-                for name, tensor in self.gaussians.tensors().items()
-                if tensor.numel() > 0
-            ],
-            lr=0.0,
-            eps=1e-15,
-            fused=True,
-        )
+        groups = [
+            ParameterGroup([tensor], config.of(name), name)
+            for name, tensor in self.gaussians.tensors().items()
+            if tensor.numel() > 0
+        ]
+        self._adam = Adam(groups, epsilon=1e-15)
 
     def step(self, progress: float, good: Bool[Tensor, ""] | None = None) -> None:
         """One Adam step from the gradients, which are then cleared.
@@ -212,14 +137,14 @@ class GaussianOptimizer:
             progress: the share of the training done.
             good: whether the step counts; where not, nothing is moved. None if it does.
         """
-        set_rates(self._adam, self._config.slowdown_at(progress))
-        self._group("means")["lr"] = self._config.means_at(progress) * self._extent
-        step_if(good, self._adam)
+        self._adam.set_rates(self._config.slowdown_at(progress))
+        self._group("means").rate = self._config.means_at(progress) * self._extent
+        self._adam.step(good)
         self.zero_grad()
 
     def zero_grad(self) -> None:
         """Forget the gradients."""
-        self._adam.zero_grad(set_to_none=True)
+        self._adam.zero_grad()
 
     def hold(self, rows: Bool[Tensor, " n"]) -> None:
         """Forget the gradients of some Gaussians: the next step moves them no further than their
@@ -248,7 +173,7 @@ class GaussianOptimizer:
             self.gaussians.replace(name, new)
             if old.numel() == 0:
                 continue
-            self._group(name)["params"] = [new]
+            self._group(name).parameters = [new]
             state = self._adam.state.pop(old, None)
             if state is not None:
                 self._adam.state[new] = {**state, **moments}
@@ -261,7 +186,7 @@ class GaussianOptimizer:
         state = self._adam.state.get(old, {})
         moments = {
             moment: torch.cat([state[moment][keep], torch.zeros_like(addition)])
-            for moment in _MOMENTS
+            for moment in MOMENTS
             if state
         }
         return torch.cat([old.detach()[keep], addition]).requires_grad_(), moments
@@ -272,14 +197,14 @@ class GaussianOptimizer:
         limit = math.log(maximum / (1 - maximum))
         for logits in self.gaussians.opacity_logits.values():
             logits.clamp_(max=limit)
-            for moment in _MOMENTS:
+            for moment in MOMENTS:
                 if moment in self._adam.state.get(logits, {}):
                     self._adam.state[logits][moment].zero_()
 
     def state(self) -> dict[str, Tensor]:
         """Parameters and moments by name, for a checkpoint."""
         tensors = {name: tensor.detach() for name, tensor in self.gaussians.tensors().items()}
-        return tensors | moments_of(self._adam, self._parameters())
+        return tensors | self._adam.moments(self._parameters())
 
     def load_moments(self, tensors: Mapping[str, Tensor]) -> None:
         """Take the moments of ``state()``; the parameters are those that the optimizer was made
@@ -289,11 +214,11 @@ class GaussianOptimizer:
             ValueError: the moments are not theirs.
         """
         moments = {name: tensor for name, tensor in tensors.items() if name.startswith(_ADAM)}
-        load_moments(self._adam, self._parameters(), moments)
+        self._adam.load_moments(self._parameters(), moments)
 
     def _parameters(self) -> dict[str, Tensor]:
         """Those that move, by the prefix of their moments' names."""
-        return {f"{_ADAM}{group['name']}": group["params"][0] for group in self._adam.param_groups}
+        return {f"{_ADAM}{group.name}": group.parameters[0] for group in self._adam.groups}
 
-    def _group(self, name: str) -> dict:
-        return next(group for group in self._adam.param_groups if group["name"] == name)
+    def _group(self, name: str) -> ParameterGroup:
+        return next(group for group in self._adam.groups if group.name == name)

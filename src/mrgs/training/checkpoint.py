@@ -16,7 +16,6 @@ from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
-from mrgs.method.optimizer import load_moments, moments_of
 from mrgs.render import Model
 from mrgs.system.gpu import HOST
 from mrgs.training.checkpoint_file import read_file, read_header, write_file
@@ -28,7 +27,7 @@ from mrgs.training.checkpoint_layout import (
 )
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.run_folder import step_named
-from mrgs.training.state import TrainingState, layer_parameters, learned_layers
+from mrgs.training.state import TrainingState, learned_layers
 
 UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
 """What is raised for tensors that are not those of the configuration."""
@@ -36,12 +35,12 @@ UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
 
 def tensors_of(state: TrainingState) -> dict[str, Tensor]:
     """All tensors of a training, by name."""
-    layers = dict(enumerate(layer_parameters(state.layer_optimizer)))
+    layers = dict(enumerate(state.layer_optimizer.parameters()))
     parts: dict[str, Mapping[str, Tensor]] = {
         "gaussians": state.gaussian_optimizer.state(),
         "field": state.model.field.state_dict(),
         "image_model": state.image_model.state_dict(),
-        "layer_optimizer": moments_of(state.layer_optimizer, layers),
+        "layer_optimizer": state.layer_optimizer.moments(layers),
         "strategy": state.strategy_state,
     }
     for term, module in learned_layers(state.terms).items():
@@ -248,8 +247,8 @@ def _load_training(state: TrainingState, tensors: Mapping[str, Tensor]) -> None:
     """
     _load_module(state.image_model, below(tensors, "image_model."))
     state.gaussian_optimizer.load_moments(below(tensors, "gaussians."))
-    layers = dict(enumerate(layer_parameters(state.layer_optimizer)))
-    load_moments(state.layer_optimizer, layers, below(tensors, "layer_optimizer."))
+    layers = dict(enumerate(state.layer_optimizer.parameters()))
+    state.layer_optimizer.load_moments(layers, below(tensors, "layer_optimizer."))
     remembered = below(tensors, "strategy.")
     require_like(remembered, state.strategy_state)
     state.strategy_state = {name: each.to(state.device) for name, each in remembered.items()}

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from mrgs.distributed.processes import Processes
 from mrgs.distributed.sums import Summand, sum_over_processes
-from mrgs.training.state import TrainingState, layer_parameters
+from mrgs.training.state import TrainingState
 from mrgs.training.view_sums import ViewSums
 
 
@@ -50,7 +50,7 @@ class GradientExchange:
             LinkError, PeerError: another process is gone; the gradients are as they were.
         """
         gaussians = list(state.gaussian_optimizer.gaussians.tensors().values())
-        layers = layer_parameters(state.layer_optimizer)
+        layers = state.layer_optimizer.parameters()
         terms = [term.name for term in state.terms]
         numbers = found.to_tensor(terms)
         wish = torch.tensor([float(self._wishes_to_stop)])

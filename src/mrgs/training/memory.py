@@ -33,7 +33,7 @@ _STATISTICS = 8
 _WEIGHTS_BYTES = 2**20
 """Heads, image model and their moments."""
 
-_BASE_BYTES = 575 * 2**20
+_BASE_BYTES = 450 * 2**20
 """Interpreter, torch, Numba and the compiled kernels, as measured."""
 
 _COMPILER_BYTES = 220 * 2**20

@@ -11,12 +11,13 @@ from torch import Tensor, nn
 
 from mrgs.errors import NotFiniteError
 from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy, StrategyState
 from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
-from mrgs.method.optimizer import GaussianOptimizer, are_finite, set_rates, step_if
+from mrgs.method.optimizer import GaussianOptimizer, are_finite
 from mrgs.method.start.fitted_residuals import fit_residuals
 from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import model_modalities, start_points
@@ -50,7 +51,7 @@ class TrainingState:
     terms: tuple[Term, ...]
     image_model: ImageModel
     gaussian_optimizer: GaussianOptimizer
-    layer_optimizer: torch.optim.Adam
+    layer_optimizer: Adam
     strategy: Strategy
     strategy_state: StrategyState
     sampler: ViewSampler
@@ -116,14 +117,14 @@ class TrainingState:
         """Multiply all gradients by a factor."""
         if factor == 1:
             return
-        layers = [layer.grad for layer in layer_parameters(self.layer_optimizer)]
+        layers = [layer.grad for layer in self.layer_optimizer.parameters()]
         for gradient in [*self.gaussian_optimizer.gradients(), *layers]:
             if gradient is not None:
                 gradient.mul_(factor)
 
     def gradients_are_finite(self, loss: Tensor) -> Bool[Tensor, ""]:
         """Whether neither the loss nor a gradient holds a NaN or an infinity; on the device."""
-        layers = [layer.grad for layer in layer_parameters(self.layer_optimizer)]
+        layers = [layer.grad for layer in self.layer_optimizer.parameters()]
         present = [gradient for gradient in layers if gradient is not None]
         return are_finite(loss, self.gaussian_optimizer.gradients() + present)
 
@@ -133,9 +134,9 @@ class TrainingState:
         if (movable := self.strategy.movable(self.model.gaussians)) is not None:
             self.gaussian_optimizer.hold(~movable)
         self.gaussian_optimizer.step(progress, finite)
-        set_rates(self.layer_optimizer, config.optimizer.slowdown_at(progress))
-        step_if(finite, self.layer_optimizer)
-        self.layer_optimizer.zero_grad(set_to_none=True)
+        self.layer_optimizer.set_rates(config.optimizer.slowdown_at(progress))
+        self.layer_optimizer.step(finite)
+        self.layer_optimizer.zero_grad()
 
     def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
         """Undo a step that failed before it moved anything.
@@ -149,7 +150,7 @@ class TrainingState:
         self.generator.set_state(generator)
         self.sampler.load(waiting)
         self.gaussian_optimizer.zero_grad()
-        self.layer_optimizer.zero_grad(set_to_none=True)
+        self.layer_optimizer.zero_grad()
 
 
 def initial_state(
@@ -197,20 +198,14 @@ def learned_layers(terms: Sequence[Term]) -> dict[str, nn.Module]:
     return {term.name: term.learned for term in terms if term.learned is not None}
 
 
-def layer_parameters(optimizer: torch.optim.Adam) -> list[nn.Parameter]:
-    """All parameters of an optimizer, in its order."""
-    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
-
-
 def _layer_optimizer(
     field: RadianceField, terms: Sequence[Term], image_model: ImageModel, config: TrainConfig
-) -> torch.optim.Adam:
+) -> Adam:
     """Adam over all layers, each with its learning rate."""
     groups = [
-        {"params": list(term.learned.parameters()), "lr": term.learning_rate}
+        ParameterGroup(list(term.learned.parameters()), term.learning_rate)
         for term in terms
         if term.learned is not None
     ]
-    groups.append({"params": list(field.parameters()), "lr": config.optimizer.heads})
-    groups += image_model.parameter_groups()
-    return torch.optim.Adam([{**group, "initial_lr": group["lr"]} for group in groups], fused=True)
+    groups.append(ParameterGroup(list(field.parameters()), config.optimizer.heads))
+    return Adam(groups + image_model.parameter_groups())

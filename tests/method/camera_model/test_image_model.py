@@ -111,11 +111,11 @@ def test_a_modality_that_is_not_there_stays_away():
 
 def test_every_parameter_has_a_learning_rate():
     model = ImageModel(ALL, CAPTURE)
-    grouped = [parameter for group in model.parameter_groups() for parameter in group["params"]]
+    grouped = [parameter for group in model.parameter_groups() for parameter in group.parameters]
     assert {id(parameter) for parameter in grouped} == {
         id(parameter) for parameter in model.parameters()
     }
-    assert [group["lr"] for group in model.parameter_groups()] == [5e-3, 1e-3]
+    assert [group.rate for group in model.parameter_groups()] == [5e-3, 1e-3]
 
 
 def test_a_rate_that_is_no_rate_is_named():

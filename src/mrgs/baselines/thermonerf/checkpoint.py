@@ -14,7 +14,6 @@ from mrgs.baselines.thermonerf.config import ThermoNerfConfig
 from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.model import ThermoNerf
 from mrgs.baselines.thermonerf.step import NerfState, make_state, new_model
-from mrgs.method.optimizer import load_moments, moments_of
 from mrgs.training.checkpoint import UNFIT, read, skipped_in_a_row_of, unfit, write
 from mrgs.training.checkpoint_layout import below, require_like
 from mrgs.training.facts import CheckpointFacts
@@ -24,7 +23,7 @@ def tensors_of(state: NerfState) -> dict[str, Tensor]:
     """All tensors of a training, by name."""
     frame = state.model.frame
     tensors = {f"model.{name}": tensor for name, tensor in state.model.state_dict().items()}
-    moments = moments_of(state.optimizer, dict(state.model.named_parameters()))
+    moments = state.optimizer.moments(dict(state.model.named_parameters()))
     tensors |= {f"adam.{name}": tensor for name, tensor in moments.items()}
     tensors["generator"] = state.generator.get_state()
     tensors["frame.centre"] = frame.centre
@@ -71,7 +70,7 @@ def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
         generator.set_state(tensors["generator"])
         state = make_state(_model(tensors, config), config, generator)
         parameters = dict(state.model.named_parameters())
-        load_moments(state.optimizer, parameters, below(tensors, "adam."))
+        state.optimizer.load_moments(parameters, below(tensors, "adam."))
         state.step, state.skipped_in_a_row = facts.step, skipped_in_a_row_of(header)
         require_like(tensors, tensors_of(state))
     except UNFIT as error:

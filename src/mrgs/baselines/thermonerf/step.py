@@ -13,6 +13,7 @@ from mrgs.baselines.thermonerf.frame import SceneFrame, frame_of
 from mrgs.baselines.thermonerf.losses import distortion_loss, interlevel_loss, squared_error
 from mrgs.baselines.thermonerf.model import ThermoNerf, Traced
 from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
+from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import are_finite
 from mrgs.scene import THERMAL, Scene
 
@@ -35,7 +36,7 @@ class NerfState:
 
     step: int
     model: ThermoNerf
-    optimizer: torch.optim.Adam
+    optimizer: Adam
     generator: torch.Generator
     skipped_in_a_row: int = 0
 
@@ -81,9 +82,8 @@ def make_state(
     model: ThermoNerf, config: ThermoNerfConfig, generator: torch.Generator
 ) -> NerfState:
     """A state at step 0: a fresh optimizer around a model."""
-    optimizer = torch.optim.Adam(
-        model.parameters(), lr=config.learning_rate, eps=ADAM_EPSILON, fused=True
-    )
+    parameters = ParameterGroup(list(model.parameters()), config.learning_rate)
+    optimizer = Adam([parameters], epsilon=ADAM_EPSILON)
     return NerfState(0, model, optimizer, generator)
 
 
@@ -107,10 +107,10 @@ def training_step(
         state.skipped_in_a_row += 1
     else:
         state.skipped_in_a_row = 0
-        for group in state.optimizer.param_groups:
-            group["lr"] = config.learning_rate_at(state.step)
+        for group in state.optimizer.groups:
+            group.rate = config.learning_rate_at(state.step)
         state.optimizer.step()
-    state.optimizer.zero_grad(set_to_none=True)
+    state.optimizer.zero_grad()
     return ThermoNerfStatistics(
         step=state.step,
         loss=loss.item(),

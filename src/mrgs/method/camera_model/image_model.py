@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from mrgs.method.adam import ParameterGroup
 from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
@@ -234,14 +235,14 @@ class ImageModel(nn.Module):
             thermal = thermal + offset(self.thermal_drift)
         return rendering.with_images({THERMAL: thermal})
 
-    def parameter_groups(self) -> list[dict]:
+    def parameter_groups(self) -> list[ParameterGroup]:
         """Groups for an optimizer, each with its learning rate."""
         parts = [
             (self.point_spread, self._config.point_spread_rate),
             (self.thermal_gain, self._config.thermal_gain_rate),
         ]
         return [
-            {"params": list(part.parameters()), "lr": rate}
+            ParameterGroup(list(part.parameters()), rate)
             for part, rate in parts
             if part is not None
         ]

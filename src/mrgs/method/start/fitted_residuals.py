@@ -16,6 +16,7 @@ from torch import Tensor
 from mrgs.errors import KernelWarning
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
+from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.scene import THERMAL, Gaussians
 from mrgs.system.operation import checking
 
@@ -56,9 +57,10 @@ def fit_residuals(
     with torch.no_grad():
         field.temperature_output.bias.fill_(target[known].mean() / field.config.temperature_scale)
     _check_kernel(field, gaussians.rows(known[:ROWS]))
-    adam = torch.optim.Adam(field.parameters(), lr=RATE, fused=True)
+    layers = ParameterGroup(list(field.parameters()), RATE)
+    adam = Adam([layers])
     for step in range(steps):
-        adam.param_groups[0]["lr"] = RATE * (1 - step / steps)
+        layers.rate = RATE * (1 - step / steps)
         chosen = known[torch.randperm(len(known), generator=generator)[:ROWS]]
         (residuals_of(chosen) - target[chosen]).abs().mean().backward()
         adam.step()

@@ -1,0 +1,167 @@
+"""Adam (D. P. Kingma, J. Ba, ICLR 2015)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.optim.adam import adam
+
+BETA1, BETA2 = 0.9, 0.999
+"""Decay rates of the moments."""
+
+MOMENTS = ("exp_avg", "exp_avg_sq")
+"""Running means of a gradient and of its squares, by the names that torch gives them."""
+
+_STATE = ("step", *MOMENTS)
+
+
+@dataclass
+class ParameterGroup:
+    """Parameters that share a learning rate.
+
+    Attributes:
+        parameters: leaves of the graph, all of one type on one device.
+        initial_rate: learning rate that a schedule starts from.
+        name: of the group.
+        rate: learning rate of the next step.
+    """
+
+    parameters: list[Tensor]
+    initial_rate: float
+    name: str = ""
+    rate: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rate = self.initial_rate
+
+
+class Adam:
+    """Adam without weight decay; a parameter without a gradient stays where it is.
+
+    The arithmetic is torch's fused kernel. ``torch.optim.Adam``, which calls it too, imports
+    torch's compiler for its first step: 145 MB of memory, and more than a second.
+
+    Args:
+        groups: all parameters.
+        epsilon: added to the root of the mean square.
+
+    Attributes:
+        groups: as given; rates and parameters may be changed.
+        state: step count and moments of each parameter that has moved, by the names ``step``,
+            ``exp_avg`` and ``exp_avg_sq``.
+    """
+
+    def __init__(self, groups: Iterable[ParameterGroup], epsilon: float = 1e-8) -> None:
+        self.groups = list(groups)
+        self.state: dict[Tensor, dict[str, Tensor]] = {}
+        self._epsilon = epsilon
+
+    def parameters(self) -> list[Tensor]:
+        """Those of all groups, in order."""
+        return [parameter for group in self.groups for parameter in group.parameters]
+
+    def set_rates(self, factor: float) -> None:
+        """Set all learning rates to this factor of the initial ones."""
+        for group in self.groups:
+            group.rate = factor * group.initial_rate
+
+    @torch.no_grad()
+    def step(self, good: Bool[Tensor, ""] | None = None) -> None:
+        """Move the parameters.
+
+        Args:
+            good: whether the step counts; where not, parameters, moments and step counts stay as
+                they are. The device is not asked which of both it was. None if it counts.
+        """
+        skip = None if good is None else (~good).float()
+        for group in self.groups:
+            moving = [each for each in group.parameters if each.grad is not None]
+            if not moving:
+                continue
+            states = [self._state_of(parameter) for parameter in moving]
+            means, squares = ([state[name] for state in states] for name in MOMENTS)
+            adam(
+                moving,
+                [parameter.grad for parameter in moving if parameter.grad is not None],
+                means,
+                squares,
+                max_exp_avg_sqs=[],
+                state_steps=[state["step"] for state in states],
+                fused=True,
+                found_inf=skip,
+                amsgrad=False,
+                beta1=BETA1,
+                beta2=BETA2,
+                lr=group.rate,
+                weight_decay=0.0,
+                eps=self._epsilon,
+                maximize=False,
+            )
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        for parameter in self.parameters():
+            parameter.grad = None
+
+    def moments(self, parameters: Mapping[Any, Tensor]) -> dict[str, Tensor]:
+        """Moments and step counts by name, ``KEY.step``, ``KEY.exp_avg`` and ``KEY.exp_avg_sq``;
+        none of a parameter that has not moved yet.
+
+        Args:
+            parameters: of this optimizer, by their keys.
+        """
+        return {
+            f"{key}.{name}": value
+            for key, parameter in parameters.items()
+            for name, value in self.state.get(parameter, {}).items()
+        }
+
+    def load_moments(self, parameters: Mapping[Any, Tensor], tensors: Mapping[str, Tensor]) -> None:
+        """Take what ``moments`` gave, on the parameters' devices.
+
+        The fused kernel trusts their sizes, so moments of any other parameter are refused.
+
+        Args:
+            parameters: of this optimizer, by their keys.
+            tensors: moments and step counts.
+
+        Raises:
+            ValueError: they are not those of the parameters, or the squares or steps are negative.
+        """
+        left = set(tensors)
+        for key, parameter in parameters.items():
+            state = {
+                name: tensors[f"{key}.{name}"] for name in _STATE if f"{key}.{name}" in tensors
+            }
+            left -= {f"{key}.{name}" for name in state}
+            if not state:
+                continue
+            _require_moments(key, parameter, state)
+            self.state[parameter] = {
+                name: value.to(parameter.device) for name, value in state.items()
+            }
+        if left:
+            raise ValueError(f"moments {min(left)} of an unknown parameter")
+
+    def _state_of(self, parameter: Tensor) -> dict[str, Tensor]:
+        if parameter not in self.state:
+            self.state[parameter] = {
+                "step": torch.zeros((), device=parameter.device),
+                **{name: torch.zeros_like(parameter) for name in MOMENTS},
+            }
+        return self.state[parameter]
+
+
+def _require_moments(key: Any, parameter: Float[Tensor, "..."], state: dict[str, Tensor]) -> None:
+    for name in _STATE:
+        shape = torch.Size() if name == "step" else parameter.shape
+        value = state.get(name)
+        if value is None or value.shape != shape or value.dtype != torch.float32:
+            raise ValueError(f"the moments {key}.{name} are not those of the parameter")
+        if name != "exp_avg" and not (value >= 0).all():
+            raise ValueError(f"the moments {key}.{name} are negative")
