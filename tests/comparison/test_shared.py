@@ -6,8 +6,8 @@ import threading
 
 from mrgs.comparison import compare, shared
 from mrgs.comparison.plan import PlannedRun
-from mrgs.errors import ConfigError
-from mrgs.training import make_config
+from mrgs.errors import ConfigError, PeerError, RunError
+from mrgs.training import make_config, peers
 from tests.helpers.comparison import tiny_options
 from tests.helpers.threaded_processes import together
 
@@ -54,6 +54,23 @@ def test_each_run_is_done_once_and_the_first_process_hears_of_all(tmp_path, monk
         assert [message for each, message in heard if each is job] == [
             {"start": True}, {"end": "scored"},
         ]  # fmt: skip
+
+
+def test_processes_of_different_versions_do_not_share_runs(tmp_path, monkeypatch):
+    versions = iter(["1.0", "2.0"])
+    monkeypatch.setattr(peers, "version", lambda name: next(versions))
+
+    def work(processes):
+        if not processes.is_first:
+            return shared.follow_jobs(processes, None, "cpu")
+        return shared.lead_jobs(
+            jobs_of(tmp_path, 1), processes, None, lambda *told: None, lambda: None, "cpu"
+        )
+
+    refused, other = together(work, 2)
+    assert isinstance(refused, RunError)
+    assert isinstance(other, PeerError)
+    assert str(refused).endswith(": install one version")
 
 
 def test_several_jobs_in_each_of_several_processes_are_refused(small_scene, tmp_path):

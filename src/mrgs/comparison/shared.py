@@ -15,6 +15,7 @@ from mrgs.comparison.processes import Message, run_jobs
 from mrgs.distributed.processes import Processes
 from mrgs.distributed.work_queue import Piece, WorkQueue
 from mrgs.system.gpu import DeviceName
+from mrgs.training.peers import require_same_version
 
 ORPHAN_S = 60.0
 """How long the run of a process that was killed may take to save a checkpoint."""
@@ -44,9 +45,13 @@ def lead_jobs(
 
     Returns:
         of each job that failed, why: one line.
+
+    Raises:
+        RunError: another process is of another version of the program.
     """
     queue = WorkQueue(processes, _QUEUE)
     queue.fill([_to_json(job) for job in jobs])
+    require_same_version(processes)
     failures: dict[PlannedRun, str] = {}
 
     def hear(message: dict[str, Any]) -> None:
@@ -70,8 +75,15 @@ def lead_jobs(
 def follow_jobs(
     processes: Processes, lpips_weights: Path | None, device: DeviceName = "auto"
 ) -> None:
-    """Execute runs of the comparison that the first process leads, until none is left."""
-    _work(WorkQueue(processes, _QUEUE), processes, lpips_weights, lambda: None, device)
+    """Execute runs of the comparison that the first process leads, until none is left.
+
+    Raises:
+        PeerError: a process is of another version of the program than the first one.
+    """
+    queue = WorkQueue(processes, _QUEUE)
+    queue.wait_until_filled()  # the first process may still end with an error of its own
+    require_same_version(processes)
+    _work(queue, processes, lpips_weights, lambda: None, device)
 
 
 def _work(

@@ -49,11 +49,16 @@ class WorkQueue:
                 self._store.set(f"piece/{number}", json.dumps(content))
             self._store.set("count", str(len(contents)))
 
-    def __len__(self) -> int:
-        """How many pieces there are in all; waits until the queue is filled."""
+    def wait_until_filled(self) -> None:
+        """Return once the first process has filled the queue."""
         with self._processes.linked():
             while not self._store.check(["count"]):  # a wait of the store would hold up signals
                 time.sleep(_POLL_S)
+
+    def __len__(self) -> int:
+        """How many pieces there are in all; waits until the queue is filled."""
+        self.wait_until_filled()
+        with self._processes.linked():
             return int(self._store.get("count"))
 
     def take(self) -> Piece | None:

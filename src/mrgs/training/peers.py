@@ -163,14 +163,24 @@ def require_alike(processes: Processes, config: TrainConfig, scene: Scene) -> No
         PeerError: the same, on the others.
         SceneError: a photo cannot be read.
     """
-    own = version("mrgs")
+    require_same_version(processes)
     seen = CheckpointFacts.at_start(scene).to_json() if processes.is_first else None
-    first, text, header = processes.share_json([own, to_yaml(config), seen])
-    problem = _other_version(processes, own, first)
-    problem = problem or _other_configuration(processes, text, config)
+    text, header = processes.share_json([to_yaml(config), seen])
+    problem = _other_configuration(processes, text, config)
     if problem is None:
         problem = _other_scene(processes, CheckpointFacts.from_json(header), scene)
     processes.raise_first(problem, RunError)
+
+
+def require_same_version(processes: Processes) -> None:
+    """Stop processes that share out work if they are of different versions of the program.
+
+    Raises:
+        RunError: on the first process: another one is of another version.
+        PeerError: the same, on the others.
+    """
+    own = version("mrgs")
+    processes.raise_first(_other_version(processes, own, processes.share_json(own)), RunError)
 
 
 def _other_version(processes: Processes, own: str, first: str) -> str | None:
