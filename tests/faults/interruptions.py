@@ -10,6 +10,7 @@ from pathlib import Path
 
 from tests.faults.program import (
     SMALL,
+    Started,
     ended,
     logged_step,
     photos_of,
@@ -78,20 +79,26 @@ def comparisons(folder: Path, signals: Sequence[str]) -> Tally:
     return tally
 
 
-def preparations(folder: Path, delays_s: Sequence[float], number: int = signal.SIGTERM) -> Tally:
-    """A preparation that was ended at any moment goes on with the same command."""
+def preparations(folder: Path, shares: Sequence[float], number: int = signal.SIGTERM) -> Tally:
+    """A preparation that was ended at any moment goes on with the same command; moments are shares
+    of the processor time that one takes which nothing ends. One that is done by then does not
+    count."""
     tally, scene = Tally(), small_scene(folder / "scene")
     options = photos_of(scene, folder / "photos")
-    for place, delay in enumerate(delays_s):
+    whole_s = _processor_s_of(start("prepare", options[0], folder / "whole", *options[1:]))
+    expected = -number if number == signal.SIGKILL else 128 + number
+    for place, share in enumerate(shares):
         made = folder / f"prepared_{number}_{place}"
         process = start("prepare", options[0], made, *options[1:])
-        wait_until(lambda made=made: made.exists(), process)
-        time.sleep(delay)
+        wait_until(lambda at=process.pid, s=share * whole_s: _processor_s(at) >= s, process)
         process.send_signal(number)
         first, again = ended(process), run("prepare", options[0], made, *options[1:])
+        if "next:" in first.out:
+            continue
         left = [path.name for path in made.rglob(".mrgs-*")]
-        holds = again.status == 0 and not left and (first.is_clean or number == signal.SIGKILL)
-        tally.judge(f"prepare, ended after {delay:.2f} s", holds, f"{first}; {again}; left: {left}")
+        holds = first.status == expected and again.status == 0 and not left
+        seen = f"{first}; {again}; left: {left}"
+        tally.judge(f"prepare, ended at {100 * share:.0f} %", holds, seen)
     return tally
 
 
@@ -126,6 +133,16 @@ def _processes_of(folder: Path) -> list[str]:
             continue
         if b"mrgs.comparison.child" in command and os.fsencode(folder) in command:
             found.append(path.parent.name)
+    return found
+
+
+def _processor_s_of(process: Started) -> float:
+    """Processor time that a process takes until its end."""
+    found = 0.0
+    while process.poll() is None:
+        found = _processor_s(process.pid)
+        time.sleep(0.02)
+    ended(process)
     return found
 
 
