@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from mrgs.blocks import refinement
 from mrgs.blocks.density import Part
 from mrgs.blocks.plan import BlockOptions, read_plan
 from mrgs.blocks.refinement import SEAM_WIDTH
@@ -106,6 +107,23 @@ def test_what_lies_outside_of_a_block_stays_as_it_is(joined, scene):
     for name, tensor in block.tensors().items():
         known = set(map(tuple, coarse.tensors()[name].detach().flatten(1).tolist()))
         assert set(map(tuple, tensor[outside].flatten(1).tolist())) <= known, name
+
+
+def test_blocks_take_over_no_gaussian_too_wide_for_any_but_those_of_the_background(joined, scene):
+    done = training(joined, scene)
+    gaussians, reach = done.coarse.model.gaussians, done.scene.reach
+
+    def rows_of_block() -> set[int]:
+        block = refinement.block(done.coarse, done.scene, done.plan, 0, done.config)
+        return set(block.rows.tolist())
+
+    wide, far, *others = sorted(rows_of_block())
+    with torch.no_grad():
+        gaussians.means[wide] = gaussians.means[others[0]]
+        direction = gaussians.means[far] - reach.centre.float()
+        gaussians.means[far] += 2 * reach.background_distance * direction / direction.norm()
+        gaussians.log_scales[[wide, far]] = torch.tensor(10.0 * done.plan.overlap).log()
+    assert rows_of_block() == {far, *others}
 
 
 def test_a_gaussian_that_reaches_beyond_what_counts_is_not_held(scene):

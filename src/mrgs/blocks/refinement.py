@@ -19,12 +19,16 @@ from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density import Strategy
 from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model, rows_in_view
-from mrgs.scene import Scene
+from mrgs.scene import Gaussians, Scene
 from mrgs.training.checkpoint import load_model
 from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import TrainingState
 from mrgs.training.trainer import TrainingPart
+
+WIDEST = 1 / 3
+"""Largest standard deviation of a Gaussian that blocks take over from the coarse model, as a share
+of their overlap: no block may move a wider one, see ``density.EXTENT``, so that it would stay."""
 
 SEAM_WIDTH = 1 / 3
 """Of the strip to either side of a block's edge that is refined once the blocks are joined, as a
@@ -128,6 +132,7 @@ def block(
     part = Part(plan.plane, region, region, scene.reach)
     own = _local(config, scene, cell.views, number)
     rows = _rows(coarse.model, scene, part, cell.views)
+    rows = _without_wide(coarse.model.gaussians, scene, rows, plan.overlap)
     return Refinement(coarse, part, cell.views, own, own.densification, rows)
 
 
@@ -200,3 +205,14 @@ def _rows(model: Model, scene: Scene, part: Part, views: Sequence[int]) -> Int64
             rows = rows_in_view(model.gaussians, camera)
             kept[slice(None) if rows is None else rows] = True
     return kept.nonzero()[:, 0]
+
+
+def _without_wide(
+    gaussians: Gaussians, scene: Scene, rows: Int64[Tensor, " k"], overlap: float
+) -> Int64[Tensor, " m"]:
+    """Those that are not too wide for any block, and the background; with a narrow overlap, those
+    of usual width too."""
+    widths = gaussians.scales.detach().amax(dim=1)[rows]
+    most = max(WIDEST * overlap, 2 * float(widths.median()))
+    background = scene.reach.is_background(gaussians.means.detach()[rows])
+    return rows[(widths <= most) | background]
