@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool
-from PIL import Image
+from jaxtyping import Bool, Float32
+from torch import Tensor
 
 from mrgs.blocks.plan import BlockPlan, read_plan
+from mrgs.evaluation.truth import Truth
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Scene, View
 
@@ -33,10 +34,17 @@ class Score(NamedTuple):
     error_c: float
 
 
+def exact(view: View, scene: Scene, kind: str) -> Float32[Tensor, "h w"]:
+    """What a held-out view shows exactly: its ``depth`` or its ``temperature``."""
+    truth, camera = Truth.of(scene), view.camera
+    found = None if truth is None else truth.read(kind, view.name, (camera.height, camera.width))
+    assert isinstance(found, Tensor), found
+    return found
+
+
 def near_cuts(view: View, scene: Scene, plan: BlockPlan) -> Bool[np.ndarray, "h w"]:
     """Which pixels of a view show a place in the band along a cut."""
-    depth = np.asarray(Image.open(Path(scene.path) / f"truth/depth/{view.name}.tiff"))
-    points = view.camera.unproject_image(torch.from_numpy(depth).double())
+    points = view.camera.unproject_image(exact(view, scene, "depth").double())
     places = plan.plane.coordinates(points)
     blocks = sum(
         cell.region.grown(BAND).contains(places).int()
@@ -52,7 +60,6 @@ def scores(run: Run, scene: Scene, plan: BlockPlan) -> dict[str, Score]:
     squares: dict[str, list[list[np.ndarray]]] = {"band": [[], [], []], "elsewhere": [[], [], []]}
     for view in scene.eval:
         rendering = run.camera_response(run.render_view(view), view.camera)
-        exact = np.asarray(Image.open(Path(scene.path) / f"truth/temperature/{view.name}.tiff"))
         ideal = run.temperatures_c(run.render_view(view)).numpy()
         band = near_cuts(view, scene, plan)
         measured = (
@@ -60,7 +67,7 @@ def scores(run: Run, scene: Scene, plan: BlockPlan) -> dict[str, Score]:
             (rendering[THERMAL].image - view.images[THERMAL].load().values)[..., 0]
             .square()
             .numpy(),
-            np.abs(ideal - exact),
+            np.abs(ideal - exact(view, scene, "temperature").numpy()),
         )
         for where, mask in (("band", band), ("elsewhere", ~band)):
             for kept, values in zip(squares[where], measured, strict=True):

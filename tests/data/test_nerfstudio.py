@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,9 @@ def test_the_frame_of_the_world_is_known_where_prepare_has_found_it(writer):
     world = load_scene(writer.root).world
     assert world == WorldFrame(True, True, EarthPosition(48.1, 11.5, None))
     assert (world.length_unit, WorldFrame().length_unit) == ("m", "scene units")
+    errors = {"residual_m": 0.8, "scale_error": 0.004}
+    writer.transforms({**content, "georeference": {**facts, **errors}})
+    assert load_scene(writer.root).world == replace(world, **errors)
 
 
 def test_older_scenes_have_transforms_thermal_json(writer):
@@ -353,6 +357,8 @@ def put_frame(**values):
             "the origin 91°, 0° is no place on Earth",
         ),
         (put(georeference={"residual_m": "1"}), "residual_m of georeference is '1', not a number"),
+        (put(georeference={"scale_error": -0.1}), "scale_error of georeference is -0.1; it cannot"),
+        (put(georeference={"scale_error": math.inf}), "scale_error .* not a plausible number"),
         (put_frame(thermal_record=3), "thermal_record of frame 1 .*: it is not an object; prepare"),
         (put(modalities="nir"), "modalities is 'nir', not a list"),
         (put(modalities=[{}] * 17), "not a list of up to 16"),

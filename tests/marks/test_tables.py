@@ -39,6 +39,18 @@ def test_people_read_rounded_numbers_with_units(readings):
     assert size_text(readings[1], WorldFrame()) == "2.00 scene units"
 
 
+def test_lengths_and_areas_say_what_the_scale_leaves_open(readings, tmp_path: Path):
+    world = WorldFrame(metric=True, scale_error=0.01)
+    assert [row[7] for row in text_rows(readings, RANGE, world)] == [
+        "⌀ 0.100 m", "2.00 ± 0.04 m", "1.00 ± 0.04 m²",
+    ]  # fmt: skip
+    table, _ = write_csv(tmp_path / "marks.csv", readings, RANGE, world)
+    with table.open(encoding="utf-8", newline="") as file:
+        _, line, box = csv.DictReader(file)
+    assert line["length_scale_uncertainty_m"] == box["area_scale_uncertainty_m2"] == "0.04"
+    assert line["area_scale_uncertainty_m2"] == box["length_scale_uncertainty_m"] == ""
+
+
 def test_values_as_text():
     celsius = TemperatureRange(-20.0, 40.0)
     assert value_text(-3.04, celsius, unit=True) == "−3.0 °C"

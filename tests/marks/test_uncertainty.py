@@ -58,8 +58,9 @@ def test_what_photos_disagree_by_and_how_sharp_a_place_is():
     change = SHIFT_PX * pixel_m * (5 / 2) ** 0.5  # 2 and 1 K per metre across and down
     # The photos see it at an angle, and in larger pixels than it is measured in.
     assert 1 < found.model / (OF_MARK.contrast * change) < 2
+    assert found.detail == pytest.approx(0.0, abs=1e-3)  # an even slope
     assert found.total == pytest.approx(math.hypot(found.photos, found.model))
-    assert found.known == {"photos": found.photos, "model": found.model}
+    assert found.known.keys() == {"photos", "model", "detail"}
 
 
 def test_a_value_that_differs_from_what_the_photos_read_is_doubtful():
@@ -71,6 +72,16 @@ def test_a_value_that_differs_from_what_the_photos_read_is_doubtful():
     assert parts.model[0] == pytest.approx(0.5 * OF_MARK.deviation)
     assert np.isnan(parts.total[1])
     assert sums.parts(OF_POINT).model[0] == 0.0
+
+
+def test_a_narrow_peak_is_doubtful_and_a_slope_is_not():
+    sums = SightingSums(3, 0.0)
+    slope, peak, ridge = [20, 20, 2, -2, 1, -1], [20, 20, -4, -4, -4, -4], [20, 20, -4, -4, 0, 0]
+    sums.add(np.arange(3), np.array([slope, peak, ridge], np.float32))
+    parts = sums.parts(OF_MARK, np.full(3, 20.0))
+    assert parts.detail == pytest.approx(np.array([0, 4, 2]) * OF_MARK.curvature)
+    assert parts.total == pytest.approx(np.hypot(parts.model, parts.detail))
+    assert not sums.parts(OF_POINT).detail.any()
 
 
 def test_where_no_photo_looked_there_is_no_uncertainty():

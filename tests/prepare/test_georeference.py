@@ -110,6 +110,20 @@ def test_gps_gives_metres_and_north(seed):
     assert shape_of(moved) == pytest.approx(shape_of(truth), abs=1.5)
 
 
+def test_the_error_of_the_scale_holds_that_of_most_flights():
+    """In 95 of 100 the scale is within twice its standard uncertainty."""
+    positions, held = around(), []
+    for seed in range(100):
+        noisy = positions + np.random.default_rng(seed).normal(0, 0.5, positions.shape)
+        moved = displaced(reconstruction_of(positions), seed)
+        found = georeference(moved, gps_of(noisy))
+        size = np.linalg.norm(found.scale * shape_of(moved)) / np.linalg.norm(
+            positions - positions.mean(axis=0)
+        )
+        held.append(abs(size - 1) <= 2 * found.scale_error)
+    assert 0.93 <= np.mean(held) <= 0.99
+
+
 def test_apply_moves_points_as_it_moves_cameras():
     truth = reconstruction_of(around())
     moved = displaced(truth, 3)
@@ -268,6 +282,7 @@ def test_a_known_distance_decides_against_gps():
     found = displaced(truth, 8)
     placed = georeference(found, gps_of(around()), KnownDistance("view_9", a, b, 5.0))
     assert placed.north
+    assert placed.scale_error is None
     assert placed.text.startswith(
         "The scale is that of the known distance. The GPS positions of 12 photos give the axes"
     )

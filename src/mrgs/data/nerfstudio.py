@@ -394,10 +394,21 @@ class _TransformsReader:
             )
         origin = self._origin(facts["origin"]) if "origin" in facts else None
         metric, north = facts.get("units") == "metres", facts.get("axes") == "east north up"
-        residual = facts.get("residual_m")
-        if residual is not None:
-            residual = finite_number(residual, "residual_m of georeference", self.file)
-        return WorldFrame(metric, north, origin, residual)
+        residual, scale_error = (
+            self._not_negative(facts, name) for name in ("residual_m", "scale_error")
+        )
+        return WorldFrame(metric, north, origin, residual, scale_error)
+
+    def _not_negative(self, facts: Mapping[str, Any], name: str) -> float | None:
+        """A number of ``georeference``; None where there is none."""
+        if facts.get(name) is None:
+            return None
+        value = finite_number(facts[name], f"{name} of georeference", self.file)
+        if value < 0:
+            raise scene_error(
+                self.file, f"{name} of georeference is {value:g}; it cannot be negative: correct it"
+            )
+        return value
 
     def _origin(self, facts: Mapping[str, Any]) -> EarthPosition:
         latitude, longitude = (

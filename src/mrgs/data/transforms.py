@@ -110,6 +110,8 @@ def world_json(world: WorldFrame) -> dict[str, Any]:
         facts["origin"] = world.origin._asdict()
     if world.residual_m is not None:
         facts["residual_m"] = world.residual_m
+    if world.scale_error is not None:
+        facts["scale_error"] = world.scale_error
     return {"georeference": facts}
 
 

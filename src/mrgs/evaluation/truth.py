@@ -89,7 +89,7 @@ class Truth:
     def _temperature_error(
         self, name: str, thermal: Tensor, valid: Tensor | None, temperature: TemperatureRange
     ) -> Figure:
-        exact = self._read("temperature", name, (thermal.shape[0], thermal.shape[1]))
+        exact = self.read("temperature", name, (thermal.shape[0], thermal.shape[1]))
         if isinstance(exact, Missing):
             return exact
         known = exact.isfinite() if valid is None else exact.isfinite() & valid.cpu()
@@ -100,7 +100,7 @@ class Truth:
     def _depth_error(self, name: str, depth: Tensor | None) -> Figure:
         if depth is None:
             return Missing("the model renders no depth")
-        exact = self._read("depth", name, (depth.shape[0], depth.shape[1]))
+        exact = self.read("depth", name, (depth.shape[0], depth.shape[1]))
         if isinstance(exact, Missing):
             return exact
         known = exact.isfinite() & (exact > 0)
@@ -110,10 +110,20 @@ class Truth:
         median = float(np.median(errors.nan_to_num(nan=math.inf).numpy()))
         return median if math.isfinite(median) else Missing("most pixels show no surface")
 
-    def _read(
+    def read(
         self, kind: str, name: str, shape: tuple[int, int]
     ) -> Float32[Tensor, "h w"] | Missing:
-        """The truth at the size of the rendering: averaged over areas where that is smaller."""
+        """The truth of one view at the size of a rendering; averaged over areas where that is
+        smaller.
+
+        Args:
+            kind: ``temperature`` (°C) or ``depth`` (z-depth, metres).
+            name: the view's.
+            shape: rows and columns of the rendering.
+
+        Raises:
+            SceneError: the file is damaged, or lies outside the scene.
+        """
         path = self.folder / kind / f"{name}.tiff"
         if not path.resolve().is_relative_to(self.folder.resolve()):
             raise SceneError(f"{path} lies outside {self.folder}: rename the view")

@@ -13,6 +13,7 @@ from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.regions import Regions
+from mrgs.marks.resolution import RESOLVED_PX, Resolution
 from mrgs.marks.surface import (
     SeenSurface,
     SurfaceRenderer,
@@ -36,6 +37,13 @@ CHECKED_POINTS = 64
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
 NO_THERMAL = "the model has no temperatures"
+
+NARROW_HOT = "The hot place is narrower than three pixels of the photos: it is likely hotter."
+NARROW_COLD = "The cold place is narrower than three pixels of the photos: it is likely colder."
+
+STANDING_OUT_C, STANDING_OUT_SHARE = 1.0, 0.03
+"""What a narrow place is at least hotter or colder than what lies beside it, to be remarked: K, or
+without °C a share of the range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +82,7 @@ class MarkReading:
         photos: how many thermal photos see it; None if their cameras are not known.
         profile: of a line; else None.
         problem: why there is no temperature, one sentence; empty if there is one.
+        remarks: what to know of the temperatures, a sentence each.
     """
 
     mark: Mark
@@ -92,6 +101,7 @@ class MarkReading:
     photos: int | None = None
     profile: Profile | None = None
     problem: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 class MarkMeter:
@@ -119,6 +129,7 @@ class MarkMeter:
         self.capture = capture or CaptureSettings()
         self.uncertainty = uncertainty
         self.survey = PhotoSurvey(render, cameras)
+        self._resolution = Resolution(render, self.survey)
         self._render = render
         self._temperature = temperature
         self._photos = len(cameras)
@@ -177,7 +188,27 @@ class MarkMeter:
         if settings is not None:
             value = float(self.capture.as_photos(np.array([value]), settings)[0])
         found = self.uncertainty.of_mark(places[::step].astype(np.float32), value, settings)
-        return replace(reading, uncertainty=found)
+        return replace(reading, uncertainty=found, remarks=self._remarks(reading, found))
+
+    def _remarks(self, reading: MarkReading, uncertainty: Uncertainty) -> tuple[str, ...]:
+        """Which of its extremes the photos do not resolve; of a spot only its middle, as what is
+        extreme at its edge belongs to what lies beside it."""
+        doubt = replace(uncertainty, detail=math.nan).of_differences
+        if self._temperature is None:
+            least = max(doubt, STANDING_OUT_SHARE)
+        else:
+            least = max(doubt, STANDING_OUT_C) / self._temperature.span_c
+        mark = reading.mark
+        high, low = (
+            mark.points[0] if mark.kind == "spot" else place
+            for place in (reading.high_at, reading.low_at)
+        )
+        ends = ((high, 1, NARROW_HOT), (low, -1, NARROW_COLD))
+        return tuple(
+            remark
+            for place, sign, remark in ends
+            if self._resolution.width_px(place, sign, least) < RESOLVED_PX
+        )
 
     def _values(self, surface: SeenSurface) -> Float[np.ndarray, "h w"] | None:
         values = celsius_or_value(surface.rendering)

@@ -24,12 +24,13 @@ class PhotoSurvey:
 
     Attributes:
         chosen: indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly.
+        cameras: those cameras.
     """
 
     def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
         self.chosen = evenly_spaced(len(cameras), MAX_VIEWS) if cameras else []
         self._render = render
-        self._cameras = [cameras[index] for index in self.chosen]
+        self.cameras = [cameras[index] for index in self.chosen]
         self._maps: list[DepthMap] = []
 
     def __len__(self) -> int:
@@ -38,7 +39,7 @@ class PhotoSurvey:
     def __iter__(self) -> Iterator[DepthMap]:
         """The depth image of each camera that is surveyed, in the order of ``chosen``."""
         if not self._maps:
-            self._maps = [self._map(camera) for camera in self._cameras]
+            self._maps = [self._map(camera) for camera in self.cameras]
         return iter(self._maps)
 
     def _map(self, camera: Camera) -> DepthMap:

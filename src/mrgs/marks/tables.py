@@ -15,7 +15,7 @@ import numpy as np
 
 from mrgs.marks.mark import Mark, Place
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.uncertainty import Uncertainty
+from mrgs.marks.uncertainty import COVERAGE, Uncertainty
 from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.prepare.earth import geodetic
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
@@ -27,15 +27,29 @@ DASH = "–"
 
 
 def size_text(reading: MarkReading, world: WorldFrame) -> str:
-    """Length, area or diameter with its unit, in three digits."""
+    """Length, area or diameter with its unit, in three digits; ± where the scale's is known."""
     unit = world.length_unit
     if not math.isnan(reading.length):
-        return Message(f"{{size}} {unit}", size=_digits(reading.length))
+        around = length_uncertainty(reading, world)
+        return Message(f"{{size}} {unit}", size=_with_around(reading.length, around))
     if not math.isnan(reading.area):
-        return Message(f"{{size}} {unit}²", size=_digits(reading.area))
+        around = area_uncertainty(reading, world)
+        return Message(f"{{size}} {unit}²", size=_with_around(reading.area, around))
     if reading.mark.kind == "spot":
         return Message(f"{{size}} {unit}", size=f"⌀ {_digits(2 * reading.mark.radius)}")
     return DASH
+
+
+def length_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
+    """What the scene's scale leaves open of a length, for 95 of 100 cases, in its unit; NaN where
+    that is not known. How well the ends of the line were placed is no part of it."""
+    return math.nan if world.scale_error is None else COVERAGE * world.scale_error * reading.length
+
+
+def area_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
+    """The same of an area, of which both sides are off."""
+    error = world.scale_error
+    return math.nan if error is None else COVERAGE * 2 * error * reading.area
 
 
 def value_text(
@@ -84,7 +98,7 @@ def text_rows(
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
             reading.mark.severity or DASH,
-            "; ".join(filter(None, (reading.problem, " ".join(reading.mark.note.split())))),
+            "; ".join(filter(None, (reading.problem, *reading.remarks, _line(reading.mark.note)))),
         )
         for reading in readings
     ]
@@ -109,7 +123,9 @@ def facts_of_reading(
         f"difference_{value_unit}": reading.difference,
         f"difference_uncertainty_{value_unit}": reading.difference_uncertainty,
         f"length_{length_unit}": reading.length,
+        f"length_scale_uncertainty_{length_unit}": length_uncertainty(reading, world),
         f"area_{length_unit}2": reading.area,
+        f"area_scale_uncertainty_{length_unit}2": area_uncertainty(reading, world),
         f"diameter_{length_unit}": 2 * mark.radius if mark.kind == "spot" else np.nan,
         "covered": reading.covered,
     }
@@ -127,6 +143,7 @@ def facts_of_reading(
         "against": mark.against,
         "note": mark.note,
         "problem": reading.problem,
+        "remarks": " ".join(reading.remarks),
     }
 
 
@@ -222,13 +239,22 @@ def _cell(value: Any) -> Any:
     return f"'{value}" if is_formula else value
 
 
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _digits(value: float) -> str:
-    """Three digits, without an exponent."""
-    decimals = 2 if value <= 0 else max(0, 2 - math.floor(math.log10(value)))
+def _with_around(size: float, around: float) -> str:
+    """A size, ± its uncertainty where that is known."""
+    return _digits(size) if math.isnan(around) else f"{_digits(size)} ± {_digits(around, 1)}"
+
+
+def _digits(value: float, count: int = 3) -> str:
+    """So many digits, without an exponent."""
+    decimals = 2 if value <= 0 else max(0, count - 1 - math.floor(math.log10(value)))
     return f"{value:.{decimals}f}"
 
 

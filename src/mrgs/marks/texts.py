@@ -12,6 +12,7 @@ from mrgs.scene import TemperatureRange, WorldFrame
 PART_NAMES = {
     "photos": "photos",
     "model": "model",
+    "detail": "fine detail",
     "camera": "data sheet",
     "emissivity": "emissivity",
     "reflected": "reflected temperature",
@@ -114,7 +115,7 @@ def difference_text(reading: MarkReading, temperature: TemperatureRange | None) 
 def _lines(
     reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
 ) -> list[str]:
-    """Extremes, size and photos of a mark; first of all why it has no temperature."""
+    """Extremes, remarks, size and photos of a mark; first of all why it has no temperature."""
     lines = [reading.problem] if reading.problem else []
     if not math.isnan(reading.low):
         low = value_text(reading.low, temperature)
@@ -122,6 +123,7 @@ def _lines(
         lines.append(f"{low} to {high}")
     if doubt := uncertainty_text(reading, temperature):
         lines.append(doubt)
+    lines.extend(reading.remarks)
     lines.append(size_text(reading, world))
     if reading.covered < MOSTLY_COVERED and not reading.problem:
         lines.append(f"{100 * reading.covered:.0f} % of it shows a surface")

@@ -181,6 +181,7 @@ class Georeference:
         north: whether the new axes are east, north, up.
         origin: position of the new origin on Earth; None if not known.
         residual_m: median distance of the cameras from their GPS positions; None without GPS.
+        scale_error: standard uncertainty of the scale, as a share; None where it is not from GPS.
         text: one or two sentences for the user.
         warnings: sentences that the user should read.
     """
@@ -194,6 +195,7 @@ class Georeference:
     residual_m: float | None
     text: str
     warnings: tuple[str, ...] = ()
+    scale_error: float | None = None
 
     @property
     def world(self) -> WorldFrame:
@@ -204,7 +206,7 @@ class Georeference:
             if place is None
             else EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
         )
-        return WorldFrame(self.metric, self.north, origin, self.residual_m)
+        return WorldFrame(self.metric, self.north, origin, self.residual_m, self.scale_error)
 
 
 @dataclass(frozen=True)

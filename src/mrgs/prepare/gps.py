@@ -196,6 +196,7 @@ def _georeference(
         residual_m=residual_m,
         text=text if scale is None else f"The scale is that of the known distance. {text}",
         warnings=warnings,
+        scale_error=solution.scale_error if scale is None else None,
     )
 
 

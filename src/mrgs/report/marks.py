@@ -62,6 +62,7 @@ class ShownMark(NamedTuple):
         emissivity: of its surface, with the reflected temperature, where it has its own.
         note: the user's.
         problem: why it has no temperature.
+        remarks: what to know of the temperatures.
         view: name of the view in the pictures; empty without pictures.
         pictures: the thermal rendering, then the photo.
         plan: where it is.
@@ -84,6 +85,7 @@ class ShownMark(NamedTuple):
     emissivity: str
     note: str
     problem: str
+    remarks: list[str]
     view: str
     pictures: list[InlineImage]
     plan: InlineImage
@@ -157,6 +159,7 @@ def _shown(
         _settings_text(mark),
         mark.note,
         reading.problem,
+        list(reading.remarks),
         "" if view is None else view.name,
         [] if view is None else mark_pictures(reading, view, regions, scene),
         inline_image(plan.small(mark), f"{mark.name}, plan", quality=85),

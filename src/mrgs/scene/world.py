@@ -24,12 +24,14 @@ class WorldFrame:
         north: whether its axes point east, north and up.
         origin: of its coordinates on Earth; None if not known.
         residual_m: median distance of the cameras from their GPS positions, m; None without GPS.
+        scale_error: standard uncertainty of its unit, as a share; None where that is not known.
     """
 
     metric: bool = False
     north: bool = False
     origin: EarthPosition | None = None
     residual_m: float | None = None
+    scale_error: float | None = None
 
     @property
     def is_georeferenced(self) -> bool:

@@ -39,8 +39,6 @@ nearly all uncooled cameras."""
 USUAL_AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)
 """The constants that FLIR's cameras store."""
 
-PARTS = ("photos", "model", "camera", "emissivity", "reflected", "distance")
-
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -51,6 +49,7 @@ class Uncertainty:
     Attributes:
         photos: what the photos that see the place disagree by.
         model: how far the model is from what the photos show there, and how sharp the place is.
+        detail: how narrow a peak the place is, which the photos blur.
         camera: limit of error of the thermal camera.
         emissivity: of the surface.
         reflected: reflected temperature.
@@ -59,6 +58,7 @@ class Uncertainty:
 
     photos: float = math.nan
     model: float = math.nan
+    detail: float = math.nan
     camera: float = math.nan
     emissivity: float = math.nan
     reflected: float = math.nan
@@ -153,7 +153,7 @@ class Budget:
         camera = float(self._camera(at)[0])
         settings = [COVERAGE * float(each[0]) for each in self._settings(at, surface)]
         return Uncertainty(
-            *(gain * each for each in (parts.photos, parts.model, camera)), *settings
+            *(gain * each for each in (parts.photos, parts.model, parts.detail, camera)), *settings
         )
 
     def shared(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:

@@ -80,9 +80,8 @@ class UncertaintyMeter:
         Raises:
             SceneError: a photo cannot be read.
         """
-        photos, model = (float(part[0]) for part in self._witnesses.of_mark(points, value))
-        parts = Uncertainty(photos, model)
-        if self._budget is None or math.isnan(photos):
+        parts = Uncertainty(*(float(part[0]) for part in self._witnesses.of_mark(points, value)))
+        if self._budget is None or math.isnan(parts.photos):
             return parts
         return self._budget.with_settings(parts, value, surface)
 

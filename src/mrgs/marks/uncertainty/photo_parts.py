@@ -23,18 +23,21 @@ class Shares(NamedTuple):
             their mean keeps.
         contrast: times the change of the model's value when the place is shifted by ``SHIFT_PX``:
             places and poses are not known better, and detail that fine is not resolved.
+        curvature: times the mean of that change over all sides: a peak that the photos show as
+            narrow was higher before they blurred it, and their noise makes some.
         deviation: times the difference between a value and the mean of what the photos read there.
     """
 
     scatter: float
     contrast: float
+    curvature: float
     deviation: float
 
 
-OF_POINT = Shares(0.7, 0.65, 0.0)
+OF_POINT = Shares(0.7, 0.65, 0.0, 0.0)
 """Of what the photos' cameras see at a single point, so that there is no deviation."""
 
-OF_MARK = Shares(0.9, 0.4, 1.5)
+OF_MARK = Shares(0.9, 0.4, 1.5, 1.2)
 """Of the mean of a mark, which is over detail that is not resolved."""
 
 READING, RENDERED = 0, 1
@@ -52,15 +55,17 @@ class PhotoParts(NamedTuple):
         photos: from what the photos disagree by, and the rounding of their values, [P].
         model: from how much it changes nearby, and how far the value is from what the photos read,
             [P].
+        detail: from how narrow a peak the place is, [P].
     """
 
     photos: Float[np.ndarray, " p"]
     model: Float[np.ndarray, " p"]
+    detail: Float[np.ndarray, " p"]
 
     @property
     def total(self) -> Float[np.ndarray, " p"]:
-        """Both together, [P]."""
-        return np.hypot(self.photos, self.model)
+        """All together, [P]."""
+        return np.hypot(np.hypot(self.photos, self.model), self.detail)
 
 
 class SightingSums:
@@ -75,8 +80,8 @@ class SightingSums:
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding
         self.photos = np.zeros(places, np.float32)
-        self._readings, self._squares, self._contrast = (
-            np.zeros(places, np.float32) for _ in range(3)
+        self._readings, self._squares, self._contrast, self._curvature = (
+            np.zeros(places, np.float32) for _ in range(4)
         )
 
     def add(self, rows: Int64[np.ndarray, " m"], values: Float32[np.ndarray, "m c"]) -> None:
@@ -93,6 +98,7 @@ class SightingSums:
         self._readings[rows] += step / self.photos[rows]
         self._squares[rows] += step * (values[:, READING] - self._readings[rows])
         self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
+        self._curvature[rows] += values[:, SHIFTS].mean(axis=1)
 
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty.
@@ -109,4 +115,5 @@ class SightingSums:
         return PhotoParts(
             np.hypot(shares.scatter * scatter, self._rounding),
             np.hypot(shares.contrast * contrast, shares.deviation * away),
+            shares.curvature * np.abs(self._curvature / count),
         )

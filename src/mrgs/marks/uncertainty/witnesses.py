@@ -34,6 +34,10 @@ WIDTH_PX = 320
 NOISE_PHOTOS = 4
 """In which the noise of the values is looked for, where these are rounded."""
 
+EVEN_SHARE = 0.25
+"""Of the blocks of a photo, that show even surfaces: elsewhere what the model does not resolve
+looks like noise, and noise would average the roundings."""
+
 LEAST_SHARE = 0.5
 """A photo that shows less of a mark does not count."""
 
@@ -111,7 +115,7 @@ class PhotoWitnesses:
     @cached_property
     def _rounding_of_means(self) -> float:
         """What rounding leaves in a mean over many pixels, by their noise: what single pixels of
-        the photos differ from the model by, median over small blocks."""
+        the photos differ from the model by, in the small blocks in which that is least."""
         if not self._step:
             return 0.0
         found = []
@@ -121,7 +125,7 @@ class PhotoWitnesses:
             noise = item.image[..., READING] - item.image[..., RENDERED]
             found.append(reduced**2 * block_variances(noise / self._step))
         variances = np.concatenate(found)
-        with_rounding = float(np.median(variances)) if len(variances) else 0.0
+        with_rounding = float(np.quantile(variances, EVEN_SHARE)) if len(variances) else 0.0
         return self._step * of_mean(max(with_rounding - 1 / 12, 0.0))
 
     def _of_piece(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:

@@ -1,0 +1,132 @@
+"""Hot and cold places that the thermal photos do not resolve.
+
+A camera measures the temperature of what covers about three of its pixels (the measurement field of
+view of its data sheet); anything narrower is mixed with what lies beside it, so that a hot wire
+looks colder than it is.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.ndimage import map_coordinates
+
+from mrgs.marks.surface import SurfaceRenderer, celsius_or_value
+from mrgs.marks.survey import PhotoSurvey
+
+RESOLVED_PX = 3.0
+"""Width from which on a temperature is measured."""
+
+ABOUT_PX = 8
+"""How far the surroundings of a place are looked at, pixels."""
+
+STEP_PX = 0.25
+DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
+
+KEPT_IMAGES = 4
+
+
+class PlaceInPhoto(NamedTuple):
+    """A place in a photo that shows it.
+
+    Attributes:
+        photo: its number in the survey.
+        x: of the place, pixels.
+        y: the same, downwards.
+    """
+
+    photo: int
+    x: float
+    y: float
+
+
+class Resolution:
+    """Measures how wide places are in the pixels of the thermal photos.
+
+    Args:
+        render: renders the model.
+        survey: what the photos' cameras see of it.
+    """
+
+    def __init__(self, render: SurfaceRenderer, survey: PhotoSurvey) -> None:
+        self._render = render
+        self._survey = survey
+        self._images: OrderedDict[int, Float[np.ndarray, "h w"]] = OrderedDict()
+
+    def width_px(self, place: Sequence[float], sign: int, least: float) -> float:
+        """Width of a hot or a cold place at half its height, across its narrowest direction, in
+        pixels of the photo that shows it largest; infinite where it does not stand out on both
+        sides, or no photo shows it.
+
+        Args:
+            place: world coordinates.
+            sign: 1 for a hot place, -1 for a cold one.
+            least: what it must stand out by, normalised.
+        """
+        largest = self._largest(place)
+        if largest is None:
+            return np.inf
+        image = sign * self._image(largest.photo)
+        row, column = _peak(image, int(largest.y), int(largest.x))
+        return min(_width(_profile(image, row, column, each), least) for each in DIRECTIONS)
+
+    def _largest(self, place: Sequence[float]) -> PlaceInPhoto | None:
+        """The place in the photo with the smallest pixels there, of those that show it with its
+        surroundings."""
+        point = np.array([place], np.float32)
+        found, smallest = None, np.inf
+        for number, item in enumerate(self._survey):
+            camera = self._survey.cameras[number]
+            if not len(item.shown(point).rows):
+                continue
+            pixels, depth = camera.project(torch.from_numpy(point).double())
+            (x, y), size = pixels[0].tolist(), float(depth[0] / camera.K[0, 0])
+            inside = ABOUT_PX <= x < camera.width - ABOUT_PX
+            if size < smallest and inside and ABOUT_PX <= y < camera.height - ABOUT_PX:
+                found, smallest = PlaceInPhoto(number, x, y), size
+        return found
+
+    def _image(self, photo: int) -> Float[np.ndarray, "h w"]:
+        """The model as a photo's camera sees it, normalised."""
+        if photo not in self._images:
+            values = celsius_or_value(self._render(self._survey.cameras[photo]))
+            assert values is not None
+            self._images[photo] = values
+        self._images.move_to_end(photo)
+        if len(self._images) > KEPT_IMAGES:
+            self._images.popitem(last=False)
+        return self._images[photo]
+
+
+def _peak(image: Float[np.ndarray, "h w"], row: int, column: int) -> tuple[int, int]:
+    """The pixel with the largest value within one of a pixel."""
+    about = image[row - 1 : row + 2, column - 1 : column + 2]
+    down, right = np.unravel_index(int(about.argmax()), about.shape)
+    return row - 1 + int(down), column - 1 + int(right)
+
+
+def _profile(
+    image: Float[np.ndarray, "h w"], row: int, column: int, direction: tuple[float, float]
+) -> Float[np.ndarray, " s"]:
+    """The values to both sides of a pixel along a direction (x, y), every ``STEP_PX``."""
+    reach = ABOUT_PX - 2
+    along = np.linspace(-reach, reach, 2 * round(reach / STEP_PX) + 1)
+    at = [row + along * direction[1], column + along * direction[0]]
+    values: Float[np.ndarray, " s"] = map_coordinates(image, at, order=1, mode="nearest")
+    return values
+
+
+def _width(profile: Float[np.ndarray, " s"], least: float) -> float:
+    """Width of the peak in the middle of a profile at half its height over its higher side, px."""
+    middle = len(profile) // 2
+    sides = profile[middle::-1], profile[middle:]
+    top, foot = profile[middle], max(side.min() for side in sides)
+    if top - foot < least:
+        return np.inf
+    half = 0.5 * (top + foot)
+    return STEP_PX * sum(int(np.argmax(~(side > half))) for side in sides)

@@ -1,0 +1,123 @@
+"""Hot and cold places on a wall, wider and narrower than the photos resolve."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from mrgs.marks import Mark
+from mrgs.marks.measure import NARROW_COLD, NARROW_HOT, MarkMeter
+from mrgs.marks.resolution import Resolution
+from mrgs.marks.survey import PhotoSurvey
+from mrgs.marks.tables import facts_of_reading, text_rows
+from mrgs.marks.texts import mark_text
+from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.marks.uncertainty.budget import Budget
+from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.scene import (
+    THERMAL,
+    Blend,
+    Camera,
+    Pixels,
+    PosedImage,
+    Rendering,
+    View,
+    WorldFrame,
+    ideal_cameras,
+)
+from tests.helpers.walls import RANGE, camera_before_wall, render_wall
+
+EYE = (0.0, -5.0, 0.0)
+CAMERAS = [camera_before_wall(x) for x in (-0.4, 0.0, 0.4)]
+PIXEL_M = 5 / float(CAMERAS[0].K[0, 0])
+BOX = Mark("B1", "box", ((-0.4, 0.0, -0.4), (0.4, 0.0, -0.4), (0.4, 0.0, 0.4), (-0.4, 0.0, 0.4)),
+           EYE)  # fmt: skip
+
+
+class WallWithSpot:
+    """The wall with a round place in its middle that is hotter by ``height_c``, of which the width
+    at half its height is ``width_px`` pixels of the photos."""
+
+    def __init__(self, height_c: float, width_px: float, long: bool = False) -> None:
+        self.height_c = height_c
+        self.sigma = width_px * PIXEL_M / (2 * math.sqrt(2 * math.log(2)))
+        self.along = 100 * self.sigma if long else self.sigma
+
+    def __call__(self, camera: Camera) -> Rendering:
+        """Rendered as seen from a camera."""
+        wall = render_wall(camera)[THERMAL]
+        points = camera.unproject_image(wall.depth)
+        away = (points[..., 0] / self.sigma) ** 2 + (points[..., 2] / self.along) ** 2
+        more = self.height_c / RANGE.span_c * torch.exp(-0.5 * away)[..., None]
+        return Rendering({THERMAL: Blend(wall.image + more, wall.depth, wall.alpha)})
+
+    def width_px(self, sign: int = 1, least: float = 0.01) -> float:
+        """Its width as it is measured."""
+        resolution = Resolution(self, PhotoSurvey(self, CAMERAS))
+        return resolution.width_px((0.0, 0.0, 0.0), sign, least)
+
+    def reading(self, mark: Mark = BOX):
+        """A mark on it as it is measured."""
+        views = [
+            View(f"v{number}", {THERMAL: PosedImage(camera, lambda c=camera: self.photo(c))})
+            for number, camera in enumerate(CAMERAS)
+        ]
+        witnesses = PhotoWitnesses(self, ideal_cameras, views, RANGE)
+        meter = MarkMeter(self, RANGE, CAMERAS, uncertainty=UncertaintyMeter(witnesses, Budget()))
+        return meter.read(mark)
+
+    def photo(self, camera: Camera) -> Pixels:
+        """What the camera records."""
+        return Pixels(self(camera)[THERMAL].image.float())
+
+
+@pytest.mark.parametrize("width_px", [2.0, 3.0, 5.0])
+def test_the_width_is_that_at_half_the_height(width_px):
+    assert WallWithSpot(10.0, width_px).width_px() == pytest.approx(width_px, abs=0.7)
+
+
+def test_the_narrowest_direction_counts():
+    assert WallWithSpot(10.0, 2.0, long=True).width_px() == pytest.approx(2.0, abs=0.7)
+
+
+def test_what_does_not_stand_out_has_no_width():
+    assert WallWithSpot(10.0, 2.0).width_px(least=0.5) == np.inf
+    assert WallWithSpot(0.0, 2.0).width_px() == np.inf  # an even slope
+    assert WallWithSpot(10.0, 2.0).width_px(sign=-1) == np.inf
+
+
+def test_what_no_photo_shows_has_no_width():
+    wall = WallWithSpot(10.0, 2.0)
+    resolution = Resolution(wall, PhotoSurvey(wall, CAMERAS))
+    assert resolution.width_px((0.0, 1.0, 0.0), 1, 0.01) == np.inf
+    at_border = (0.0, 0.0, 0.5 * 115 * PIXEL_M)
+    assert resolution.width_px(at_border, 1, 0.01) == np.inf
+
+
+def test_a_mark_says_that_its_hot_place_is_narrow():
+    reading = WallWithSpot(10.0, 2.0).reading()
+    assert reading.remarks == (NARROW_HOT,)
+    assert NARROW_HOT in mark_text(reading, "", RANGE, WorldFrame())["lines"]
+    assert text_rows([reading], RANGE, WorldFrame())[0][-1] == NARROW_HOT
+    assert facts_of_reading(reading, RANGE, WorldFrame())["remarks"] == NARROW_HOT
+
+
+def test_a_mark_says_that_its_cold_place_is_narrow():
+    assert WallWithSpot(-10.0, 2.0).reading().remarks == (NARROW_COLD,)
+
+
+def test_a_spot_is_remarked_in_its_middle_alone():
+    def remarks(x_px: float) -> tuple[str, ...]:
+        spot = Mark("S1", "spot", ((x_px * PIXEL_M, 0.0, 0.0),), EYE, radius=1.5 * PIXEL_M)
+        return WallWithSpot(10.0, 2.0).reading(spot).remarks
+
+    assert remarks(0.0) == (NARROW_HOT,)
+    assert remarks(3.5) == ()
+
+
+@pytest.mark.parametrize(("height_c", "width_px"), [(10.0, 5.0), (0.5, 2.0), (0.0, 2.0)])
+def test_wide_and_faint_places_are_not_remarked(height_c, width_px):
+    assert WallWithSpot(height_c, width_px).reading().remarks == ()
