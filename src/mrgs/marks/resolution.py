@@ -126,7 +126,7 @@ def _width(profile: Float[np.ndarray, " s"], least: float) -> float:
     middle = len(profile) // 2
     sides = profile[middle::-1], profile[middle:]
     top, foot = profile[middle], max(side.min() for side in sides)
-    if top - foot < least:
+    if not top - foot >= least:  # nor where that is not known
         return np.inf
     half = 0.5 * (top + foot)
     return STEP_PX * sum(int(np.argmax(~(side > half))) for side in sides)
