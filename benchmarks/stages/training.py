@@ -11,7 +11,7 @@ from benchmarks.timing import Stages, Timing
 from benchmarks.workload import CAPTURE, EXTENT, SCALE, photos, training_state, view
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import Preset, TrainConfig, make_config
-from mrgs.render import bake_temperature_residuals, render_view
+from mrgs.render import bake_temperature_residuals, render
 from mrgs.scene import Gaussians
 from mrgs.training.state import TrainingState
 from mrgs.training.step import (
@@ -54,11 +54,12 @@ def _step(case: Case, method: str, preset: Preset) -> Stages:
 
 
 def rendering(case: Case) -> Stages:
-    """A view of a trained MrGS model, whose t̂ is computed once for all views."""
+    """The images of a view of a trained MrGS model, whose t̂ is computed once for all views, without
+    the median depths that an evaluation renders besides."""
     count, width, height = case.size
     model = bake_temperature_residuals(training_state(count, make_config("mrgs", "default")).model)
-    seen = view(width, height)
-    return Stages([Timing(RENDER, lambda _: render_view(model, seen))])
+    cameras = view(width, height).cameras
+    return Stages([Timing(RENDER, torch.no_grad()(lambda _: render(model, cameras)))])
 
 
 def adam(case: Case) -> Stages:

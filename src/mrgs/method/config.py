@@ -49,12 +49,12 @@ docs/decisions."""
 
 CPU_SMOOTHNESS = {
     "smooth_rgb": 0.0,
-    "smooth_thermal": 0.25,
+    "smooth_thermal": 0.0625,
     "smooth_depth": 0.0,
-    "smooth_noise": 8e-3,
+    "smooth_noise": 2e-3,
 }
-"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise of their
-photos asks for: docs/decisions."""
+"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise and the
+number of their pixels ask for: docs/decisions."""
 
 CPU_COARSE = 0.5
 """Share of the training on coarser photos in the presets for CPUs, where photos are large enough:

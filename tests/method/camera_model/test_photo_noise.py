@@ -9,7 +9,8 @@ from torch import Tensor
 from mrgs.method.camera_model.photo_noise import PHOTOS, photo_noise
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import LossConfig
-from mrgs.scene import RGB, THERMAL, PosedImage
+from mrgs.method.losses.term import SceneScale
+from mrgs.scene import RGB, THERMAL, PointCloud, PosedImage, Scene, View
 from tests.helpers.views import posed_image
 
 
@@ -54,15 +55,37 @@ def test_some_photos_tell_for_all():
     assert (read[0], read[-1]) == (0, 99)
 
 
-def test_noisy_temperatures_are_smoothed_more():
+def test_noisy_or_few_temperatures_are_smoothed_more():
     loss = make_config("mrgs-plus", "fast").loss
-    assert loss.smooth_image(THERMAL, 0.001) == loss.smooth_thermal
-    assert loss.smooth_image(THERMAL, 4 * loss.smooth_noise) == pytest.approx(
+    assert loss.smooth_noise is not None
+    assert loss.smooth_image(THERMAL, loss.smooth_noise / 2, 1.0) == loss.smooth_thermal
+    assert loss.smooth_image(THERMAL, 4 * loss.smooth_noise, 1.0) == pytest.approx(
         4 * loss.smooth_thermal
     )
-    assert loss.smooth_image(RGB, 0.03) == loss.smooth_rgb
+    assert loss.smooth_image(THERMAL, 0.0, 3.0) == pytest.approx(3 * loss.smooth_thermal)
+    assert loss.smooth_image(RGB, 0.03, 3.0) == loss.smooth_rgb
 
 
-def test_as_published_the_noise_does_not_matter():
-    assert LossConfig().smooth_image(THERMAL, 0.3) == 1
-    assert math.isclose(make_config("mrgs", "paper").loss.smooth_image(THERMAL, 0.1), 1)
+def test_as_published_neither_noise_nor_number_matters():
+    assert LossConfig().smooth_image(THERMAL, 0.3, 4.0) == 1
+    assert math.isclose(make_config("mrgs", "paper").loss.smooth_image(THERMAL, 0.1, 4.0), 1)
+
+
+@pytest.mark.parametrize(
+    ("width", "thermal_photos", "expected"),
+    [(32, 9, 1.0), (8, 9, 4.0), (32, 1, 3.0), (64, 9, 1.0), (32, 0, 1.0)],
+    ids=["alike", "a quarter of the resolution", "one of nine", "finer", "none"],
+)
+def test_spacing_of_thermal_pixels(width, thermal_photos, expected):
+    color, heat = torch.zeros(24, 32, 3), torch.zeros(width * 3 // 4, width, 1)
+    views = [
+        View(
+            str(index),
+            {RGB: posed_image(color)}
+            | ({THERMAL: posed_image(heat)} if index < thermal_photos else {}),
+        )
+        for index in range(9)
+    ]
+    points = PointCloud(torch.zeros(4, 3), torch.zeros(4, 3))
+    scene = Scene("scene", tuple(views), (), points, None)
+    assert SceneScale.of(scene).thermal_spacing == pytest.approx(expected)

@@ -35,8 +35,9 @@ class LossConfig:
         smooth_thermal: weight of the temperatures' part; 1 in the paper.
         smooth_depth: weight of the depths' part; 1 in the paper.
         smooth_noise: standard deviation of the thermal photos' noise, normalised temperature, above
-            which the temperatures' part grows in proportion to it; 1 in the paper, where it never
-            does.
+            which the temperatures' part grows in proportion to it. The part also grows in
+            proportion to the spacing of thermal pixels beside that of colours. None in the paper:
+            neither matters.
         opaque: weight of L_opaque; 0 in the paper.
     """
 
@@ -45,22 +46,28 @@ class LossConfig:
     smooth_rgb: float = 1.0
     smooth_thermal: float = 1.0
     smooth_depth: float = 1.0
-    smooth_noise: float = 1.0
+    smooth_noise: float | None = None
     opaque: float = 0.0
 
-    def smooth_image(self, modality: Modality, thermal_noise: float) -> float:
-        """Weight of a modality's image in Eq. 18: temperatures have their own, which depends on how
-        noisy the photos are, all others that of the colours."""
+    def smooth_image(
+        self, modality: Modality, thermal_noise: float, thermal_spacing: float
+    ) -> float:
+        """Weight of a modality's image in Eq. 18: temperatures have their own, which may depend on
+        how noisy and how few the thermal pixels are (``SceneScale``), all others that of the
+        colours."""
         if modality != THERMAL:
             return self.smooth_rgb
-        return self.smooth_thermal * max(1.0, thermal_noise / self.smooth_noise)
+        if self.smooth_noise is None:
+            return self.smooth_thermal
+        return self.smooth_thermal * thermal_spacing * max(1.0, thermal_noise / self.smooth_noise)
 
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
         weights = ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque")
         require_within(self, weights, 0, MOST_WEIGHT)
-        require_within(self, ["smooth_noise"], 1e-6, 1)
+        if self.smooth_noise is not None:
+            require_within(self, ["smooth_noise"], 1e-6, 1)
 
 
 @operation

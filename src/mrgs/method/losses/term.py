@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from jaxtyping import Float
@@ -11,11 +12,13 @@ from torch import Tensor, nn
 
 from mrgs.method.camera_model.photo_noise import photo_noise
 from mrgs.scene import (
+    RGB,
     THERMAL,
     Camera,
     Gaussians,
     Modality,
     Pixels,
+    PosedImage,
     Rendering,
     Scene,
     TemperatureRange,
@@ -29,17 +32,28 @@ class SceneScale(NamedTuple):
         extent: the scene's extent in scene units.
         temperature: scale of the thermal values; None if the scene has no known °C.
         thermal_noise: standard deviation of the thermal photos' noise, normalised temperature.
+        thermal_spacing: spacing of the thermal photos' pixels on the surfaces, that of the RGB
+            photos' being 1: 4 where the thermal photos have a quarter of the resolution, 3.2 where
+            nine of ten are missing; at least 1.
     """
 
     extent: float
     temperature: TemperatureRange | None
     thermal_noise: float = 0.0
+    thermal_spacing: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene) -> SceneScale:
         """The scale of a scene and its training photos."""
-        noise = photo_noise(scene.train_photos(THERMAL))
-        return cls(scene.extent, scene.temperature, noise)
+        thermal = scene.train_photos(THERMAL)
+        density = _pixel_density(thermal)
+        spacing = math.sqrt(_pixel_density(scene.train_photos(RGB)) / density) if density else 1.0
+        return cls(scene.extent, scene.temperature, photo_noise(thermal), max(1.0, spacing))
+
+
+def _pixel_density(photos: Sequence[PosedImage]) -> float:
+    """Pixels per solid angle about the optical axis, of all photos together."""
+    return sum((photo.camera.K[0, 0] * photo.camera.K[1, 1]).item() for photo in photos)
 
 
 class LossContext(NamedTuple):

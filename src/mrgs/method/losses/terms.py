@@ -99,13 +99,13 @@ class Smoothness(Term):
         return torch.stack(parts).sum() if parts else None
 
     def _of(self, modality: Modality, context: LossContext) -> Float[Tensor, ""]:
-        blend = context.rendering[modality]
+        blend, scale = context.rendering[modality], context.scale
         return smoothness_loss(
             blend.image,
             blend.depth,
             context.photos[modality].valid,
-            context.scale.extent,
-            self._config.smooth_image(modality, context.scale.thermal_noise),
+            scale.extent,
+            self._config.smooth_image(modality, scale.thermal_noise, scale.thermal_spacing),
             self._config,
         )
 
