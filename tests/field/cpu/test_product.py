@@ -32,7 +32,19 @@ def test_multiply_is_the_product_plus_the_bias(k, n):
     assert (out[:, n:] == 0).all()
 
 
-@pytest.mark.parametrize(("m", "n"), [(TILE_ROWS, TILE_COLUMNS), (12, 128), (128, 48)])
+@pytest.mark.parametrize("n", [16, 48, 128])
+def test_each_sum_is_added_up_in_order_whatever_tile_it_is_in(n):
+    """Each column of a product has the bits that it has in a product of its own."""
+    rows, right = random_array(BLOCK_ROWS, 24), random_array(24, n, seed=1)
+    together = np.empty((BLOCK_ROWS, n), np.float32)
+    multiply(rows, panels(right), np.zeros(n, np.float32), together)
+    alone, no_bias = np.empty((BLOCK_ROWS, TILE_COLUMNS), np.float32), np.zeros(16, np.float32)
+    for first in range(0, n, TILE_COLUMNS):
+        multiply(rows, panels(right[:, first : first + TILE_COLUMNS]), no_bias, alone)
+        np.testing.assert_array_equal(together[:, first : first + TILE_COLUMNS], alone)
+
+
+@pytest.mark.parametrize(("m", "n"), [(TILE_ROWS, TILE_COLUMNS), (24, 128), (128, 48)])
 def test_products_are_added_to_the_sums(m, n):
     a, b, start = (
         random_array(BLOCK_ROWS, m),
