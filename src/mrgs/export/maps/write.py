@@ -1,4 +1,4 @@
-"""A map's files: the GeoTIFF, the picture, and the sidecar of each."""
+"""A map's files: the GeoTIFF with its sidecar and its style, and the picture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from mrgs.export.job import ExportJob, described
 from mrgs.export.maps.draw import BANDS, OrthographicMap
 from mrgs.export.maps.geotiff import require_rasterio, write_geotiff
 from mrgs.export.maps.photos import median_distance
-from mrgs.export.maps.picture import Caption, map_picture
+from mrgs.export.maps.picture import Caption, map_picture, map_scale
+from mrgs.export.maps.style import write_style
 from mrgs.export.sidecar import UP_SNAP, comment_lines
 from mrgs.pictures.files import write_png
 from mrgs.scene import THERMAL, Scene
@@ -71,7 +72,8 @@ def write_map(
     caption: Caption,
     facts: dict[str, Any],
 ) -> list[Any]:
-    """Write ``NAME.tif`` with its sidecar, and ``NAME.png``; returns the paths."""
+    """Write ``NAME.tif`` with its sidecar and its style for QGIS, and ``NAME.png``; returns the
+    paths."""
     grid = drawn.grid
     facts = job.surface_facts | {
         **facts,
@@ -83,8 +85,10 @@ def write_map(
     }
     tags = dict(line.split(": ", 1) for line in comment_lines(facts))
     paths = described(write_geotiff(job.folder / f"{name}.tif", drawn, wkt, tags), facts)
-    picture = map_picture(drawn, caption, job.palette, job.limits_c)
-    return [*paths, write_png(job.folder / f"{name}.png", picture)]
+    scale = map_scale(drawn, job.palette, job.limits_c)
+    style = write_style(job.folder / f"{name}.qml", scale)
+    picture = map_picture(drawn, caption, scale)
+    return [*paths, style, write_png(job.folder / f"{name}.png", picture)]
 
 
 def summary(drawn: OrthographicMap) -> str:
