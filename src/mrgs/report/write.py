@@ -32,6 +32,7 @@ from mrgs.report.sections import (
     thermal_pixel_m,
     training_rows,
 )
+from mrgs.report.temperature_map import TemperatureMap, temperature_map
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
@@ -63,6 +64,35 @@ class ShownOverview(NamedTuple):
         )
 
 
+class ShownMap(NamedTuple):
+    """A map of the temperatures.
+
+    Attributes:
+        picture: with the marks, legend and scale bar.
+        caption: what it shows.
+    """
+
+    picture: InlineImage
+    caption: str
+
+    @classmethod
+    def of(cls, drawn: TemperatureMap, t: Texts) -> ShownMap:
+        """A map for a page."""
+        size = {
+            "width": t.number(f"{drawn.width_m:.1f}"),
+            "height": t.number(f"{drawn.height_m:.1f}"),
+            "pixel": t.number(f"{100 * drawn.pixel_m:.2g}"),
+        }
+        what = (
+            t("Temperatures of the façade from the front, to scale:")
+            if drawn.from_the_front
+            else t("Temperatures from above, to scale:")
+        )
+        rest = t("{width} × {height} m, {pixel} cm per pixel.", **size)
+        white = t("White: no surface, or too few photos look there.")
+        return cls(inline_image(drawn.picture, "map", quality=90), f"{what} {rest} {white}")
+
+
 class Findings(NamedTuple):
     """What was measured and what was found.
 
@@ -72,6 +102,7 @@ class Findings(NamedTuple):
         overviews: the views that see them.
         plan: with all of them; None without any.
         from_the_front: whether the plan is an elevation.
+        map: temperatures to scale; None where the scene has no such map.
     """
 
     marks: Sequence[ShownMark] = ()
@@ -79,6 +110,7 @@ class Findings(NamedTuple):
     overviews: Sequence[ShownOverview] = ()
     plan: InlineImage | None = None
     from_the_front: bool = False
+    map: ShownMap | None = None
 
 
 def report_run(
@@ -150,7 +182,7 @@ def write_report(
     regions = marks.meter.regions(marks.marks)
     found = propose(marks, scene, regions) if has_thermal else Proposals({}, 0)
     begin(1)
-    findings = _findings(marks, regions, found.anomalies, scene, survey)
+    findings = _findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
     return write_html(
@@ -194,13 +226,16 @@ def _findings(
     anomalies: Mapping[str, Anomaly],
     scene: Scene,
     survey: Survey,
+    t: Texts,
 ) -> Findings:
     known = marks.marks
     readings = marks.meter.measure(known, regions)
     proposed = [anomaly.reading for anomaly in anomalies.values()]
-    if not readings and not proposed:
-        return Findings()
     named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
+    drawn = temperature_map(marks.run, scene, regions, named)
+    shown_map = None if drawn is None else ShownMap.of(drawn, t)
+    if not named:
+        return Findings(map=shown_map)
     plan = Plan(scene, list(named.values()))
     shown, candidates = (
         show_marks(each, reference, regions, scene, survey, plan)
@@ -213,6 +248,7 @@ def _findings(
         [ShownOverview.of(each) for each in views],
         inline_image(plan.whole(named), "plan", png=True),
         plan.from_the_front,
+        shown_map,
     )
 
 
