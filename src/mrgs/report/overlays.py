@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from jaxtyping import Float64
 from PIL import Image, ImageDraw
 
+from mrgs.marks.mark import Mark
 from mrgs.pictures.drawing import INK, Box, draw_plate, text_width
 
 LABEL_PX = 24
+SMALL_PX = 420
+MARK, RIM = (200, 70, 0), (255, 255, 255)
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 PLACES = [(1, -1), (1, 1), (-1, -1), (-1, 1), (1, -3), (1, 3), (-1, -3), (-1, 3)]
 """Where a label is tried, beside its mark: the side, and half heights of a label down."""
@@ -26,6 +31,27 @@ def draw_outline(image: Image.Image, corners: Sequence[tuple[float, ...]]) -> No
     draw = ImageDraw.Draw(image)
     for color, width in ((BLACK, 6), (WHITE, 3)):
         draw.line([*corners], fill=color, width=width, joint="curve")
+
+
+def draw_place(
+    image: Image.Image, mark: Mark, corners: Float64[np.ndarray, "n 2"], radius: float
+) -> None:
+    """A dot for a spot, the outline of the other kinds, at pixels of a plan."""
+    draw, path = ImageDraw.Draw(image), [*map(tuple, corners)]
+    if mark.is_area:
+        path.append(path[0])
+    for color, wider in ((RIM, 4), (MARK, 0)):
+        if mark.kind != "spot":
+            draw.line(path, fill=color, width=round(radius) + wider, joint="curve")
+    x, y = np.mean(corners, axis=0)
+    draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, RIM, 2)
+
+
+def small_picture(image: Image.Image) -> Image.Image:
+    """A picture for beside others: at most ``SMALL_PX`` wide and high."""
+    share = SMALL_PX / max(image.size)
+    size = round(image.width * share), round(image.height * share)
+    return image.resize(size, Image.Resampling.LANCZOS)
 
 
 def draw_name(image: Image.Image, x: float, y: float, name: str, taken: Sequence[Box]) -> Box:

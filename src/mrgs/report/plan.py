@@ -11,11 +11,10 @@ from PIL import Image, ImageDraw
 from mrgs.marks.mark import Mark
 from mrgs.pictures.drawing import INK, MUTED, Box, draw_text
 from mrgs.pictures.palette import round_down
-from mrgs.report.overlays import LABEL_PX, draw_name
+from mrgs.report.overlays import LABEL_PX, RIM, draw_name, draw_place, small_picture
 from mrgs.scene import Scene
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
-SMALL_WIDTH_PX = 420
 SMALL_RADIUS_PX = 22
 MOST_POINTS = 20_000
 TRIMMED_PERCENT = 4.0
@@ -27,7 +26,7 @@ FACES_ONE_SIDE = 0.7
 FADED = 0.45
 """Share of white in the colours of the surfaces, so that the marks stand out."""
 
-PAPER, MARK, RIM, CAMERA = (255, 255, 255), (200, 70, 0), (255, 255, 255), (31, 95, 168)
+PAPER, CAMERA = (255, 255, 255), (31, 95, 168)
 
 
 class Plan:
@@ -64,7 +63,7 @@ class Plan:
         """The plan with all marks under their names."""
         image = self._ground.copy()
         for mark in marks.values():
-            self._draw(image, mark, LABEL_PX / 4)
+            draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
         taken: list[Box] = []
         for name, mark in marks.items():
             x, y = self._pixels(self._flat(mark)).mean(axis=0)
@@ -75,11 +74,8 @@ class Plan:
     def small(self, mark: Mark) -> Image.Image:
         """The plan with one mark, for beside its pictures."""
         image = self._ground.copy()
-        self._draw(image, mark, SMALL_RADIUS_PX)
-        return image.resize(
-            (SMALL_WIDTH_PX, round(image.height * SMALL_WIDTH_PX / image.width)),
-            Image.Resampling.LANCZOS,
-        )
+        draw_place(image, mark, self._pixels(self._flat(mark)), SMALL_RADIUS_PX)
+        return small_picture(image)
 
     def _draw_ground(
         self, flat: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"]
@@ -95,17 +91,6 @@ class Plan:
         for x, y in self._pixels(self._cameras):
             draw.polygon([(x, y - 10), (x + 9, y + 6), (x - 9, y + 6)], fill=CAMERA, outline=RIM)
         return image
-
-    def _draw(self, image: Image.Image, mark: Mark, radius: float) -> None:
-        """A dot for a spot, the outline of the other kinds."""
-        draw, corners = ImageDraw.Draw(image), [*map(tuple, self._pixels(self._flat(mark)))]
-        if mark.is_area:
-            corners.append(corners[0])
-        for color, wider in ((RIM, 4), (MARK, 0)):
-            if mark.kind != "spot":
-                draw.line(corners, fill=color, width=round(radius) + wider, joint="curve")
-        x, y = np.mean(self._pixels(self._flat(mark)), axis=0)
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, RIM, 2)
 
     def _draw_scale(self, image: Image.Image) -> None:
         """A bar of a round length in m, and an arrow to the north, where the scene has them."""

@@ -7,8 +7,11 @@ from datetime import date
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+from PIL import Image
+
 from mrgs.marks import RunMarks, open_marks
 from mrgs.marks.emissivity import records_of
+from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
 from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
@@ -76,12 +79,13 @@ class ShownMap(NamedTuple):
     caption: str
 
     @classmethod
-    def of(cls, drawn: TemperatureMap, t: Texts) -> ShownMap:
-        """A map for a page."""
+    def of(cls, drawn: TemperatureMap, marks: Mapping[str, Mark], t: Texts) -> ShownMap:
+        """A map with marks for a page."""
+        width, height = drawn.size_m
         size = {
-            "width": t.number(f"{drawn.width_m:.1f}"),
-            "height": t.number(f"{drawn.height_m:.1f}"),
-            "pixel": t.number(f"{100 * drawn.pixel_m:.2g}"),
+            "width": t.number(f"{width:.1f}"),
+            "height": t.number(f"{height:.1f}"),
+            "pixel": t.number(f"{100 * drawn.drawn.grid.pixel_m:.2g}"),
         }
         what = (
             t("Temperatures of the façade from the front, to scale:")
@@ -90,7 +94,7 @@ class ShownMap(NamedTuple):
         )
         rest = t("{width} × {height} m, {pixel} cm per pixel.", **size)
         white = t("White: no surface, or too few photos look there.")
-        return cls(inline_image(drawn.picture, "map", quality=90), f"{what} {rest} {white}")
+        return cls(inline_image(drawn.picture(marks), "map", quality=90), f"{what} {rest} {white}")
 
 
 class Findings(NamedTuple):
@@ -100,7 +104,7 @@ class Findings(NamedTuple):
         marks: of the run.
         proposals: anomalies that nobody has judged.
         overviews: the views that see them.
-        plan: with all of them; None without any.
+        plan: with all of them; None without any, or where the map shows them all.
         from_the_front: whether the plan is an elevation.
         map: temperatures to scale; None where the scene has no such map.
     """
@@ -232,21 +236,26 @@ def _findings(
     readings = marks.meter.measure(known, regions)
     proposed = [anomaly.reading for anomaly in anomalies.values()]
     named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
-    drawn = temperature_map(marks.run, scene, regions, named)
-    shown_map = None if drawn is None else ShownMap.of(drawn, t)
+    drawn = temperature_map(marks.run, scene, regions)
+    shown_map = None if drawn is None else ShownMap.of(drawn, named, t)
     if not named:
         return Findings(map=shown_map)
     plan = Plan(scene, list(named.values()))
+
+    def place(mark: Mark) -> Image.Image:
+        return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
+
     shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, plan)
+        show_marks(each, reference, regions, scene, survey, place)
         for each, reference in ((readings, known.reference), (proposed, ""))
     )
+    all_shown = drawn is not None and all(map(drawn.shows, named.values()))
     views = overviews(scene, named, regions.render)
     return Findings(
         shown,
         show_proposals(anomalies, candidates, marks.run, scene),
         [ShownOverview.of(each) for each in views],
-        inline_image(plan.whole(named), "plan", png=True),
+        None if all_shown else inline_image(plan.whole(named), "plan", png=True),
         plan.from_the_front,
         shown_map,
     )
