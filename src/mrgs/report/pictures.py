@@ -10,11 +10,11 @@ import torch
 from PIL import Image
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import Scale, above_scale, draw_plate, text_width
+from mrgs.pictures.drawing import Box, Scale, above_scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
-from mrgs.report.overlays import LABEL_PX, draw_outline, draw_ring
+from mrgs.report.overlays import LABEL_PX, draw_name, draw_outline, draw_ring
 from mrgs.report.spots import SAME_DEPTH, Renderer, Spot, square_about
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
@@ -79,8 +79,7 @@ def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Rende
             pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
             picture = Image.fromarray(pixels)
         picture = _enlarged(picture, OVERVIEW_PX)
-        for name, mark in marks.items():
-            _mark(picture, camera, mark, name)
+        _draw_marks(picture, camera, marks)
         pictures.append(
             picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
         )
@@ -139,20 +138,21 @@ def _enlarged(image: Image.Image, width: int) -> Image.Image:
     )
 
 
-def _mark(image: Image.Image, camera: Camera, mark: Mark, name: str) -> None:
-    """A ring around a spot or the outline of another mark, and its name beside it."""
-    pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
-    if not np.isfinite(pixels).all():
-        return
-    corners = [tuple(each) for each in pixels * (image.width / camera.width)]
-    if mark.kind == "spot":
-        draw_ring(image, *corners[0])
-    else:
-        draw_outline(image, [*corners, corners[0]] if mark.is_area else corners)
-    x, y = max(corners)
-    wide = text_width(name, LABEL_PX) + 12
-    left = x + 18 if x + 18 + wide < image.width else min(corners)[0] - 18 - wide
-    draw_plate(image, (left, y - 16, left + wide, y + 16), name, LABEL_PX)
+def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
+    """A ring around each spot and the outline of the other marks, then their names."""
+    middles, taken = dict[str, tuple[float, float]](), list[Box]()
+    for name, mark in marks.items():
+        pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
+        if not np.isfinite(pixels).all():
+            continue
+        corners = [tuple(each) for each in pixels * (image.width / camera.width)]
+        if mark.kind == "spot":
+            draw_ring(image, *corners[0])
+        else:
+            draw_outline(image, [*corners, corners[0]] if mark.is_area else corners)
+        middles[name] = (float(np.mean(corners, axis=0)[0]), float(np.mean(corners, axis=0)[1]))
+    for name, (x, y) in middles.items():
+        taken.append(draw_name(image, x, y, name, taken))
 
 
 def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:

@@ -28,7 +28,7 @@ from mrgs.scene import Scene
 MOST_PX = 1200
 """Longer side of the map."""
 
-SMALL_DRAWN_PX, SMALL_RADIUS = 1200, 0.016
+SMALL_DRAWN_PX, SMALL_RADIUS = 1200, 0.02
 WHITE_SHARE = 0.3
 """In the colours of the small map, so that the mark stands out."""
 
