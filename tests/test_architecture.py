@@ -34,12 +34,12 @@ FLOORS = {
     "evaluation": 9,
     "marks": 9,
     "export": 10,
-    "report": 10,
     "comparison": 10,
-    "pipeline": 11,
-    "viewer": 11,
-    "app": 12,
-    "__main__": 13,
+    "report": 11,
+    "pipeline": 12,
+    "viewer": 12,
+    "app": 13,
+    "__main__": 14,
 }
 """A file imports from strictly lower floors and from its own room; ``mrgs`` itself imports on first
 use, from any."""

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,6 +24,9 @@ from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
 HERE = Path(__file__).parents[1] / "export"
 SPLAT_TRANSFORM = HERE / "node_modules" / "@playcanvas" / "splat-transform" / "bin" / "cli.mjs"
 GLTF_TRANSFORM = HERE / "node_modules" / "@gltf-transform" / "core"
+QT = {"PATH": os.environ.get("PATH", ""), "QT_QPA_PLATFORM": "offscreen", "LC_ALL": "C.UTF-8"}
+"""Environment of programs with Qt: no window, and nothing of the tests' own Python."""
+
 NPM_INSTALL = "npm install --prefix tests/export --ignore-scripts --no-package-lock"
 
 CELSIUS = TemperatureRange(10.0, 30.0)
@@ -158,3 +164,40 @@ def run_node(script: Path, *arguments: str | Path) -> None:
         ["node", script, *arguments], capture_output=True, text=True, timeout=120
     )
     assert process.returncode == 0, process.stdout + process.stderr
+
+
+@cache
+def qgis_python() -> str | None:
+    """The Python interpreter that QGIS's library is installed for; None without one. That is the
+    system's own, not that of a virtual environment."""
+    found = {"/usr/bin/python3", shutil.which("python3") or "/usr/bin/python3"}
+    for python in sorted(each for each in found if Path(each).is_file()):
+        process = subprocess.run([python, "-c", "import qgis.core"], capture_output=True, env=QT)
+        if process.returncode == 0:
+            return python
+    return None
+
+
+def read_qgis(
+    folder: Path, rasters: Mapping[Path, Sequence[Sequence[float]]], crs: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What QGIS's library reads in maps, see ``read_qgis.py``.
+
+    Args:
+        folder: for the request.
+        rasters: points (map coordinates) by the path of the map, whose values are wanted.
+        crs: definitions to be understood.
+    """
+    python = qgis_python()
+    if python is None:
+        pytest.skip("QGIS's library is not installed: apt-get install python3-qgis")
+    request = folder / "request.json"
+    asked = [{"path": str(path), "points": [*points]} for path, points in rasters.items()]
+    request.write_text(json.dumps({"rasters": asked, "crs": [*crs]}), encoding="utf-8")
+    process = subprocess.run(
+        [python, HERE / "read_qgis.py", request],
+        capture_output=True, text=True, timeout=120, env=QT,
+    )  # fmt: skip
+    assert process.returncode == 0, process.stdout + process.stderr
+    answer: dict[str, Any] = json.loads(process.stdout)
+    return answer

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
+from unicodedata import normalize
 
 import numpy as np
 from jaxtyping import Float64
@@ -123,8 +124,12 @@ def place_facts(scene: Scene) -> Mapping[str, Any]:
 
 
 def local_wkt(name: str) -> str:
-    """A local CRS in metres, as well-known text of 2001."""
-    quoted = "".join(char for char in name if char.isprintable() and char not in '"[]')
+    """A local CRS in metres, as well-known text of 2001.
+
+    GeoTIFF holds names in ASCII: other letters lose their accents, or are left out.
+    """
+    ascii_name = normalize("NFKD", name.replace("ß", "ss")).encode("ascii", "ignore").decode()
+    quoted = "".join(char for char in ascii_name if char.isprintable() and char not in '"[]')
     return (
         f'LOCAL_CS["{quoted}",LOCAL_DATUM["origin of the scene",0],UNIT["metre",1],'
         f'AXIS["x",EAST],AXIS["y",NORTH]]'

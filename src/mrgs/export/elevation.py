@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,16 @@ from jaxtyping import Float64
 
 from mrgs.export.crs import local_wkt
 from mrgs.export.job import ExportJob
-from mrgs.export.maps.draw import draw_map
+from mrgs.export.maps.draw import OrthographicMap, draw_map
 from mrgs.export.maps.facade import Facade, find_facade, given_facade, surfaces_of
 from mrgs.export.maps.grid import MapGrid
+from mrgs.export.maps.options import MapOptions
 from mrgs.export.maps.photos import survey
 from mrgs.export.maps.picture import Caption
-from mrgs.export.maps.write import default_pixel_m, require_map, summary, vertical, write_map
+from mrgs.export.maps.write import pixel_size_m, require_map, summary, vertical, write_map
+from mrgs.export.sidecar import up_direction
+from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
 from mrgs.scene.depth_map import DepthMap
 
@@ -28,10 +33,8 @@ def export(job: ExportJob) -> list[Path]:
     Its coordinates are metres to the right and upwards from the lower left corner of the map; where
     that lies in the scene is in the sidecar.
     """
-    maps = survey(job.baked, job.scene)
-    facade = _facade(job, maps)
-    grid = _grid(facade, job.maps.pixel_size_m or default_pixel_m(job, maps))
-    drawn = draw_map(job.baked, job.scene, maps, grid, job.uncertainty)
+    drawn, facade = facade_map(job.baked, job.scene, job.maps, job.uncertainty)
+    grid = drawn.grid
     facts = {
         "map": "orthographic, of a façade",
         "map_crs": "metres to the right and upwards from the map's lower left corner",
@@ -56,12 +59,40 @@ def require(scene: Scene) -> None:
     require_map(scene)
 
 
-def _facade(job: ExportJob, maps: list[DepthMap]) -> Facade:
+def facade_map(
+    baked: BakedModel,
+    scene: Scene,
+    options: MapOptions,
+    uncertainty: UncertaintyMeter | None = None,
+    most_px: int | None = None,
+) -> tuple[OrthographicMap, Facade]:
+    """The map of a façade, and where that lies.
+
+    Args:
+        baked: the model.
+        scene: that it was trained on.
+        options: plane and pixels.
+        uncertainty: of the temperatures; None leaves its band empty.
+        most_px: for the longer side of the map; None without a limit.
+
+    Raises:
+        ConfigError: which way is up is not known, or the map has too many pixels.
+        RunError: no façade was found.
+        SceneError: a photo cannot be read.
+    """
+    maps = survey(baked, scene)
+    facade = _facade(scene, options, maps)
+    extent = (facade.high - facade.low)[:2]
+    grid = _grid(facade, pixel_size_m(scene, maps, options, extent, most_px))
+    return draw_map(baked, scene, maps, grid, uncertainty), facade
+
+
+def _facade(scene: Scene, options: MapOptions, maps: Sequence[DepthMap]) -> Facade:
     surfaces = surfaces_of(maps)
     eye = torch.stack([item.camera.position for item in maps]).mean(dim=0).numpy()
-    if job.maps.plane is None:
-        return find_facade(surfaces, vertical(job), eye)
-    return given_facade(surfaces, job.maps.points, job.up, eye)
+    if options.plane is None:
+        return find_facade(surfaces, vertical(scene), eye)
+    return given_facade(surfaces, options.points, up_direction(scene), eye)
 
 
 def _grid(facade: Facade, pixel_m: float) -> MapGrid:

@@ -12,17 +12,20 @@ from jaxtyping import Float64
 from mrgs.export.crs import CoordinateSystem, coordinate_system
 from mrgs.export.job import ExportJob
 from mrgs.export.maps.coverage import Coverage
-from mrgs.export.maps.draw import draw_map
+from mrgs.export.maps.draw import OrthographicMap, draw_map
 from mrgs.export.maps.grid import MapGrid
+from mrgs.export.maps.options import MapOptions
 from mrgs.export.maps.photos import median_distance, survey, survey_pixel
 from mrgs.export.maps.picture import Caption
 from mrgs.export.maps.write import (
-    default_pixel_m,
+    pixel_size_m,
     require_map,
     summary,
     vertical,
     write_map,
 )
+from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
 from mrgs.scene.depth_map import DepthMap
 
@@ -37,20 +40,11 @@ CELL_PX = 4
 def export(job: ExportJob) -> list[Path]:
     """Write ``ortho.tif`` with its sidecar, and ``ortho.png``."""
     system = coordinate_system(job.scene, job.maps.crs)
-    axes, scale, offset = _plan_view(system, vertical(job))
-    maps = survey(job.baked, job.scene)
-    pixel_m = job.maps.pixel_size_m or default_pixel_m(job, maps)
-    points = _near_points(maps)
-    places = [scale * each @ axes[:2].T + offset for each in points]
-    coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
-    heights = np.concatenate([each @ axes[2] for each in points])
-    slab = float(heights.min()), float(heights.max())
-    grid = _grid(coverage, axes, scale, offset, slab, pixel_m)
-    drawn = draw_map(job.baked, job.scene, maps, grid, job.uncertainty, coverage)
+    drawn = map_from_above(job.baked, job.scene, system, job.maps, job.uncertainty)
     north = " · north is up" if system.north else ""
     caption = Caption(
         f"{job.scene.name}: temperatures from above",
-        f"{system.name}{north} · {grid.pixel_m * 100:g} cm per pixel",
+        f"{system.name}{north} · {drawn.grid.pixel_m * 100:g} cm per pixel",
         summary(drawn),
         system.north,
     )
@@ -65,6 +59,42 @@ def export(job: ExportJob) -> list[Path]:
 def require(scene: Scene) -> None:
     """Check that a map can be written, see ``require_map``."""
     require_map(scene)
+
+
+def map_from_above(
+    baked: BakedModel,
+    scene: Scene,
+    system: CoordinateSystem,
+    options: MapOptions,
+    uncertainty: UncertaintyMeter | None = None,
+    most_px: int | None = None,
+) -> OrthographicMap:
+    """The map of a scene from above.
+
+    Args:
+        baked: the model.
+        scene: that it was trained on.
+        system: of the map's coordinates.
+        options: its pixels.
+        uncertainty: of the temperatures; None leaves its band empty.
+        most_px: for the longer side of the map; None without a limit.
+
+    Raises:
+        ConfigError: which way is up is not known, or the map has too many pixels.
+        RunError: the photos show no surface.
+        SceneError: a photo cannot be read.
+    """
+    axes, scale, offset = _plan_view(system, vertical(scene))
+    maps = survey(baked, scene)
+    points = _near_points(maps)
+    places = [scale * each @ axes[:2].T + offset for each in points]
+    coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
+    heights = np.concatenate([each @ axes[2] for each in points])
+    slab = float(heights.min()), float(heights.max())
+    extent = np.subtract(*coverage.bounds[::-1])
+    pixel_m = pixel_size_m(scene, maps, options, extent, most_px)
+    grid = _grid(coverage, axes, scale, offset, slab, pixel_m)
+    return draw_map(baked, scene, maps, grid, uncertainty, coverage)
 
 
 def _plan_view(

@@ -4,11 +4,12 @@ with the mark drawn in, and its place on the plan."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
@@ -19,7 +20,6 @@ from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty import Uncertainty
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.report.mark_pictures import mark_pictures, nearest_view
-from mrgs.report.plan import Plan
 from mrgs.scene import Scene, TemperatureRange
 from mrgs.survey import Survey
 
@@ -111,7 +111,7 @@ def show_marks(
     regions: Regions,
     scene: Scene,
     survey: Survey,
-    plan: Plan,
+    place: Callable[[Mark], Image.Image],
 ) -> list[ShownMark]:
     """Measured marks.
 
@@ -121,12 +121,12 @@ def show_marks(
         regions: surfaces with an emissivity of their own.
         scene: with the photos.
         survey: the air inside and outside, for the temperature factor.
-        plan: to show the places of the marks on.
+        place: draws where a mark is.
 
     Raises:
         SceneError: a photo cannot be read.
     """
-    return [_shown(reading, reference, regions, scene, survey, plan) for reading in readings]
+    return [_shown(reading, reference, regions, scene, survey, place) for reading in readings]
 
 
 def _shown(
@@ -135,7 +135,7 @@ def _shown(
     regions: Regions,
     scene: Scene,
     survey: Survey,
-    plan: Plan,
+    place: Callable[[Mark], Image.Image],
 ) -> ShownMark:
     mark, temperature = reading.mark, scene.temperature
     view = nearest_view(mark, scene)
@@ -162,7 +162,7 @@ def _shown(
         list(reading.remarks),
         "" if view is None else view.name,
         [] if view is None else mark_pictures(reading, view, regions, scene),
-        inline_image(plan.small(mark), f"{mark.name}, plan", quality=85),
+        inline_image(place(mark), f"{mark.name}, plan", quality=85),
         _chart(reading, scene),
     )
 

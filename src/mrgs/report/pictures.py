@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import Scale, above_scale, draw_plate, text_width
+from mrgs.pictures.drawing import Box, Scale, above_scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
+from mrgs.report.overlays import LABEL_PX, draw_name, draw_outline, draw_ring
 from mrgs.report.spots import SAME_DEPTH, Renderer, Spot, square_about
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
@@ -22,11 +23,9 @@ OVERVIEW_CANDIDATES = 24
 """Number of views that are tried for the overview."""
 
 MOST_OVERVIEWS = 3
-LABEL_PX, SCALE_GAP_PX = 24, 10
+SCALE_GAP_PX = 10
 TAIL_PERCENT = 0.2
 """Of the surfaces' temperatures at each end that may lie beyond the colours of a picture."""
-
-WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
 class Overview(NamedTuple):
@@ -80,8 +79,7 @@ def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Rende
             pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
             picture = Image.fromarray(pixels)
         picture = _enlarged(picture, OVERVIEW_PX)
-        for name, mark in marks.items():
-            _mark(picture, camera, mark, name)
+        _draw_marks(picture, camera, marks)
         pictures.append(
             picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
         )
@@ -140,32 +138,21 @@ def _enlarged(image: Image.Image, width: int) -> Image.Image:
     )
 
 
-def _mark(image: Image.Image, camera: Camera, mark: Mark, name: str) -> None:
-    """A ring around a spot or the outline of another mark, and its name beside it."""
-    pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
-    if not np.isfinite(pixels).all():
-        return
-    corners = [tuple(each) for each in pixels * (image.width / camera.width)]
-    if mark.kind == "spot":
-        _ring(image, *corners[0])
-    else:
-        _outline(image, [*corners, corners[0]] if mark.is_area else corners)
-    x, y = max(corners)
-    wide = text_width(name, LABEL_PX) + 12
-    left = x + 18 if x + 18 + wide < image.width else min(corners)[0] - 18 - wide
-    draw_plate(image, (left, y - 16, left + wide, y + 16), name, LABEL_PX)
-
-
-def _ring(image: Image.Image, x: float, y: float, radius: int = 13) -> None:
-    draw = ImageDraw.Draw(image)
-    for size, color, width in ((radius + 1, BLACK, 5), (radius, WHITE, 3)):
-        draw.ellipse([x - size, y - size, x + size, y + size], outline=color, width=width)
-
-
-def _outline(image: Image.Image, corners: Sequence[tuple[float, ...]]) -> None:
-    draw = ImageDraw.Draw(image)
-    for color, width in ((BLACK, 6), (WHITE, 3)):
-        draw.line([*corners], fill=color, width=width, joint="curve")
+def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
+    """A ring around each spot and the outline of the other marks, then their names."""
+    middles, taken = dict[str, tuple[float, float]](), list[Box]()
+    for name, mark in marks.items():
+        pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
+        if not np.isfinite(pixels).all():
+            continue
+        corners = [tuple(each) for each in pixels * (image.width / camera.width)]
+        if mark.kind == "spot":
+            draw_ring(image, *corners[0])
+        else:
+            draw_outline(image, [*corners, corners[0]] if mark.is_area else corners)
+        middles[name] = (float(np.mean(corners, axis=0)[0]), float(np.mean(corners, axis=0)[1]))
+    for name, (x, y) in middles.items():
+        taken.append(draw_name(image, x, y, name, taken))
 
 
 def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:

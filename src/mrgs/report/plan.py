@@ -9,13 +9,13 @@ from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, MUTED, Box, draw_plate, draw_text, text_width
+from mrgs.pictures.drawing import INK, MUTED, Box, draw_text
 from mrgs.pictures.palette import round_down
+from mrgs.report.overlays import LABEL_PX, RIM, draw_name, draw_place, small_picture
 from mrgs.scene import Scene
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
-SMALL_WIDTH_PX = 420
-LABEL_PX, SMALL_RADIUS_PX = 24, 22
+SMALL_RADIUS_PX = 22
 MOST_POINTS = 20_000
 TRIMMED_PERCENT = 4.0
 """Of the start points on each side: what strays far off does not shrink the plan."""
@@ -26,9 +26,7 @@ FACES_ONE_SIDE = 0.7
 FADED = 0.45
 """Share of white in the colours of the surfaces, so that the marks stand out."""
 
-PAPER, MARK, RIM, CAMERA = (255, 255, 255), (200, 70, 0), (255, 255, 255), (31, 95, 168)
-PLACES = [(1, -1), (1, 1), (-1, -1), (-1, 1), (1, -3), (1, 3), (-1, -3), (-1, 3)]
-"""Where a label is tried, beside its mark: the side, and half heights of a label down."""
+PAPER, CAMERA = (255, 255, 255), (31, 95, 168)
 
 
 class Plan:
@@ -44,11 +42,9 @@ class Plan:
     """
 
     def __init__(self, scene: Scene, marks: Sequence[Mark]) -> None:
-        forward = np.stack([camera.forward.numpy() for camera in scene.train_cameras])
-        level = forward.mean(axis=0) * (1, 1, 0)
-        self.from_the_front = bool(np.linalg.norm(level) > FACES_ONE_SIDE)
+        self.from_the_front = faces_one_side(scene)
         self._metric, self._north = scene.world.metric, scene.world.north
-        self._axes = _axes(level if self.from_the_front else None)
+        self._axes = _axes(_level_direction(scene) if self.from_the_front else None)
         points, colors = scene.points.positions.double().numpy(), scene.points.colors.numpy()
         step = max(1, len(points) // MOST_POINTS)
         flat = points[::step] @ self._axes.T
@@ -67,22 +63,19 @@ class Plan:
         """The plan with all marks under their names."""
         image = self._ground.copy()
         for mark in marks.values():
-            self._draw(image, mark, LABEL_PX / 4)
+            draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
         taken: list[Box] = []
         for name, mark in marks.items():
             x, y = self._pixels(self._flat(mark)).mean(axis=0)
-            taken.append(_label(image, x, y, name, taken))
+            taken.append(draw_name(image, x, y, name, taken))
         self._draw_scale(image)
         return image
 
     def small(self, mark: Mark) -> Image.Image:
         """The plan with one mark, for beside its pictures."""
         image = self._ground.copy()
-        self._draw(image, mark, SMALL_RADIUS_PX)
-        return image.resize(
-            (SMALL_WIDTH_PX, round(image.height * SMALL_WIDTH_PX / image.width)),
-            Image.Resampling.LANCZOS,
-        )
+        draw_place(image, mark, self._pixels(self._flat(mark)), SMALL_RADIUS_PX)
+        return small_picture(image)
 
     def _draw_ground(
         self, flat: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"]
@@ -98,17 +91,6 @@ class Plan:
         for x, y in self._pixels(self._cameras):
             draw.polygon([(x, y - 10), (x + 9, y + 6), (x - 9, y + 6)], fill=CAMERA, outline=RIM)
         return image
-
-    def _draw(self, image: Image.Image, mark: Mark, radius: float) -> None:
-        """A dot for a spot, the outline of the other kinds."""
-        draw, corners = ImageDraw.Draw(image), [*map(tuple, self._pixels(self._flat(mark)))]
-        if mark.is_area:
-            corners.append(corners[0])
-        for color, wider in ((RIM, 4), (MARK, 0)):
-            if mark.kind != "spot":
-                draw.line(corners, fill=color, width=round(radius) + wider, joint="curve")
-        x, y = np.mean(self._pixels(self._flat(mark)), axis=0)
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, RIM, 2)
 
     def _draw_scale(self, image: Image.Image) -> None:
         """A bar of a round length in m, and an arrow to the north, where the scene has them."""
@@ -136,33 +118,21 @@ class Plan:
         return np.array([WIDTH_PX, self._height]) / 2 + self._scale * middle * (1, -1)
 
 
+def faces_one_side(scene: Scene) -> bool:
+    """Whether the cameras of a scene look at one side of it, as at a façade."""
+    return bool(np.linalg.norm(_level_direction(scene)) > FACES_ONE_SIDE)
+
+
+def _level_direction(scene: Scene) -> Float64[np.ndarray, "3"]:
+    """The mean of the cameras' directions, without its vertical part."""
+    forward = np.stack([camera.forward.numpy() for camera in scene.train_cameras])
+    level: Float64[np.ndarray, "3"] = forward.mean(axis=0) * (1, 1, 0)
+    return level
+
+
 def _axes(level: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
     """Rows: to the right, up, and towards the onlooker, who looks level, or down if None."""
     if level is None:
         return np.eye(3)
     towards, up = -level / np.linalg.norm(level), np.array([0.0, 0.0, 1.0])
     return np.stack([np.cross(up, towards), up, towards])
-
-
-def _label(image: Image.Image, x: float, y: float, name: str, taken: Sequence[Box]) -> Box:
-    """Write a name beside a place where no other stands, if there is such a place; returns the box
-    that it takes up."""
-    wide, half = text_width(name, LABEL_PX) + 12, LABEL_PX / 2 + 4
-
-    def box_at(side: int, down: int) -> Box:
-        left = x + 12 if side > 0 else x - 12 - wide
-        left = min(max(left, 0), image.width - wide)
-        middle = min(max(y + down * half, half), image.height - half)
-        return left, middle - half, left + wide, middle + half
-
-    boxes = [box_at(*place) for place in PLACES]
-    free = [box for box in boxes if not any(_overlap(box, other) for other in taken)]
-    left, top, right, bottom = box = (free or boxes)[0]
-    end = (min(max(x, left), right), (top + bottom) / 2)
-    ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
-    draw_plate(image, box, name, LABEL_PX)
-    return box
-
-
-def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
-    return all(one[i] < other[i + 2] and other[i] < one[i + 2] for i in (0, 1))

@@ -7,8 +7,11 @@ from datetime import date
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+from PIL import Image
+
 from mrgs.marks import RunMarks, open_marks
 from mrgs.marks.emissivity import records_of
+from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
 from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
@@ -32,6 +35,7 @@ from mrgs.report.sections import (
     thermal_pixel_m,
     training_rows,
 )
+from mrgs.report.temperature_map import TemperatureMap, temperature_map
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
@@ -63,6 +67,36 @@ class ShownOverview(NamedTuple):
         )
 
 
+class ShownMap(NamedTuple):
+    """A map of the temperatures.
+
+    Attributes:
+        picture: with the marks, legend and scale bar.
+        caption: what it shows.
+    """
+
+    picture: InlineImage
+    caption: str
+
+    @classmethod
+    def of(cls, drawn: TemperatureMap, marks: Mapping[str, Mark], t: Texts) -> ShownMap:
+        """A map with marks for a page."""
+        width, height = drawn.size_m
+        size = {
+            "width": t.number(f"{width:.1f}"),
+            "height": t.number(f"{height:.1f}"),
+            "pixel": t.number(f"{100 * drawn.drawn.grid.pixel_m:.2g}"),
+        }
+        what = (
+            t("Temperatures of the façade from the front, to scale:")
+            if drawn.from_the_front
+            else t("Temperatures from above, to scale:")
+        )
+        rest = t("{width} × {height} m, {pixel} cm per pixel.", **size)
+        white = t("White: no surface, or too few photos look there.")
+        return cls(inline_image(drawn.picture(marks), "map", quality=90), f"{what} {rest} {white}")
+
+
 class Findings(NamedTuple):
     """What was measured and what was found.
 
@@ -70,8 +104,9 @@ class Findings(NamedTuple):
         marks: of the run.
         proposals: anomalies that nobody has judged.
         overviews: the views that see them.
-        plan: with all of them; None without any.
+        plan: with all of them; None without any, or where the map shows them all.
         from_the_front: whether the plan is an elevation.
+        map: temperatures to scale; None where the scene has no such map.
     """
 
     marks: Sequence[ShownMark] = ()
@@ -79,6 +114,7 @@ class Findings(NamedTuple):
     overviews: Sequence[ShownOverview] = ()
     plan: InlineImage | None = None
     from_the_front: bool = False
+    map: ShownMap | None = None
 
 
 def report_run(
@@ -150,7 +186,7 @@ def write_report(
     regions = marks.meter.regions(marks.marks)
     found = propose(marks, scene, regions) if has_thermal else Proposals({}, 0)
     begin(1)
-    findings = _findings(marks, regions, found.anomalies, scene, survey)
+    findings = _findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
     return write_html(
@@ -194,25 +230,34 @@ def _findings(
     anomalies: Mapping[str, Anomaly],
     scene: Scene,
     survey: Survey,
+    t: Texts,
 ) -> Findings:
     known = marks.marks
     readings = marks.meter.measure(known, regions)
     proposed = [anomaly.reading for anomaly in anomalies.values()]
-    if not readings and not proposed:
-        return Findings()
     named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
+    drawn = temperature_map(marks.run, scene, regions)
+    shown_map = None if drawn is None else ShownMap.of(drawn, named, t)
+    if not named:
+        return Findings(map=shown_map)
     plan = Plan(scene, list(named.values()))
+
+    def place(mark: Mark) -> Image.Image:
+        return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
+
     shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, plan)
+        show_marks(each, reference, regions, scene, survey, place)
         for each, reference in ((readings, known.reference), (proposed, ""))
     )
+    all_shown = drawn is not None and all(map(drawn.shows, named.values()))
     views = overviews(scene, named, regions.render)
     return Findings(
         shown,
         show_proposals(anomalies, candidates, marks.run, scene),
         [ShownOverview.of(each) for each in views],
-        inline_image(plan.whole(named), "plan", png=True),
+        None if all_shown else inline_image(plan.whole(named), "plan", png=True),
         plan.from_the_front,
+        shown_map,
     )
 
 

@@ -45,40 +45,54 @@ class Caption(NamedTuple):
     north: bool
 
 
-def map_picture(
-    drawn: OrthographicMap,
-    caption: Caption,
-    palette: PaletteName,
-    limits_c: tuple[float, float] | None,
-) -> Image.Image:
-    """The temperatures of a map as a picture.
+def map_scale(
+    drawn: OrthographicMap, palette: PaletteName, limits_c: tuple[float, float] | None = None
+) -> Scale:
+    """The colours of a map's temperatures.
 
     Args:
         drawn: the map.
-        caption: its texts.
-        palette: of the temperatures.
+        palette: the colours.
         limits_c: °C of the first and last colour; None takes those of the map.
     """
-    low, high = display_range(drawn.celsius) if limits_c is None else limits_c
-    scale = Scale(palette, low, high, "°C")
+    return Scale(palette, *(limits_c or display_range(drawn.celsius)), "°C")
+
+
+def map_picture(drawn: OrthographicMap, caption: Caption, scale: Scale) -> Image.Image:
+    """The temperatures of a map as a picture, with its texts."""
+    body, metres_per_px = map_body(drawn, scale)
+    framed = frame_map(body, metres_per_px, scale, caption.north)
+    picture = blank((framed.width, framed.height + MARGIN + 102))
+    text = picture.width - 2 * MARGIN
+    draw_text(picture, (MARGIN, MARGIN + 26), fit_text(caption.title, 30, text), 30, bold=True)
+    draw_text(picture, (MARGIN, MARGIN + 60), fit_text(caption.subtitle, 19, text), 19, MUTED)
+    picture.paste(framed, (0, MARGIN + 64))
+    footer = fit_text(caption.footer, 17, text)
+    draw_text(picture, (MARGIN, picture.height - 18), footer, 17, MUTED)
+    return picture
+
+
+def map_body(drawn: OrthographicMap, scale: Scale) -> tuple[Image.Image, float]:
+    """The temperatures of a map in colours, and the width of a pixel of the image, metres."""
     colors = scale.colorize(drawn.celsius)
     colors[np.isnan(drawn.celsius)] = PAPER
     body, zoom = _fitted(Image.fromarray(colors))
+    return body, drawn.grid.pixel_m / zoom
+
+
+def frame_map(
+    body: Image.Image, metres_per_px: float, scale: Scale, north: bool = False
+) -> Image.Image:
+    """A map's image with its legend, a scale bar, and where up is north an arrow."""
     legend = scale_bar(scale, min(body.height, 520), "vertical", size=20)
     width = max(body.width, 480) + legend.width + 3 * MARGIN
-    top, bottom = 2 * MARGIN + 64, MARGIN + 96
-    picture = blank((width, top + body.height + bottom))
-    text = width - 2 * MARGIN
-    draw_text(picture, (MARGIN, MARGIN + 26), fit_text(caption.title, 30, text), 30, bold=True)
-    draw_text(picture, (MARGIN, MARGIN + 60), fit_text(caption.subtitle, 19, text), 19, MUTED)
-    picture.paste(body, (MARGIN, top))
-    picture.paste(legend, (width - MARGIN - legend.width, top))
-    metres_per_px = drawn.grid.pixel_m / zoom
-    below = top + body.height + MARGIN
+    picture = blank((width, body.height + 2 * MARGIN + 58))
+    picture.paste(body, (MARGIN, MARGIN))
+    picture.paste(legend, (width - MARGIN - legend.width, MARGIN))
+    below = body.height + 2 * MARGIN
     _draw_length(picture, (MARGIN, below), body.width, metres_per_px)
-    if caption.north:
+    if north:
         _draw_north(picture, (MARGIN + body.width - 24, below - 10))
-    draw_text(picture, (MARGIN, below + 78), fit_text(caption.footer, 17, text), 17, MUTED)
     return picture
 
 

@@ -1,4 +1,4 @@
-"""A map's files: the GeoTIFF, the picture, and the sidecar of each."""
+"""A map's files: the GeoTIFF with its sidecar and its style, and the picture."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from mrgs.export.crs import coordinate_system, require_pyproj
 from mrgs.export.job import ExportJob, described
 from mrgs.export.maps.draw import BANDS, OrthographicMap
 from mrgs.export.maps.geotiff import require_rasterio, write_geotiff
+from mrgs.export.maps.options import MapOptions
 from mrgs.export.maps.photos import median_distance
-from mrgs.export.maps.picture import Caption, map_picture
-from mrgs.export.sidecar import UP_SNAP, comment_lines
+from mrgs.export.maps.picture import Caption, map_picture, map_scale
+from mrgs.export.maps.style import write_style
+from mrgs.export.sidecar import UP_SNAP, comment_lines, up_direction
 from mrgs.pictures.files import write_png
 from mrgs.scene import THERMAL, Scene
 from mrgs.scene.depth_map import DepthMap
@@ -40,27 +42,43 @@ def require_map(scene: Scene) -> None:
     coordinate_system(scene)
 
 
-def default_pixel_m(job: ExportJob, maps: Sequence[DepthMap]) -> float:
-    """Width of a photo's pixel on the surfaces (median), to two digits, metres; that of the first
-    modality, which has the finest pixels."""
-    focals = [float(camera.K[0, 0]) for camera in job.scene.train_cameras]
-    return float(f"{median_distance(maps) / np.median(focals):.1e}")
+def pixel_size_m(
+    scene: Scene,
+    maps: Sequence[DepthMap],
+    options: MapOptions,
+    extent: Float64[np.ndarray, "2"],
+    most_px: int | None,
+) -> float:
+    """Side of a map's pixel, metres: as wanted, or the width of a photo's pixel on the surfaces
+    (median), to two digits; that of the first modality, which has the finest pixels.
+
+    Args:
+        scene: with the cameras.
+        maps: what the photos show, see ``survey``.
+        options: the user's choices.
+        extent: width and height of the map, metres.
+        most_px: for its longer side; None without a limit.
+    """
+    focals = [float(camera.K[0, 0]) for camera in scene.train_cameras]
+    size = options.pixel_size_m or float(f"{median_distance(maps) / np.median(focals):.1e}")
+    return size if most_px is None else max(size, float(extent.max()) / most_px)
 
 
-def vertical(job: ExportJob) -> Float64[np.ndarray, "3"]:
-    """The up direction of the scene.
+def vertical(scene: Scene) -> Float64[np.ndarray, "3"]:
+    """The up direction of a scene, unit length.
 
     Raises:
         ConfigError: it is not known.
     """
-    if job.scene.world.north:
+    if scene.world.north:
         return UP_SNAP
-    if job.up is None:
+    up = up_direction(scene)
+    if up is None:
         raise ConfigError(
             "which way is up in this scene is not known, because its photos were not taken level: "
             "prepare it from photos with GPS"
         )
-    return UP_SNAP if job.up @ UP_SNAP > np.cos(np.radians(3)) else job.up
+    return UP_SNAP if up @ UP_SNAP > np.cos(np.radians(3)) else up
 
 
 def write_map(
@@ -71,7 +89,8 @@ def write_map(
     caption: Caption,
     facts: dict[str, Any],
 ) -> list[Any]:
-    """Write ``NAME.tif`` with its sidecar, and ``NAME.png``; returns the paths."""
+    """Write ``NAME.tif`` with its sidecar and its style for QGIS, and ``NAME.png``; returns the
+    paths."""
     grid = drawn.grid
     facts = job.surface_facts | {
         **facts,
@@ -83,8 +102,10 @@ def write_map(
     }
     tags = dict(line.split(": ", 1) for line in comment_lines(facts))
     paths = described(write_geotiff(job.folder / f"{name}.tif", drawn, wkt, tags), facts)
-    picture = map_picture(drawn, caption, job.palette, job.limits_c)
-    return [*paths, write_png(job.folder / f"{name}.png", picture)]
+    scale = map_scale(drawn, job.palette, job.limits_c)
+    style = write_style(job.folder / f"{name}.qml", scale)
+    picture = map_picture(drawn, caption, scale)
+    return [*paths, style, write_png(job.folder / f"{name}.png", picture)]
 
 
 def summary(drawn: OrthographicMap) -> str:
