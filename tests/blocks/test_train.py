@@ -96,6 +96,16 @@ def test_each_gaussian_comes_from_the_block_in_whose_cell_it_lies(joined, scene)
     assert refined
 
 
+def test_the_blur_is_the_mean_of_the_blocks_refined_along_the_cut(joined):
+    first, second, seam = (
+        load_run(joined / "blocks" / name).image_model.point_spread.log_sigma.item()
+        for name in ("001", "002", "seam-002")
+    )
+    found = load_run(joined).image_model.point_spread.log_sigma.item()
+    assert found == seam
+    assert found != pytest.approx((first + second) / 2, abs=1e-6)
+
+
 def test_what_lies_outside_of_a_block_stays_as_it_is(joined, scene):
     """The coarse model's Gaussians beyond the margin are in the block unchanged."""
     done = training(joined, scene)

@@ -159,11 +159,7 @@ def seam(
     rows = _rows(joined.model, scene, part, views)
     # The rates of the last part of a block's schedule: what is there is good but for the seam.
     means = (own.optimizer.means * own.optimizer.means_final) ** 0.5
-    own = replace(
-        own,
-        optimizer=replace(own.optimizer, means=means),
-        image_model=replace(own.image_model, point_spread_rate=0.0),
-    )
+    own = replace(own, optimizer=replace(own.optimizer, means=means))
     return Refinement(joined, part, views, own, FixedGaussians(), rows)
 
 

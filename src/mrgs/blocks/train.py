@@ -174,7 +174,8 @@ class BlockTraining:
         return True
 
     def _close_seam(self, joined: JoinedBlocks, number: int) -> CheckpointFacts | None:
-        """Refine the joined model along the edges of a block, in place; None where no seam is."""
+        """Refine the joined model along the edges of a block, and its image model, in place; None
+        where no seam is."""
         if len(self.plan.cells) == 1 or self.plan.overlap == 0:
             return None
         seam = refinement.seam(
@@ -191,9 +192,10 @@ class BlockTraining:
             ):
                 shutil.rmtree(folder.path)  # of blocks that have been trained again since
         self._train(folder, seam.config, f"seam of block {number}, {len(seam.views)} photos", seam)
-        found, facts, _ = load_gaussians(folder)
+        found, facts, cameras = load_gaussians(folder)
         for name, tensor in gaussians.tensors().items():
             tensor[rows] = found[name]
+        joined.whole.image_model.load_state_dict(cameras)
         return facts
 
     def _train(
