@@ -9,6 +9,11 @@ Three arithmetics, each for parallel kernels, kernels and inner functions:
 - without a prefix: a multiplication and an addition may become one operation (contract).
 - ``reordering``: the compiler may also reorder sums, so that it can use vectors (reassoc). The
   order is fixed in the compiled code, and so are the bits. NaN and infinity are kept.
+
+``inlined`` functions become part of their kernel. Of others each kernel that calls them holds a
+copy, optimised once more, and a process that compiles runs the first copy while one that loads
+kernels from disk runs the kernel's own: where the two are optimised otherwise, bits differ. So what
+does arithmetic whose order is not fixed is inlined, up to the kernel.
 """
 
 from __future__ import annotations
@@ -57,3 +62,4 @@ inner_function = partial(_inner, fastmath={"contract"})
 reordering_kernel = partial(_compiled, fastmath={"contract", "reassoc"})
 reordering_parallel_kernel = partial(reordering_kernel, parallel=True)
 reordering_inner_function = partial(_inner, fastmath={"contract", "reassoc"})
+reordering_inlined_function = partial(reordering_inner_function, forceinline=True)

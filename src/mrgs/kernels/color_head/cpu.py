@@ -33,7 +33,10 @@ from mrgs.kernels.dense.layers import (
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
-from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
+from mrgs.kernels.jit import (
+    reordering_inlined_function,
+    reordering_parallel_kernel,
+)
 from mrgs.kernels.require import require, require_layers
 from mrgs.kernels.rows import listed
 
@@ -138,7 +141,7 @@ def _forward(gaussians, rows, frequencies, first, second, output, hidden, keep, 
         )
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _forward_share(share, gaussians, rows, frequencies, network, hidden, keep, residual):
     inputs = np.zeros((BLOCK_ROWS, network.first.no_bias.size), np.float32)
     outputs = np.empty((BLOCK_ROWS, network.output.bias.size), np.float32)
@@ -159,7 +162,7 @@ def _forward_share(share, gaussians, rows, frequencies, network, hidden, keep, r
                 residual[start + place, channel] = outputs[place, channel]
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _fill_inputs(gaussians, rows, frequencies, inputs):
     """e_m ⊕ PE_v of a block."""
     width = gaussians.embedding.shape[1]
@@ -198,7 +201,7 @@ def _backward(
         )
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _backward_share(share, gaussians, rows, frequencies, network, hidden, grad, sums, gradients):
     units = hidden.shape[3]
     inputs = np.zeros((BLOCK_ROWS, network.first.no_bias.size), np.float32)
@@ -224,7 +227,7 @@ def _backward_share(share, gaussians, rows, frequencies, network, hidden, grad, 
         _spread_inputs(gaussians, here, frequencies, inputs, g_inputs, gradients)
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _spread_inputs(gaussians, rows, frequencies, inputs, g_inputs, gradients):
     """The gradient of ``_fill_inputs``."""
     width = gaussians.embedding.shape[1]

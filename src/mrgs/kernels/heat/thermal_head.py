@@ -34,7 +34,11 @@ from mrgs.kernels.dense.layers import (
     total,
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
-from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
+from mrgs.kernels.jit import (
+    reordering_inlined_function,
+    reordering_inner_function,
+    reordering_parallel_kernel,
+)
 from mrgs.kernels.require import require, require_indices, require_layers
 
 _SH = 48
@@ -189,7 +193,7 @@ def _forward(
         )
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _forward_share(
     share, gaussians, positions, rows, frequencies, network, hidden, keep, projected
 ):
@@ -219,7 +223,7 @@ def _scratch(network):
     )
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, directions, inputs):
     """e_orth ⊕ PE_p of a block, and on the way SH and SH' = φ_SH(SH)."""
     width = gaussians.embedding.shape[1]
@@ -269,7 +273,7 @@ def _backward(
         )  # fmt: skip
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _backward_share(
     share, gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients
 ):
@@ -300,7 +304,7 @@ def _backward_share(
                 gradients.sh_rest[row, coefficient] = g_sh[place, 3 + coefficient]
 
 
-@reordering_inner_function
+@reordering_inlined_function
 def _reject_backward(embedding, rows, directions, grad, grad_embedding):
     """The gradient of Eq. 7: at e_orth in ``grad``, which becomes that at SH'."""
     two = np.float32(2)
