@@ -12,8 +12,9 @@ Three arithmetics, each for parallel kernels, kernels and inner functions:
 
 ``inlined`` functions become part of their kernel. Of others each kernel that calls them holds a
 copy, optimised once more, and a process that compiles runs the first copy while one that loads
-kernels from disk runs the kernel's own: where the two are optimised otherwise, bits differ. So what
-does arithmetic whose order is not fixed is inlined, up to the kernel.
+kernels from disk runs the kernel's own: where the two are optimised otherwise, bits differ. They
+did in the heads, whose functions are therefore inlined; the other kernels' copies have agreed so
+far.
 """
 
 from __future__ import annotations

@@ -33,10 +33,7 @@ from mrgs.kernels.dense.layers import (
 )
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
-from mrgs.kernels.jit import (
-    reordering_inlined_function,
-    reordering_parallel_kernel,
-)
+from mrgs.kernels.jit import reordering_inlined_function, reordering_parallel_kernel
 from mrgs.kernels.require import require, require_layers
 from mrgs.kernels.rows import listed
 

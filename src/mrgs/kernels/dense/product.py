@@ -52,10 +52,7 @@ def panels(matrix: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(filled_up.reshape(k, count, TILE_COLUMNS).transpose(1, 0, 2))
 
 
-Intrinsic = Callable[..., Any]
-
-
-def _tile_of(vectors: int) -> Intrinsic:
+def _tile_of(vectors: int) -> Callable[..., Any]:
     """A function for kernels that computes one tile of TILE_ROWS × ``vectors`` vectors: out[r, :] =
     start[r, :] + Σ_k a[r, k] b[k, :].
 
