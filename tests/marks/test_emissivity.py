@@ -118,6 +118,26 @@ def test_what_is_measured_in_a_region_is_corrected():
     assert box.mean == pytest.approx(wanted, abs=0.1)
 
 
+def test_a_region_without_photos_says_so_and_spares_the_others():
+    away = camera_before_wall().look_at([0.0, -5.0, 0.0], [-5.0, 0.0, 0.0])
+    aside = replace(BOX, name="B2", points=tuple((x - 3.0, y, z) for x, y, z in SQUARE))
+    unseen, seen = MarkMeter(render_wall, RANGE, [away]).measure(Marks((BOX, aside)))
+    assert (unseen.photos, unseen.problem) == (
+        0,
+        "no photo looks at it, so its temperature is not known",
+    )
+    assert np.isnan(unseen.mean)
+    assert (seen.photos, seen.problem) == (1, "")
+    assert np.isfinite(seen.mean)
+
+
+def test_a_region_that_cannot_be_seen_at_once_spares_the_others():
+    about_its_eye = replace(BOX, name="B2", eye=(0.5, -0.05, 0.5))
+    good, wide = MarkMeter(render_wall, RANGE).measure(Marks((BOX, about_its_eye)))
+    assert np.isfinite(good.mean)
+    assert wide.problem == "B2 is too wide to be seen at once: draw it from farther away"
+
+
 def test_the_later_of_two_regions_counts():
     capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
     over = replace(BOX, name="B2", emissivity=0.95, reflected_c=20.0)

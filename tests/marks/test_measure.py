@@ -13,9 +13,9 @@ from mrgs.field import FieldConfig, RadianceField
 from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.run_marks import picked_places
-from mrgs.marks.surface import outline_area, see, steady_depth
+from mrgs.marks.surface import before_background, outline_area, see, steady_depth
 from mrgs.render import Model, render
-from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, Scene
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
@@ -121,6 +121,39 @@ def test_photos_are_counted_and_where_none_looks_there_is_no_temperature():
     assert reading.problem == "no photo looks at it, so its temperature is not known"
     assert np.isnan(reading.mean)
     assert reading.area == pytest.approx(1.0)
+
+
+def wall_before_sky(camera: Camera) -> Rendering:
+    """The wall, and −30 °C a hundred metres behind its ends."""
+    blend = render_wall(camera)[THERMAL]
+    wall = blend.alpha > 0
+    cold = RANGE.from_celsius(torch.tensor(-30.0)).to(blend.image)
+    return Rendering(
+        {
+            THERMAL: Blend(
+                torch.where(wall[..., None], blend.image, cold),
+                torch.where(wall, blend.depth, 100.0),
+                torch.ones_like(blend.alpha),
+            )
+        }
+    )
+
+
+def test_the_sky_is_refused():
+    camera = camera_before_wall()
+    corners = [[x, 0.0, z] for x in (-3.0, 3.0) for z in (-2.0, 2.0)]
+    celsius = [np.zeros((120, 160), np.float32)]
+    scene = Scene.from_arrays([camera], celsius=celsius, points=np.array(corners))
+    aside = camera.look_at([0, -5, 0], [4.0, 0, 0])
+    assert picked_places(see(wall_before_sky, aside), [(150.0, 60.0)])
+    surface = see(before_background(wall_before_sky, scene), aside)
+    with pytest.raises(ConfigError, match="no surface at pixel 150, 60: choose a place on the"):
+        picked_places(surface, [(150.0, 60.0)])
+    meter = MarkMeter(before_background(wall_before_sky, scene), RANGE)
+    sky = replace(BOX, points=tuple((x + 120, 100.0, z) for x, _, z in SQUARE))
+    assert meter.read(sky).problem == "no surface there: draw it on the model"
+    over_the_end = replace(BOX, points=tuple((x + 2.5, y, z) for x, y, z in SQUARE))
+    assert meter.read(over_the_end).low == pytest.approx(25.0, abs=0.05)
 
 
 def test_without_thermal_images_there_are_lengths_alone():

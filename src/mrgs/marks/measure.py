@@ -134,6 +134,10 @@ class MarkMeter:
         self._temperature = temperature
         self._photos = len(cameras)
 
+    def see(self, camera: Camera) -> SeenSurface:
+        """The surface that marks are drawn on, from a camera."""
+        return see(self._render, camera)
+
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own."""
         return Regions(marks, self._render, self._temperature, self.capture)

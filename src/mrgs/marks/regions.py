@@ -151,6 +151,7 @@ class Regions:
             return Message("{name}: without °C there is no emissivity to correct", name=mark.name)
         try:
             self._capture.of_mark(mark)
+            measuring_camera(mark)
         except ConfigError as error:
             return error.message
         return ""

@@ -15,7 +15,7 @@ from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import SeenSurface, see, steady_depth
+from mrgs.marks.surface import SeenSurface, before_background, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
@@ -43,7 +43,7 @@ class RunMarks:
         self.store = MarkStore(run.folder.path, CameraSpread.of_run(run))
         self.scene = _scene_if_there(run) if scene is None else scene
         self.meter = MarkMeter(
-            run.render,
+            before_background(run.render, self.scene),
             run.temperature,
             thermal_cameras(self.scene),
             CaptureSettings.of(self.scene),
@@ -112,8 +112,7 @@ class RunMarks:
         **more: Any,
     ) -> Mark:
         """Add a mark of any kind through pixels of a camera's image; see ``spot``."""
-        surface = see(self.run.render, camera)
-        places = picked_places(surface, pixels, self._stereo)
+        places = picked_places(self.meter.see(camera), pixels, self._stereo)
         if kind == "spot":
             more.setdefault("radius", spot_radius(places[0], camera, self.scene))
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark, Place
-from mrgs.scene import THERMAL, Camera, Rendering, metric_first
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, metric_first
 from mrgs.system.message import Message
 
 SurfaceRenderer = Callable[[Camera], Rendering]
@@ -90,6 +90,27 @@ class PixelPlaces(NamedTuple):
     rows: Int64[np.ndarray, " n"]
     columns: Int64[np.ndarray, " n"]
     inside: Bool[np.ndarray, " n"]
+
+
+def before_background(render: SurfaceRenderer, scene: Scene | None) -> SurfaceRenderer:
+    """Renders a model in which the background is no surface: nothing can be measured on the sky.
+
+    Args:
+        render: renders the whole model.
+        scene: that the model was trained on; without one, what is background is not known.
+    """
+    if scene is None:
+        return render
+    ball = scene.reach
+
+    def draw(camera: Camera) -> Rendering:
+        def nearer(depth: Float[torch.Tensor, "h w"]) -> Float[torch.Tensor, "h w"]:
+            beyond = ball.is_background(camera.unproject_image(depth))
+            return torch.where(beyond, torch.nan, depth)
+
+        return render(camera).with_depths(nearer)
+
+    return draw
 
 
 def see(render: SurfaceRenderer, camera: Camera) -> SeenSurface:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple, TypeAlias
 
 import torch
@@ -135,6 +135,16 @@ class Rendering(Mapping[Modality, Blend]):
             },
             self._median_depths,
         )
+
+    def with_depths(
+        self, change: Callable[[Float[Tensor, "h w"]], Float[Tensor, "h w"]]
+    ) -> Rendering:
+        """The same images with each depth of a surface changed, when it is first read."""
+
+        def changed(modality: Modality) -> Float[Tensor, "h w"]:
+            return change(self.surface_depth(modality))
+
+        return Rendering(self, {each: partial(changed, each) for each in self})
 
 
 CameraResponse: TypeAlias = Callable[[Rendering, Camera], Rendering]

@@ -10,7 +10,9 @@ from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import MarkStore
+from mrgs.marks.surface import SeenSurface
 from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.scene import Camera
 
 Listener = Callable[[], None]
 
@@ -56,6 +58,10 @@ class MarkBoard:
     def uncertainty(self) -> UncertaintyMeter | None:
         """Of the model's temperatures; None where it is not known."""
         return self._meter.uncertainty
+
+    def see(self, camera: Camera) -> SeenSurface:
+        """The surface that marks are drawn on, from a camera."""
+        return self._meter.see(camera)
 
     def listen(self, listener: Listener) -> None:
         """Call a function after each change."""

@@ -17,7 +17,6 @@ from mrgs.marks.mark import MarkKind
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import box_corners, eye_of, picked_places, spot_radius
-from mrgs.marks.surface import see
 from mrgs.marks.texts import label_text
 from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
@@ -34,7 +33,7 @@ from mrgs.viewer.painting import (
     compose,
     measure_scales,
 )
-from mrgs.viewer.picking import Reading, read_point, render_surface
+from mrgs.viewer.picking import Reading, read_point
 from mrgs.viewer.settings import Settings, Subject
 
 VIDEO_SIDE_PX = 960
@@ -237,10 +236,7 @@ class Inspection:
         pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
         if kind == "box":
             pixels = box_corners(*pixels)
-        surface = subject.source.run(
-            lambda model: see(lambda each: render_surface(model, each, subject), camera)
-        )
-        picked = picked_places(surface, pixels, board.stereo)
+        picked = picked_places(board.see(camera), pixels, board.stereo)
         radius = spot_radius(picked[0], camera, subject.scene) if kind == "spot" else 0.0
         board.add(kind, picked, eye_of(camera), radius)
         self.point = None

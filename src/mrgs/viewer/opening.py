@@ -14,7 +14,7 @@ from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.run_marks import stereo_of, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import SurfaceRenderer
+from mrgs.marks.surface import SurfaceRenderer, before_background
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
@@ -71,7 +71,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
 
     meter = MarkMeter(
-        draw,
+        before_background(draw, subject.scene),
         subject.temperature,
         thermal_cameras(subject.scene),
         CaptureSettings.of(subject.scene),
