@@ -84,6 +84,7 @@ def test_ticks_by_hand() -> None:
     assert tick_labels([-0.5, 0.0, 0.5]) == ["−0.5", "0.0", "0.5"]
     assert tick_labels([10.0, 20.0]) == ["10", "20"]
     assert tick_labels([0.025, 0.05]) == ["0.025", "0.050"]
+    assert tick_labels([-0.5, 1.0], ",") == ["−0,5", "1,0"]
 
 
 @given(st.floats(-500, 3000), st.floats(0.01, 3000), st.integers(2, 12))

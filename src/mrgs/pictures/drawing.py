@@ -43,12 +43,14 @@ class Scale(NamedTuple):
         low: value of the first colour; larger than ``high`` where the palette runs the other way.
         high: value of the last colour.
         unit: written after the largest number; may be empty.
+        decimal: between a number's whole and its decimals.
     """
 
     palette: PaletteName
     low: float
     high: float
     unit: str
+    decimal: str = "."
 
     def colorize(self, values: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
         """Colours of the values, [H, W]; NaN turns light grey."""
@@ -194,7 +196,7 @@ def _vertical_bar(scale: Scale, length: int, size: int) -> Image.Image:
 
 def _labelled_ticks(scale: Scale, count: int) -> list[tuple[float, str]]:
     ticks = round_ticks(scale.low, scale.high, count)
-    labels = tick_labels(ticks)
+    labels = tick_labels(ticks, scale.decimal)
     if scale.palette == "error":
         labels = [
             f"+{label}" if tick > 0 else label for tick, label in zip(ticks, labels, strict=True)

@@ -97,14 +97,15 @@ def round_down(value: float) -> float:
     return max(factor * power for factor in (1, 2, 5) if factor * power <= value * (1 + 1e-9))
 
 
-def tick_labels(ticks: list[float]) -> list[str]:
-    """The ticks as text with one number of decimals, as few as tell them exactly (at most six)."""
+def tick_labels(ticks: list[float], decimal: str = ".") -> list[str]:
+    """The ticks as text with one number of decimals, as few as tell them exactly (at most six),
+    behind the sign ``decimal``."""
     for decimals in range(7):
         if all(
             math.isclose(round(tick, decimals), tick, rel_tol=1e-9, abs_tol=1e-9) for tick in ticks
         ):
             break
-    return [f"{tick:.{decimals}f}".replace("-", "−") for tick in ticks]
+    return [f"{tick:.{decimals}f}".replace("-", "−").replace(".", decimal) for tick in ticks]
 
 
 def display_range(values: Float[np.ndarray, "..."], tail: float = 0.5) -> tuple[float, float]:

@@ -50,9 +50,10 @@ def _project(view: View, points: torch.Tensor) -> torch.Tensor:
 
 
 def mark_pictures(
-    reading: MarkReading, view: View, regions: Regions, scene: Scene
+    reading: MarkReading, view: View, regions: Regions, scene: Scene, decimal: str = "."
 ) -> list[InlineImage]:
-    """The thermal rendering of a view with its scale, and its photo.
+    """The thermal rendering of a view with its scale, and its photo. ``decimal`` is written before
+    the decimals of the scale's numbers.
 
     Raises:
         SceneError: the photo cannot be read.
@@ -62,7 +63,7 @@ def mark_pictures(
     values = to_array(regions.render(camera)[THERMAL].image[..., 0])
     values = in_unit(THERMAL, values, scene.temperature)
     limits = display_range(values[_part_about(reading.mark, camera)])
-    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature))
+    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
     thermal = Image.fromarray(scale.colorize(values))
     _draw(thermal, reading, camera)
     whole = above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)

@@ -112,6 +112,7 @@ def show_marks(
     scene: Scene,
     survey: Survey,
     place: Callable[[Mark], Image.Image],
+    decimal: str = ".",
 ) -> list[ShownMark]:
     """Measured marks.
 
@@ -122,11 +123,14 @@ def show_marks(
         scene: with the photos.
         survey: the air inside and outside, for the temperature factor.
         place: draws where a mark is.
+        decimal: before the decimals of the numbers beside the colours of a picture.
 
     Raises:
         SceneError: a photo cannot be read.
     """
-    return [_shown(reading, reference, regions, scene, survey, place) for reading in readings]
+    return [
+        _shown(reading, reference, regions, scene, survey, place, decimal) for reading in readings
+    ]
 
 
 def _shown(
@@ -136,6 +140,7 @@ def _shown(
     scene: Scene,
     survey: Survey,
     place: Callable[[Mark], Image.Image],
+    decimal: str,
 ) -> ShownMark:
     mark, temperature = reading.mark, scene.temperature
     view = nearest_view(mark, scene)
@@ -161,7 +166,7 @@ def _shown(
         reading.problem,
         list(reading.remarks),
         "" if view is None else view.name,
-        [] if view is None else mark_pictures(reading, view, regions, scene),
+        [] if view is None else mark_pictures(reading, view, regions, scene, decimal),
         inline_image(place(mark), f"{mark.name}, plan", quality=85),
         _chart(reading, scene),
     )

@@ -43,7 +43,9 @@ class Overview(NamedTuple):
     pictures: list[Image.Image]
 
 
-def overviews(scene: Scene, marks: Mapping[str, Mark], render: Renderer) -> list[Overview]:
+def overviews(
+    scene: Scene, marks: Mapping[str, Mark], render: Renderer, decimal: str = "."
+) -> list[Overview]:
     """The views that together see most marks, the one that sees most first; at most
     ``MOST_OVERVIEWS``.
 
@@ -51,6 +53,7 @@ def overviews(scene: Scene, marks: Mapping[str, Mark], render: Renderer) -> list
         scene: with the photos.
         marks: by name.
         render: renders the thermal image of a camera.
+        decimal: before the decimals of the scale's numbers.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -64,17 +67,19 @@ def overviews(scene: Scene, marks: Mapping[str, Mark], render: Renderer) -> list
         if best is None or not left & set(seen[best]):
             break
         shown = {name: marks[name] for name in seen[best] if name in left}
-        chosen.append(_overview(candidates[best], shown, scene, render))
+        chosen.append(_overview(candidates[best], shown, scene, render, decimal))
         left -= set(shown)
     return chosen
 
 
-def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Renderer) -> Overview:
+def _overview(
+    view: View, marks: Mapping[str, Mark], scene: Scene, render: Renderer, decimal: str
+) -> Overview:
     pictures = []
     for modality in sorted(in_order(view.images), key=lambda each: each == THERMAL):
         camera = view.images[modality].camera
         if modality == THERMAL:
-            picture, scale = _thermal(render(camera), camera, scene)
+            picture, scale = _thermal(render(camera), camera, scene, decimal)
         else:
             pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
             picture = Image.fromarray(pixels)
@@ -86,13 +91,15 @@ def _overview(view: View, marks: Mapping[str, Mark], scene: Scene, render: Rende
     return Overview(view.name, list(marks), pictures)
 
 
-def _thermal(rendering: Rendering, camera: Camera, scene: Scene) -> tuple[Image.Image, Scale]:
+def _thermal(
+    rendering: Rendering, camera: Camera, scene: Scene, decimal: str
+) -> tuple[Image.Image, Scale]:
     """The thermal image in colours that its surfaces use up; the sky may lie beyond them. And their
     scale."""
     values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
     surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
-    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature))
+    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
     return Image.fromarray(scale.colorize(values)), scale
 
 

@@ -62,10 +62,10 @@ class TemperatureMap:
         corners, size = self._pixels(mark), self.drawn.celsius.shape[::-1]
         return bool(((corners >= 0) & (corners <= size)).all())
 
-    def picture(self, marks: Mapping[str, Mark]) -> Image.Image:
+    def picture(self, marks: Mapping[str, Mark], decimal: str = ".") -> Image.Image:
         """The temperatures with legend and scale bar, and the marks that lie on the map under
-        their names."""
-        scale = map_scale(self.drawn, "inferno")
+        their names; ``decimal`` is written before the decimals of the legend's numbers."""
+        scale = map_scale(self.drawn, "inferno")._replace(decimal=decimal)
         body, metres_per_px = map_body(self.drawn, scale)
         zoom, taken = self.drawn.grid.pixel_m / metres_per_px, list[Box]()
         shown = {

@@ -39,12 +39,15 @@ class Texts:
         sentence = self._sentences.get(" ".join(english.split()), english)
         return sentence.format(**values) if values else sentence
 
+    @property
+    def decimal(self) -> str:
+        """What the language writes before a number's decimals."""
+        return "," if self.language in DECIMAL_COMMA else "."
+
     def number(self, text: str) -> str:
         """A formatted number as the language writes it, with a proper minus sign."""
         text = re.sub(r"(?<!\w)-(?=\d)", "−", text)
-        if self.language not in DECIMAL_COMMA:
-            return text
-        return re.sub(r"(?<=\d)\.(?=\d)", ",", text)
+        return re.sub(r"(?<=\d)\.(?=\d)", self.decimal, text)
 
     def count(self, number: int) -> str:
         """A whole number with its thousands apart."""

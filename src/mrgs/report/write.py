@@ -94,7 +94,10 @@ class ShownMap(NamedTuple):
         )
         rest = t("{width} × {height} m, {pixel} cm per pixel.", **size)
         white = t("White: no surface, or too few photos look there.")
-        return cls(inline_image(drawn.picture(marks), "map", quality=90), f"{what} {rest} {white}")
+        return cls(
+            inline_image(drawn.picture(marks, t.decimal), "map", quality=90),
+            f"{what} {rest} {white}",
+        )
 
 
 class Findings(NamedTuple):
@@ -246,11 +249,11 @@ def _findings(
         return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
 
     shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, place)
+        show_marks(each, reference, regions, scene, survey, place, t.decimal)
         for each, reference in ((readings, known.reference), (proposed, ""))
     )
     all_shown = drawn is not None and all(map(drawn.shows, named.values()))
-    views = overviews(scene, named, regions.render)
+    views = overviews(scene, named, regions.render, t.decimal)
     return Findings(
         shown,
         show_proposals(anomalies, candidates, marks.run, scene),

@@ -90,7 +90,7 @@ def frame_map(
     picture.paste(body, (MARGIN, MARGIN))
     picture.paste(legend, (width - MARGIN - legend.width, MARGIN))
     below = body.height + 2 * MARGIN
-    _draw_length(picture, (MARGIN, below), body.width, metres_per_px)
+    _draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
     if north:
         _draw_north(picture, (MARGIN + body.width - 24, below - 10))
     return picture
@@ -110,7 +110,11 @@ def _fitted(image: Image.Image) -> tuple[Image.Image, float]:
 
 
 def _draw_length(
-    picture: Image.Image, position: tuple[int, int], width: int, metres_per_px: float
+    picture: Image.Image,
+    position: tuple[int, int],
+    width: int,
+    metres_per_px: float,
+    decimal: str,
 ) -> None:
     """A bar of a round length in four fields, black and white in turn."""
     metres = _round_down(BAR_SHARE * width * metres_per_px)
@@ -121,7 +125,7 @@ def _draw_length(
         box = (left + k * field, top, left + (k + 1) * field, top + 12)
         draw.rectangle(box, fill=INK if k % 2 == 0 else PAPER, outline=INK)
     unit, factor = ("m", 1.0) if metres >= 0.5 else ("cm", 100.0) if metres >= 0.01 else ("mm", 1e3)
-    zero, half, whole = tick_labels([0.0, factor * metres / 2, factor * metres])
+    zero, half, whole = tick_labels([0.0, factor * metres / 2, factor * metres], decimal)
     draw_text(picture, (left, top + 34), zero, 18)
     for label, place in ((half, 2), (f"{whole} {unit}", 4)):
         draw_text(picture, (left + place * field, top + 34), label, 18, anchor="ms")
