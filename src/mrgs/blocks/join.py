@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +25,9 @@ from mrgs.training.facts import CheckpointFacts
 from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import TrainingState
+
+DRIFT = "thermal_drift."
+"""What the names of its tensors begin with."""
 
 
 class JoinedBlocks(NamedTuple):
@@ -101,17 +104,13 @@ def _joined(
     runs: Sequence[RunFolder], plan: BlockPlan, scene: Scene
 ) -> tuple[Gaussians, list[CheckpointFacts], dict[str, Tensor]]:
     """The Gaussians of all, the facts of each run, of which the first is the coarse one, and the
-    mean of the blocks' image models, weighted by their photos."""
-    counts, facts = [], []
-    image_model: dict[str, Tensor] = {}
-    views = sum(len(cell.views) for cell in plan.cells)
+    blocks' mean image model."""
+    counts, facts, cameras = [], [], []
     for number, run in enumerate(runs):
-        tensors, own, cameras = load_gaussians(run)
+        tensors, own, image_model = load_gaussians(run)
         counts.append(len(_rows(tensors["means"], number, plan, scene)))
         facts.append(own)
-        weight = len(plan.cells[number - 1].views) / views if number else 0.0
-        for name, tensor in cameras.items():
-            image_model[name] = image_model.get(name, 0.0) + weight * tensor
+        cameras.append(image_model)
     shapes = {name: tensor.shape[1:] for name, tensor in tensors.items()}
     del tensors
     joined = {name: torch.empty(sum(counts), *shape) for name, shape in shapes.items()}
@@ -123,7 +122,36 @@ def _joined(
             torch.index_select(tensors[name], 0, rows, out=target[first : first + count])
         del tensors
         first += count
-    return Gaussians.from_tensors(joined, model_modalities(facts[0].modalities)), facts, image_model
+    gaussians = Gaussians.from_tensors(joined, model_modalities(facts[0].modalities))
+    photos = [len(cell.views) for cell in plan.cells]
+    return gaussians, facts, mean_image_model(cameras[0], cameras[1:], photos)
+
+
+def mean_image_model(
+    coarse: Mapping[str, Tensor], blocks: Sequence[Mapping[str, Tensor]], photos: Sequence[int]
+) -> dict[str, Tensor]:
+    """The image model of a joined model, from those of its runs.
+
+    The mean over the blocks, weighted by their photos; what is known of a single photo's drift only
+    over those that have learned of it, weighted by how often, and as in the coarse model where none
+    has.
+
+    Args:
+        coarse: tensors of the coarse model's, by name.
+        blocks: of each block's.
+        photos: number of each block's.
+    """
+    found = {}
+    for name, start in coarse.items():
+        values = torch.stack([block[name] for block in blocks])
+        weights = values.new_tensor(photos).view(-1, *[1] * start.dim())
+        if name.startswith(DRIFT):
+            visits = torch.stack([block[DRIFT + "visits"] for block in blocks])
+            weights = (visits - coarse[DRIFT + "visits"]).clamp_min(0)
+        total = weights.sum(dim=0)
+        mean = (weights * values).sum(dim=0) / total.clamp_min(1)
+        found[name] = torch.where(total > 0, mean, start)
+    return found
 
 
 def load_gaussians(run: RunFolder) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Tensor]]:
