@@ -136,6 +136,33 @@ def test_blocks_take_over_no_gaussian_too_wide_for_any_but_those_of_the_backgrou
     assert rows_of_block() == {far, *others}
 
 
+def test_a_block_starts_from_the_points_where_these_are_more(joined, scene):
+    done = training(joined, scene)
+    region = done.plan.cells[0].region.grown(done.plan.overlap)
+    part = Part(done.plan.plane, region, region, done.scene.reach)
+    inside = part.contains(done.coarse.model.gaussians.means)
+
+    def state(points: PointCloud):
+        whole = replace(done.scene, points=points)
+        block = refinement.block(done.coarse, whole, done.plan, 0, done.config)
+        strategy = block.training_part.strategy
+        return block, block._initial_state(strategy, whole, block.config, torch.device("cpu"))
+
+    points = done.scene.points
+    many = PointCloud(points.positions.repeat(9, 1), points.colors.repeat(9, 1))
+    block, begun = state(many)
+    there = part.contains(many.positions)
+    assert len(block.rows) > 0
+    assert not inside[block.rows].any()
+    gaussians = begun.model.gaussians
+    start = gaussians.means[len(block.rows) :]
+    most = done.config.densification.max_gaussians
+    assert len(start) == min(int(there.sum()), most) > int(inside.sum())
+    assert part.contains(start).all()
+    few, _ = state(PointCloud(points.positions[:3], points.colors[:3]))
+    assert inside[few.rows].any()
+
+
 def test_a_gaussian_that_reaches_beyond_what_counts_is_not_held(scene):
     gaussians = random_gaussians(4)
     gaussians.means[:] = torch.tensor([[0.0], [0.0], [0.9], [2.0]]) * torch.tensor([1.0, 0.0, 0.0])

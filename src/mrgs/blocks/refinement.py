@@ -18,8 +18,11 @@ from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density import Strategy
 from mrgs.method.losses.terms import configured_terms
+from mrgs.method.start.fitted_residuals import leave_the_rest
+from mrgs.method.start.initialisation import initial_gaussians
+from mrgs.method.start.start_points import start_points
 from mrgs.render import Model, rows_in_view
-from mrgs.scene import Gaussians, Scene
+from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene
 from mrgs.training.checkpoint import load_model
 from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
@@ -75,6 +78,7 @@ class Refinement:
         config: of the training.
         density: control of the part's Gaussians.
         rows: Gaussians of the model that are in the part, or that its views show.
+        points: that the part starts from, in place of the model's Gaussians in it; None for these.
     """
 
     start: WholeModel
@@ -83,6 +87,7 @@ class Refinement:
     config: TrainConfig
     density: Strategy
     rows: Int64[Tensor, " k"]
+    points: PointCloud | None = None
 
     @property
     def inside(self) -> Bool[Tensor, " k"]:
@@ -107,6 +112,8 @@ class Refinement:
         self, strategy: Strategy, scene: Scene, config: TrainConfig, device: torch.device
     ) -> TrainingState:
         chosen = self.start.model.gaussians.rows(self.rows)
+        if self.points is not None:
+            chosen = chosen.followed_by(self._from_points(self.points, scene, config))
         model = Model(chosen, self.start.model.field, neighbours=None, sh_degree=0).to(device)
         terms = configured_terms(config, (), chosen.modalities)
         generator = torch.Generator().manual_seed(config.seed)
@@ -114,11 +121,27 @@ class Refinement:
         state.image_model.load_state_dict(self.start.image_model.state_dict())
         return state
 
+    def _from_points(self, points: PointCloud, scene: Scene, config: TrainConfig) -> Gaussians:
+        """New Gaussians at points, as a training of the whole would start with them."""
+        views = tuple(scene.train[number] for number in self.views)
+        config = replace(config, distant_points=False)
+        generator = torch.Generator().manual_seed(config.seed)
+        start = start_points(replace(scene, points=points, train=views), config)
+        start = start.at_most(self.density.max_gaussians, generator)
+        model = self.start.model
+        shares_opacity = len(model.gaussians.opacity_logits) == 1
+        degree = config.temperature_sh_degree_of(Capture.of(scene))
+        found = initial_gaussians(start, model.field, shares_opacity, degree)
+        if config.fitted_residuals > 0:
+            leave_the_rest(model.field, found, start.values[THERMAL])
+        return found
+
 
 def block(
     coarse: WholeModel, scene: Scene, plan: BlockPlan, number: int, config: TrainConfig
 ) -> Refinement:
-    """The refinement of a block, and of the strip about it, from the coarse model.
+    """The refinement of a block, and of the strip about it, from the coarse model; or from the
+    scene's points, where these are more than the coarse model's Gaussians there.
 
     Args:
         coarse: of the whole.
@@ -133,7 +156,12 @@ def block(
     own = _local(config, scene, cell.views, number)
     rows = _rows(coarse.model, scene, part, cell.views)
     rows = _without_wide(coarse.model.gaussians, scene, rows, plan.overlap)
-    return Refinement(coarse, part, cell.views, own, own.densification, rows)
+    inside = part.contains(coarse.model.gaussians.means.detach()[rows])
+    there = part.contains(scene.points.positions)
+    points = None
+    if there.sum() > inside.sum():
+        rows, points = rows[~inside], scene.points.rows(there.nonzero()[:, 0])
+    return Refinement(coarse, part, cell.views, own, own.densification, rows, points)
 
 
 def seam(

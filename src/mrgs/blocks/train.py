@@ -32,7 +32,10 @@ from mrgs.training.run_folder import RunFolder
 from mrgs.training.trainer import train
 
 COARSE_STEPS = 0.5
-"""Of the coarse model, as a share of a block's; one for each photo at least."""
+"""Of the coarse model, as a share of a block's."""
+
+COARSE_ROUNDS = 4
+"""Steps of the coarse model for each photo, at least."""
 
 WAIT_S = 1.0
 
@@ -121,7 +124,9 @@ class BlockTraining:
 
     @property
     def _coarse_config(self) -> TrainConfig:
-        steps = max(round(COARSE_STEPS * self.config.max_steps), len(self.scene.train))
+        steps = max(
+            round(COARSE_STEPS * self.config.max_steps), COARSE_ROUNDS * len(self.scene.train)
+        )
         return with_steps(self.config, steps)
 
     def unfinished(self) -> list[int]:

@@ -79,6 +79,16 @@ class Gaussians:
             {name: tensor.detach()[rows] for name, tensor in self.tensors().items()}
         )
 
+    def followed_by(self, others: Gaussians) -> Gaussians:
+        """These Gaussians and then others of the same modalities, without gradients."""
+        added = others.tensors()
+        return self.with_tensors(
+            {
+                name: torch.cat([tensor.detach(), added[name].detach()])
+                for name, tensor in self.tensors().items()
+            }
+        )
+
     def tensors(self) -> dict[str, Tensor]:
         """The parameters by name (not copied): ``means``, ``quats``, ``log_scales``,
         ``opacity_logit.NAME``, ``sh_dc.NAME``, ``sh_rest.NAME`` of each modality, ``embedding``."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from mrgs.scene.camera import Camera
@@ -30,6 +30,10 @@ class PointCloud:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def rows(self, rows: Int64[Tensor, " k"]) -> PointCloud:
+        """Some of the points, in this order."""
+        return PointCloud(self.positions[rows], self.colors[rows])
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self):,} points)"

@@ -5,7 +5,7 @@ import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
-from mrgs.method.start.fitted_residuals import fit_residuals
+from mrgs.method.start.fitted_residuals import fit_residuals, leave_the_rest
 from mrgs.scene import RGB, THERMAL, Gaussians
 from mrgs.system.operation import Operation
 from tests.helpers.gaussians import random_gaussians
@@ -41,6 +41,17 @@ def test_temperatures_stay_those_of_the_photos_and_the_residual_carries_them() -
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
     own = C0 * gaussians.sh_dc[THERMAL][:-10, 0, 0]
     assert own.std() < 0.3 * temperatures[:-10].std()
+
+
+def test_gaussians_that_are_added_later_have_the_temperatures_of_the_photos_too() -> None:
+    field, gaussians, temperatures = start()
+    fit_residuals(field, gaussians, temperatures, 50, torch.Generator().manual_seed(0))
+    gaussians.means = gaussians.means + 0.1
+    gaussians.embedding = field.initial_embedding(gaussians.means)
+    assert (temperatures_of(field, gaussians) - temperatures)[:-10].abs().max() > 0.01
+    leave_the_rest(field, gaussians, temperatures)
+    found = temperatures_of(field, gaussians)
+    torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
 
 
 def test_a_gaussian_that_no_photo_shows_takes_what_the_layers_know_of_its_place() -> None:

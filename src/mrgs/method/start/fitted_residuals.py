@@ -65,9 +65,21 @@ def fit_residuals(
         (residuals_of(chosen) - target[chosen]).abs().mean().backward()
         adam.step()
         adam.zero_grad()
-    with torch.no_grad():
-        own = (target - residuals_of(None)).nan_to_num(nan=0.0)
-        gaussians.sh_dc[THERMAL].copy_((own / C0)[:, None])
+    leave_the_rest(field, gaussians, temperatures)
+
+
+@torch.no_grad()
+def leave_the_rest(
+    field: RadianceField, gaussians: Gaussians, temperatures: Float[Tensor, "n 1"]
+) -> None:
+    """Leave in t_i what t̂ does not say of the Gaussians' temperatures; see ``fit_residuals``."""
+    if not field.config.residuals:
+        return
+    k = field.config.neighbours_k
+    neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
+    residuals = field.temperature_residuals(gaussians, neighbours, None, 0)
+    own = (temperatures - 0.5 - residuals).nan_to_num(nan=0.0)
+    gaussians.sh_dc[THERMAL].copy_((own / C0)[:, None])
 
 
 def _check_kernel(field: RadianceField, sample: Gaussians) -> None:
