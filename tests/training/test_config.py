@@ -183,6 +183,15 @@ def test_methods_are_the_rows_of_the_ablation_table():
     )
 
 
+def test_mrgs_plus_starts_and_smooths_alike_in_all_presets():
+    found = [make_config("mrgs-plus", preset) for preset in PRESETS]
+    assert len({each.loss for each in found}) == 1
+    assert all(each.distant_points and each.photo_temperatures for each in found)
+    published = make_config("mrgs", "paper")
+    assert (published.distant_points, published.photo_temperatures) == (False, False)
+    assert published.loss == LossConfig()
+
+
 def test_paper_is_the_published_schedule():
     config = make_config(preset="paper")
     schedule, radiation = config.densification, config.radiation

@@ -47,14 +47,14 @@ CPU_RATES = {
 """Learning rates of the presets for CPUs, whose schedules are too short for those of 3DGS:
 docs/decisions."""
 
-CPU_SMOOTHNESS = {
+SMOOTHNESS = {
     "smooth_rgb": 0.0,
     "smooth_thermal": 0.0625,
     "smooth_depth": 0.0,
     "smooth_noise": 2e-3,
 }
-"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise and the
-number of their pixels ask for: docs/decisions."""
+"""Weights of L_smooth's parts in the presets for CPUs, and of ``mrgs-plus`` in all: temperatures
+alone, as the noise and the number of their pixels ask for: docs/decisions."""
 
 CPU_COARSE = 0.5
 """Share of the training on coarser photos in the presets for CPUs, where photos are large enough:
@@ -222,13 +222,16 @@ def _without_radiation(config: TrainConfig) -> TrainConfig:
 
 def _plus(config: TrainConfig) -> TrainConfig:
     """Two opacities, temperatures of their own, a model of the thermal camera and L_opaque; without
-    embedding, heads, heat transformation and L_boltz, which gain nothing beside them."""
+    embedding, heads, heat transformation and L_boltz, which gain nothing beside them. Start and
+    smoothness are those of the presets for CPUs in all presets."""
     return replace(
         config,
+        distant_points=True,
+        photo_temperatures=True,
         temperature_sh_degree=None,
         field=replace(config.field, residuals=False),
         radiation=None,
-        loss=replace(config.loss, opaque=PLUS_OPAQUE),
+        loss=replace(config.loss, **SMOOTHNESS, opaque=PLUS_OPAQUE),
         image_model=PLUS_IMAGE_MODEL,
     )
 
@@ -257,7 +260,7 @@ def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
     field = replace(
         config.field, hidden_width=CPU_HIDDEN_WIDTH, temperature_scale=TEMPERATURE_SCALE
     )
-    loss = replace(config.loss, **CPU_SMOOTHNESS)
+    loss = replace(config.loss, **SMOOTHNESS)
     optimizer = replace(config.optimizer, **CPU_RATES)
     return replace(
         config,
