@@ -65,6 +65,8 @@ def test_numbers_are_written_as_the_language_does():
     assert Texts().number("-3.5") == "−3.5"
     assert [Texts(each).decimal for each in LANGUAGES] == [".", ",", ","]
     assert [Texts(each).count(12_345) for each in LANGUAGES] == ["12,345", "12.345", "12\u202f345"]
+    assert Texts("de").numbers("2.82, −4.45, 0.88") == "2,82; −4,45; 0,88"
+    assert Texts().numbers("2.82, −4.45") == "2.82, −4.45"
     assert Texts("de").date(date(2026, 1, 12)) == "12.01.2026"
     assert Texts("fr")("{low} to {high}", low=1, high=2) == "1 à 2"
     assert Texts("de")("not a sentence of the report") == "not a sentence of the report"

@@ -49,6 +49,10 @@ class Texts:
         text = re.sub(r"(?<!\w)-(?=\d)", "−", text)
         return re.sub(r"(?<=\d)\.(?=\d)", self.decimal, text)
 
+    def numbers(self, text: str) -> str:
+        """Formatted numbers with a comma between them, as the language lists them."""
+        return self.number(text if self.decimal == "." else text.replace(", ", "; "))
+
     def count(self, number: int) -> str:
         """A whole number with its thousands apart."""
         return f"{number:,}".replace(",", THOUSANDS[self.language])
