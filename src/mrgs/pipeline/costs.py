@@ -160,7 +160,7 @@ def stage_costs(work: Workload) -> dict[str, Cost]:
         "report": Cost(
             {
                 "anomalies": 1.0 + views * (2 * render + 0.1e-3 * work.kpx),
-                "measurements and pictures": 4.0,
+                "measurements and pictures": 4.0 + _map(work, render),
                 "scores and page": 1.0,
             },
             0.4,
@@ -214,7 +214,7 @@ def _page(work: Workload, render: float) -> dict[str, float]:
 
 def _exports(work: Workload, render: float) -> dict[str, float]:
     kgauss = work.gaussians / 1e3
-    surface = work.views * (render + 0.1e-3 * work.kpx)
+    surface = _surface(work, render)
     return {
         "baking": 0.5 + work.views * 2e-3 + work.held_out * 2 * render,
         "ply": 0.01 * kgauss,
@@ -225,6 +225,16 @@ def _exports(work: Workload, render: float) -> dict[str, float]:
         "las": 0.05 * kgauss,
         "mesh": 3.0 + 3 * surface,
         "cameras": work.views * (0.005 + 0.2e-3 * work.kpx),
-        "ortho": 1.0 + 3 * surface,
+        "ortho": _map(work, render),
         "elevation": 1.0 + surface,
     }
+
+
+def _surface(work: Workload, render: float) -> float:
+    """Finding what all views see of the surface."""
+    return work.views * (render + 0.1e-3 * work.kpx)
+
+
+def _map(work: Workload, render: float) -> float:
+    """A map in °C; also in the report, where the scene has metres and one side or is flown over."""
+    return 1.0 + 3 * _surface(work, render)
