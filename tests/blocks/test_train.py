@@ -18,6 +18,7 @@ from mrgs.blocks.train import BlockTraining
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, FolderInUseError, PeerError, RunError
 from mrgs.evaluation import evaluate_run
+from mrgs.method.camera_model.image_model import PointSpread
 from mrgs.runs.open import load_run
 from mrgs.scene import PointCloud, TemperatureRange
 from mrgs.training.checkpoint import load_state
@@ -134,6 +135,15 @@ def test_blocks_take_over_no_gaussian_too_wide_for_any_but_those_of_the_backgrou
         gaussians.means[far] += 2 * reach.background_distance * direction / direction.norm()
         gaussians.log_scales[[wide, far]] = torch.tensor(10.0 * done.plan.overlap).log()
     assert rows_of_block() == {far, *others}
+
+
+def test_a_block_begins_with_a_new_blur(joined, scene):
+    done = training(joined, scene)
+    learned = done.coarse.image_model.point_spread.log_sigma.item()
+    block = refinement.block(done.coarse, done.scene, done.plan, 0, done.config)
+    start = block.start.image_model.point_spread.log_sigma.item()
+    assert start == PointSpread().log_sigma.item() != learned
+    assert done.coarse.image_model.point_spread.log_sigma.item() == learned
 
 
 def test_a_block_starts_from_the_points_where_these_are_more(joined, scene):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from mrgs.blocks.coverage import Surveyor, counted_places, views_of
 from mrgs.blocks.density import FixedGaussians, LocalDensityControl, Part
 from mrgs.blocks.plan import BlockPlan
 from mrgs.blocks.region import Ring
-from mrgs.method.camera_model.image_model import Capture, ImageModel
+from mrgs.method.camera_model.image_model import Capture, ImageModel, PointSpread
 from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density import Strategy
 from mrgs.method.losses.terms import configured_terms
@@ -65,6 +66,15 @@ class WholeModel(NamedTuple):
         """
         model, _, image_model = load_newest(folder, lambda path: load_model(path, config))
         return cls(model, image_model)
+
+    def with_new_blur(self) -> WholeModel:
+        """With the blur of the thermal camera as any training starts with it. What a coarse model
+        learns is too small, as its Gaussians are blurred themselves; below a third of a pixel a
+        blur has no gradient that would make it larger."""
+        image_model = deepcopy(self.image_model)
+        if image_model.point_spread is not None:
+            image_model.point_spread = PointSpread()
+        return WholeModel(self.model, image_model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +161,7 @@ def block(
         config: of the whole.
     """
     cell = plan.cells[number]
+    coarse = coarse.with_new_blur()
     region = cell.region.grown(plan.overlap)
     part = Part(plan.plane, region, region, scene.reach)
     own = _local(config, scene, cell.views, number)

@@ -54,10 +54,11 @@ def point_spread(sigma_px: float) -> PointSpread:
     return spread
 
 
-def test_the_width_of_a_spread_is_found_from_photos():
+@pytest.mark.parametrize("start_px", [0.8, 0.01])
+def test_the_width_of_a_spread_is_found_from_photos(start_px):
     sharp = torch.rand(30, 40, 1, generator=torch.Generator().manual_seed(1))
     photo = point_spread(1.3)(sharp).detach()
-    found = PointSpread()
+    found = point_spread(start_px)
     adam = torch.optim.Adam(found.parameters(), lr=0.02)
     for _ in range(150):
         adam.zero_grad()

@@ -25,6 +25,11 @@ from mrgs.system.limits import MOST_RATE, require_within
 
 INITIAL_POINT_SPREAD_PX = 0.8
 SMALLEST_POINT_SPREAD_PX = 0.2
+"""In pixels of a rendering, which may be coarser than the photo."""
+
+SMALLEST_LEARNED_PX = 0.3
+"""In pixels of the photo. It moves a hundredth of what a pixel shows to its neighbours; a much
+smaller width has no gradient, so that it would never grow again."""
 
 NOT_COARSER: Mapping[Modality, float] = MappingProxyType({})
 
@@ -130,7 +135,7 @@ class PointSpread(nn.Module):
     @property
     def sigma_px(self) -> Float[Tensor, ""]:
         """Standard deviation in pixels of the thermal image."""
-        return self.log_sigma.exp().clamp_min(SMALLEST_POINT_SPREAD_PX)
+        return self.log_sigma.exp()
 
     def forward(
         self, image: Float[Tensor, "h w 1"], pixel_size: float = 1.0
@@ -141,6 +146,8 @@ class PointSpread(nn.Module):
             image: the rendered temperatures.
             pixel_size: of the image, in pixels of the photos.
         """
+        with torch.no_grad():
+            self.log_sigma.clamp_(min=math.log(SMALLEST_LEARNED_PX))
         sigma = (self.sigma_px / pixel_size).clamp_min(SMALLEST_POINT_SPREAD_PX)
         return blur(image[:, :, 0], sigma)[:, :, None]
 
