@@ -169,8 +169,10 @@ def test_a_block_starts_from_the_points_where_these_are_more(joined, scene):
     most = done.config.densification.max_gaussians
     assert len(start) == min(int(there.sum()), most) > int(inside.sum())
     assert part.contains(start).all()
-    few, _ = state(PointCloud(points.positions[:3], points.colors[:3]))
-    assert inside[few.rows].any()
+    few = PointCloud(points.positions[:3], points.colors[:3])
+    for no_better in (few, replace(many, random=True)):
+        block, _ = state(no_better)
+        assert inside[block.rows].any()
 
 
 def test_a_gaussian_that_reaches_beyond_what_counts_is_not_held(scene):

@@ -36,6 +36,7 @@ def test_around_an_object_the_points_gather_on_it():
     cameras = [looking([5 + 4 * np.cos(a), 4 * np.sin(a), 1.0], [5.0, 0.0, 0.0]) for a in angles]
     points = random_points(cameras, seed=0)
     assert points.positions.shape == points.colors.shape == (RANDOM_POINTS, 3)
+    assert points.random
     assert torch.stack([seen_by(camera, points.positions) for camera in cameras]).any(dim=0).all()
     near = (points.positions - torch.tensor([5.0, 0, 0])).norm(dim=1) < 2
     assert near.float().mean() > 0.1

@@ -170,7 +170,7 @@ def block(
     inside = part.contains(coarse.model.gaussians.means.detach()[rows])
     there = part.contains(scene.points.positions)
     points = None
-    if there.sum() > inside.sum():
+    if not scene.points.random and there.sum() > inside.sum():
         rows, points = rows[~inside], scene.points.rows(there.nonzero()[:, 0])
     return Refinement(coarse, part, cell.views, own, own.densification, rows, points)
 

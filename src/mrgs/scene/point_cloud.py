@@ -22,18 +22,24 @@ GREY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Start points of the Gaussians: positions in world coordinates [N, 3] and RGB in [0, 1] [N,
-    3]."""
+    """Start points of the Gaussians.
+
+    Attributes:
+        positions: in world coordinates, [N, 3].
+        colors: RGB in [0, 1], [N, 3].
+        random: whether they were drawn, and so say nothing of where surfaces are.
+    """
 
     positions: Float32[Tensor, "n 3"]
     colors: Float32[Tensor, "n 3"]
+    random: bool = False
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def rows(self, rows: Int64[Tensor, " k"]) -> PointCloud:
         """Some of the points, in this order."""
-        return PointCloud(self.positions[rows], self.colors[rows])
+        return PointCloud(self.positions[rows], self.colors[rows], self.random)
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self):,} points)"
@@ -66,7 +72,7 @@ def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
     in_camera = in_camera * depth[:, None]
     pose = camera_to_world[which]
     positions = (pose[:, :3, :3] @ in_camera[..., None])[..., 0] + pose[:, :3, 3]
-    return PointCloud(positions.float(), torch.full((RANDOM_POINTS, 3), GREY))
+    return PointCloud(positions.float(), torch.full((RANDOM_POINTS, 3), GREY), random=True)
 
 
 def _looking_depth(cameras: Sequence[Camera]) -> float:
