@@ -20,6 +20,7 @@ from PIL import Image
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
 from mrgs.marks.mark import Marks
 from mrgs.marks.texts import mark_text
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.stage import PALETTE_CHOICES, camera_facts, modality_facts, palette_facts
 from mrgs.pictures.values import range_of
 from mrgs.scene import Modality, WorldFrame
@@ -269,7 +270,7 @@ class Browser:
             "place": _place(pane, drawn.size),
             "free": pane.photo is None,
             "title": pane.title,
-            "scale": None if scale is None else scale._asdict(),
+            "scale": None if scale is None else _scale(scale),
             "marks": seen_marks(pane, shown, self.inspection.marks() + self.inspection.proposals()),
             "outlines": [
                 outline._asdict()
@@ -399,6 +400,13 @@ class Browser:
 
     def _tell(self, kind: str, **facts: Any) -> None:
         self._send(encode({"type": kind, **facts}))
+
+
+def _scale(scale: Scale) -> dict[str, Any]:
+    """A scale for the page, which writes its numbers itself."""
+    facts = scale._asdict()
+    del facts["decimal"]
+    return facts
 
 
 def _place(pane: Pane, size: tuple[int, int]) -> list[float]:
