@@ -105,8 +105,8 @@ def before_background(render: SurfaceRenderer, scene: Scene | None) -> SurfaceRe
 
     def draw(camera: Camera) -> Rendering:
         def nearer(depth: Float[torch.Tensor, "h w"]) -> Float[torch.Tensor, "h w"]:
-            beyond = ball.is_background(camera.unproject_image(depth))
-            return torch.where(beyond, torch.nan, depth)
+            known = ball.without_background(camera, depth)
+            return torch.where(known.isinf(), torch.nan, known)
 
         return render(camera).with_depths(nearer)
 
