@@ -155,7 +155,7 @@ class _Projection(torch.autograd.Function):
             grads[0].contiguous().numpy(), *sums, gradients,
         )  # fmt: skip
         of_gaussians = [
-            torch.from_numpy(array).view(tensor.shape)
+            torch.from_numpy(array.reshape(tensor.shape))  # no view, so autograd adds in place
             for array, tensor in zip(gradients, tensors[:3], strict=True)
         ]
         of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
