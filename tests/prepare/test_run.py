@@ -61,7 +61,7 @@ class Fakes:
     def steps(self) -> Steps:
         return Steps(self.reconstruct, self.calibrate, write_page=short_page)
 
-    def reconstruct(self, images, work, progress, *, modality) -> Reconstruction:
+    def reconstruct(self, images, work, progress, *, modality, gps) -> Reconstruction:
         self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
         return replace(existing_poses(self.poses, images), images=modality)

@@ -74,17 +74,19 @@ def images(work: Work) -> StageSummary:
 
 
 def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) -> StageSummary:
-    """Camera poses, given or by ``reconstruct``; they depend on the posed images alone, so that
-    other temperatures do not matter."""
+    """Camera poses, given or by ``reconstruct``; they depend on the posed images and their GPS
+    positions alone, so that other temperatures do not matter."""
     views = work.images.views
     modality = in_order(modality for view in views for modality in view.images)[0]
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
     files = {name: work.scene / image.file for name, image in posed.items()}
     given = work.options.poses
+    gps = work.gps
 
     def find() -> Reconstruction:
         if given is None:
-            return reconstruct(files, work.scene / CACHE_FOLDER, work.progress, modality=modality)
+            cache = work.scene / CACHE_FOLDER
+            return reconstruct(files, cache, work.progress, modality=modality, gps=gps)
         found = poses_of_photos(given, work.pairing.pairs, files)
         return replace(found, images=modality)
 
@@ -92,7 +94,7 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) 
     if given is not None:
         state = stamps(given) if given.is_dir() else digest(given)
         content = (work.pairing.pairs, given.resolve(), state)
-    work.poses = work.cache.get("poses", Reconstruction, (posed, content), find)
+    work.poses = work.cache.get("poses", Reconstruction, (posed, content, gps), find)
     return summarize_poses(work.poses)
 
 
@@ -100,7 +102,7 @@ def scale_and_north(work: Work) -> StageSummary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
     found, distance = work.posed, work.options.known_distance
     as_given = work.options.poses is not None
-    gps = {view.name: view.exif.gps for view in work.images.views if view.exif.gps is not None}
+    gps = work.gps
     work.georeference = work.cache.get(
         "scale and north",
         Georeference,

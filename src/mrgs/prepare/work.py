@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mrgs.data.radiometric import GpsPosition
 from mrgs.prepare.cache import CACHE_FOLDER, Cache
 from mrgs.prepare.contract import (
     ConvertedPhotos,
@@ -71,6 +72,12 @@ class Work:
     def metric(self) -> bool:
         """Whether the unit of the scene's world is the metre."""
         return self.georeference is not None and self.georeference.metric
+
+    @property
+    def gps(self) -> dict[str, GpsPosition]:
+        """Positions in the photos' files, by view."""
+        views = self.images.views
+        return {view.name: view.exif.gps for view in views if view.exif.gps is not None}
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:

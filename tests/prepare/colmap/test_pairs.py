@@ -10,6 +10,7 @@ from mrgs.prepare.colmap.pairs import (
     image_signatures,
     pairs_to_match,
 )
+from mrgs.prepare.colmap.positions import pairs_nearby
 
 
 def around_a_place(place: int, seed: int) -> np.ndarray:
@@ -36,6 +37,24 @@ def test_a_large_set_is_matched_with_neighbours_and_with_what_is_alike():
     assert {(0, 1), (0, NEIGHBOURS), (count - 2, count - 1)} <= set(pairs)
     closed = sum((image, image + 80) in pairs for image in range(80))
     assert closed == 80
+
+
+def test_a_large_set_with_gps_is_matched_with_what_was_taken_nearby():
+    def unread():
+        raise AssertionError("descriptors are not needed")
+
+    positions = np.array(
+        [[4.0 * along, 3.5 * line, 20] for line in range(12) for along in range(12)]
+    )
+    assert pairs_to_match(len(positions), unread, positions) == pairs_nearby(positions)
+
+
+def test_gps_does_not_count_where_all_stand_close_together():
+    count = MAX_EXHAUSTIVE + 60
+    descriptors = [around_a_place(image % 80 // 5, image) for image in range(count)]
+    positions = np.random.default_rng(0).normal(0, 1.0, (count, 3))
+    pairs = pairs_to_match(count, lambda: descriptors, positions)
+    assert pairs == pairs_to_match(count, lambda: descriptors)
 
 
 def test_images_of_one_place_are_alike():

@@ -35,6 +35,17 @@ def test_the_folder_holds_the_images_under_numbers(photos, tmp_path):
         assert (job.root / file).read_bytes() == path.read_bytes()
 
 
+def test_positions_come_with_the_images(photos, tmp_path):
+    assert read_job_after(tmp_path, photos, None).positions is None
+    positions = np.array([[0.0, 0, 0], [4.25, 1, 0], [8.5, 2, 1]])
+    assert (read_job_after(tmp_path, photos, positions).positions == positions).all()
+
+
+def read_job_after(tmp_path, photos, positions):
+    set_up(tmp_path / "sfm", photos, False, silent, positions)
+    return read_job(tmp_path / "sfm")
+
+
 def test_what_was_made_of_the_same_images_stays(photos, tmp_path):
     folder = tmp_path / "sfm"
     set_up(folder, photos, False, silent)
@@ -43,7 +54,9 @@ def test_what_was_made_of_the_same_images_stays(photos, tmp_path):
     assert (folder / "database.db").exists()
 
 
-@pytest.mark.parametrize("change", ["content", "order", "stretch", "cut off", "damaged"])
+@pytest.mark.parametrize(
+    "change", ["content", "order", "stretch", "positions", "cut off", "damaged"]
+)
 def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
     folder = tmp_path / "sfm"
     set_up(folder, photos, False, silent)
@@ -57,7 +70,8 @@ def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
         (folder / "job.json").unlink()
     if change == "damaged":
         (folder / "job.json").write_bytes(b"\xff\xfe")
-    set_up(folder, photos, change == "stretch", silent)
+    positions = np.eye(3) if change == "positions" else None
+    set_up(folder, photos, change == "stretch", silent, positions)
     assert not (folder / "database.db").exists()
     assert len(json.loads((folder / "job.json").read_text())["images"]) == 3
 

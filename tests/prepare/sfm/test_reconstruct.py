@@ -10,8 +10,9 @@ import pytest
 from PIL import Image
 
 from mrgs.data import load_scene
+from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
-from mrgs.prepare.sfm.reconstruct import reconstruct
+from mrgs.prepare.sfm.reconstruct import positions_of, reconstruct
 from mrgs.scene import RGB
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
@@ -64,6 +65,20 @@ def test_poses_of_the_table_top_after_an_interruption(tmp_path):
         assert angle_deg < 1
     sees = found.points.positions[found.visible[first]].double() @ found.viewmats[first][:3, :3].T
     assert ((sees + found.viewmats[first][:3, 3])[:, 2] > 0).all()
+
+
+def test_positions_in_metres_or_none(tmp_path):
+    """What the job gets of GPS: nothing unless all photos have it, no heights unless all do."""
+    images = {name: tmp_path / name for name in ("a", "b")}
+    here = GpsPosition(48.0, 11.0, 500.0)
+    there = GpsPosition(48.0001, 11.0, 503.0)
+    assert positions_of(images, {}) is None
+    assert positions_of(images, {"a": here}) is None
+    east, north, up = positions_of(images, {"b": there, "a": here})[1]
+    assert (east, north, up) == pytest.approx((0, 11.12, 3), abs=0.01)
+    flat = positions_of(images, {"a": here, "b": GpsPosition(48.0001, 11.0, None)})
+    assert (flat[:, 2] == 0).all()
+    assert flat[1, 1] == pytest.approx(11.12, abs=0.01)
 
 
 @needs_pycolmap

@@ -20,7 +20,9 @@ def image(group: int | None, features: int | None = 900, matches: int = 200) -> 
     }
 
 
-def write(folder, images: list[dict], groups: list[int], reprojection_px: float = 0.5) -> None:
+def write(
+    folder, images: list[dict], groups: list[int], reprojection_px: float = 0.5, nearby=False
+) -> None:
     """What the process leaves: views named a, b, c, …; the largest model has one camera, and three
     points."""
     files = [f"{number:06d}.jpg" for number in range(1, len(images) + 1)]
@@ -32,6 +34,7 @@ def write(folder, images: list[dict], groups: list[int], reprojection_px: float 
         "images": images,
         "groups": groups,
         "reprojection_px": reprojection_px if groups else None,
+        "nearby": nearby,
     }
     (model / "report.json").write_text(json.dumps(report))
     registered = [index for index, own in enumerate(images) if own["group"] == 0]
@@ -73,6 +76,13 @@ def test_poses_points_and_what_each_view_sees(tmp_path):
     assert [(left.name, left.reason) for left in found.failed] == [
         ("c", "little in common with any other photo (12 matches at most, with a)")
     ]
+
+
+def test_matches_by_gps_are_told(tmp_path):
+    write(tmp_path, [image(0)] * 4, [4], nearby=True)
+    assert read_result(tmp_path, RGB).source.endswith(
+        " Only photos taken near each other, by GPS, are matched."
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Sequence
@@ -20,6 +21,14 @@ from mrgs.prepare.colmap.job import (
     Report,
 )
 from mrgs.prepare.colmap.matching import SEED
+from mrgs.prepare.colmap.pairs import MAX_EXHAUSTIVE
+from mrgs.prepare.colmap.positions import (
+    MAX_MISFIT,
+    MIN_IMAGES,
+    misfit,
+    pairs_nearby,
+    tell_apart,
+)
 
 MIN_TRACK = 3
 MAX_ERROR_PX = 2.0
@@ -34,7 +43,7 @@ def map_images(job: ReconstructionJob, report: Report) -> None:
     """Compute the model unless it exists. Where no two images match, it has a report only."""
     if (job.folder / MODEL_FOLDER).is_dir():
         return
-    models = sorted(_models(job, report), key=lambda model: model.num_reg_images(), reverse=True)
+    models, nearby = _models_by_position(job, report)
     fresh = job.folder / f"{MODEL_FOLDER}.new"
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir()
@@ -42,13 +51,60 @@ def map_images(job: ReconstructionJob, report: Report) -> None:
         _drop_noise(models[0], len(job.files))
         models[0].write_binary(fresh)
         _save_points(models[0], job.files, fresh / POINTS_FILE)
-    content = json.dumps(_report(job, models), indent=1)
+    content = json.dumps({**_report(job, models), "nearby": nearby}, indent=1)
     (fresh / REPORT_FILE).write_text(content, encoding="utf-8")
     os.replace(fresh, job.folder / MODEL_FOLDER)
 
 
-def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruction]:
-    """All models; they share images at their borders only."""
+def _models_by_position(
+    job: ReconstructionJob, report: Report
+) -> tuple[list[pycolmap.Reconstruction], bool]:
+    """The models, largest first, and whether only images taken near each other are matched in them:
+    so where all matches lead to poses that contradict the positions, and these do not."""
+    models = _models(job, job.database, report)
+    if not tell_apart(job.positions) or len(job.files) > MAX_EXHAUSTIVE:
+        return models, tell_apart(job.positions)
+    before = _misfit(job, models)
+    if before <= MAX_MISFIT:
+        return models, False
+    others = _models(job, _database_nearby(job), report)
+    agrees = _misfit(job, others) < before / 2
+    return (others, True) if agrees else (models, False)
+
+
+def _misfit(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -> float:
+    """``misfit`` of the largest model; infinite where that holds less than half of the images."""
+    assert job.positions is not None
+    if not models or models[0].num_reg_images() < max(len(job.files) / 2, MIN_IMAGES):
+        return math.inf
+    places = {name: place for place, name in enumerate(job.files)}
+    images = [models[0].images[number] for number in models[0].reg_image_ids()]
+    centres = np.array([image.projection_center() for image in images])
+    return misfit(centres, job.positions[[places[image.name] for image in images]])
+
+
+def _database_nearby(job: ReconstructionJob) -> Path:
+    """A copy of the database in which only images taken near each other are matched."""
+    assert job.positions is not None
+    copy = job.folder / "nearby.db"
+    shutil.copyfile(job.database, copy)
+    kept = {
+        frozenset((job.files[first], job.files[second]))
+        for first, second in pairs_nearby(job.positions)
+    }
+    with pycolmap.Database.open(copy) as database:
+        names = {image.image_id: image.name for image in database.read_all_images()}
+        pairs, _ = database.read_two_view_geometry_num_inliers()
+        for first, second in map(pycolmap.pair_id_to_image_pair, pairs):
+            if frozenset((names[first], names[second])) not in kept:
+                database.delete_two_view_geometry(first, second)
+    return copy
+
+
+def _models(
+    job: ReconstructionJob, database: Path, report: Report
+) -> list[pycolmap.Reconstruction]:
+    """All models, largest first; they share images at their borders only."""
     total, registered = len(job.files), 0
 
     def start() -> None:
@@ -73,7 +129,7 @@ def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruct
         options.mapper.init_min_num_inliers = FAINT_INITIAL_MATCHES
         options.mapper.abs_pose_min_num_inliers = FAINT_POSE_MATCHES
     models = pycolmap.incremental_mapping(
-        job.database,
+        database,
         job.root,
         folder,
         options,
@@ -81,7 +137,7 @@ def _models(job: ReconstructionJob, report: Report) -> list[pycolmap.Reconstruct
         next_image_callback=another,
     )
     shutil.rmtree(folder)
-    return list(models.values())
+    return sorted(models.values(), key=lambda model: model.num_reg_images(), reverse=True)
 
 
 def _drop_noise(model: pycolmap.Reconstruction, images: int) -> None:

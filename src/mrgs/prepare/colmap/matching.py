@@ -15,7 +15,7 @@ SIFT_LENGTH = 128
 
 def match(job: ReconstructionJob, report: Report) -> None:
     """Match all pairs that are not in the database yet."""
-    numbers = pairs_to_match(len(job.files), lambda: _descriptors(job))
+    numbers = pairs_to_match(len(job.files), lambda: _descriptors(job), job.positions)
     pairs = [(job.files[first], job.files[second]) for first, second in numbers]
     matched = _matched(job)
     waiting = [pair for pair in pairs if frozenset(pair) not in matched]

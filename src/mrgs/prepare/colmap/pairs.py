@@ -6,7 +6,9 @@ from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8
+
+from mrgs.prepare.colmap.positions import pairs_nearby, tell_apart
 
 MAX_EXHAUSTIVE = 100
 """All pairs of more images take too long: a pair takes a tenth of a second on two cores."""
@@ -19,17 +21,22 @@ _ITERATIONS = 10
 
 
 def pairs_to_match(
-    count: int, descriptors: Callable[[], list[UInt8[np.ndarray, "_ d"]]]
+    count: int,
+    descriptors: Callable[[], list[UInt8[np.ndarray, "_ d"]]],
+    positions: Float64[np.ndarray, "n 3"] | None = None,
 ) -> list[tuple[int, int]]:
-    """All pairs of a small set; else each image with those taken before and after it, and with
-    those most like it.
+    """All pairs of a small set; else each image with those taken nearest to it, or where that is
+    not known, with those taken before and after it and those most like it.
 
     Args:
         count: of images, numbered in the order in which they were taken.
-        descriptors: reads those of all images; not called for a small set.
+        descriptors: reads those of all images; only called where likeness decides.
+        positions: in metres, by GPS.
     """
     if count <= MAX_EXHAUSTIVE:
         return list(combinations(range(count), 2))
+    if positions is not None and tell_apart(positions):
+        return pairs_nearby(positions)
     chosen = {pair for first in range(count) for pair in _next(first, count)}
     signatures = image_signatures(descriptors())
     likeness = signatures @ signatures.T

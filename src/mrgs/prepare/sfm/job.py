@@ -8,6 +8,8 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
 from PIL import Image
 
 from mrgs.prepare.cache import digest
@@ -16,7 +18,7 @@ from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.stretch import span_of, stretched
 from mrgs.system.atomic import replacing, write_error
 
-FORMAT = 2
+FORMAT = 3
 """Raise it when features or matches are found in another way: older ones are then discarded."""
 
 
@@ -25,8 +27,10 @@ def set_up(
     images: Mapping[str, Path],
     stretch: bool,
     progress: Progress,
+    positions: Float64[np.ndarray, "n 3"] | None = None,
 ) -> None:
-    """Set up the folder; features and matches of an earlier call stay if the images are the same.
+    """Set up the folder; features and matches of an earlier call stay if images and positions are
+    the same.
 
     The images are named by numbers, so that no name can be misread.
 
@@ -35,12 +39,13 @@ def set_up(
         images: files by the views' names.
         stretch: whether to stretch the contrast, as thermal images need.
         progress: called for each image that is stretched.
+        positions: where the images were taken, metres east, north and up.
 
     Raises:
         SceneError: an image cannot be read.
         RunError: the folder cannot be written.
     """
-    content = json.dumps(_job(images, stretch), indent=1).encode()
+    content = json.dumps(_job(images, stretch, positions), indent=1).encode()
     file = folder / JOB_FILE
     try:
         if file.is_file() and file.read_bytes() == content:
@@ -63,13 +68,16 @@ def set_up(
         raise write_error(folder, error) from None
 
 
-def _job(images: Mapping[str, Path], stretch: bool) -> dict[str, object]:
+def _job(
+    images: Mapping[str, Path], stretch: bool, positions: Float64[np.ndarray, "n 3"] | None
+) -> dict[str, object]:
     """The content of the job file, which is equal for equal jobs."""
     listed = [
         {"file": file, "name": name, "sha256": digest(source)}
         for file, (name, source) in zip(_files(images, stretch), images.items(), strict=True)
     ]
-    return {"format": FORMAT, "stretch": stretch, "images": listed}
+    rounded = None if positions is None else positions.round(3).tolist()
+    return {"format": FORMAT, "stretch": stretch, "positions": rounded, "images": listed}
 
 
 def _files(images: Mapping[str, Path], stretch: bool) -> list[str]:

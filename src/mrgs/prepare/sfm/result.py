@@ -53,7 +53,8 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
         failed=failed,
         reprojection_px=report["reprojection_px"],
         source=f"Structure from motion with COLMAP: {len(registered)} of {len(names)} photos, "
-        f"{len(positions)} points.",
+        f"{len(positions)} points."
+        f"{' Only photos taken near each other, by GPS, are matched.' if report['nearby'] else ''}",
         images=images,
         warnings=_warnings(report["groups"], report["reprojection_px"]),
     )
