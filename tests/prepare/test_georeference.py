@@ -181,6 +181,17 @@ def test_cameras_closer_together_than_the_noise_are_not_placed():
     assert "too close together for that" in warning
 
 
+@pytest.mark.parametrize(("lines", "metric"), [(6, False), (60, True)])
+def test_rows_that_lie_on_each_other_contradict_gps(lines, metric):
+    """Lines of a flight lie on those before; a large flight gives a scale all the same."""
+    truth = np.array([[4.0 * x + 0.5, 14.0 * y + 0.5, 20] for y in range(lines) for x in range(10)])
+    folded = truth.copy()
+    folded[:, 1] = truth[:, 1] % 28 if lines == 6 else truth[:, 1] - truth[:, 1] // 14 % 3 * 14
+    found = georeference(displaced(reconstruction_of(folded), 2), gps_of(truth))
+    assert found.metric == metric
+    assert any("look alike may lie on each other" in warning for warning in found.warnings)
+
+
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10_000))
 def test_a_scale_that_is_accepted_is_true_within_its_limit(seed):

@@ -29,6 +29,14 @@ LEAST_NOISE_M = 0.03
 """Least noise of positions in EXIF, even where their residuals are smaller: some phones repeat
 their last one."""
 
+LARGEST_NOISE_M = 5.0
+"""Positions that are off by more (median) contradict the poses."""
+
+CONTRADICTION = (
+    "GPS rarely errs by so much: parts of the scene that look alike may lie on each other in it; "
+    "look at the cameras' path on the page"
+)
+
 DISAGREEMENT = 0.1
 """Log ratio of the scale by GPS and that by a known distance above which the user is warned."""
 
@@ -157,9 +165,12 @@ def _solution(
 
 
 def _too_close(solution: _Solution) -> str:
+    median_m = float(np.median(solution.residuals_m))
+    off = f"they are {median_m:.2g} m (median) off the cameras"
+    if median_m > LARGEST_NOISE_M:
+        return f"{off}. {CONTRADICTION}"
     return (
-        f"they are {np.median(solution.residuals_m):.2g} m (median) off the cameras, which are "
-        f"too close together for "
+        f"{off}, which are too close together for "
         f"that ({solution.spread_m:.2g} m about their middle)"
     )
 
@@ -180,6 +191,8 @@ def _georeference(
             f"The known distance makes the scene {ratio:.2g} times as large as GPS does; check it.",
         )
     residual_m = float(np.median(solution.residuals_m))
+    if residual_m > LARGEST_NOISE_M:
+        warnings += (f"The cameras are {residual_m:.2g} m off GPS (median). {CONTRADICTION}.",)
     what = "metres and the axes east, north, up" if scale is None else "the axes east, north, up"
     used = int(inliers.sum())
     text = (
