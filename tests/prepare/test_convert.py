@@ -106,6 +106,9 @@ def test_upright_photos_keep_their_bytes(made, scene, photos):
     assert [view.images[RGB].file for view in found.views] == ["images/a.jpg", "images/b.jpg"]
     assert (scene / "images/a.jpg").read_bytes() == (root / "rgb/a.JPG").read_bytes()
     assert (found.views[0].exif.model, found.views[0].exif.taken) == ("X100", NOON)
+    assert (
+        found.views[0].facts.record.taken == NOON
+    )  # of the RGB photo, where the thermal says none
     assert found.views[0].facts.notes == ("The numbers are taken for celsius.",)
 
 

@@ -41,7 +41,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS = "photos"
 """The folder in the cache that holds a result for each pair."""
 
-_VERSION = 4
+_VERSION = 5
 """Raise it when the same photos give other images."""
 
 Stamp = list[tuple[str, int, int]]
@@ -187,7 +187,9 @@ def _convert(pair: PhotoPair, stamp: Stamp, settings: _Conversion) -> ConvertedV
     }
     _remove_images(scene, pair.name, keep=[image.file for image in images.values()])
     notes = () if unit is None else (f"The numbers are taken for {unit}.",)
-    facts = thermal.facts.adding(notes=notes, visible=None)
+    rgb = pair.exif.get(RGB, ExifFacts())
+    taken = thermal.facts.taken or rgb.taken
+    facts = thermal.facts.adding(notes=notes, visible=None, taken=taken)
     celsius = thermal.temperature_c
     range_c = None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius)))
     return ConvertedView(pair.name, images, _merged_exif(pair, facts), facts, range_c)

@@ -120,7 +120,8 @@ class PhotoRecord:
         source: the kind of file, in words.
         camera: maker's name of the model; empty if not known.
         serial: the camera's serial number; empty if not known.
-        taken: by the camera's own clock, without a time zone; None if not known.
+        taken: by the camera's own clock, or else that of the RGB photo beside it, without a time
+            zone; None if not known.
         parameters: with which the temperatures were computed; None if not known.
         planck: the camera's calibration; None if not known.
     """
