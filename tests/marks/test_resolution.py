@@ -16,7 +16,9 @@ from mrgs.marks.tables import facts_of_reading, text_rows
 from mrgs.marks.texts import mark_text
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.marks.uncertainty.budget import Budget
+from mrgs.marks.uncertainty.photo_parts import READING, RENDERED
 from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.method.camera_model.point_spread import blur
 from mrgs.scene import (
     THERMAL,
     Blend,
@@ -121,3 +123,23 @@ def test_a_spot_is_remarked_in_its_middle_alone():
 @pytest.mark.parametrize(("height_c", "width_px"), [(10.0, 5.0), (0.5, 2.0), (0.0, 2.0)])
 def test_wide_and_faint_places_are_not_remarked(height_c, width_px):
     assert WallWithSpot(height_c, width_px).reading().remarks == ()
+
+
+@pytest.mark.parametrize("width", [160, 640])
+def test_photos_wider_than_what_is_compared_are_blurred_by_their_own_pixels(width):
+    """The blur is in pixels of the photos; wide ones are compared at half of their width."""
+    camera = Camera.from_fov(width, width * 3 // 4, 60.0).look_at([0.0, -5.0, 0.0], [0.0, 0.0, 0.0])
+    wall = WallWithSpot(10.0, 8.0 * 160 / width)
+    sigma_px = torch.tensor(2.0)
+
+    def respond(rendering, camera, pixel_sizes):
+        image = rendering[THERMAL].image[..., 0].float()
+        blurred = blur(image, sigma_px / pixel_sizes[THERMAL])
+        return rendering.with_images({THERMAL: blurred[..., None].double()})
+
+    photo = respond(wall(camera), camera, {THERMAL: 1.0})[THERMAL].image.float()
+    view = View("v", {THERMAL: PosedImage(camera, lambda: Pixels(photo))})
+    seen = PhotoWitnesses(wall, respond, [view], RANGE)[0].image
+    row, column = (side // 2 for side in seen.shape[:2])
+    middle = seen[row - 20 : row + 20, column - 20 : column + 20]
+    assert np.abs(middle[..., READING] - middle[..., RENDERED]).max() < 0.15

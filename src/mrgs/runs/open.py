@@ -18,7 +18,7 @@ from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.runs.registry import Method, find_method
-from mrgs.scene import Camera, Modality, Rendering, Scene
+from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training.checkpoint import load_model
@@ -82,8 +82,13 @@ class Run(TrainedRun):
                 options=("device",),
             ) from None
 
-    def camera_response(self, rendering: Rendering, camera: Camera) -> Rendering:  # noqa: D102
-        return self.image_model.expected(rendering, camera)
+    def camera_response(  # noqa: D102
+        self,
+        rendering: Rendering,
+        camera: Camera,
+        pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
+    ) -> Rendering:
+        return self.image_model.expected(rendering, camera, pixel_sizes)
 
     @property
     def gaussian_count(self) -> int:  # noqa: D102

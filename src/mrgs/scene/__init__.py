@@ -16,7 +16,13 @@ from mrgs.scene.modality import (
 )
 from mrgs.scene.point_cloud import PointCloud
 from mrgs.scene.reach import Reach, reach
-from mrgs.scene.rendering import Blend, CameraResponse, Rendering, ideal_cameras
+from mrgs.scene.rendering import (
+    NOT_COARSER,
+    Blend,
+    CameraResponse,
+    Rendering,
+    ideal_cameras,
+)
 from mrgs.scene.scene import Scene
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
@@ -24,6 +30,7 @@ from mrgs.scene.world import EarthPosition, WorldFrame
 
 __all__ = [
     "BUILT_IN",
+    "NOT_COARSER",
     "RGB",
     "THERMAL",
     "Array",

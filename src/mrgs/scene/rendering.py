@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
-from typing import NamedTuple, TypeAlias
+from types import MappingProxyType
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -147,12 +148,32 @@ class Rendering(Mapping[Modality, Blend]):
         return Rendering(self, {each: partial(changed, each) for each in self})
 
 
-CameraResponse: TypeAlias = Callable[[Rendering, Camera], Rendering]
-"""From a rendering, and the camera that it is seen from, to what the scene's cameras would have
-recorded there."""
+NOT_COARSER: Mapping[Modality, float] = MappingProxyType({})
+"""Pixel sizes of a rendering whose pixels are those of the photos."""
 
 
-def ideal_cameras(rendering: Rendering, camera: Camera) -> Rendering:
+@runtime_checkable
+class CameraResponse(Protocol):
+    """What the scene's cameras make of a rendering."""
+
+    def __call__(
+        self,
+        rendering: Rendering,
+        camera: Camera,
+        pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
+    ) -> Rendering:
+        """What they would have recorded.
+
+        Args:
+            rendering: of a view.
+            camera: that it is seen from.
+            pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
+        """
+
+
+def ideal_cameras(
+    rendering: Rendering, camera: Camera, pixel_sizes: Mapping[Modality, float] = NOT_COARSER
+) -> Rendering:
     """A camera response that changes nothing."""
     return rendering
 

@@ -15,7 +15,17 @@ from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
-from mrgs.scene import THERMAL, Array, Camera, Modality, Rendering, Scene, TemperatureRange, View
+from mrgs.scene import (
+    NOT_COARSER,
+    THERMAL,
+    Array,
+    Camera,
+    Modality,
+    Rendering,
+    Scene,
+    TemperatureRange,
+    View,
+)
 from mrgs.scene.arrays import as_tensor
 from mrgs.scene.depth_map import (
     MAX_STEP,
@@ -87,11 +97,21 @@ class TrainedRun(ABC):
             {each: cameras[each] for each in cameras if each in self.modalities}
         )
 
-    def camera_response(self, rendering: Rendering, camera: Camera) -> Rendering:
+    def camera_response(
+        self,
+        rendering: Rendering,
+        camera: Camera,
+        pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
+    ) -> Rendering:
         """The rendering of a camera as the scene's cameras would have recorded it there, to be
         compared with photos.
 
         The same, unless the method has learned what the cameras do to the images.
+
+        Args:
+            rendering: of a view.
+            camera: that it is seen from.
+            pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
         """
         return rendering
 

@@ -142,7 +142,8 @@ class PhotoWitnesses:
         if camera.width > WIDTH_PX:
             camera = camera.with_width(WIDTH_PX)
         rendering = self._render(camera)
-        written = self._respond(rendering, view.camera)
+        coarser = {THERMAL: photo.camera.width / camera.width}
+        written = self._respond(rendering, view.camera, coarser)
         size = camera.height, camera.width
         model, blurred = (_values(each) for each in (rendering, written))
         difference = _reduced(_photo_values(view), size) - blurred

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -20,7 +19,7 @@ from mrgs.method.adam import ParameterGroup
 from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
-from mrgs.scene import THERMAL, Camera, Modality, Pixels, Rendering, Scene
+from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering, Scene
 from mrgs.system.limits import MOST_RATE, require_within
 
 INITIAL_POINT_SPREAD_PX = 0.8
@@ -30,8 +29,6 @@ SMALLEST_POINT_SPREAD_PX = 0.2
 SMALLEST_LEARNED_PX = 0.3
 """In pixels of the photo. It moves a hundredth of what a pixel shows to its neighbours; a much
 smaller width has no gradient, so that it would never grow again."""
-
-NOT_COARSER: Mapping[Modality, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -183,13 +180,20 @@ class ImageModel(nn.Module):
         )
 
     @torch.no_grad()
-    def expected(self, rendering: Rendering, camera: Camera) -> Rendering:
-        """The rendering of any camera as it is expected to write it; no gradients."""
+    def expected(
+        self,
+        rendering: Rendering,
+        camera: Camera,
+        pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
+    ) -> Rendering:
+        """The rendering of any camera as it is expected to write it, a ``CameraResponse``; no
+        gradients."""
         viewpoint = Viewpoint.of(camera, self._extent)
         return self._written(
             rendering,
             lambda gains: gains.expected(viewpoint),
             lambda drift: drift.expected(viewpoint),
+            pixel_sizes.get(THERMAL, 1.0),
         )
 
     def thermal_residual(
