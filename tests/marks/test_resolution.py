@@ -16,8 +16,8 @@ from mrgs.marks.tables import facts_of_reading, text_rows
 from mrgs.marks.texts import mark_text
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.marks.uncertainty.budget import Budget
-from mrgs.marks.uncertainty.photo_parts import READING, RENDERED
-from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.marks.uncertainty.photo_parts import BLURRED, READING, RENDERED
+from mrgs.marks.uncertainty.witnesses import USUAL_BLUR_PX, PhotoWitnesses
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.scene import (
     THERMAL,
@@ -143,3 +143,42 @@ def test_photos_wider_than_what_is_compared_are_blurred_by_their_own_pixels(widt
     row, column = (side // 2 for side in seen.shape[:2])
     middle = seen[row - 20 : row + 20, column - 20 : column + 20]
     assert np.abs(middle[..., READING] - middle[..., RENDERED]).max() < 0.15
+
+
+def blurring_of(wall: WallWithSpot, gain: float, sigma_px: float | None) -> np.ndarray:
+    """What the blur of a camera changes in the middle of its photo, K."""
+
+    def respond(rendering, camera, pixel_sizes):
+        image = rendering[THERMAL].image[..., 0].float()
+        if sigma_px is not None:
+            image = blur(image, torch.tensor(sigma_px))
+        return rendering.with_images({THERMAL: (gain * image + 0.1)[..., None].double()})
+
+    photo = respond(wall(CAMERAS[1]), CAMERAS[1], {})[THERMAL].image.float()
+    view = View("v", {THERMAL: PosedImage(CAMERAS[1], lambda: Pixels(photo))})
+    change = PhotoWitnesses(wall, respond, [view], RANGE)[0].image[..., BLURRED]
+    return change[58:62, 78:82]
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.3])
+def test_what_the_blur_of_a_camera_takes_from_a_peak(gain):
+    """The variances of peak and blur add, whatever gain and offset the photo has."""
+    width_px, sigma_px = 8.0, 1.5
+    peak_px = width_px / 2.3548
+    left = 10 * peak_px**2 / (peak_px**2 + sigma_px**2)
+    change = blurring_of(WallWithSpot(10.0, width_px), gain, sigma_px)
+    assert change.min() == pytest.approx(left - 10, rel=0.05)
+
+
+def test_a_camera_without_a_known_blur_is_taken_to_have_a_usual_one():
+    wall = WallWithSpot(10.0, 16.0)
+    usual = blurring_of(wall, 1.0, None)
+    assert usual == pytest.approx(blurring_of(wall, 1.0, USUAL_BLUR_PX), rel=0.1)
+    assert usual.max() < -0.3
+
+
+def test_a_wide_hot_place_is_told_from_a_narrow_one():
+    """A peak that the photos resolve is known better than its contrast to what is around it."""
+    wide, narrow = (blurring_of(WallWithSpot(10.0, each), 1.0, 0.7).min() for each in (8.0, 2.0))
+    assert -0.5 < wide < 0
+    assert narrow < -2

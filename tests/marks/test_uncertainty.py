@@ -66,7 +66,7 @@ def test_what_photos_disagree_by_and_how_sharp_a_place_is():
 def test_a_value_that_differs_from_what_the_photos_read_is_doubtful():
     sums = SightingSums(2, 0.2)
     for reading in (10.0, 12.0):
-        sums.add(np.array([0]), np.array([[reading, 11.5, 0, 0, 0, 0]], np.float32))
+        sums.add(np.array([0]), np.array([[reading, 11.5, 0, 0, 0, 0, 0]], np.float32))
     parts = sums.parts(OF_MARK, np.array([11.5, 3.0]))
     assert parts.photos[0] == pytest.approx(math.hypot(OF_MARK.scatter, 0.2))
     assert parts.model[0] == pytest.approx(0.5 * OF_MARK.deviation)
@@ -75,11 +75,11 @@ def test_a_value_that_differs_from_what_the_photos_read_is_doubtful():
 
 
 def test_a_narrow_peak_is_doubtful_and_a_slope_is_not():
-    sums = SightingSums(3, 0.0)
-    slope, peak, ridge = [20, 20, 2, -2, 1, -1], [20, 20, -4, -4, -4, -4], [20, 20, -4, -4, 0, 0]
-    sums.add(np.arange(3), np.array([slope, peak, ridge], np.float32))
-    parts = sums.parts(OF_MARK, np.full(3, 20.0))
-    assert parts.detail == pytest.approx(np.array([0, 4, 2]) * OF_MARK.curvature)
+    sums = SightingSums(2, 0.0)
+    slope, peak = [20, 20, 2, -2, 1, -1, 0], [20, 20, -4, -4, -4, -4, -1.5]
+    sums.add(np.arange(2), np.array([slope, peak], np.float32))
+    parts = sums.parts(OF_MARK, np.full(2, 20.0))
+    assert parts.detail == pytest.approx(np.array([0, 1.5]) * OF_MARK.blur)
     assert parts.total == pytest.approx(np.hypot(parts.model, parts.detail))
     assert not sums.parts(OF_POINT).detail.any()
 

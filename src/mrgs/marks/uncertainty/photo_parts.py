@@ -23,28 +23,30 @@ class Shares(NamedTuple):
             their mean keeps.
         contrast: times the change of the model's value when the place is shifted by ``SHIFT_PX``:
             places and poses are not known better, and detail that fine is not resolved.
-        curvature: times the mean of that change over all sides: a peak that the photos show as
-            narrow was higher before they blurred it, and their noise makes some.
+        blur: times what the camera's blur changes there: a peak that the photos show as narrow was
+            higher before they blurred it, and their noise makes some.
         deviation: times the difference between a value and the mean of what the photos read there.
     """
 
     scatter: float
     contrast: float
-    curvature: float
+    blur: float
     deviation: float
 
 
 OF_POINT = Shares(0.7, 0.65, 0.0, 0.0)
 """Of what the photos' cameras see at a single point, so that there is no deviation."""
 
-OF_MARK = Shares(0.9, 0.4, 1.5, 1.2)
+OF_MARK = Shares(0.9, 0.4, 4.0, 1.2)
 """Of the mean of a mark, which is over detail that is not resolved."""
 
 READING, RENDERED = 0, 1
 SHIFTS = slice(2, 6)
-CHANNELS = 6
-"""What a photo shows of a place: what it reads, what the model shows from its camera, and by how
-much that changes ``SHIFT_PX`` to each of four sides; in the unit of the values."""
+BLURRED = 6
+CHANNELS = 7
+"""What a photo shows of a place: what it reads, what the model shows from its camera, by how much
+that changes ``SHIFT_PX`` to each of four sides, and by how much the camera's blur changes it; in
+the unit of the values."""
 
 
 class PhotoParts(NamedTuple):
@@ -80,7 +82,7 @@ class SightingSums:
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding
         self.photos = np.zeros(places, np.float32)
-        self._readings, self._squares, self._contrast, self._curvature = (
+        self._readings, self._squares, self._contrast, self._blur = (
             np.zeros(places, np.float32) for _ in range(4)
         )
 
@@ -98,7 +100,7 @@ class SightingSums:
         self._readings[rows] += step / self.photos[rows]
         self._squares[rows] += step * (values[:, READING] - self._readings[rows])
         self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
-        self._curvature[rows] += values[:, SHIFTS].mean(axis=1)
+        self._blur[rows] += values[:, BLURRED]
 
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty.
@@ -115,5 +117,5 @@ class SightingSums:
         return PhotoParts(
             np.hypot(shares.scatter * scatter, self._rounding),
             np.hypot(shares.contrast * contrast, shares.deviation * away),
-            shares.curvature * np.abs(self._curvature / count),
+            shares.blur * np.abs(self._blur / count),
         )

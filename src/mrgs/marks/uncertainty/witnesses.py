@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from mrgs.marks.surface import SurfaceRenderer, seen_depth
 from mrgs.marks.uncertainty.photo_parts import (
+    BLURRED,
     CHANNELS,
     OF_MARK,
     OF_POINT,
@@ -37,6 +38,10 @@ NOISE_PHOTOS = 4
 EVEN_SHARE = 0.25
 """Of the blocks of a photo, that show even surfaces: elsewhere what the model does not resolve
 looks like noise, and noise would average the roundings."""
+
+USUAL_BLUR_PX = 1.4
+LEAST_BLURRING = 1e-6
+"""Share of the range that a known blur changes somewhere in a photo."""
 
 LEAST_SHARE = 0.5
 """A photo that shows less of a mark does not count."""
@@ -142,16 +147,19 @@ class PhotoWitnesses:
         if camera.width > WIDTH_PX:
             camera = camera.with_width(WIDTH_PX)
         rendering = self._render(camera)
-        coarser = {THERMAL: photo.camera.width / camera.width}
-        written = self._respond(rendering, view.camera, coarser)
-        size = camera.height, camera.width
-        model, blurred = (_values(each) for each in (rendering, written))
-        difference = _reduced(_photo_values(view), size) - blurred
-        image = np.empty((*size, CHANNELS), np.float32)
+        record = partial(
+            self._respond,
+            camera=view.camera,
+            pixel_sizes={THERMAL: photo.camera.width / camera.width},
+        )
+        model, recorded = _values(rendering), _values(record(rendering))
+        difference = _reduced(_photo_values(view), model.shape) - recorded
+        image = np.empty((*model.shape, CHANNELS), np.float32)
         # The photo without the camera's blur and drift, as far as the model knows them.
         image[..., READING] = self._least + self._span * (model + difference)
         image[..., RENDERED] = self._least + self._span * model
         image[..., SHIFTS] = self._span * _shifted(model)
+        image[..., BLURRED] = self._span * _blurring(rendering, record)
         return DepthMap(camera, seen_depth(rendering).astype(np.float32), image)
 
 
@@ -166,7 +174,7 @@ def _photo_values(view: View) -> Float[Tensor, "h w"]:
     return values if pixels.valid is None else torch.where(pixels.valid, values, torch.nan)
 
 
-def _reduced(image: Float[Tensor, "h w"], size: tuple[int, int]) -> Float[np.ndarray, "h2 w2"]:
+def _reduced(image: Float[Tensor, "h w"], size: tuple[int, ...]) -> Float[np.ndarray, "h2 w2"]:
     """An image averaged to a size; NaN where any of what is averaged is."""
     if tuple(image.shape) != size:
         image = torch.nn.functional.interpolate(image[None, None], size, mode="area")[0, 0]
@@ -182,6 +190,25 @@ def _shifted(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 4"]:
         wide[twice:, middle], wide[:-twice, middle], wide[middle, twice:], wide[middle, :-twice],
     ]  # fmt: skip
     return np.stack(sides, axis=2) - image[..., None]
+
+
+def _blurring(
+    rendering: Rendering, record: Callable[[Rendering], Rendering]
+) -> Float[np.ndarray, "h w"]:
+    """By how much the camera's blur changes what the model shows, without the photo's gain and
+    offset, which are told from even images.
+
+    Where no blur is known, that of a usual one: for small widths σ it is σ² / 2 times the
+    Laplacian, which four values in the distance d tell as 4 (mean − middle) / d².
+    """
+    model = _values(rendering)
+    image = rendering[THERMAL].image
+    even = [rendering.with_images({THERMAL: torch.full_like(image, each)}) for each in (0, 1)]
+    offset, with_gain = (_values(record(each)) for each in even)
+    change = (_values(record(rendering)) - offset) / (with_gain - offset) - model
+    if np.abs(change).max() < LEAST_BLURRING:
+        return 2 * (USUAL_BLUR_PX / SHIFT_PX) ** 2 * _shifted(model).mean(axis=2)
+    return change
 
 
 def _step_of(views: Sequence[View]) -> float:
