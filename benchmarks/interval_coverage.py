@@ -21,11 +21,14 @@ from mrgs.evaluation.truth import Truth
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.run_marks import RunMarks, eye_of, spot_radius
-from mrgs.report.proposals import CANDIDATES, views_of
+from mrgs.report.proposals import views_of
 from mrgs.report.spots import find_spots
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera, Scene, View
 from mrgs.scene.depth_map import SURFACE_DEPTH
+
+PEAKS = 6
+"""Hottest places of a scene, and as many coldest."""
 
 SPOTS, BOXES, TRIES = 12, 10, 120
 """Marks of a view, and how many places are tried for them."""
@@ -182,7 +185,7 @@ def _box(marks: RunMarks, view: ExactView, generator: np.random.Generator) -> Pl
 def _peaks(scene: Scene, marks: RunMarks) -> Iterator[Mark]:
     """Spots on the hottest and the coldest places, as the report measures them."""
     views = views_of(scene)
-    for spots in find_spots(views, marks.run.render, CANDIDATES, scene.reach, []):
+    for spots in find_spots(views, marks.run.render, PEAKS, scene.reach, []):
         for spot in spots:
             camera = views[spot.view].images[THERMAL].camera
             points = places_of([spot.position.tolist()])

@@ -24,6 +24,7 @@ from mrgs.report.proposals import propose, views_of
 from mrgs.report.spots import find_spots
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import THERMAL
+from mrgs.survey import Survey
 from mrgs.training import make_config, train
 from tests.helpers.scenes import write_scene
 
@@ -319,7 +320,7 @@ def test_proposals_are_kept_until_they_are_judged(run: Run, tmp_path: Path):
 @pytest.mark.usefixtures("certain")
 def test_proposals_in_a_region_have_its_emissivity(run: Run):
     marks, scene = open_marks(run), run.load_scene()
-    found = propose(marks, scene, marks.meter.regions(marks.marks))
+    found = propose(marks, scene, marks.meter.regions(marks.marks), Survey())
     name, (before, _, _) = next(iter(found.anomalies.items()))
     camera = views_of(scene)[before.view].images[THERMAL].camera
     x, y = camera.project(torch.from_numpy(before.position))[0].tolist()
@@ -341,25 +342,49 @@ def test_what_is_uncertain_by_more_than_it_differs_is_held_back(run: Run):
     marks, scene = open_marks(run), run.load_scene()
     regions = marks.meter.regions(marks.marks)
     marks.meter.uncertainty = Doubting(0.0)
-    certain = propose(marks, scene, regions)
+    certain = propose(marks, scene, regions, Survey())
     assert len(certain.anomalies) >= 2
     assert certain.held_back == 0
     limit = min(abs(each.contrast) for each in certain.anomalies.values())
     marks.meter.uncertainty = Doubting(limit)
-    found = propose(marks, scene, regions)
+    found = propose(marks, scene, regions, Survey())
     assert found.held_back >= 1
     assert all(abs(each.contrast) > limit for each in found.anomalies.values())
     marks.meter.uncertainty = Doubting(100.0)
-    nothing = propose(marks, scene, regions)
+    nothing = propose(marks, scene, regions, Survey())
     assert nothing.anomalies == {}
     assert nothing.held_back >= 2
     assert marks.marks.proposals == ()
 
 
 @pytest.mark.usefixtures("certain")
+def test_the_survey_says_how_many_places_are_proposed(run: Run, monkeypatch: pytest.MonkeyPatch):
+    marks, scene = open_marks(run), run.load_scene()
+    regions = marks.meter.regions(marks.marks)
+    measured = []
+
+    def counted(views, render, count, *rest):
+        measured.append(count)
+        return find_spots(views, render, count, *rest)
+
+    monkeypatch.setattr("mrgs.report.proposals.find_spots", counted)
+
+    def proposed(**counts: int) -> set[str]:
+        return {name[0] for name in propose(marks, scene, regions, Survey(**counts)).anomalies}
+
+    assert proposed() == {"H", "C"}
+    assert proposed(cold_places=0) == {"H"}
+    assert proposed(hot_places=0) == {"C"}
+    assert proposed(hot_places=0, cold_places=0) == set()
+    assert marks.marks.proposals == ()
+    proposed(hot_places=20)
+    assert measured == [6, 6, 6, 0, 40]
+
+
+@pytest.mark.usefixtures("certain")
 def test_a_large_area_says_nothing_of_the_places_in_it(run: Run):
     marks, scene = open_marks(run), run.load_scene()
-    found = propose(marks, scene, Regions(Marks(), run.render, None, marks.meter.capture))
+    found = propose(marks, scene, Regions(Marks(), run.render, None, marks.meter.capture), Survey())
     name, (spot, reading, _) = next(iter(found.anomalies.items()))
     middle, radius = np.array(reading.mark.points[0]), reading.mark.radius
     square = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
@@ -368,7 +393,7 @@ def test_a_large_area_says_nothing_of_the_places_in_it(run: Run):
         points = tuple(map(tuple, (middle + half * square).tolist()))
         box = Mark("Wall", "box", points, reading.mark.eye)
         marks.store.edit(lambda _: Marks((box,)))
-        return tuple(propose(marks, scene, marks.meter.regions(Marks())).anomalies)
+        return tuple(propose(marks, scene, marks.meter.regions(Marks()), Survey()).anomalies)
 
     assert name in proposed(half=100 * radius)
     assert spot.position.tolist() not in [
@@ -387,7 +412,7 @@ def test_what_too_few_photos_see_is_no_proposal(run: Run, monkeypatch: pytest.Mo
     marks, scene = open_marks(run), run.load_scene()
     marks.meter.uncertainty = Doubting(0.0)
     regions = marks.meter.regions(marks.marks)
-    assert propose(marks, scene, regions).anomalies
+    assert propose(marks, scene, regions, Survey()).anomalies
     monkeypatch.setattr(MarkMeter, "_photos_of", lambda meter, places: 1)
-    found = propose(marks, scene, regions)
+    found = propose(marks, scene, regions, Survey())
     assert (found.anomalies, found.held_back) == ({}, 0)

@@ -58,6 +58,8 @@ def test_assignments_change_some_fields():
         ("nobody=1", "write NAME=VALUE, with a NAME of title, object"),
         ("inside_c=warm", "inside_c must be of type float, not 'warm'"),
         ("wind_m_s=-3", "wind_m_s must be from 0 to 100 m/s, not -3"),
+        ("hot_places=101", "hot_places must be from 0 to 100, not 101"),
+        ("cold_places=1.5", "cold_places must be of type int, not 1.5"),
         ("standard=my own", "standard must be one of EN 13187, ISO 6781-3, IEC TS 62446-3"),
         ("date=tomorrow", "date must be of type date, not 'tomorrow'"),
         ("remarks=" + "x" * 2001, "remarks must be a text of at most 2,000 printable characters"),

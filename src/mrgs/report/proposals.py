@@ -20,12 +20,13 @@ from mrgs.report.pictures import photo_value, surroundings
 from mrgs.report.spots import Spot, find_spots
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, TemperatureRange, View
+from mrgs.survey import Survey
 
 PROPOSED = 3
-"""At most so many hot and so many cold places."""
+"""At most so many hot and so many cold places, unless the survey says how many."""
 
-CANDIDATES = 6
-"""Of each that are measured to find them."""
+CANDIDATES = 2
+"""Times as many are measured to find them."""
 
 LEAST_PHOTOS = 2
 """That see a place as a mark."""
@@ -91,7 +92,7 @@ class ShownProposal(NamedTuple):
     at_end: bool
 
 
-def propose(marks: RunMarks, scene: Scene, regions: Regions) -> Proposals:
+def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> Proposals:
     """Find the hottest and the coldest spots that stand out, and keep them in the run as its
     proposals.
 
@@ -102,6 +103,7 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions) -> Proposals:
         marks: of the run.
         scene: of the run.
         regions: surfaces with an emissivity of their own, for which temperatures are corrected.
+        survey: may say how many to propose.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -109,8 +111,14 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions) -> Proposals:
     """
     known = marks.marks
     judged = [np.array(mark.points) for mark in (*known.marks, *known.dropped)]
-    found = find_spots(views_of(scene), regions.render, CANDIDATES, scene.reach, judged)
-    chosen = [_standing_out(spots, marks, scene, regions) for spots in found]
+    stated = survey.hot_places, survey.cold_places
+    counts = [PROPOSED if count is None else count for count in stated]
+    most = CANDIDATES * max(counts)
+    found = find_spots(views_of(scene), regions.render, most, scene.reach, judged)
+    chosen = [
+        _standing_out(spots[: CANDIDATES * count], count, marks, scene, regions)
+        for spots, count in zip(found, counts, strict=True)
+    ]
     named: dict[str, Anomaly] = {}
 
     def change(now: Marks) -> Marks:
@@ -124,15 +132,16 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions) -> Proposals:
 
 
 def _standing_out(
-    spots: Sequence[Spot], marks: RunMarks, scene: Scene, regions: Regions
+    spots: Sequence[Spot], count: int, marks: RunMarks, scene: Scene, regions: Regions
 ) -> tuple[list[Anomaly], int]:
-    """The first spots that stand out, and how many before them do not. A spot that too few photos
-    see as a mark counts as neither: what floats beside an outline is seen from one place."""
+    """The first ``count`` spots that stand out, and how many before them do not. A spot that too
+    few photos see as a mark counts as neither: what floats beside an outline is seen from one
+    place."""
     least = min(LEAST_PHOTOS, len(scene.train_photos(THERMAL)))
     kept: list[Anomaly] = []
     held_back = 0
     for spot in spots:
-        if len(kept) == PROPOSED:
+        if len(kept) == count:
             break
         anomaly = _measured(spot, marks, scene, regions)
         if (anomaly.reading.photos or 0) < least:

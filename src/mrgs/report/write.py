@@ -187,7 +187,7 @@ def write_report(
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)
-    found = propose(marks, scene, regions) if has_thermal else Proposals({}, 0)
+    found = propose(marks, scene, regions, survey) if has_thermal else Proposals({}, 0)
     begin(1)
     findings = _findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)

@@ -68,6 +68,8 @@ class Survey:
         emissivity_uncertainty: standard uncertainty of the emissivities.
         reflected_uncertainty_c: standard uncertainty of the reflected temperatures, K.
         distance_uncertainty_percent: standard uncertainty of the distances, per cent.
+        hot_places: at most so many of the hottest places are proposed as anomalies.
+        cold_places: the same of the coldest.
         statement: the inspector's conclusion.
         remarks: anything else.
 
@@ -110,6 +112,8 @@ class Survey:
     emissivity_uncertainty: float | None = None
     reflected_uncertainty_c: float | None = None
     distance_uncertainty_percent: float | None = None
+    hot_places: int | None = None
+    cold_places: int | None = None
     statement: str | None = None
     remarks: str | None = None
 
@@ -122,7 +126,7 @@ class Survey:
                     f"{name} must be a text of at most {LONGEST_TEXT:,} printable characters"
                 )
             low, high, unit = LIMITS.get(name, (0.0, 0.0, ""))
-            if isinstance(value, float) and not low <= value <= high:
+            if isinstance(value, (int, float)) and not low <= value <= high:
                 raise ConfigError(f"{name} must be from {low:g} to {high:g}{unit}, not {value:g}")
 
     def __bool__(self) -> bool:
@@ -166,6 +170,8 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "emissivity_uncertainty": (0.0, 0.5, ""),
     "reflected_uncertainty_c": (0.0, 500.0, " K"),
     "distance_uncertainty_percent": (0.0, 100.0, " %"),
+    "hot_places": (0, 100, ""),
+    "cold_places": (0, 100, ""),
 }
 """Smallest and largest value of each number, and its unit as written behind one."""
 
@@ -218,4 +224,5 @@ def _value_of(text: str, kind: str, source: str) -> Any:
     if kind.startswith(("str", "Standard", "Side")):
         return text
     value = parse_yaml(text, source)
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return float(value) if whole and not kind.startswith("int") else value
