@@ -97,6 +97,11 @@ class _Solution:
     scale_error: float
     turn_deg: float
 
+    @property
+    def residual_m(self) -> float:
+        """The median of the residuals."""
+        return float(np.median(self.residuals_m))
+
 
 def _in_space(
     reconstruction: Reconstruction, gps: Mapping[str, GpsPosition], scale_matters: bool
@@ -165,9 +170,8 @@ def _solution(
 
 
 def _too_close(solution: _Solution) -> str:
-    median_m = float(np.median(solution.residuals_m))
-    off = f"they are {median_m:.2g} m (median) off the cameras"
-    if median_m > LARGEST_NOISE_M:
+    off = f"they are {solution.residual_m:.2g} m (median) off the cameras"
+    if solution.residual_m > LARGEST_NOISE_M:
         return f"{off}. {CONTRADICTION}"
     return (
         f"{off}, which are too close together for "
@@ -190,7 +194,7 @@ def _georeference(
         warnings += (
             f"The known distance makes the scene {ratio:.2g} times as large as GPS does; check it.",
         )
-    residual_m = float(np.median(solution.residuals_m))
+    residual_m = solution.residual_m
     if residual_m > LARGEST_NOISE_M:
         warnings += (f"The cameras are {residual_m:.2g} m off GPS (median). {CONTRADICTION}.",)
     what = "metres and the axes east, north, up" if scale is None else "the axes east, north, up"

@@ -234,7 +234,7 @@ def _response_of(state: TrainingState) -> CameraResponse:
     image_model = state.image_model
     if state.device == HOST:
         return image_model.expected
-    return lambda *seen: deepcopy(image_model).to(HOST).expected(*seen)
+    return lambda *seen, **sizes: deepcopy(image_model).to(HOST).expected(*seen, **sizes)
 
 
 class Trainer(Driver[StepStatistics]):

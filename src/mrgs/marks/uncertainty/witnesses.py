@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -152,14 +152,20 @@ class PhotoWitnesses:
             camera=view.camera,
             pixel_sizes={THERMAL: photo.camera.width / camera.width},
         )
-        model, recorded = _values(rendering), _values(record(rendering))
+        thermal = rendering[THERMAL].image
+        # Even images tell the photo's gain and offset, which are no blur.
+        even = [rendering.with_images({THERMAL: torch.full_like(thermal, v)}) for v in (0, 1)]
+        model = _values(rendering)
+        recorded, offset, with_gain = (_values(record(each)) for each in (rendering, *even))
         difference = _reduced(_photo_values(view), model.shape) - recorded
         image = np.empty((*model.shape, CHANNELS), np.float32)
         # The photo without the camera's blur and drift, as far as the model knows them.
         image[..., READING] = self._least + self._span * (model + difference)
         image[..., RENDERED] = self._least + self._span * model
-        image[..., SHIFTS] = self._span * _shifted(model)
-        image[..., BLURRED] = self._span * _blurring(rendering, record)
+        shifted = _shifted(model)
+        image[..., SHIFTS] = self._span * shifted
+        change = (recorded - offset) / (with_gain - offset) - model
+        image[..., BLURRED] = self._span * _blurring(change, shifted)
         return DepthMap(camera, seen_depth(rendering).astype(np.float32), image)
 
 
@@ -193,21 +199,15 @@ def _shifted(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 4"]:
 
 
 def _blurring(
-    rendering: Rendering, record: Callable[[Rendering], Rendering]
+    change: Float[np.ndarray, "h w"], shifted: Float[np.ndarray, "h w 4"]
 ) -> Float[np.ndarray, "h w"]:
-    """By how much the camera's blur changes what the model shows, without the photo's gain and
-    offset, which are told from even images.
+    """By how much the camera's blur changes what the model shows.
 
     Where no blur is known, that of a usual one: for small widths σ it is σ² / 2 times the
     Laplacian, which four values in the distance d tell as 4 (mean − middle) / d².
     """
-    model = _values(rendering)
-    image = rendering[THERMAL].image
-    even = [rendering.with_images({THERMAL: torch.full_like(image, each)}) for each in (0, 1)]
-    offset, with_gain = (_values(record(each)) for each in even)
-    change = (_values(record(rendering)) - offset) / (with_gain - offset) - model
     if np.abs(change).max() < LEAST_BLURRING:
-        return 2 * (USUAL_BLUR_PX / SHIFT_PX) ** 2 * _shifted(model).mean(axis=2)
+        return 2 * (USUAL_BLUR_PX / SHIFT_PX) ** 2 * shifted.mean(axis=2)
     return change
 
 
