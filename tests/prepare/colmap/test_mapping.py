@@ -68,14 +68,25 @@ def job(tmp_path):
     return ReconstructionJob(tmp_path, files, False, FLIGHT)
 
 
+def matched_in(path) -> set[frozenset[str]]:
+    """Pairs of images that are matched in a database."""
+    import pycolmap
+
+    with pycolmap.Database.open(path) as database:
+        names = {image.image_id: image.name for image in database.read_all_images()}
+        pairs, _ = database.read_two_view_geometry_num_inliers()
+    return {frozenset(names[n] for n in pycolmap.pair_id_to_image_pair(pair)) for pair in pairs}
+
+
 def mapped(job, monkeypatch, by_all: np.ndarray, by_nearby: np.ndarray) -> tuple[list, bool, int]:
-    """The databases that were mapped, whether the second counted, and the model's images."""
+    """The databases that were mapped, by their matched pairs, whether the second counted, and the
+    model's images."""
     from mrgs.prepare.colmap import mapping
 
     databases = []
 
     def models(job, database, report):
-        databases.append(database)
+        databases.append(matched_in(database))
         centres = by_all if database == job.database else by_nearby
         return [Model(job.files[: len(centres)], centres)]
 
@@ -87,21 +98,16 @@ def mapped(job, monkeypatch, by_all: np.ndarray, by_nearby: np.ndarray) -> tuple
 
 def test_poses_that_gps_confirms_are_kept(job, monkeypatch):
     databases, nearby, _ = mapped(job, monkeypatch, FLIGHT, FLIGHT)
-    assert databases == [job.database]
+    assert databases == [matched_in(job.database)]
     assert not nearby
 
 
 def test_rows_on_each_other_are_mapped_again_from_photos_taken_near_each_other(job, monkeypatch):
-    import pycolmap
-
     databases, nearby, _ = mapped(job, monkeypatch, FOLDED, FLIGHT)
     assert nearby
-    with pycolmap.Database.open(databases[1]) as database:
-        names = {image.image_id: image.name for image in database.read_all_images()}
-        pairs, _ = database.read_two_view_geometry_num_inliers()
-    found = {frozenset(names[n] for n in pycolmap.pair_id_to_image_pair(pair)) for pair in pairs}
     expected = {frozenset((job.files[a], job.files[b])) for a, b in pairs_nearby(FLIGHT)}
-    assert found == expected
+    assert databases[1] == expected
+    assert [file.name for file in job.folder.glob("*.db")] == ["database.db"]
 
 
 def test_a_second_mapping_that_fits_no_better_is_dropped(job, monkeypatch):
@@ -119,5 +125,5 @@ def test_a_second_mapping_of_a_few_photos_is_dropped(job, monkeypatch):
 def test_without_positions_there_is_one_mapping(job, monkeypatch):
     job = ReconstructionJob(job.folder, job.files, False)
     databases, nearby, _ = mapped(job, monkeypatch, FOLDED, FLIGHT)
-    assert databases == [job.database]
+    assert databases == [matched_in(job.database)]
     assert not nearby

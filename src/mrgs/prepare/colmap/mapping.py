@@ -67,7 +67,9 @@ def _models_by_position(
     before = _misfit(job, models)
     if before <= MAX_MISFIT:
         return models, False
-    others = _models(job, _database_nearby(job), report)
+    nearby = _database_nearby(job)
+    others = _models(job, nearby, report)
+    nearby.unlink()
     agrees = _misfit(job, others) < before / 2
     return (others, True) if agrees else (models, False)
 
