@@ -46,6 +46,40 @@ def test_what_comes_after_one_half_does_not_count():
     assert near == median_at_centre([2.0, 30.0], [0.6, 0.9]) == pytest.approx(2.0)
 
 
+def test_a_surface_of_two_gaussians_lies_between_them():
+    """T falls from 1 to 0.55 to 0.25: a quarter of [0.6, 0.4] is the first's."""
+    assert median_at_centre([4.0, 4.2], [0.45, 0.3 / 0.55]) == pytest.approx(4.15)
+
+
+def oblique_disc(kind):
+    """A wide thin disc through (0, 0, 4), turned by 0.9 rad about the vertical axis."""
+    quats = torch.tensor([[math.cos(0.45), 0, math.sin(0.45), 0]])
+    scales = torch.tensor([[1.5, 1.5, 1e-4]])
+    return (
+        torch.tensor([[0.0, 0, 4.0]]).to(kind), quats.to(kind), scales.to(kind),
+        torch.tensor([0.95]).to(kind),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("place", [(7, 10), (7, 11), (8, 9), (6, 11)])
+def test_an_oblique_disc_is_a_plane(place):
+    """As far as the projection is linear; its centre's depth would be off by up to 6 %."""
+    depth = reference.median_depth(*oblique_disc(torch.float64), *CAMERA)[place].item()
+    x = (place[1] + 0.5 - 10.5) / 20
+    # The plane: (z − 4) cos 0.9 + x z sin 0.9 = 0, with the normal's x as R_y(0.9) turns it.
+    exact = 4 * math.cos(0.9) / (math.cos(0.9) + x * math.sin(0.9))
+    assert depth == pytest.approx(exact, rel=6e-3)
+
+
+def test_no_depth_is_before_the_near_plane():
+    """A Gaussian as deep as it is far away has a mean depth below zero at its one end."""
+    means, _, _, opacities = oblique_disc(torch.float64)
+    quats = torch.tensor([[math.cos(-0.7), 0, math.sin(-0.7), 0]]).double()
+    scales = torch.tensor([[4.0, 4.0, 0.1]]).double()
+    depth = reference.median_depth(means, quats, scales, 0 * opacities + 0.99, *CAMERA)
+    assert depth[~depth.isnan()].min().item() == pytest.approx(0.01)
+
+
 @pytest.mark.parametrize("opacities", [[0.49], [0.3, 0.25]])
 def test_no_surface_where_more_than_half_passes(opacities):
     depths = [2.0, 3.0][: len(opacities)]

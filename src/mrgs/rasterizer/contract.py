@@ -35,6 +35,9 @@ ALPHA_MAX = 0.999
 ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_MIN = 1e-4
 
+SURFACE_TRANSMITTANCES = (0.6, 0.4)
+"""The surface that a ray meets is what brings T from the first to the second."""
+
 FRUSTUM_MARGIN = 0.3
 """x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
 view."""

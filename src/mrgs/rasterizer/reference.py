@@ -26,6 +26,7 @@ from mrgs.rasterizer.contract import (
     COVARIANCE_DILATION_PX2,
     FRUSTUM_MARGIN,
     NEAR_PLANE,
+    SURFACE_TRANSMITTANCES,
     TRANSMITTANCE_MIN,
     Blend,
     Layer,
@@ -45,12 +46,14 @@ class Splats(NamedTuple):
         means2d: projected centres μ' in pixels, [M, 2].
         covs2d: projected, dilated covariances Σ' in px², [M, 2, 2].
         depths: z in camera coordinates, scene units, [M].
+        depth_slopes: how much z changes from pixel to pixel, [M, 2].
     """
 
     indices: Tensor
     means2d: Tensor
     covs2d: Tensor
     depths: Tensor
+    depth_slopes: Tensor
 
 
 def rasterize(
@@ -154,6 +157,21 @@ def project_covariances(
     return world_to_image @ covs @ world_to_image.mT + dilation
 
 
+def depth_slopes(
+    covs: Float[Tensor, "n 3 3"],
+    jacobian: Float[Tensor, "n 2 3"],
+    covs2d: Float[Tensor, "n 2 2"],
+    viewmat: Float[Tensor, "4 4"],
+) -> Float[Tensor, "n 2"]:
+    """∂z/∂x' = Σ'⁻¹ J R_w Σ r in scene units per pixel, with r the last row of R_w.
+
+    In image and depth together a Gaussian is a Gaussian again, and this is the slope of its mean z
+    given x': a disc that is seen obliquely is nearer on one side than on the other.
+    """
+    with_depth = (jacobian @ viewmat[:3, :3] @ covs @ viewmat[2, :3, None]).squeeze(-1)
+    return torch.linalg.solve(covs2d, with_depth)
+
+
 def project(
     means: Float[Tensor, "n 3"],
     quats: Float[Tensor, "n 4"],
@@ -174,8 +192,10 @@ def project(
     means2d = perspective(means_camera, K)
     if means2d_offset is not None:
         means2d = means2d + means2d_offset[indices]
-    covs2d = project_covariances(covs, jacobians(means_camera, K, width, height), viewmat)
-    return Splats(indices, means2d, covs2d, means_camera[:, 2])
+    jacobian = jacobians(means_camera, K, width, height)
+    covs2d = project_covariances(covs, jacobian, viewmat)
+    slopes = depth_slopes(covs, jacobian, covs2d, viewmat)
+    return Splats(indices, means2d, covs2d, means_camera[:, 2], slopes)
 
 
 def pixel_centres(width: int, height: int, like: Tensor) -> Float[Tensor, "p 2"]:
@@ -243,10 +263,11 @@ def median_depth(
     width: int,
     height: int,
 ) -> Float[Tensor, "h w"]:
-    """z of the Gaussian at which the transmittance of a layer falls to one half; no gradients.
+    """z at which the transmittance T of a layer falls to one half; no gradients.
 
-    The mean Σ w z lies between two surfaces wherever a little of the farther one shines through, or
-    a little fog lies before it; the median is that of one surface.
+    It is the mean over what brings T from 0.6 to 0.4, mostly one Gaussian or two, of z where they
+    are met by the ray of the pixel. The mean over all of them, Σ w z, lies between two surfaces
+    wherever a little of the farther one shines through, or a little fog lies before it.
 
     Args:
         means: centres in world coordinates, [N, 3].
@@ -266,11 +287,11 @@ def median_depth(
         return means.new_full((height, width), torch.nan)
     pixels = pixel_centres(width, height, means)
     chunks = pixels.split(max(1, CHUNK_ELEMENTS // len(splats.indices)))
+    opacities = opacities[splats.indices]
     medians = [
-        half_transmitted(
-            falloffs(chunk, splats.means2d, splats.covs2d),
-            splats.depths,
-            opacities[splats.indices],
+        surface_depths(
+            depths_along_rays(chunk, splats),
+            transmittances(alphas(opacities, falloffs(chunk, splats.means2d, splats.covs2d))),
         )
         for chunk in chunks
     ]
@@ -286,13 +307,21 @@ def depth_quantiles(depth: Float[Tensor, "h w"], *arguments: Any) -> Float[Tenso
     return known[quarters]
 
 
-def half_transmitted(
-    falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], opacities: Float[Tensor, " m"]
+def depths_along_rays(pixels: Float[Tensor, "p 2"], splats: Splats) -> Float[Tensor, "p m"]:
+    """z + ∂z/∂x' (x' − μ') of every pixel and Gaussian, never before the near plane."""
+    offsets = pixels[:, None] - splats.means2d
+    return (splats.depths + (offsets * splats.depth_slopes).sum(dim=-1)).clamp_min(NEAR_PLANE)
+
+
+def surface_depths(
+    depths: Float[Tensor, "p m"], transmittance: Float[Tensor, "p m+1"]
 ) -> Float[Tensor, " p"]:
-    """Depth of the first Gaussian behind which T is at most one half; NaN where there is none."""
-    crosses = transmittances(alphas(opacities, falloff))[:, 1:] <= 0.5
-    first = crosses.int().argmax(dim=1)
-    return torch.where(crosses.any(dim=1), depths[first], torch.nan)
+    """Mean depth of what brings T from the first to the second of ``SURFACE_TRANSMITTANCES``; NaN
+    where T ends above one half."""
+    begins, ends = SURFACE_TRANSMITTANCES
+    shares = -transmittance.clamp(ends, begins).diff(dim=1)
+    depth = (shares * depths).sum(dim=1) / shares.sum(dim=1)
+    return torch.where(transmittance[:, -1] <= 0.5, depth, torch.nan)
 
 
 @torch.no_grad()

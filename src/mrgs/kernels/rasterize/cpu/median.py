@@ -1,4 +1,4 @@
-"""Median depth of a layer: the walk of ``blend``, until half of the light is blocked."""
+"""Median depth of a layer: the walk of ``blend``, until the surface is passed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mrgs.kernels.rasterize.cpu.blend import (
     TILE_PIXELS,
     TRANSMITTANCE,
     VECTOR_ROWS,
+    ZERO,
     contribution,
     interleaved,
     log2_gaussian,
@@ -26,40 +27,62 @@ from mrgs.kernels.rasterize.cpu.simd import (
     lane_columns,
     lane_rows,
     load,
+    minimum,
     pointer,
     prefetch,
     read,
     select,
     stack_floats,
     store,
-    write,
 )
 from mrgs.kernels.rasterize.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
-from mrgs.rasterizer import splat
+from mrgs.rasterizer import contract, splat
 
 NAN = np.float32(np.nan)
+NEAR_PLANE = np.float32(contract.NEAR_PLANE)
+SURFACE_BEGINS, SURFACE_ENDS = (np.float32(share) for share in contract.SURFACE_TRANSMITTANCES)
 
-_MEDIAN = TILE_PIXELS
-_TILE_FLOATS = 2 * TILE_PIXELS
-"""Behind a tile's plane of T stands that of its median depths, NaN until they are found."""
+SLOPE_X = splat.COLOR + 1
+SLOPE_Y = splat.COLOR + 2
+"""∂z/∂x' of a splat, where a record has the features of its first layer."""
+
+_SHARES = TILE_PIXELS
+_SHARED_DEPTHS = 2 * TILE_PIXELS
+_TILE_FLOATS = 3 * TILE_PIXELS
+"""Behind a tile's plane of T stand the sums of w and of w z over the splats of the surface, w being
+a splat's share of it."""
 
 
 @strict_inlined_function()
-def _pass_half(planes, at, splats, record, gaussian):
-    """Let a splat take its share of T in a vector of pixels, and note the median where T falls to
-    one half; whether it is still above that anywhere."""
-    half = broadcast(HALF)
+def _pass_surface(planes, at, splats, record, gaussian, dx, dy):
+    """Let a splat take its share of T in a vector of pixels, and of the surface; whether that goes
+    on behind it anywhere."""
+    begins, ends = broadcast(SURFACE_BEGINS), broadcast(SURFACE_ENDS)
     ahead = load(planes, at + TRANSMITTANCE)
     _, _, _, _, behind = contribution(planes, at, splats, record, splat.COLOR, gaussian)
-    crosses = (half < ahead) & (half >= behind)
     depth = broadcast(read(splats, record + splat.DEPTH))
-    store(planes, at + _MEDIAN, select(crosses, depth, load(planes, at + _MEDIAN)))
-    return any_lane(half < behind)
+    depth = depth + broadcast(read(splats, record + SLOPE_X)) * dx
+    depth = depth + broadcast(read(splats, record + SLOPE_Y)) * dy
+    near, zero = broadcast(NEAR_PLANE), broadcast(ZERO)
+    depth = select(near < depth, depth, near)
+    share = minimum(ahead, begins) - select(ends < behind, behind, ends)
+    share = select(zero < share, share, zero)
+    store(planes, at + _SHARES, load(planes, at + _SHARES) + share)
+    store(planes, at + _SHARED_DEPTHS, load(planes, at + _SHARED_DEPTHS) + share * depth)
+    return any_lane(ends < behind)
+
+
+@strict_inner_function()
+def _median(planes, pixel):
+    """The depth of the surface at a pixel; NaN where more than half of the light passes."""
+    if read(planes, pixel + TRANSMITTANCE) > HALF:
+        return NAN
+    return read(planes, pixel + _SHARED_DEPTHS) / read(planes, pixel + _SHARES)
 
 
 @strict_inner_function()
 def _walk_tile(planes, splats, tile_splats, first, last, x0, y0):
-    """The walk of ``blend._blend_tile`` again; left when every pixel has its median."""
+    """The walk of ``blend._blend_tile`` again; left when every pixel is behind its surface."""
     centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))
     centres_y = lane_rows(TILE_WIDTH) + broadcast(np.float32(y0 + 0.5))
     live_vectors = ALL_VECTORS
@@ -77,7 +100,8 @@ def _walk_tile(planes, splats, tile_splats, first, last, x0, y0):
             exponent = log2_gaussian(splats, record, dx, dy)
             if not any_lane(exponent >= threshold):
                 continue
-            if not _pass_half(planes, vector * LANES, splats, record, exp2(exponent)):
+            gaussian = exp2(exponent)
+            if not _pass_surface(planes, vector * LANES, splats, record, gaussian, dx, dy):
                 live_vectors &= ~(1 << vector)
         if live_vectors == 0:
             break
@@ -99,12 +123,10 @@ def median(splats, tile_splats, tile_starts, depth):
         tile = interleaved(index, tiles)
         x0, y0 = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
         planes = stack_floats(_TILE_FLOATS)
-        for at in range(TILE_PIXELS):
-            write(planes, _MEDIAN + at, NAN)
         open_transmittance(planes, 0, x0, y0, width, height)
         _walk_tile(
             planes, pointer(splats), tile_splats, tile_starts[tile], tile_starts[tile + 1], x0, y0
         )
         for row in range(min(TILE_HEIGHT, height - y0)):
             for column in range(min(TILE_WIDTH, width - x0)):
-                depth[y0 + row, x0 + column] = read(planes, _MEDIAN + row * TILE_WIDTH + column)
+                depth[y0 + row, x0 + column] = _median(planes, row * TILE_WIDTH + column)

@@ -112,6 +112,26 @@ def _covariance(n0, n1):
     return _dot(n0, n0) + DILATION, _dot(n0, n1), _dot(n1, n1) + DILATION
 
 
+@strict_inner_function()
+def _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v):
+    """The rows of N = (J R_w) R S: the scaled axes of Gaussian i in pixels."""
+    inverse_z = 1.0 / point[2]
+    u = _clamped(point[0] * inverse_z, limits_u)
+    v = _clamped(point[1] * inverse_z, limits_v)
+    m0, m1 = _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy)
+    return (
+        _scaled(_row_times_matrix(m0, rotation), scales, i),
+        _scaled(_row_times_matrix(m1, rotation), scales, i),
+    )
+
+
+@strict_inner_function()
+def _axes_along_view(rotation, scales, i, viewmat):
+    """r R S, with r the last row of R_w: the depths of the scaled axes of Gaussian i."""
+    axis = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
+    return _scaled(_row_times_matrix(axis, rotation), scales, i)
+
+
 @strict_parallel_kernel()
 def project(
     means, quats, scales, opacities, features, viewmat, K, width, height, means2d_offset,
@@ -135,16 +155,10 @@ def project(
         if point[2] < NEAR_PLANE or opacity < ALPHA_MIN:
             continue
         rotation, _, _ = _rotation(quats, i)
-        axis = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
-        along_axis = _scaled(_row_times_matrix(axis, rotation), scales, i)
+        along_axis = _axes_along_view(rotation, scales, i, viewmat)
         if _dot(along_axis, along_axis) > point[2] * point[2]:
             continue
-        inverse_z = 1.0 / point[2]
-        u = _clamped(point[0] * inverse_z, limits_u)
-        v = _clamped(point[1] * inverse_z, limits_v)
-        m0, m1 = _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy)
-        n0 = _scaled(_row_times_matrix(m0, rotation), scales, i)
-        n1 = _scaled(_row_times_matrix(m1, rotation), scales, i)
+        n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
         xx, xy, yy = _covariance(n0, n1)
         determinant = xx * yy - xy * xy
         mean_x = fx * point[0] / point[2] + cx + means2d_offset[i, 0]
@@ -174,6 +188,33 @@ def project(
         splats[i, splat.SCALAR + 1] = features[i, 3]
         splats[i, splat.EXTENT_Y] = extent_y
         splats[i, splat.HALF_WIDTH] = math.sqrt(reach * determinant / yy)
+
+
+@strict_parallel_kernel()
+def depth_slopes(means, quats, scales, viewmat, K, width, height, slopes):
+    """Fill the first two columns of ``slopes``, [N, 2 or more], with ∂z/∂x', how fast the depth of
+    a Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the near plane.
+
+    Args:
+        means, quats, scales: [N, 3], [N, 4], [N, 3].
+        viewmat, K: float64, [4, 4] and [3, 3].
+        width, height: pixels.
+    """
+    fx, fy = K[0, 0], K[1, 1]
+    limits_u, limits_v = _slope_limits(fx, K[0, 2], width), _slope_limits(fy, K[1, 2], height)
+    for i in prange(means.shape[0]):
+        slopes[i, 0], slopes[i, 1] = 0.0, 0.0
+        point = _to_camera(means, viewmat, i)
+        if point[2] < NEAR_PLANE:
+            continue
+        rotation, _, _ = _rotation(quats, i)
+        n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
+        xx, xy, yy = _covariance(n0, n1)
+        along_view = _axes_along_view(rotation, scales, i, viewmat)
+        xz, yz = _dot(n0, along_view), _dot(n1, along_view)
+        inverse_determinant = 1.0 / (xx * yy - xy * xy)
+        slopes[i, 0] = (yy * xz - xy * yz) * inverse_determinant
+        slopes[i, 1] = (xx * yz - xy * xz) * inverse_determinant
 
 
 @strict_inner_function()

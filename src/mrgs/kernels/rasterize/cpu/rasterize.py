@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from mrgs.kernels.rasterize.cpu.blend import blend
 from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 from mrgs.kernels.rasterize.cpu.median import median
-from mrgs.kernels.rasterize.cpu.projection import project, project_backward
+from mrgs.kernels.rasterize.cpu.projection import depth_slopes, project, project_backward
 from mrgs.kernels.rasterize.cpu.tiles import (
     TileLists,
     depth_order,
@@ -161,15 +161,16 @@ def median_depth(
     """
     count = means.shape[0]
     both = torch.stack([opacities.detach(), opacities.new_zeros(count)], dim=1)
-    features, offset = _zeros(count, 4), _zeros(count, 2)
+    features, offset = torch.zeros(count, 4), _zeros(count, 2)
     _check(means, quats, scales, both, features, means.new_zeros(4), offset)
     require_camera(viewmat, K, width, height)
     gaussians = [
         tensor.detach().contiguous().numpy() for tensor in (means, quats, scales, both, features)
     ]
-    splats, lists, _ = _listed_splats(
-        gaussians, _float64(viewmat), _float64(K), width, height, offset.numpy(), False
-    )
+    camera = (_float64(viewmat), _float64(K), width, height)
+    # The records have room for what is blended, and a depth needs none of it.
+    depth_slopes(*gaussians[:3], *camera, gaussians[4])
+    splats, lists, _ = _listed_splats(gaussians, *camera, offset.numpy(), False)
     depth = np.empty((height, width), np.float32)
     median(splats, lists.tile_splats, lists.tile_starts, depth)
     return torch.from_numpy(depth)
